@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 EXAMPLE: Final = "heliarch timing oahu --rate 20 --duration 60s --report"
 
-_RATE: Final = "1"
 _DURATION: Final = "60s"
 _SWEEP_DURATION: Final = "15s"
 
@@ -46,7 +45,7 @@ def timing(
         ),
     ] = "oahu",
     *,
-    rate: str | None = None,
+    rate: str = "1",
     span: TimeOptions,
     plant: PlantOptions,
     settings: SettingsOption = None,
@@ -64,7 +63,7 @@ def timing(
     its table timing.budgets; see docs/timing.md.
 
     --rate RATES: Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the
-        highest rate that the plant keeps up with. Default 1. Without --to and --duration a run
+        highest rate that the plant keeps up with. Without --to and --duration a run
         takes 60 s, 15 s for each of several rates.
     --processes: Show each process as well as the tiers.
     """
@@ -79,7 +78,7 @@ def timing(
         why = f"expected only --processes, --report or --json with {path}, which was run already"
         refuse_others(context, allowed, why)
         return _print_one(report_on(path, by_agent=processes), path, files, processes=processes)
-    rates = parse_rates(_RATE if rate is None else rate)
+    rates = parse_rates(rate)
     options = {**vars(span), **vars(plant), **vars(machine)}
     request = run_request(scenario, settings, files, **options)
     with page_beside(page, console) as shown:

@@ -29,11 +29,6 @@ def check_externals(
     """Check the options about external agents; return the agents in the order of the tree."""
     team = tuple(agent for agent in tree.agents() if agent != RECORDER)
     for agent in external:
-        if agent == RECORDER:
-            raise InputError(
-                f"--external: expected {', '.join(team[:4])} or another agent, got recorder, which "
-                "the launcher follows the run through"
-            )
         if agent not in team:
             near = get_close_matches(agent, team, n=4, cutoff=0.5) or team[:4]
             raise InputError(

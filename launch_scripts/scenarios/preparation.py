@@ -61,13 +61,17 @@ class Preparation:
     profile: Profile
     scenario: ScenarioFile
     options: RunOptions
-    hindsight: bool
     remarks: tuple[str, ...]
+
+    @property
+    def hindsight(self) -> bool:
+        """Whether clusters and neighbours were chosen from the run's own data."""
+        return self.scenario.scenario.neighbours.history == "hindsight"
 
     def local_start(self) -> str:
         """Return the local time of cycle 0, to be read."""
         moment = pd.Timestamp(self.plan.start_time_ns, tz="UTC")
-        return f"{moment.tz_convert(self.scenario.scenario.time.timezone):%Y-%m-%d %H:%M:%S %Z}"
+        return f"{moment.tz_convert(self.plan.timezone):%Y-%m-%d %H:%M:%S %Z}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,14 +134,8 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         plan.regulation_capacity_kw,
         meter_error=scenario.plant.meter_noise * meter.standard_normal(day.possible_kw.shape),
     )
-    return Preparation(
-        plan,
-        profile,
-        scenario_file,
-        options,
-        hindsight=scenario.neighbours.history == "hindsight",
-        remarks=(*remarks, *fault_remarks(plan.faults)),
-    )
+    remarks += fault_remarks(plan.faults)
+    return Preparation(plan, profile, scenario_file, options, tuple(remarks))
 
 
 def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -> _Day:

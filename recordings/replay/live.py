@@ -26,7 +26,7 @@ from bus_schemas.tree import REPLAYER, ROOT
 from bus_schemas.zenoh_bus import Inbox
 from launch_scripts.launcher.interruption import Interruption
 from launch_scripts.launcher.live_view import StatusLine
-from launch_scripts.launcher.supervision import Children, RunFailure, with_log
+from launch_scripts.launcher.supervision import Children, RunFailure
 from recordings.read.gaps import due_step
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus
@@ -315,7 +315,7 @@ class LiveReplay:
         late = self.children.await_exit(list(self.children), _END_S)
         if late:
             names = ", ".join(child.agent for child in late)
-            raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
+            raise self.children.failure(late[0].agent, f"{names} did not end with the run")
         ended = [child.finished for child in self.children if child.finished is not None]
         sent = sum(sum(finished.published.values()) for finished in ended)
         until = time.monotonic() + _END_S
