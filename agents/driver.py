@@ -59,21 +59,10 @@ class Driver:
 
         longest_ns: Time of the run's clock up to which to wait at most.
         """
-        until_ns = self._next_deadline_ns()
-        if until_ns is None or (longest_ns is not None and longest_ns < until_ns):
-            until_ns = longest_ns
-        only = self._only
-        arrivals = self.bus.receive(until_ns, len(only.waiting) or 1 if only is not None else 1)
-        if only is not None and only.catch_up(self.now_ns()):
-            self.go_on(only)
-        for agent, port, message, time_ns in arrivals:
-            loop = self.loops[agent]
-            loop.hear(port, message, time_ns)
-            # The beginning of the run, or a dispatch that takes it into a run that has begun.
-            if not loop.waiting or port.signal is RUN or port.signal is DISPATCH:
-                self.go_on(loop)
+        arrivals = self.bus.receive(self._until_ns(longest_ns), self._wanted)
+        self._act_on(arrivals)
         # In memory all messages of a moment come before its deadlines.
-        if only is not None or not arrivals:
+        if self._only is not None or not arrivals:
             self._close_overdue()
         return arrivals
 
@@ -89,6 +78,30 @@ class Driver:
     def publish(self, port: Port[Message], message: Message) -> None:
         """Publish a message that no agent decides."""
         self.bus.publish(port, message, self.now_ns())
+
+    @property
+    def _wanted(self) -> int:
+        """Messages that the driver has use for at once."""
+        return len(self._only.waiting) or 1 if self._only is not None else 1
+
+    def _until_ns(self, longest_ns: int | None) -> int | None:
+        """Return the time of the run's clock up to which to wait for messages."""
+        until_ns = self._next_deadline_ns()
+        if until_ns is None or (longest_ns is not None and longest_ns < until_ns):
+            return longest_ns
+        return until_ns
+
+    def _act_on(self, arrivals: Sequence[Arrival]) -> None:
+        """Give messages to their agents, and take these as far as they go."""
+        only = self._only
+        if only is not None and only.catch_up(self.now_ns()):
+            self.go_on(only)
+        for agent, port, message, time_ns in arrivals:
+            loop = self.loops[agent]
+            loop.hear(port, message, time_ns)
+            # The beginning of the run, or a dispatch that takes it into a run that has begun.
+            if not loop.waiting or port.signal is RUN or port.signal is DISPATCH:
+                self.go_on(loop)
 
     def _close(self, loop: AgentLoop[Any]) -> None:
         bus, now_ns = self.bus, self.now_ns

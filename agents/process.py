@@ -17,6 +17,7 @@ from agents.agent import Agent
 from agents.cycle import kind_of
 from agents.driver import Driver
 from agents.drop_log import DropLog
+from agents.eager_driver import EagerDriver
 from agents.events import Failed, Finished, Joined, Standing, TookOver, Waiting
 from agents.launcher_link import LauncherLink
 from agents.loop import AgentLoop
@@ -161,7 +162,9 @@ class AgentProcess:
         if plan.network_faults.concern(agent.name):
             self._faults = FaultyBus(self._bus, agent.name, plan.network_faults)
         self.loop = AgentLoop(agent, plan, self._drop_log, name)
-        self.driver = Driver([self.loop], self._faults or self._bus, self._bus.now_ns)
+        self.driver: Driver = EagerDriver(self.loop, self._bus)
+        if self._faults is not None or agent.name == PLANT:
+            self.driver = Driver([self.loop], self._faults or self._bus, self._bus.now_ns)
         self.watch_alive = self._bus.watch_alive
         self._presence = self._bus.watch_presence() if is_away or link.by_hand else None
         self._plant_left_at = inf

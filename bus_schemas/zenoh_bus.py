@@ -1,7 +1,7 @@
 """The bus between processes: one Zenoh session for each agent, over TCP on the loopback address.
 
 No multicast, no gossip: the endpoints are given. Zenoh calls us on its own thread, and the callback
-only appends to a queue that the agent's loop empties. See docs/decisions for what was measured.
+appends to a queue. See docs/decisions for what was measured.
 """
 
 from __future__ import annotations
@@ -35,9 +35,10 @@ ENCODING: Final = "application/msgpack"
 
 ZENOH_RUNTIME: Final = (
     "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), "
-    "app: (worker_threads: 1))"
+    "app: (worker_threads: 2))"
 )
-"""One worker thread for all of Zenoh's work: see docs/decisions/0003-zenoh-tuning.md."""
+"""Two worker threads for all of Zenoh's work, so that one goes on sending while a controller that
+acts on the other one waits for room: see docs/decisions/0003-zenoh-tuning.md."""
 
 MOST_LINKS: Final = 10_000
 """Sessions that one agent may be linked with."""
@@ -151,6 +152,10 @@ class SessionSettings:
             # By default 1,000 and 100: plant and recorder are linked with everybody.
             "transport/unicast/max_sessions": MOST_LINKS,
             "transport/unicast/accept_pending": MOST_LINKS,
+            # By default 10 s. Plant and recorder open 1,000 links one after the other; one that
+            # was given up half open would look whole to the other end, and carry nothing.
+            "transport/unicast/accept_timeout": LEASE_MS,
+            "transport/unicast/open_timeout": LEASE_MS,
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20000,
             # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
             "transport/link/tx/queue/size/data": 16,
@@ -159,6 +164,11 @@ class SessionSettings:
             "transport/link/rx/max_message_size": self.largest_bytes,
             "transport/link/protocols": ["tcp" if self.keys is None else "tls"],
         }
+        if self.lockstep:
+            # By default a listener who stands still for 5 s is cut off, and lacks what is sent.
+            settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = (
+                LEASE_MS * 1000
+            )
         if self.session_id:
             settings["id"] = self.session_id
         if self.user:
@@ -207,15 +217,17 @@ def _keep_this_thread() -> None:
 
 
 class Inbox:
-    """A queue between Zenoh's thread and the agent's: wakes the agent once enough has arrived.
+    """A queue between Zenoh's thread and the agent's: calls once enough has arrived.
 
-    An agent that needs seventeen messages to go on is woken once, not seventeen times.
+    An agent that needs seventeen messages to go on is called once, not seventeen times.
 
     flooded: Messages that found no room, by port.
+    on_enough: Called on Zenoh's thread. By default it wakes the agent's.
     """
 
     def __init__(self) -> None:
         self.flooded: Counter[str] = Counter()
+        self.on_enough: Callable[[], None] = self.wake
         self._waiting: Counter[Port[Message]] = Counter()
         self._items: deque[tuple[Port[Message], zenoh.ZBytes, int]] = deque()
         self._wanted = _NEVER
@@ -237,27 +249,40 @@ class Inbox:
             if len(items) >= self._wanted or urgent:
                 self._wanted = _NEVER
                 self._urgent = self._urgent or urgent
-                with suppress(RuntimeError):  # Two messages at once: it is open already.
-                    self._gate.release()
+                self.on_enough()
 
         return hear
 
-    def take(self, wanted: int, timeout_s: float) -> list[tuple[Port[Message], zenoh.ZBytes, int]]:
+    def want(self, wanted: int) -> bool:
+        """Ask to be called once so many or an urgent one are there; return whether they are."""
+        self._wanted = wanted
+        # The last one may have come just before that.
+        return len(self._items) >= wanted or (self._urgent and bool(self._items))
+
+    def sleep(self, timeout_s: float) -> None:
+        """Sleep until somebody wakes the agent, or the time-out has come."""
+        if timeout_s > 0.0:
+            self._gate.acquire(timeout=timeout_s)
+
+    def wake(self) -> None:
+        """Wake the agent's thread."""
+        with suppress(RuntimeError):  # Two messages at once: it is awake already.
+            self._gate.release()
+
+    def take(
+        self, wanted: int = 0, timeout_s: float = 0.0
+    ) -> list[tuple[Port[Message], zenoh.ZBytes, int]]:
         """Return all that is there, once `wanted` or an urgent one are, or at the time-out."""
-        items = self._items
         until = time.monotonic() + timeout_s
-        # The flag may be left over from a message that was taken already.
-        while len(items) < wanted and not (self._urgent and items) and timeout_s > 0.0:
-            self._wanted = wanted
-            # The last one may have come just before `wanted` was set.
-            if len(items) < wanted and not (self._urgent and items):
-                # An opening may also be left over from messages that were taken already.
-                self._gate.acquire(timeout=timeout_s)
+        # An opening may be left over from messages that were taken already.
+        while timeout_s > 0.0 and not self.want(wanted):
+            self.sleep(timeout_s)
             timeout_s = until - time.monotonic()
         self._wanted = _NEVER
         self._urgent = False
         if self._waiting:
             self._waiting = Counter()
+        items = self._items
         return [items.popleft() for _ in range(len(items))]
 
     def _has_room(self, port: Port[Message]) -> bool:
@@ -293,7 +318,7 @@ class ZenohBus:
         self._process = process or agent
         self._keys = keys
         self._patience_s = patience_s
-        self._inbox = Inbox()
+        self.inbox = Inbox()
         self._sessions = open_sessions(settings)
         devices = set(() if settings.devices is None else settings.devices.peers)
         published, heard = wiring.published[agent], wiring.heard.get(agent, [])
@@ -312,7 +337,7 @@ class ZenohBus:
             for port in published
         }
         many = _signals_of_many(heard)
-        hear = self._inbox.callback
+        hear = self.inbox.callback
         by_key = {keys.key(port): hear(port) for port in heard if port.signal not in many}
         for signal in many:
             by_key[f"{keys.plant}/**/{signal.name}"] = _by_key(hear, heard, keys)
@@ -341,7 +366,7 @@ class ZenohBus:
     @property
     def flooded(self) -> Counter[str]:
         """Messages that found no room, by port: more came than the agent could look at."""
-        return self._inbox.flooded
+        return self.inbox.flooded
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
@@ -375,15 +400,22 @@ class ZenohBus:
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> list[Arrival]:
         """Return what has arrived: once `wanted` messages are there, or when the time has come."""
-        timeout_s = self._patience_s
-        if until_ns is not None:
-            timeout_s = min(timeout_s, (until_ns - self.now_ns()) / 1e9)
-        give_up_at = time.monotonic() + timeout_s
-        while taken := self._inbox.take(wanted, give_up_at - time.monotonic()):
+        give_up_at = time.monotonic() + self.timeout_s(until_ns)
+        while taken := self.inbox.take(wanted, give_up_at - time.monotonic()):
             arrivals = self._decoded(taken)
             if arrivals:  # Otherwise nothing has come that could be read.
                 return arrivals
         return []
+
+    def take(self) -> list[Arrival]:
+        """Return what has arrived, without waiting."""
+        return self._decoded(self.inbox.take())
+
+    def timeout_s(self, until_ns: int | None) -> float:
+        """How long to wait for a time of the run's clock, at most for the patience."""
+        if until_ns is None:
+            return self._patience_s
+        return min(self._patience_s, (until_ns - self.now_ns()) / 1e9)
 
     def _decoded(self, taken: list[tuple[Port[Message], zenoh.ZBytes, int]]) -> list[Arrival]:
         arrivals = []

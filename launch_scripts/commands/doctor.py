@@ -166,7 +166,7 @@ def _zenoh() -> Finding:
         return Finding("Zenoh", f"{error}", "wrong", advice)
     text = f"a session has {threads} thread" + "s" * (threads != 1)
     is_tuned = os.environ.get("ZENOH_RUNTIME", ZENOH_RUNTIME) == ZENOH_RUNTIME
-    advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
+    advice = "unset ZENOH_RUNTIME: two worker threads for each agent are fastest"
     return _judged("Zenoh", text, is_tuned, advice)
 
 

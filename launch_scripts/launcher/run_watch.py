@@ -23,6 +23,9 @@ HEARTBEAT_S: Final = 2.0
 PLANT_S: Final = 5.0
 """How long a cycle of the plant may take; cycles that are long on the wall clock get more."""
 
+_PER_PROCESS_S: Final = 0.01
+"""How long both may at least take for each process of the run: 1,000 share few processors."""
+
 _OWN_PAUSE_S: Final = 0.5
 """If the launcher has not looked for so long, it stood still itself."""
 
@@ -43,14 +46,15 @@ class RunWatch:
 
     def __init__(self, plan: RunPlan, say: Callable[[str], None]) -> None:
         self._say = say
-        self._patience_s = HEARTBEAT_S if plan.lockstep else PATIENCE_S
+        least_s = _PER_PROCESS_S * len(plan.processes)
+        self._patience_s = max(HEARTBEAT_S if plan.lockstep else PATIENCE_S, least_s)
         longest_s, then = self._patience_s, "the run ends"
         if plan.restarts:
             longest_s, then = plan.restart.frozen_s, "it is killed and started again"
             self._patience_s = longest_s + PATIENCE_S
         meanwhile = "waits for it" if plan.lockstep else "goes on without it"
         self._what_next = f"the run {meanwhile}; if it stays silent for {longest_s:g} s, {then}"
-        self._cycle_s = max(PLANT_S, 3.0 * plan.cycle_wall_ns / 1e9)
+        self._cycle_s = max(PLANT_S, least_s, 3.0 * plan.cycle_wall_ns / 1e9)
         self._cycle = -1
         self._heard_at = self._went_on_at = self._looked_at = 0.0
         self._is_silent = False

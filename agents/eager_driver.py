@@ -1,0 +1,74 @@
+"""Drives one controller on Zenoh's own thread: an answer goes out from where its cause came in.
+
+The thread that receives a stage's last message closes the stage and publishes what it decides. No
+other thread is woken for it, which saves a fifth of the processor time of a cycle. The agent's own
+thread sleeps until the next deadline. The plant needs its own thread: it waits in `put` for a
+recorder that falls behind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from threading import Lock
+from typing import Any
+
+from agents.driver import Driver
+from agents.loop import AgentLoop
+from bus_schemas.bus import Arrival
+from bus_schemas.zenoh_bus import ZenohBus
+
+
+class EagerDriver(Driver):
+    """One controller, on Zenoh."""
+
+    def __init__(self, loop: AgentLoop[Any], bus: ZenohBus) -> None:
+        super().__init__([loop], bus, bus.now_ns)
+        self._loop = loop
+        self._zenoh = bus
+        self._lock = Lock()
+        self._error: Exception | None = None
+
+    def run(self) -> Iterator[Sequence[Arrival]]:
+        """Go on to the end of the run; yield after each turn of the agent's own thread."""
+        self._zenoh.inbox.on_enough = self._act_at_once
+        with self._lock:
+            self.go_on(self._loop)
+            self._act()
+        while not self.finished:
+            yield self.turn()
+
+    def turn(self, longest_ns: int | None = None) -> Sequence[Arrival]:
+        """Sleep until the next deadline, and close what is overdue then.
+
+        Raises what went wrong on the bus's thread.
+        """
+        with self._lock:
+            until_ns = self._until_ns(longest_ns)
+        self._zenoh.inbox.sleep(self._zenoh.timeout_s(until_ns))
+        with self._lock:
+            arrivals = self._act()
+            self._close_overdue()
+            arrivals += self._act()
+        if self._error is not None:
+            raise self._error
+        return arrivals
+
+    def _act_at_once(self) -> None:
+        """Act on the bus's thread, which must outlive a fault of ours."""
+        try:
+            with self._lock:
+                self._act()
+        except Exception as error:
+            self._error = error
+        if self._error is not None or self.finished:
+            self._zenoh.inbox.wake()
+
+    def _act(self) -> list[Arrival]:
+        """Act on what has come, until there is less than is wanted."""
+        arrivals = self._zenoh.take()
+        self._act_on(arrivals)
+        while self._zenoh.inbox.want(self._wanted):
+            more = self._zenoh.take()
+            self._act_on(more)
+            arrivals += more
+        return arrivals
