@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
-from ipaddress import ip_address
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
 from typing import Final
 
@@ -56,6 +56,16 @@ def check_base_port(base_port: int, plan: RunPlan) -> None:
             f"--base-port: expected ports from {_PORTS[0]} to {_PORTS[-1]}, got "
             f"{base_port} to {last}"
         )
+
+
+def own_address(text: str) -> IPv4Address | IPv6Address:
+    """Read the value of `--address`."""
+    try:
+        return ip_address(text)
+    except ValueError:
+        raise InputError(
+            f"--address: expected an IP address such as 10.0.0.1, got {text}"
+        ) from None
 
 
 def addresses_of(

@@ -1,7 +1,4 @@
-"""The network faults of a run: the scenario's rules, and those of `--fault`.
-
-An option reads `--fault source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s`.
-"""
+"""The network faults of a run: the scenario's rules, and those of `--fault`."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ from agents.plan import RunPlan
 from bus_schemas.access import common_name
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.zenoh_bus import KeyFiles
+from launch_scripts.scenarios.externals import own_address
 from recordings.read.whole_file import whole_file
 
 try:
@@ -47,7 +48,7 @@ def make_keys(
     there stay: a process that starts in between finds a pair that matches, and a device needs
     nothing but its new certificate.
     """
-    hosts = (x509.IPAddress(_address(address)) for address in ("127.0.0.1", *addresses))
+    hosts = (x509.IPAddress(own_address(address)) for address in ("127.0.0.1", *addresses))
     names = x509.SubjectAlternativeName(hosts)
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     there = [name for name in ("ca.key", "ca.pem") if (folder / name).exists()]
@@ -126,15 +127,6 @@ def _check(
         raise InputError(f"{files.key}: no such file, expected the key of {agent}")
     if files.key.stat().st_mode & 0o077:
         raise InputError(f"{files.key}: expected a key that its owner alone can read (mode 600)")
-
-
-def _address(text: str) -> IPv4Address | IPv6Address:
-    try:
-        return ip_address(text)
-    except ValueError:
-        raise InputError(
-            f"--address: expected an IP address such as 10.0.0.1, got {text}"
-        ) from None
 
 
 def _read(path: Path) -> x509.Certificate:

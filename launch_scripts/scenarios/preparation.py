@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, time
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
@@ -24,7 +23,12 @@ from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
 from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.devices import devices
-from launch_scripts.scenarios.externals import addresses_of, check_base_port, check_externals
+from launch_scripts.scenarios.externals import (
+    addresses_of,
+    check_base_port,
+    check_externals,
+    own_address,
+)
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
 from launch_scripts.scenarios.machine_table import machine_settings
@@ -274,15 +278,11 @@ def _standby(kinds: Sequence[str], tree: ControlTree, external: Sequence[str]) -
 
 def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
     """Return the folder of the keys; empty: the links are not encrypted."""
-    try:
-        is_loopback = ip_address(options.address).is_loopback
-    except ValueError:
-        expected = "expected an IP address such as 10.0.0.1"
-        raise InputError(f"--address: {expected}, got {options.address}") from None
+    address = own_address(options.address)
     if not (scenario.secure if options.secure is None else options.secure):
         if options.keys is not None:
             raise InputError("--keys: expected --secure with it")
-        if not is_loopback:
+        if not address.is_loopback:
             raise InputError(
                 f"--address {options.address}: expected --secure with it, since whoever reaches "
                 "that address could command the plant"
