@@ -5,7 +5,7 @@
 GRAPH.json names each process with the keys that it hears and its stages: the keys that a stage
 awaits, one message of each, and the messages that it then puts. `cycle_rate.py` derives it from a
 recording. Nothing of Heliarch is imported here. Processes are forked from one parent that has
-imported everything and runs one thread; Zenoh calls them on its own thread; two processes are
+imported everything and runs one thread; they act on the thread on which Zenoh calls them; two are
 linked, by TCP on 127.0.0.1, if one puts what the other hears; a recorder hears everything and
 writes the payloads to an MCAP file unread. Nobody decodes, checks or computes anything.
 
@@ -22,7 +22,6 @@ import itertools
 import json
 import multiprocessing
 import os
-import queue
 import resource
 import socket
 import tempfile
@@ -163,12 +162,12 @@ Work = Callable[[], Used]
 THREAD: Final = threading.local()
 
 
-def subscribe(session: zenoh.Session, key: str, inbox: queue.SimpleQueue[str]) -> object:
+def subscribe(session: zenoh.Session, key: str, act: Callable[[str], None]) -> object:
     def hear(_sample: zenoh.Sample) -> None:
         if not hasattr(THREAD, "is_kept"):  # Python would set up a thread state for each callback.
             ctypes.pythonapi.PyGILState_Ensure()
             THREAD.is_kept = True
-        inbox.put(key)
+        act(key)
 
     return session.declare_subscriber(key, zenoh.handlers.Callback(hear, indirect=False))
 
@@ -178,38 +177,64 @@ def declare(session: zenoh.Session, key: str) -> Callable[[bytes], None]:
     return session.declare_publisher(key, congestion_control=block, reliability=reliable).put
 
 
-def player(process: Process, cycles: int, session: zenoh.Session) -> Work:
-    """Return what a process of the graph does: wait, put, wait."""
-    inbox: queue.SimpleQueue[str] = queue.SimpleQueue()
-    surplus: Counter[str] = Counter()
+class Player:
+    """A process of the graph: Zenoh's thread puts as soon as it brings what a stage lacks."""
 
-    kept = [subscribe(session, key, inbox) for key in process.hears]
-    stages = [
-        (stage.awaits, [(declare(session, put.key), put.payload) for put in stage.puts])
-        for stage in process.stages
-    ]
+    def __init__(self, process: Process, cycles: int, session: zenoh.Session) -> None:
+        self._cycle, self._cycles = -WARM_UP, cycles
+        self._lock = threading.Lock()
+        self._is_over = threading.Event()
+        self._surplus: Counter[str] = Counter()
+        self._before = self._after = used_so_far()
+        self._stages = [
+            (stage.awaits, [(declare(session, put.key), put.payload) for put in stage.puts])
+            for stage in process.stages
+        ]
+        self._place = 0
+        self._missing = self._claim()
+        self._kept = [subscribe(session, key, self._hear) for key in process.hears]
 
-    def cycle() -> None:
-        for awaits, puts in stages:
-            missing = sum(surplus[key] <= 0 for key in awaits)
-            for key in awaits:
-                surplus[key] -= 1
-            while missing:
-                key = inbox.get(timeout=STALL_S)
-                surplus[key] += 1
-                missing -= surplus[key] == 0
-            for put, payload in puts:
+    def __call__(self) -> Used:
+        """Begin, if this is the process that begins each cycle; return what all cycles used."""
+        with self._lock:
+            self._go_on()
+        began = self._cycle
+        while not self._is_over.wait(STALL_S):
+            if self._cycle == began:
+                raise TimeoutError(f"nothing came in cycle {began}")
+            began = self._cycle
+        return self._after.since(self._before)
+
+    def _hear(self, key: str) -> None:
+        with self._lock:
+            self._surplus[key] += 1
+            if self._surplus[key] == 0:
+                self._missing -= 1
+                self._go_on()
+
+    def _claim(self) -> int:
+        """Take what the open stage awaits; return how much of it has yet to come."""
+        awaits, _ = self._stages[self._place]
+        for key in awaits:
+            self._surplus[key] -= 1
+        return sum(self._surplus[key] < 0 for key in awaits)
+
+    def _go_on(self) -> None:
+        while not self._missing and self._cycle < self._cycles:
+            for put, payload in self._stages[self._place][1]:
                 put(payload)
+            self._place = (self._place + 1) % len(self._stages)
+            if self._place == 0:
+                self._end_cycle()
+            self._missing = self._claim()
 
-    def play(_kept: object = kept) -> Used:
-        for _ in range(WARM_UP):
-            cycle()
-        before = used_so_far()
-        for _ in range(cycles):
-            cycle()
-        return used_so_far().since(before)
-
-    return play
+    def _end_cycle(self) -> None:
+        self._cycle += 1
+        if self._cycle == 0:
+            self._before = used_so_far()
+        elif self._cycle == self._cycles:
+            self._after = used_so_far()
+            self._is_over.set()
 
 
 def recorder(graph: Graph, cycles: int, session: zenoh.Session) -> Work:
@@ -269,7 +294,8 @@ def run(graph: Graph, cycles: int) -> dict[str, object]:
     """Run the graph; return its figures."""
     os.environ["ZENOH_RUNTIME"] = RUNTIME
     network = Network(graph)
-    roles = {each.name: partial(player, each, cycles) for each in graph.processes}
+    roles: dict[str, Callable[[zenoh.Session], Work]]
+    roles = {each.name: partial(Player, each, cycles) for each in graph.processes}
     roles[RECORDER] = partial(recorder, graph, cycles)
     if len(list(Path("/proc/self/task").iterdir())) > 1:
         raise RuntimeError("a process with several threads must not fork")

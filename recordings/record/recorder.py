@@ -243,6 +243,7 @@ class Recorder:
         if head.source != port.publisher:
             self.complaints.add(key, "foreign", f"it is from {head.source!r}")
         elif head.cycle < 0:
+            self._heard_ns[head.source] = time.monotonic_ns()
             if self._round.sees(port, head.cycle):
                 ready = Ready(head.cycle, head.sim_time_ns, RECORDER, ())
                 self._tap.publish(READY.of(ROOT), ready)

@@ -1,24 +1,30 @@
-"""How often the recorder hands on what it has heard: a crash loses the rest."""
+"""When the recorder hands on what it has heard, and whom it calls silent."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import cycle, pairwise
 from pathlib import Path
 from unittest.mock import Mock, patch
 
 import pytest
 from clock_by_hand import ClockByHand
+from msgspec.structs import replace
+from plans_by_hand import REAL_TIME
 from recordings_by_hand import PLAN, SCENARIO, whole_run
 
+from agents.events import Event, Status
+from agents.plan import RunPlan
 from bus_schemas.codec import encode
-from recordings.record.recorder import FLUSH_S, Recorder, RecordingEnd
+from recordings.record.recorder import FLUSH_S, Recorder, RecordingEnd, longest_pause_s
 from recordings.record.writer import RunWriter
 
 MESSAGE_S = 20e-6
 """What it takes to write a message down."""
 
 LASTS_S = 10.0
+
+IN_REAL_TIME = replace(PLAN, cycle_wall_ns=REAL_TIME)
 
 
 @pytest.mark.parametrize("bursts_s", [0.0, 0.1])
@@ -45,17 +51,55 @@ def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
             flushed_s.append((clock.now_ns - began_ns) / 1e9)
             super().flush()
 
-    tap, link = (
-        Mock(drain=drain, presence=list),
-        Mock(expected_messages=lambda: None, by_hand=False),
-    )
     writer = NotedWriter(tmp_path / "run.mcap", PLAN, SCENARIO, "launch")
-    time = Mock(monotonic=lambda: clock.now_ns / 1e9, monotonic_ns=clock, sleep=clock.sleep)
-    with patch("recordings.record.recorder.time", time):
-        Recorder(PLAN, tap, writer, link, end, lambda text: None).run()
+    record(clock, drain, writer, end)
     # What it takes in at once, 2000 messages, is all that can come between.
     longest_s = FLUSH_S + 2000 * MESSAGE_S
     gaps_s = [later - earlier for earlier, later in pairwise([0.0, *flushed_s, LASTS_S])]
     assert max(gaps_s) <= longest_s + 1e-6
     # A nap lies between the look at the clock and the flush. More of them would cost too much.
     assert min(gaps_s[1:-1]) >= FLUSH_S - 0.01
+
+
+def test_who_answered_the_arming_round_is_not_silent_when_cycle_0_begins(tmp_path: Path) -> None:
+    """With 1,000 inverters the recorder is up half a minute before the last of them has joined."""
+    clock = ClockByHand()
+    joined_ns = clock.now_ns + round(10.0 * longest_pause_s(IN_REAL_TIME) * 1e9)
+    ends_ns = joined_ns + round(0.5 * longest_pause_s(IN_REAL_TIME) * 1e9)
+    end = RecordingEnd()
+    coming = [
+        (PLAN.keys.key(port), encode(replace(message, cycle=-1)))
+        for port, message in whole_run(1)
+        if port.signal.is_cyclic
+    ]
+
+    def drain() -> Iterator[tuple[str, bytes]]:
+        if clock.now_ns >= joined_ns:
+            while coming:
+                yield coming.pop()
+        if clock.now_ns >= ends_ns:
+            end.ask()
+
+    writer = RunWriter(tmp_path / "run.mcap", IN_REAL_TIME, SCENARIO, "launch")
+    said = record(clock, drain, writer, end, IN_REAL_TIME)
+    silent = [event.silent for event in said if isinstance(event, Status)]
+    assert silent[0] == []
+    assert PLAN.tree.leaves[0] in max(silent, key=len), "before it answers it is silent"
+    assert silent[-1] == []
+
+
+def record(
+    clock: ClockByHand,
+    drain: Callable[[], Iterator[tuple[str, bytes]]],
+    writer: RunWriter,
+    end: RecordingEnd,
+    plan: RunPlan = PLAN,
+) -> list[Event]:
+    """Record what comes, at the time of a clock by hand. Returns what the launcher is told."""
+    said: list[Event] = []
+    tap = Mock(drain=drain, presence=list)
+    link = Mock(expected_messages=lambda: None, by_hand=False, tell=said.append)
+    time = Mock(monotonic=lambda: clock.now_ns / 1e9, monotonic_ns=clock, sleep=clock.sleep)
+    with patch("recordings.record.recorder.time", time):
+        Recorder(plan, tap, writer, link, end, lambda text: None).run()
+    return said
