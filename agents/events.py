@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import msgspec
 
 
@@ -175,22 +173,3 @@ class Failed(Event, frozen=True):
     """The process gives up, and why, in one line."""
 
     text: str
-
-
-AnyEvent: TypeAlias = (
-    Joined
-    | Armed
-    | Waiting
-    | Standing
-    | TookOver
-    | Status
-    | Finished
-    | Presence
-    | Over
-    | Complaint
-    | Recorded
-    | RecordingEnded
-    | Failed
-    | Started
-    | Exited
-)

@@ -11,16 +11,19 @@ import signal
 import socket
 import sys
 from contextlib import suppress
+from functools import reduce
+from operator import or_
 from typing import Final
 
 import msgspec
 
-from agents.events import AnyEvent, Event, Standing, Status
+from agents.events import Event, Standing, Status
 
 _PART: Final = 60_000
 """Bytes of an event in one packet: a socket takes packets of some 200 kB at most."""
 
-_decoder = msgspec.json.Decoder(AnyEvent)
+_decoder: msgspec.json.Decoder[Event] = msgspec.json.Decoder(reduce(or_, Event.__subclasses__()))
+"""Of any event: their tags tell them apart."""
 
 
 class LauncherLink:
@@ -92,7 +95,7 @@ class EventReader:
     def __init__(self) -> None:
         self._parts: dict[str, bytes] = {}
 
-    def feed(self, packet: bytes) -> tuple[str, AnyEvent] | None:
+    def feed(self, packet: bytes) -> tuple[str, Event] | None:
         """Take in a packet; return agent and event once it is whole."""
         name, _, part = packet[1:].partition(b"\n")
         agent = name.decode()

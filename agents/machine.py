@@ -6,9 +6,7 @@ import ctypes
 import os
 import re
 import resource
-import sys
-import threading
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -33,8 +31,11 @@ _MAY_LOCK: Final = 14
 """CAP_IPC_LOCK of capabilities(7)."""
 
 _POLICIES: Final = {
-    getattr(os, f"SCHED_{name.upper()}", None): name
-    for name in ("other", "batch", "idle", "fifo", "rr")
+    os.SCHED_OTHER: "other",
+    os.SCHED_BATCH: "batch",
+    os.SCHED_IDLE: "idle",
+    os.SCHED_FIFO: "fifo",
+    os.SCHED_RR: "rr",
 }
 
 
@@ -58,16 +59,22 @@ class MachineSettings(msgspec.Struct, frozen=True):
 def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tuple[str, ...]:
     """Set this process up as the settings say. Threads that it starts later do likewise.
 
-    To be called before the bus is opened, since that starts threads.
-
-    Returns
-    -------
-    tuple of str
-        What the machine does not permit, and why. The process goes on without it.
+    To be called before the bus is opened, since that starts threads. Returns what the machine does
+    not permit, and why: the process goes on without it.
     """
-    return tuple(
-        refusal for refusal in (step() for step in _steps(settings, kind, lockstep)) if refusal
-    )
+    refused: list[str | None] = []
+    if cpus := settings.cpus_of.get(kind, settings.cpus):
+        refused.append(_run_on(cpus))
+    if lockstep:
+        # Do not interrupt the running process when woken: it may have more messages to send.
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    elif kind != "recorder":
+        wake_precisely()
+        if settings.priority:
+            refused.append(_run_first(settings.priority))
+        if settings.lock_memory:
+            refused.append(_lock_memory())
+    return tuple(refusal for refusal in refused if refusal is not None)
 
 
 def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
@@ -76,52 +83,24 @@ def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
     The kernel keeps policy and processors thread by thread, and the thread ends at once. Whether
     memory may be locked is not tried but read off this process's limit and capabilities.
     """
-    found: list[str] = []
     # Locks are of the whole process, which here is the launcher: it may be spared that.
     in_a_thread = msgspec.structs.replace(settings, lock_memory=False)
-
-    def attempt() -> None:
-        found.extend(take_machine(in_a_thread, "direct", lockstep=lockstep))
-
-    thread = threading.Thread(target=attempt, name="machine")
-    thread.start()
-    thread.join()
-    if settings.lock_memory and not lockstep and (refusal := _lock_refusal()) is not None:
-        found.append(refusal)
-    return tuple(found)
+    with ThreadPoolExecutor(1) as thread:
+        found = thread.submit(take_machine, in_a_thread, "direct", lockstep=lockstep).result()
+    refusal = _lock_refusal() if settings.lock_memory and not lockstep else None
+    return found if refusal is None else (*found, refusal)
 
 
 def wake_precisely() -> None:
     """Ask the kernel to wake this thread on time: by default Linux adds up to 50 µs."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, 1)
-
-
-def _steps(settings: MachineSettings, kind: Kind, lockstep: bool) -> list[Callable[[], str | None]]:
-    steps: list[Callable[[], str | None]] = []
-    cpus = settings.cpus_of.get(kind, settings.cpus)
-    if cpus:
-        steps.append(lambda: _run_on(cpus))
-    if lockstep:
-        return [*steps, _let_others_finish]
-    if kind == "recorder":
-        return steps
-    steps.append(wake_precisely)
-    if settings.priority:
-        steps.append(lambda: _run_first(settings.priority))
-    if settings.lock_memory:
-        steps.append(_lock_memory)
-    return steps
+    ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, 1)
 
 
 def _run_on(cpus: tuple[int, ...]) -> str | None:
-    listed = ", ".join(map(str, cpus))
-    if sys.platform != "linux":
-        return f"CPU {listed}: processes are bound to processors on Linux only"
     try:
         os.sched_setaffinity(0, cpus)
     except OSError as error:
-        return f"CPU {listed}: not taken ({error.strerror})"
+        return f"CPU {', '.join(map(str, cpus))}: not taken ({error.strerror})"
     return None
 
 
@@ -130,15 +109,7 @@ def stand_back() -> None:
     os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)
 
 
-def _let_others_finish() -> None:
-    """Do not interrupt the running process when woken: it may have more messages to send."""
-    if sys.platform == "linux":
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-
-
 def _run_first(priority: int) -> str | None:
-    if sys.platform != "linux":
-        return f"priority {priority}: SCHED_FIFO is set on Linux only"
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
@@ -164,8 +135,6 @@ def _lock_refusal() -> str | None:
     A limit that suffices at first is as good as none: what the process maps later, such as the
     stacks of its threads, would be refused beyond it.
     """
-    if sys.platform != "linux":
-        return "memory: locked on Linux only"
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit == resource.RLIM_INFINITY or _has_capability(_MAY_LOCK):
         return None
@@ -184,8 +153,6 @@ def _has_capability(number: int) -> bool:
 
 def scheduling_policy() -> str:
     """Return policy and processors of this thread as the kernel has them: `fifo 20 on CPU 0, 1`."""
-    if sys.platform != "linux":
-        return "unknown"
     policy = _POLICIES.get(os.sched_getscheduler(0), "unknown")
     priority = os.sched_getparam(0).sched_priority
     nice = os.getpriority(os.PRIO_PROCESS, 0)

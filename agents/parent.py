@@ -83,8 +83,8 @@ class Children:
         self._tops_up = self._tops_up_old and plan.periods.rests_between(node)
         hours = plan.neighbourhoods_of(node)
         self._from_times_ns = [hour.from_time_ns for hour in hours]
-        self._orders = [help_order(hour.correlation) for hour in hours]
-        self._listed_order = help_order([[0.0] * len(self._children)] * len(self._children))
+        alike = [[0.0] * len(self._children)] * len(self._children)
+        self._orders = [help_order(hour.correlation) for hour in hours] or [help_order(alike)]
         self.ports: tuple[Port[Message], ...] = tuple(
             port for child in self._children for port in (child.impp, child.residual)
         )
@@ -159,8 +159,7 @@ class Children:
         ]
 
     def _order_at(self, sim_time_ns: int) -> HelpOrder:
-        place = bisect_right(self._from_times_ns, sim_time_ns) - 1
-        return self._orders[max(place, 0)] if self._orders else self._listed_order
+        return self._orders[max(bisect_right(self._from_times_ns, sim_time_ns) - 1, 0)]
 
 
 class Supervisor:

@@ -232,9 +232,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     def faults_at_work(self) -> NetworkFaults:
         """Return the faults of the network, with nothing done yet."""
-        return NetworkFaults(
-            self.faults, self.faults_seed, self.tree, self.cycle_ns, self.cycle_wall_ns
-        )
+        return NetworkFaults(self.faults, self.faults_seed, self.tree, self.cycle_ns)
 
     @cached_property
     def periods(self) -> Periods:
@@ -300,21 +298,17 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
 
 def load_plan(path: Path) -> RunPlan:
-    """Read a plan."""
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=RunPlan)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file, expected the plan.json of a run") from None
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}, expected the plan.json of a run") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {error}, expected the plan.json of a run") from None
-    if plan.protocol != PROTOCOL:
-        raise InputError(f"{path}: protocol: expected {PROTOCOL}, got {plan.protocol}")
-    try:
+        if plan.protocol != PROTOCOL:
+            raise InputError(f"protocol: expected {PROTOCOL}, got {plan.protocol}")
         check_plan(plan)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected the plan.json of a run, got: {error.strerror}"
+        ) from None
+    except (InputError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: expected the plan.json of a run, got: {error}") from None
     return plan
 
 
@@ -342,14 +336,14 @@ def check_plan(plan: RunPlan) -> None:
                 f"plant.settings[{number}].nodes: expected inverters "
                 f"({some_of(plan.tree.leaves)}) or a pattern such as c1/*, got {entry.nodes!r}"
             )
-    tiers = 1 + max(depth(parent) for parent in plan.tree.parents)
-    if len(plan.periods.cycles) != tiers:
+    height, periods = plan.tree.height, len(plan.periods.cycles)
+    if periods != height:
         raise InputError(
-            f"period_cycles has {len(plan.period_cycles)} entries, expected one for each of "
-            f"the {tiers} tiers that have children"
+            f"period_cycles: expected an entry for each of the {height} tiers that have children, "
+            f"got {periods}"
         )
-    if len(plan.tier_deadlines_ns) not in {0, plan.tree.height + 1}:
+    if len(plan.tier_deadlines_ns) not in {0, height + 1}:
         raise InputError(
-            f"tier_deadlines_ns has {len(plan.tier_deadlines_ns)} entries, expected one for "
-            f"each of the {plan.tree.height + 1} tiers, or none"
+            f"tier_deadlines_ns: expected an entry for each of the {height + 1} tiers, or none, "
+            f"got {len(plan.tier_deadlines_ns)}"
         )

@@ -98,7 +98,6 @@ class Attack(NamedTuple):
     payload: bytes = b""
 
     def payloads(self, plan: RunPlan, port: Port[Any], cycle: int) -> list[bytes]:
-        """Return what is sent on a key in a cycle."""
         if self.payload:
             return [self.payload]
         rating_kw = plan.tree.rating_kw(port.node)
@@ -271,7 +270,6 @@ def start_of(out: Path, process: subprocess.Popen[bytes]) -> int:
 def column(
     plan: RunPlan, out: Path, status: int, told: Any, undisturbed_kw: NDArray[np.float64]
 ) -> list[str]:
-    """Return what a run has come to, attack by attack."""
     power_kw = read_plant_series(out / RECORDING_NAME).delivered_kw
     beyond_kw = power_kw - undisturbed_kw[: len(power_kw)]
     wrong = {entry["key"] for entry in told["wrong"]} if told else set()
@@ -290,7 +288,6 @@ def column(
 
 
 def main() -> None:
-    """Attack and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rate", type=float, default=1.0, help="cycles per second")
     parser.add_argument("--only", action="append", help="an attacker; may be given several times")

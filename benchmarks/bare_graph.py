@@ -95,6 +95,18 @@ class Graph(msgspec.Struct, frozen=True):
         return [key for process in self.processes for key in process.says()]
 
 
+class Figures(msgspec.Struct, frozen=True):
+    """What a run of the graph came to."""
+
+    cycles_per_s: float
+    startup_s: float
+    processor_ms: float
+    switches_per_message: float
+    messages: int
+    processes: int
+    lost: int
+
+
 class Used(msgspec.Struct, frozen=True):
     """What a process has used so far, and what the recorder has written."""
 
@@ -284,14 +296,12 @@ def live(network: Network, name: str, role: Callable[[zenoh.Session], Work], par
 
 
 def hear(child: Connection, process: BaseProcess, limit_s: float) -> Any:
-    """Return what a process says next."""
     if child not in wait([child, process.sentinel], limit_s):
         raise RuntimeError(f"{process.name} failed or hangs")
     return child.recv()
 
 
-def run(graph: Graph, cycles: int) -> dict[str, object]:
-    """Run the graph; return its figures."""
+def run(graph: Graph, cycles: int) -> Figures:
     os.environ["ZENOH_RUNTIME"] = RUNTIME
     network = Network(graph)
     roles: dict[str, Callable[[zenoh.Session], Work]]
@@ -322,15 +332,15 @@ def run(graph: Graph, cycles: int) -> dict[str, object]:
             started.join()
     messages = len(graph.says())
     switches = sum(report.switches for report in reports)
-    return {
-        "cycles_per_s": cycles / reports[0].at,
-        "startup_s": startup_s,
-        "processor_ms": 1e3 * sum(report.processor_s for report in reports) / cycles,
-        "switches_per_message": switches / (messages * cycles),
-        "messages": messages,
-        "processes": len(reports),
-        "lost": messages * (WARM_UP + cycles) - reports[-1].written,
-    }
+    return Figures(
+        cycles_per_s=cycles / reports[0].at,
+        startup_s=startup_s,
+        processor_ms=1e3 * sum(report.processor_s for report in reports) / cycles,
+        switches_per_message=switches / (messages * cycles),
+        messages=messages,
+        processes=len(reports),
+        lost=messages * (WARM_UP + cycles) - reports[-1].written,
+    )
 
 
 def main() -> None:
@@ -339,7 +349,7 @@ def main() -> None:
     parser.add_argument("--cycles", type=int, default=800)
     options = parser.parse_args()
     graph = msgspec.json.decode(options.graph.read_bytes(), type=Graph)
-    print(json.dumps(run(graph, options.cycles)))
+    print(msgspec.json.encode(run(graph, options.cycles)).decode())
 
 
 if __name__ == "__main__":

@@ -114,7 +114,6 @@ def measure(way: Way, scenario: str, cycles: int, rate: int, seconds: int) -> Co
 
 
 def main() -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", choices=("page", "keys"))
     parser.add_argument("--scenario", default="oahu")

@@ -24,6 +24,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Final
 
+import bare_graph
 import msgspec
 from harness import OURS, Failure, Launch, launch, print_table, rounds_of, run, write_figures
 
@@ -33,27 +34,14 @@ from recordings import open_run
 from sim_plant.plant import Plant
 from sim_plant.profile import load_profile
 
-HERE: Final = Path(__file__).parent
 SAMPLE_CYCLES: Final = 60
-
-
-class Bare(msgspec.Struct, frozen=True):
-    """What one run of the bare graph came to; the names are those of its document."""
-
-    cycles_per_s: float
-    startup_s: float
-    processor_ms: float
-    switches_per_message: float
-    messages: int
-    processes: int
-    lost: int
 
 
 class Round(msgspec.Struct, frozen=True):
     """One launch, that of another checkout, and the bare graph, one after the other."""
 
     launched: Launch
-    bare: Bare
+    bare: bare_graph.Figures
     other: Launch | None = None
 
 
@@ -61,87 +49,76 @@ def describe(scenario: str, folder: Path) -> Path:
     """Record some cycles; write one of them as the bare graph reads it (see `bare_graph.Graph`)."""
     launch(OURS, scenario, SAMPLE_CYCLES, keep=folder / "run")
     middle = range(SAMPLE_CYCLES // 2, SAMPLE_CYCLES // 2 + 1)
-    puts: dict[tuple[str, str], list[dict[str, object]]] = defaultdict(list)
+    puts: dict[tuple[str, str], list[bare_graph.Put]] = defaultdict(list)
     with open_run(folder / "run") as recording:
         plan = recording.plan
         for record in recording.records(cycles=middle):
             stage = record.port.publisher, stage_of(record.port, plan.tree)
-            puts[stage].append({"key": str(record.port), "payload": record.payload})
-    said = {put["key"] for of_stage in puts.values() for put in of_stage}
+            puts[stage].append(bare_graph.Put(str(record.port), record.payload))
+    said = {put.key for of_stage in puts.values() for put in of_stage}
     agents = Plant(plan, load_profile(folder / "run" / "profile.npz")), *controllers(plan)
     processes = [
-        {
-            "name": agent.name,
-            "hears": [str(port) for port in plan.wiring.heard[agent.name] if str(port) in said],
-            "stages": [
-                {
-                    "awaits": [str(port) for port in stage.awaits if str(port) in said],
-                    "puts": puts[agent.name, stage.name],
-                }
+        bare_graph.Process(
+            agent.name,
+            [str(port) for port in plan.wiring.heard[agent.name] if str(port) in said],
+            [
+                bare_graph.Stage(
+                    [str(port) for port in stage.awaits if str(port) in said],
+                    puts[agent.name, stage.name],
+                )
                 for stage in agent.stages(middle.start)
             ],
-        }
+        )
         for agent in agents
     ]
     path = folder / "graph.json"
-    path.write_bytes(msgspec.json.encode({"processes": processes}))
+    path.write_bytes(msgspec.json.encode(bare_graph.Graph(processes)))
     return path
 
 
-def bare(graph: Path, cycles: int) -> Bare:
-    """Run the bare graph with its recorder."""
-    watched = run(
-        [sys.executable, str(HERE / "bare_graph.py"), str(graph), "--cycles", str(cycles)]
-    )
-    return msgspec.json.decode(watched.output.splitlines()[-1], type=Bare)
+def bare(graph: Path, cycles: int) -> bare_graph.Figures:
+    watched = run([sys.executable, bare_graph.__file__, str(graph), "--cycles", str(cycles)])
+    return msgspec.json.decode(watched.output.splitlines()[-1], type=bare_graph.Figures)
 
 
-# What is printed --------------------------------------------------------------------------------
+FIGURES: Final = (
+    ("cycles_per_s", "cycles/s", 0, "recorded"),
+    ("processor_ms", "processor time", 1, "ms a cycle"),
+    ("switches_per_message", "switches", 1, "per message"),
+    ("startup_s", "start-up", 2, "s: command to cycle 0; bare graph: fork to all linked"),
+    ("own_mb", "direct controller", 1, "MB, its own"),
+    ("resident_mb", "direct controller", 1, "MB, resident"),
+)
+"""Field of a run, what it is called, its decimals, a note."""
 
 
 def rows_of(rounds: Sequence[Round]) -> Iterator[tuple[str, ...]]:
     """Yield the rows of the table: name, least, median and most of all rounds, note."""
-    bares = [each.bare for each in rounds]
-    launches = {"launch": [each.launched for each in rounds]}
+    launches = [each.launched for each in rounds]
     others = [each.other for each in rounds if each.other is not None]
-    if others:
-        launches["the other checkout"] = others
+    bares = [each.bare for each in rounds]
+    runs: dict[str, Sequence[Launch | bare_graph.Figures]] = {
+        "launch": launches,
+        "the other checkout": others,
+        "bare graph": bares,
+    }
 
     def row(name: str, values: Iterable[float], digits: int, note: str) -> tuple[str, ...]:
         known = [value for value in values if not isnan(value)] or [nan]
         figures = min(known), statistics.median(known), max(known)
         return name, *(f"{value:,.{digits}f}" for value in figures), note
 
-    def each_launch(field: str, what: str, digits: int, note: str) -> Iterator[tuple[str, ...]]:
-        for name, found in launches.items():
-            yield row(f"{name}, {what}", (getattr(each, field) for each in found), digits, note)
-
-    messages = bares[0].messages
-    yield from each_launch("cycles_per_s", "cycles/s", 0, "recorded")
-    yield row("bare graph, cycles/s", (each.cycles_per_s for each in bares), 0, "recorded")
-    beside: dict[str, Sequence[Bare | Launch]] = {
-        "bare graph": bares,
-        "the other checkout": others,
-    }
-    for name, against in beside.items():
-        if against:
-            pairs = zip(launches["launch"], against, strict=True)
-            ratios = (one.cycles_per_s / other.cycles_per_s for one, other in pairs)
-            yield row(f"launch / {name}", ratios, 2, "round by round")
-    yield from each_launch("processor_ms", "processor time", 1, "ms a cycle")
-    yield row("bare graph, processor time", (each.processor_ms for each in bares), 1, "ms a cycle")
-    switches = (each.switches_per_message for each in bares)
-    yield row("bare graph, switches", switches, 1, f"per message, {messages} a cycle")
-    yield from each_launch("startup_s", "start-up", 2, "s, command to cycle 0")
-    yield row(
-        "bare graph, start-up", (each.startup_s for each in bares), 2, "s, fork to all linked"
-    )
-    yield from each_launch("own_mb", "direct controller", 1, "MB, its own")
-    yield from each_launch("resident_mb", "direct controller", 1, "MB, resident")
+    for name in ("bare graph", "the other checkout"):
+        pairs = zip(launches, runs[name], strict=False)  # There may be no other checkout.
+        if ratios := [one.cycles_per_s / other.cycles_per_s for one, other in pairs]:
+            yield row(f"launch / {name}, cycles/s", ratios, 2, "round by round")
+    for field, what, digits, note in FIGURES:
+        for name, found in runs.items():
+            if values := [getattr(each, field) for each in found if hasattr(each, field)]:
+                yield row(f"{name}, {what}", values, digits, note)
 
 
 def main() -> int:
-    """Measure, print, write. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default="oahu")
     parser.add_argument("--rounds", type=int, default=3)

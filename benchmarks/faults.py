@@ -32,9 +32,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 import heliarch
-from bus_schemas.messages import Production, Run
+from bus_schemas.messages import Run
 from bus_schemas.missing import parse_missing
 from recordings import open_run
+from recordings.read.run_file import RECORDING_NAME
+from recordings.read.series import read_plant_series
 from studies.tables import Cell, Column, Table, key_column, print_table
 
 AT_S: Final = 30.7
@@ -58,16 +60,10 @@ STARTS: Final = ("12:00", "12:10", "12:20", "12:30", "12:40", "12:50")
 class Recorded(NamedTuple):
     """What the figures rest on.
 
-    Attributes
-    ----------
-    power_kw, desired_kw
-        Of the plant, shape (cycles,).
-    sent
-        Key and cycle of each message that comes in every cycle.
-    lacking
-        Inputs that messages go without: time after cycle 0 [s], cycle, publisher, who lacks it.
-    rating_kw, lost
-        Of the plant; messages that were lost on their way.
+    power_kw, desired_kw: Of the plant, shape (cycles,).
+    sent: Key and cycle of each message that comes in every cycle.
+    lacking: Inputs that messages go without: time [s], cycle, publisher, who lacks it.
+    rating_kw, lost: Of the plant; messages that were lost on their way.
     """
 
     power_kw: NDArray[np.float64]
@@ -79,7 +75,6 @@ class Recorded(NamedTuple):
 
 
 def main() -> None:
-    """Run every fault; print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--real", action="store_true")
     parser.add_argument("--standby", action="store_true")
@@ -130,7 +125,6 @@ def main() -> None:
 
 def recorded(folder: Path) -> Recorded:
     """Read what the figures rest on from a recording."""
-    produced: list[Production] = []
     sent: set[tuple[str, int]] = set()
     lacking = []
     start_ns = 0
@@ -142,17 +136,16 @@ def recorded(folder: Path) -> Recorded:
                 continue
             if run.plan.period(port) and port.signal.name not in {"help", "notice", "takeover"}:
                 sent.add((str(port), message.cycle))
-            if isinstance(message, Production):
-                produced.append(message)
             time_s = (message.publish_time_ns - start_ns) / 1e9
             for entry in message.missing:
                 publisher = publisher_of[parse_missing(entry).key]
                 lacking.append((time_s, message.cycle, publisher, port.publisher))
         rating_kw = run.plan.tree.rating_kw("")
+    series = read_plant_series(folder / RECORDING_NAME)
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     return Recorded(
-        np.array([one.delivered_kw for one in produced]),
-        np.array([one.desired_kw for one in produced]),
+        series.delivered_kw,
+        series.desired_kw,
         sent,
         lacking,
         rating_kw,

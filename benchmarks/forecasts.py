@@ -65,7 +65,6 @@ HIDDEN: dict[str, Law] = {
 def plant_kw(
     run: Preparation, law: Law, actuator: Actuator, *, correction: bool = False
 ) -> NDArray[np.float64]:
-    """Power of the plant under a law."""
     scheme, constants = law
     plan = replace(run.plan, scheme=scheme, correction=correction)
     return np.asarray(run_loop(plan, run.profile, scheme, actuator, constants).power_kw.sum(axis=1))
@@ -80,7 +79,6 @@ def figures(run: Preparation, power_kw: NDArray[np.float64]) -> Figures:
 
 
 def worst_cell(runs: list[Preparation], law: Law, actuator: Actuator) -> Figures:
-    """Largest shortfall of some runs, and largest over-delivery."""
     correction = law[0] == "predictive"
     found = [figures(run, plant_kw(run, law, actuator, correction=correction)) for run in runs]
     return max(each[0] for each in found), max(each[1] for each in found)

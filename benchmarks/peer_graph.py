@@ -145,7 +145,6 @@ Node = Plant | Direct | Supervisor | Central
 
 
 def node(name: str) -> Node:
-    """Return the node of this name."""
     if name == "plant":
         return Plant()
     if name == "central":
@@ -170,7 +169,6 @@ def expected_kw(cycles: int) -> list[float]:
 
 
 def kind(name: str) -> str:
-    """Return `plant`, `central`, `supervisor` or `direct`."""
     if name in ("plant", "central"):
         return name
     return "supervisor" if name in CLUSTERS else "direct"

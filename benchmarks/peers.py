@@ -63,7 +63,6 @@ def heliarch(cycles: int) -> Figures:
 
 
 def rows_of(rounds: dict[str, list[Figures]]) -> Iterator[tuple[str, ...]]:
-    """Yield one row for each of the three."""
     for name, figures in rounds.items():
         rates = [each.cycles_per_s for each in figures]
         pairs = zip(rounds["Heliarch"], figures, strict=True)
@@ -78,7 +77,6 @@ def rows_of(rounds: dict[str, list[Figures]]) -> Iterator[tuple[str, ...]]:
 
 
 def main() -> int:
-    """Measure, print, write. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--cycles", type=int, default=300)

@@ -43,16 +43,17 @@ def access_rules(
         rule: str, flows: list[str], messages: list[str], keys: list[str], permission: str = "allow"
     ) -> str:
         key_exprs = [f"{namespace}/{key}" for key in keys]
-        rules.append(
-            {
-                "id": rule,
-                "permission": permission,
-                "flows": flows,
-                "messages": messages,
-                "key_exprs": key_exprs,
-            }
-        )
+        one = {"id": rule, "permission": permission, "flows": flows, "messages": messages}
+        rules.append({**one, "key_exprs": key_exprs})
         return rule
+
+    def between(publisher: str, listener: str) -> list[str]:
+        """Keys of what one process may say to another: the recorder hears everything."""
+        return [
+            keys.key(port)
+            for port in wiring.published.get(agent_of(publisher), ())
+            if listener == RECORDER or listener in wiring.processes[port]
+        ]
 
     listens = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"]
     # In lockstep a process that replaces another asks for what it has missed.
@@ -61,31 +62,22 @@ def access_rules(
         add("subscriptions", ["ingress", "egress"], listens, [f"{keys.plant}/**"]),
         add("own token", ["egress"], ["liveliness_token"], [keys.alive_key(agent)]),
     ]
+    known: dict[str, Subject] = {}
     for peer in links.peers(agent):
-        heard = [
-            keys.key(port)
-            for port in wiring.published.get(agent_of(peer), ())
-            if agent == RECORDER or agent in wiring.processes[port]
-        ]
-        told = [
-            keys.key(port)
-            for port in wiring.published.get(agent_of(agent), ())
-            if peer == RECORDER or peer in wiring.processes[port]
-        ]
+        known[peer] = subjects[peer]
         own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], [keys.alive_key(peer)])]
-        if heard:
+        if heard := between(peer, agent):
             own.append(add(f"from {peer}", ["ingress"], ["put", "reply"], heard))
-        if told:
+        if told := between(agent, peer):
             own.append(add(f"to {peer}", ["egress"], ["put", "reply"], told))
         policies.append({"rules": [*of_all, *own], "subjects": [peer]})
-    known = {peer: subjects[peer] for peer in links.peers(agent)}
     if agent == RECORDER and "" in subjects:
+        known["anybody"] = subjects[""]
         from_anybody = add("from anybody", ["ingress"], ["put"], ["**"])
         # What a client says, peers pass on to whoever may hear it from them.
         own_keys = [keys.key(port) for port in wiring.published[agent]]
         not_own = add("not in its name", ["ingress"], ["put"], own_keys, "deny")
         policies.append({"rules": [*of_all, from_anybody, not_own], "subjects": ["anybody"]})
-        known["anybody"] = subjects[""]
     return {
         "enabled": True,
         "default_permission": "deny",

@@ -7,7 +7,6 @@ from fnmatch import fnmatchcase
 
 from bus_schemas.errors import InputError
 from bus_schemas.faults import UNHEARD, FaultRule, links, stopped_by
-from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import RECORDER, ControlTree, agent_name, some_of
 
 
@@ -32,14 +31,8 @@ def check_rule(
         )
     if rule.stops is not None:
         _check_stopped(rule, tree, where, external, addresses)
-        return
-    _check_ends(rule, tree, where)
-    heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
-    if heard_by and all(listener in external for listener in heard_by):
-        raise InputError(
-            f"{where}: expected a listener that Heliarch runs, where faults act, got external "
-            f"agents alone ({', '.join(dict.fromkeys(heard_by))})"
-        )
+    else:
+        _check_links(rule, tree, where, external)
 
 
 def _check_fields(rule: FaultRule, where: str) -> None:
@@ -89,54 +82,49 @@ def _check_stopped(
             f"{where}: expected a controller ({some_of(names)}), or a pattern such as c1/*, got "
             f"{rule.stops!r}"
         )
-    foreign = [name for name in found if name in external]
-    if foreign:
-        raise InputError(
-            f"{where}: expected controllers that Heliarch runs, got the external {foreign[0]}"
-        )
-    away = [name for name in found if name in addresses]
-    if away:
-        raise InputError(
-            f"{where}: expected controllers on this host, got {away[0]} on {addresses[away[0]]}"
-        )
-
-
-def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
-    agents = [agent for agent in tree.agents() if agent != RECORDER]
-    ends = [("source", rule.source), ("listener", rule.listener)]
-    if rule.partition is not None:
-        ends = [("partition", end) for end in rule.partition.split("|")]
-    for end, pattern in ends:
-        if pattern == RECORDER:
+    for name in found:
+        if name in external:
             raise InputError(
-                f"{where}: {end}: expected an agent that acts ({some_of(agents)}), got recorder, "
-                "which hears everything"
+                f"{where}: expected controllers that Heliarch runs, got the external {name}"
             )
+        if name in addresses:
+            raise InputError(
+                f"{where}: expected controllers on this host, got {name} on {addresses[name]}"
+            )
+
+
+def _check_links(rule: FaultRule, tree: ControlTree, where: str, external: Collection[str]) -> None:
+    agents = [agent for agent in tree.agents() if agent != RECORDER]
+    fields = ("source", "listener") if rule.partition is None else ("partition", "partition")
+    for field, pattern in zip(fields, rule.ends[0], strict=True):
         if not any(fnmatchcase(agent, pattern) for agent in agents):
             raise InputError(
-                f"{where}: {end}: expected {some_of(agents)}, or a pattern such as c1/*, got "
+                f"{where}: {field}: expected {some_of(agents)}, or a pattern such as c1/*, got "
                 f"{pattern!r}"
             )
     if rule.signal in UNHEARD:
-        return
-    found = links(tree)
-    names = dict.fromkeys(port.signal.name for port, _ in found)
-    if rule.signal in {row.name for row in SIGNALS if row.is_cyclic} - names.keys():
         return  # No agent acts on it, so that losing it costs nothing.
+    every = links(tree)
+    names = dict.fromkeys(port.signal.name for port, _ in every)
     if rule.signal is not None and rule.signal not in names:
-        kind = "not cyclic" if rule.signal in {row.name for row in SIGNALS} else "not known"
+        raise InputError(f"{where}: signal: expected {', '.join(names)}, got {rule.signal!r}")
+    heard_by = dict.fromkeys(listener for port, listener in every if rule.acts_on(port, listener))
+    if not heard_by and rule.partition is not None:
         raise InputError(
-            f"{where}: signal: expected {', '.join(names)}, got {rule.signal!r}, which is {kind}"
+            f"{where}: partition: expected agents that hear each other, got {rule.partition}"
         )
-    if not any(rule.acts_on(port, listener) for port, listener in found):
+    if not heard_by:
         instead = dict.fromkeys(
             f"{port.signal.name} to {listener}"
-            for port, listener in found
+            for port, listener in every
             if fnmatchcase(port.publisher, rule.source)
         )
         raise InputError(
             f"{where}: expected one of {some_of(list(instead))}, got {rule.signal or 'anything'} "
             f"from {rule.source} to {rule.listener}, which is never sent"
-            if rule.partition is None
-            else f"{where}: partition: expected agents that hear each other, got {rule.partition}"
+        )
+    if heard_by.keys() <= set(external):
+        raise InputError(
+            f"{where}: expected a listener that Heliarch runs, where faults act, got external "
+            f"agents alone ({', '.join(heard_by)})"
         )

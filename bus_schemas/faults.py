@@ -17,7 +17,7 @@ References
 from __future__ import annotations
 
 from fnmatch import fnmatchcase
-from math import inf, log, sqrt
+from math import log, sqrt
 from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
@@ -109,12 +109,6 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """Whether it does more than to be silent at times."""
         return any((self.delay_ms, self.jitter_ms, self.loss, self.duplicate, self.reorder))
 
-    @property
-    def spans(self) -> tuple[tuple[float, ...], ...]:
-        """Intervals of simulated time since cycle 0 in which it does something to messages [s]."""
-        acts = self.acts_outside_silence or self.partition is not None
-        return (*self.silent, self.at or (0.0, inf)) if acts else self.silent
-
     def is_silent(self, time_s: float) -> bool:
         """Whether nothing arrives at a simulated time since cycle 0."""
         is_cut = self.partition is not None and self.is_active(time_s)
@@ -129,21 +123,21 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """The controllers, or a pattern of them, that the rule kills or freezes."""
         return self.kill or self.freeze
 
+    @property
+    def ends(self) -> tuple[tuple[str, str], ...]:
+        """Publisher and listener, or patterns of them, of the links that the rule is about."""
+        if self.partition is None:
+            return ((self.source, self.listener),)
+        one, other = self.partition.split("|")
+        return (one, other), (other, one)
+
     def acts_on(self, port: Port[Message], listener: str) -> bool:
         """Whether this link of a port is one of the rule's."""
         if self.stops is not None or not port.signal.is_cyclic:
             return False
-        if self.partition is not None:
-            one, other = self.partition.split("|")
-            ends = ((one, other), (other, one))
-            return any(
-                fnmatchcase(port.publisher, source) and fnmatchcase(listener, end)
-                for source, end in ends
-            )
-        return (
-            (self.signal is None or self.signal == port.signal.name)
-            and fnmatchcase(port.publisher, self.source)
-            and fnmatchcase(listener, self.listener)
+        return self.signal in {None, port.signal.name} and any(
+            fnmatchcase(port.publisher, source) and fnmatchcase(listener, heard_by)
+            for source, heard_by in self.ends
         )
 
 
@@ -171,20 +165,16 @@ def incidents(rules: tuple[FaultRule, ...], tree: ControlTree) -> list[Incident]
             if rule.kill is not None:
                 found.append(Incident(rule.at[0], agent, "kill"))
             else:
-                found += [
-                    Incident(rule.at[0], agent, "freeze"),
-                    Incident(rule.at[1], agent, "thaw"),
-                ]
+                begin_s, end_s = rule.at
+                found.append(Incident(begin_s, agent, "freeze"))
+                found.append(Incident(end_s, agent, "thaw"))
     return sorted(found)
 
 
 def stopped_by(rule: FaultRule, tree: ControlTree) -> list[str]:
     """Return the controllers that a rule kills or freezes."""
-    pattern = rule.stops
-    if pattern is None:
-        return []
     names = [agent_name(node) for node in tree.nodes]
-    return [name for name in names if fnmatchcase(name, pattern)]
+    return [name for name in names if fnmatchcase(name, rule.stops or "")]
 
 
 def links(tree: ControlTree) -> list[tuple[Port[Message], str]]:

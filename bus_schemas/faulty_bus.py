@@ -48,9 +48,8 @@ class FaultyBus:
         if self._under_way:
             due_ns = self._under_way[0][0]
             until_ns = due_ns if until_ns is None else min(until_ns, due_ns)
-        urgent = self._send_on(self._bus.receive(until_ns, wanted))
+        arrived = self._send_on(self._bus.receive(until_ns, wanted))
         now_ns = self._bus.now_ns()
-        arrived = urgent
         while self._under_way and self._under_way[0][0] <= now_ns:
             arrived.append(heappop(self._under_way)[2])
         return arrived
@@ -65,11 +64,9 @@ class FaultyBus:
             fate = self._faults.fates(arrival.port, self._agent, arrival.message)
             self.tally.count(fate)
             for delay_ns in fate:
-                self._put_under_way(arrival._replace(time_ns=arrival.time_ns + delay_ns))
+                if len(self._under_way) >= _MOST_UNDER_WAY:
+                    self.flooded[str(arrival.port)] += 1
+                    continue
+                late = arrival._replace(time_ns=arrival.time_ns + delay_ns)
+                heappush(self._under_way, (late.time_ns, next(self._numbers), late))
         return untouched
-
-    def _put_under_way(self, arrival: Arrival) -> None:
-        if len(self._under_way) >= _MOST_UNDER_WAY:
-            self.flooded[str(arrival.port)] += 1
-        else:
-            heappush(self._under_way, (arrival.time_ns, next(self._numbers), arrival))

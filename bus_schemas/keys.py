@@ -31,5 +31,4 @@ class KeyTable:
         return self._port_of.get(key)
 
     def alive_key(self, agent: str) -> str:
-        """Key of the liveliness token of an agent."""
         return f"{self.plant}/{agent}/alive"

@@ -40,29 +40,13 @@ class Links:
 
         `host_of` gives the protocol and the address of an agent.
         """
+        tops = [top for top, below in self.pairs if below == agent]
         listens = [f"{host_of(agent)}:{tcp_ports[agent]}"] if agent in self.listening else []
-        connects = [f"{host_of(top)}:{tcp_ports[top]}" for top in self._tops.get(agent, ())]
-        return listens, connects
+        return listens, [f"{host_of(top)}:{tcp_ports[top]}" for top in tops]
 
     def peers(self, agent: str) -> tuple[str, ...]:
-        """Agents that an agent is linked with."""
-        return self._peers.get(agent, ())
-
-    @cached_property
-    def _tops(self) -> dict[str, list[str]]:
-        """For each agent those that it connects to."""
-        tops: dict[str, list[str]] = {}
-        for top, below in self.pairs:
-            tops.setdefault(below, []).append(top)
-        return tops
-
-    @cached_property
-    def _peers(self) -> dict[str, tuple[str, ...]]:
-        peers: dict[str, list[str]] = {}
-        for top, below in self.pairs:
-            peers.setdefault(top, []).append(below)
-            peers.setdefault(below, []).append(top)
-        return {agent: tuple(linked) for agent, linked in peers.items()}
+        linked = [pair for pair in self.pairs if agent in pair]
+        return tuple(below if top == agent else top for top, below in linked)
 
 
 def explicit_links(tree: ControlTree, standbys: Collection[str] = ()) -> Links:

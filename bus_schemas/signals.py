@@ -144,24 +144,12 @@ RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Ro
 READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False, decided=False)
 CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False, decided=False)
 TAKEOVER: Final   = Signal("takeover",   messages.Takeover,   About.NODES,    Role.NODE,     (),              Occurrence.EVENT, decided=False)
-# fmt: on
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
-    TELEMETRY,
-    DISPATCH,
-    METER,
-    IMPP,
-    RESIDUAL,
-    HELP,
-    SETPOINT,
-    COMMAND,
-    PRODUCTION,
-    NOTICE,
-    RUN,
-    READY,
-    CLOCK,
-    TAKEOVER,
+    TELEMETRY, DISPATCH, METER, IMPP, RESIDUAL, HELP, SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN,
+    READY, CLOCK, TAKEOVER,
 )
+# fmt: on
 """The table itself, in the order of one cycle. A new signal is one row more, at the end: recordings
 number their channels in this order."""
 

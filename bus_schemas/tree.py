@@ -69,26 +69,22 @@ class ControlTree:
     inverters: tuple[tuple[str, float], ...]
 
     def __post_init__(self) -> None:
-        if not self.inverters:
-            raise InputError("control tree: expected one inverter or more, got none")
+        if not 0 < len(self.inverters) <= MOST_INVERTERS:
+            raise InputError(
+                f"control tree: expected 1 to {MOST_INVERTERS:,} inverters, got "
+                f"{len(self.inverters):,}"
+            )
         seen: set[str] = set()
         for path, rating_kw in self.inverters:
             _check_leaf(path, rating_kw)
             if path in seen:
                 raise InputError(f"control tree: two nodes are named {path}, names must differ")
             seen.add(path)
-        for path in seen & set(self._children_of):
-            raise InputError(f"control tree: {path} is an inverter and a cluster, it must be one")
-        self._check_size()
-
-    def _check_size(self) -> None:
-        """Refuse a tree of which a message could not name all inputs that it lacks."""
-        if len(self.inverters) > MOST_INVERTERS:
-            raise InputError(
-                f"control tree: expected up to {MOST_INVERTERS:,} inverters, got "
-                f"{len(self.inverters):,}"
-            )
         for path, children in self._children_of.items():
+            if path in seen:
+                raise InputError(
+                    f"control tree: {path} is an inverter and a cluster, it must be one"
+                )
             if len(children) > MOST_CHILDREN:
                 raise InputError(
                     f"control tree: {agent_name(path)}: expected up to {MOST_CHILDREN:,} children, "
@@ -148,12 +144,9 @@ class ControlTree:
 
     def leaves_below(self, path: str) -> tuple[int, ...]:
         """Positions, in the plant's order, of the inverters at or below a node."""
-        if path == ROOT:
-            return tuple(range(len(self.leaves)))
+        below = f"{path}/" if path else ""
         return tuple(
-            index
-            for index, leaf in enumerate(self.leaves)
-            if leaf == path or leaf.startswith(path + "/")
+            index for index, leaf in enumerate(self.leaves) if f"{leaf}/".startswith(below)
         )
 
     def agents(self) -> tuple[str, ...]:

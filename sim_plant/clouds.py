@@ -92,17 +92,6 @@ _TRACK_SLOPE = (np.sqrt(5.0) - 1.0) / 2.0
 _NEXT_PIECE = np.array([0.7548776662466927, 0.5698402909980532])
 
 
-Cover = Annotated[float, Meta(ge=0.0, le=1.0)]
-Speed = Annotated[float, Meta(ge=0.0, le=60.0)]
-Bearing = Annotated[float, Meta(ge=0.0, le=360.0)]
-Size = Annotated[float, Meta(ge=50.0, le=20_000.0)]
-Softness = Annotated[float, Meta(ge=0.1, le=5.0)]
-LowIndex = Annotated[float, Meta(ge=0.05, le=1.0)]
-HighIndex = Annotated[float, Meta(ge=1.0, le=1.4)]
-Evolution = Annotated[float, Meta(ge=60.0, le=86_400.0)]
-Turbidity = Annotated[float, Meta(ge=1.0, le=10.0)]
-
-
 class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The sky. The defaults are broken clouds in the trade wind of Oahu.
 
@@ -117,15 +106,15 @@ class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     linke_turbidity: Linke turbidity of the clear sky.
     """
 
-    cloud_cover: Cover = 0.45
-    drift_speed_ms: Speed = 10.0
-    drift_from_deg: Bearing = 65.0
-    cloud_size_m: Size = 800.0
-    cloud_softness: Softness = 1.0
-    thick_cloud_index: LowIndex = 0.4
-    edge_enhancement: HighIndex = 1.2
-    evolution_s: Evolution = 2100.0
-    linke_turbidity: Turbidity = 3.0
+    cloud_cover: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.45
+    drift_speed_ms: Annotated[float, Meta(ge=0.0, le=60.0)] = 10.0
+    drift_from_deg: Annotated[float, Meta(ge=0.0, le=360.0)] = 65.0
+    cloud_size_m: Annotated[float, Meta(ge=50.0, le=20_000.0)] = 800.0
+    cloud_softness: Annotated[float, Meta(ge=0.1, le=5.0)] = 1.0
+    thick_cloud_index: Annotated[float, Meta(ge=0.05, le=1.0)] = 0.4
+    edge_enhancement: Annotated[float, Meta(ge=1.0, le=1.4)] = 1.2
+    evolution_s: Annotated[float, Meta(ge=60.0, le=86_400.0)] = 2100.0
+    linke_turbidity: Annotated[float, Meta(ge=1.0, le=10.0)] = 3.0
 
 
 def clear_sky_ghi(
@@ -192,10 +181,8 @@ def clear_sky_index(
         Seconds since any epoch, in any order.
     east_m, north_m : numpy.ndarray, shape (N,)
         Places, from any origin [m].
-    settings : CloudSettings
-        The sky; its turbidity does not matter here.
-    seed : int
-        Seed of the cloud field, at least 0.
+    settings, seed
+        As in `synthetic_ghi`; the turbidity does not matter here.
 
     Returns
     -------

@@ -17,9 +17,7 @@ from sim_plant.time_steps import step_ns, utc_text
 _LARGEST_KW = 1e8
 _COLUMN = "commitment_kw"
 
-Power = Annotated[float, Meta(ge=0.0, le=_LARGEST_KW)]
 Share = Annotated[float, Meta(gt=0.0, le=1.2)]
-Window = Annotated[float, Meta(gt=0.0, le=86400.0)]
 
 
 class _Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -32,7 +30,7 @@ class ConstantCommitment(_Rule, frozen=True, tag="constant"):
     power_kw: The committed power [kW].
     """
 
-    power_kw: Power
+    power_kw: Annotated[float, Meta(ge=0.0, le=_LARGEST_KW)]
 
 
 class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
@@ -74,7 +72,7 @@ class BelowPossible(_Rule, frozen=True, tag="below-possible"):
     """
 
     share: Share
-    window_s: Window
+    window_s: Annotated[float, Meta(gt=0.0, le=86400.0)]
 
 
 class ScheduledCommitment(_Rule, frozen=True, tag="file"):

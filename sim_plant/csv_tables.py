@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -35,11 +35,24 @@ class CsvTable:
         """Return the names in a column, without spaces around them."""
         return tuple(self.text(column).str.strip())
 
+    def unique_names(self, column: str) -> tuple[str, ...]:
+        """Return the names in a column, none of which may come twice."""
+        names = self.names(column)
+        repeated = pd.Index(names).duplicated()
+        if repeated.any():
+            raise self.error(int(repeated.argmax()), column, "a name that no other line has")
+        return names
+
+    def coordinates(self) -> tuple[Floats, Floats]:
+        """Return the columns `lat` and `lon` [degree]."""
+        lat_deg = self.numbers(("lat",), "degrees from -90 to 90", -90.0, 90.0)
+        lon_deg = self.numbers(("lon",), "degrees from -180 to 180", -180.0, 180.0)
+        return lat_deg[:, 0], lon_deg[:, 0]
+
     def picked(self, rows: Sequence[int]) -> CsvTable:
         return CsvTable(self.name, self.header, self.fields.iloc[list(rows)])
 
     def error(self, row: int, column: str, expected: str) -> InputError:
-        """Say what was expected in a field and what is there."""
         text = self.text(column)
         place = f"{self.name}: line {int(text.index[row]) + 1}, column '{column}'"
         return InputError(f"{place}: expected {expected}, got '{text.iloc[row]}'")
@@ -58,6 +71,10 @@ class CsvTable:
                 raise InputError(
                     f"{self.name}: line 1: expected column '{name}' once, got it twice"
                 )
+
+    def check_length(self) -> None:
+        if len(self.fields) < 2:
+            raise InputError(f"{self.name}: expected at least 2 rows, got {len(self.fields)}")
 
     def numbers(
         self,
@@ -88,7 +105,7 @@ class CsvTable:
 
         They are ISO 8601 with `Z` or an offset: a guess of the zone would move the sun.
         """
-        self._check_length()
+        self.check_length()
         stamps = self.text(column)
         well_formed = stamps.str.fullmatch(_TIME_PATTERN)
         times = pd.to_datetime(
@@ -102,15 +119,22 @@ class CsvTable:
 
     def seconds_ns(self, column: str) -> NDArray[np.int64]:
         """Return a column of two or more seconds that keep one step, in ns."""
-        self._check_length()
+        self.check_length()
         second = self.numbers((column,), "a number of seconds", -1e9, 1e9)[:, 0]
         time_ns: NDArray[np.int64] = np.rint(second * 1e9).astype(np.int64)
-        check_steady(time_ns, lambda row, expected: self.error(row, column, expected))
+        self.check_steady(column, time_ns)
         return time_ns
 
-    def _check_length(self) -> None:
-        if len(self.fields) < 2:
-            raise InputError(f"{self.name}: expected at least 2 rows, got {len(self.fields)}")
+    def check_steady(self, column: str, time_ns: NDArray[np.int64]) -> None:
+        """Refuse times, of which a column speaks, that do not keep one step above zero."""
+        step_ns = np.diff(time_ns)
+        # The median, so that one gap at the top of the file is not taken for its step.
+        usual_ns = float(np.median(step_ns))
+        bad = np.flatnonzero((step_ns <= 0) | (step_ns != usual_ns))
+        if bad.size:
+            step = f"{usual_ns / 1e9:g} s" if usual_ns > 0.0 else "one step above 0 s"
+            row = int(bad[0]) + 1
+            raise self.error(row, column, f"a time {step} after that of the line before")
 
 
 def read_csv(path: Path) -> CsvTable:
@@ -143,19 +167,3 @@ def text_fields(text: str, name: str) -> pd.DataFrame:
                 f"{name}: line {line}: expected {len(rows[0])} fields, as in line 1, got {len(row)}"
             )
     return pd.DataFrame(rows)
-
-
-def check_steady(
-    time_ns: NDArray[np.int64], error: Callable[[int, str], InputError], first_line: int = 2
-) -> None:
-    """Refuse time stamps that do not keep one step above zero.
-
-    `error` makes the error of a row from what was expected there.
-    """
-    step_ns = np.diff(time_ns)
-    # The median, so that one gap at the top of the file is not taken for its step.
-    usual_ns = float(np.median(step_ns))
-    bad = np.flatnonzero((step_ns <= 0) | (step_ns != usual_ns))
-    if bad.size:
-        step = f"{usual_ns / 1e9:g} s" if usual_ns > 0.0 else "one step above 0 s"
-        raise error(int(bad[0]) + 1, f"a time {step} after that of line {first_line + bad[0]}")

@@ -96,11 +96,9 @@ def _read_combiners(path: Path) -> pd.DataFrame:
     """Return inverter and position of each combiner, indexed by its name."""
     table = read_csv(path)
     table.check_header(("combiner", "inverter", "x_m", "y_m"))
-    names, inverters = table.names("combiner"), table.names("inverter")
-    for row, (name, inverter) in enumerate(zip(names, inverters, strict=True)):
+    names, inverters = table.unique_names("combiner"), table.names("inverter")
+    for row, inverter in enumerate(inverters):
         check_name(inverter, f"{path.name}: line {row + 2}")
-        if name in names[:row]:
-            raise table.error(row, "combiner", "a name that no other combiner has")
     expected = f"metres from -{_FURTHEST_M:.0f} to {_FURTHEST_M:.0f}"
     x_m, y_m = table.numbers(("x_m", "y_m"), expected, -_FURTHEST_M, _FURTHEST_M).T
     return pd.DataFrame({"inverter": inverters, "x_m": x_m, "y_m": y_m}, index=list(names))

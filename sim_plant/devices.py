@@ -74,7 +74,6 @@ class Pipes:
             path.unlink(missing_ok=True)
 
     def hand_reading(self, place: int, reading: Reading) -> None:
-        """Give the plant what an inverter says."""
         available_kw = nan if reading.available_kw is None else reading.available_kw
         numbers = reading.power_kw, available_kw, reading.limit_kw
         _write(self._readings, place, reading.time_ns, *numbers)
@@ -100,7 +99,6 @@ class Devices:
             path.unlink()
 
     def read(self) -> None:
-        """Take what the gateway has read."""
         for place, time_ns, power_kw, available_kw, limit_kw in _records(self._readings):
             available = None if isnan(available_kw) else available_kw
             self.newest[place] = Reading(time_ns, power_kw, available, limit_kw)

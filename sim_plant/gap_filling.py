@@ -20,9 +20,11 @@ are removed from each of 17 stations in turn. The filled values have a median RM
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
@@ -37,18 +39,16 @@ _LONGEST_LINE: Final = 60
 _SAME_PLACE_M: Final = 1.0
 
 
-def fill_from_neighbours(
-    irradiance: Irradiance, source: str, first_line: int
-) -> tuple[Irradiance, tuple[str, ...]]:
+def fill_from_neighbours(irradiance: Irradiance, source: str) -> tuple[Irradiance, tuple[str, ...]]:
     """Fill what is missing (NaN), and say of each sensor what was filled.
 
-    `source` and `first_line` are what the irradiance was read from, for the error that all sensors
-    are silent for too long, or at the beginning or end.
+    `source` is what the irradiance was read from, for the error that all sensors are silent
+    for too long, or at the beginning or end.
     """
     ghi_wm2 = irradiance.ghi_wm2
     missing = np.isnan(ghi_wm2)
     nobody = np.asarray(missing.all(axis=1), dtype=np.bool_)
-    _check_silences(nobody, source, first_line)
+    _check_silences(nobody, source)
     east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
     distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
     distance_m = np.maximum(distance_m, _SAME_PLACE_M)
@@ -66,11 +66,13 @@ def fill_from_neighbours(
             f"{irradiance.sensors[sensor]}: {int(gaps.sum()):,} of {len(gaps):,} values missing,"
             f" filled from {_listed(names)} times {level:.3f}"
         )
-    report += _draw_lines(filled, nobody)
-    complete = Irradiance(
-        irradiance.times, filled, irradiance.sensors, irradiance.lat_deg, irradiance.lon_deg
-    )
-    return complete, tuple(report)
+    if nobody.any():
+        filled = pd.DataFrame(filled).interpolate().to_numpy()
+        report.append(
+            f"all sensors: {int(nobody.sum()):,} of {len(nobody):,} values missing at the same"
+            " time, interpolated from the values before and after"
+        )
+    return replace(irradiance, ghi_wm2=filled), tuple(report)
 
 
 def _weighted_mean(ghi_wm2: Floats, distance_m: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -93,25 +95,12 @@ def _level(own_wm2: Floats, mean_wm2: Floats) -> float:
     return float(own_wm2[both].sum()) / of_neighbours if of_neighbours > 0.0 else 1.0
 
 
-def _draw_lines(filled: Floats, nobody: NDArray[np.bool_]) -> list[str]:
-    """Interpolate in time, in place, where no sensor has a value."""
-    if not nobody.any():
-        return []
-    row = np.arange(len(nobody))
-    for column in filled.T:
-        column[nobody] = np.interp(row[nobody], row[~nobody], column[~nobody])
-    return [
-        f"all sensors: {int(nobody.sum()):,} of {len(nobody):,} values missing at the same time,"
-        " interpolated from the values before and after"
-    ]
-
-
-def _check_silences(nobody: NDArray[np.bool_], source: str, first_line: int) -> None:
+def _check_silences(nobody: NDArray[np.bool_], source: str) -> None:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], nobody, [False]]).astype(np.int8)))
     for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if after - first > _LONGEST_LINE or first == 0 or after == len(nobody):
             raise InputError(
-                f"{source}: lines {first + first_line} to {after - 1 + first_line}: expected at "
+                f"{source}: lines {first + 1} to {after}: expected at "
                 f"most {_LONGEST_LINE} lines without any value, between lines with values"
             )
 

@@ -10,15 +10,13 @@ import pandas as pd
 from bus_schemas.errors import InputError
 from bus_schemas.tree import some_of
 from sim_plant import Floats
-from sim_plant.csv_tables import CsvTable, check_steady, read_csv
+from sim_plant.csv_tables import CsvTable, read_csv
 
 GHI_MIN_WM2 = -10.0
 GHI_MAX_WM2 = 2000.0
 
 # Even a dull day exceeds this many W/m^2, and no sensor on Earth reaches as many kW/m^2.
 _KILOWATT_BELOW = 2.0
-
-_POSITION_LIMITS = {"lat": 90.0, "lon": 180.0}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,13 +58,15 @@ def read_measured_ghi(
                 f"{ghi_csv.name}: line 1: expected a column for each station of "
                 f"{positions_csv.name}, or irradiance.stations, got none for {some_of(missing)}"
             )
-    wanted = _wanted_columns(table, stations)
+    table.check_no_column_twice()
+    wanted = table.header[1:] if stations is None else tuple(stations)
+    check_stations(wanted, table.header[1:], f"{table.name}: line 1: stations")
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
     ghi_wm2 = table.numbers(wanted, "a number in W/m2")
-    check_ghi(ghi_csv.name, ghi_wm2, [f"column '{name}'" for name in wanted], first_line=2)
+    check_ghi(table, wanted, ghi_wm2)
     stamp = table.header[0]
     times = table.times(stamp)
-    check_steady(times.asi8, lambda row, expected: table.error(row, stamp, expected))
+    table.check_steady(stamp, times.asi8)
     return Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
 
 
@@ -76,58 +76,37 @@ def read_positions(path: Path, stations: Sequence[str]) -> tuple[Floats, Floats]
     Other columns and stations are left alone.
     """
     table = read_csv(path)
-    table.check_header(("station", *_POSITION_LIMITS))
+    table.check_header(("station", "lat", "lon"))
     names = table.names("station")
     for name in stations:
         if names.count(name) != 1:
             raise InputError(
                 f"{path.name}: expected one line for station '{name}', got {names.count(name)}"
             )
-    chosen = table.picked([names.index(name) for name in stations])
-    lat_deg, lon_deg = (
-        chosen.numbers((column,), f"degrees from -{limit:g} to {limit:g}", -limit, limit)[:, 0]
-        for column, limit in _POSITION_LIMITS.items()
-    )
-    return lat_deg, lon_deg
+    return table.picked([names.index(name) for name in stations]).coordinates()
 
 
-def check_ghi(source: str, ghi_wm2: Floats, columns: Sequence[str], first_line: int) -> None:
-    """Refuse values that are no global horizontal irradiance in W/m^2; NaN stands for a gap.
-
-    `columns` says what to call each column in an error.
-    """
+def check_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> None:
+    """Refuse values that are no global horizontal irradiance in W/m^2; NaN stands for a gap."""
     bad = np.argwhere((ghi_wm2 < GHI_MIN_WM2) | (ghi_wm2 > GHI_MAX_WM2))
     if bad.size:
         row, column = bad[0]
-        raise InputError(
-            f"{source}: line {row + first_line}, {columns[column]}: expected {GHI_MIN_WM2:g} to "
-            f"{GHI_MAX_WM2:g} W/m2, got '{ghi_wm2[row, column]:g}'"
-        )
+        expected = f"{GHI_MIN_WM2:g} to {GHI_MAX_WM2:g} W/m2"
+        raise table.error(int(row), columns[column], expected)
     largest = float(np.nanmax(ghi_wm2, initial=GHI_MIN_WM2))
     if 0.0 < largest < _KILOWATT_BELOW:
         raise InputError(
-            f"{source}: expected W/m2, with a maximum of at least {_KILOWATT_BELOW:g}, got at most "
-            f"{largest:g}, which seems to be in kW/m2"
+            f"{table.name}: expected W/m2, with a maximum of at least {_KILOWATT_BELOW:g}, got at "
+            f"most {largest:g}, which seems to be in kW/m2"
         )
 
 
-def check_stations_once(stations: Sequence[str]) -> None:
+def check_stations(stations: Sequence[str], known: Sequence[str], where: str) -> None:
+    """Refuse stations that are not known or come twice, and none at all."""
+    if not stations:
+        raise InputError(f"{where}: expected at least one, got none")
     for name in stations:
+        if name not in known:
+            raise InputError(f"{where}: expected {some_of(known)}, got '{name}'")
         if stations.count(name) > 1:
-            raise InputError(f"stations: expected each station once, got '{name}' twice")
-
-
-def _wanted_columns(table: CsvTable, stations: Sequence[str] | None) -> tuple[str, ...]:
-    columns = table.header[1:]
-    wanted = columns if stations is None else tuple(stations)
-    if not wanted:
-        raise InputError(f"{table.name}: line 1: expected at least one column of GHI, got none")
-    table.check_no_column_twice()
-    for name in wanted:
-        if name not in columns:
-            raise InputError(
-                f"{table.name}: line 1: expected a column for station '{name}', got "
-                f"{some_of(columns)}"
-            )
-    check_stations_once(wanted)
-    return wanted
+            raise InputError(f"{where}: expected each station once, got '{name}' twice")

@@ -15,8 +15,8 @@ these fields: it was logged every 3 seconds, to files of their own, which have t
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date, timedelta, timezone
 from pathlib import Path
@@ -27,10 +27,9 @@ import numpy as np
 import pandas as pd
 
 from bus_schemas.errors import InputError
-from sim_plant import Floats
-from sim_plant.csv_tables import check_steady, text_fields
+from sim_plant.csv_tables import CsvTable, text_fields
 from sim_plant.gap_filling import fill_from_neighbours
-from sim_plant.irradiance import Irradiance, check_ghi, check_stations_once, read_positions
+from sim_plant.irradiance import Irradiance, check_ghi, check_stations, read_positions
 
 MISSING: Final = -99999.0
 
@@ -74,67 +73,47 @@ def read_day(
     of the day than `most_missing` is missing is left out; what is missing of the others is filled
     from their neighbours among the sensors that are used.
     """
-    wanted = _wanted(stations)
+    wanted = HORIZONTAL if stations is None else tuple(stations)
+    check_stations(wanted, HORIZONTAL, "stations")
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
     source, content = _find(folder, day)
     table = _table(source, content)
-    times = _times(source, table, day)
-    fields = [_FIELDS.index(name) for name in wanted]
-    ghi_wm2 = table[:, fields]
+    times = _times(table, day)
+    ghi_wm2 = table.numbers(wanted, f"a number, {MISSING:g} where it is missing")
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
-    columns = [f"field {field + 1} ({_FIELDS[field]})" for field in fields]
-    check_ghi(source, ghi_wm2, columns, first_line=1)
+    check_ghi(table, wanted, ghi_wm2)
     found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
     if most_missing is None:
         missing = np.argwhere(np.isnan(ghi_wm2))
         if missing.size:
             row, column = missing[0]
-            raise InputError(
-                f"{source}: line {row + 1}, {columns[column]}: expected no missing value, as "
-                f"irradiance.gaps is 'refuse', got '{MISSING:g}', one of {len(missing):,}"
-            )
+            expected = "no missing value, as irradiance.gaps is 'refuse'"
+            raise table.error(int(row), wanted[column], expected)
         return GridDay(found, source, ())
     used, left_out = _without_silent(found, source, most_missing)
-    complete, filled = fill_from_neighbours(used, source, first_line=1)
+    complete, filled = fill_from_neighbours(used, source)
     name = source.rpartition("/")[2]
     return GridDay(complete, source, tuple(f"{name}: {line}" for line in (*left_out, *filled)))
 
 
 def latest_day_before(folder: Path, day: date) -> date:
-    """Return the latest day before another of which there is a file."""
-    earlier = _days_before(day, (path.stem for path in folder.glob("*.txt")))
-    for month in sorted(folder.glob("*.zip"), reverse=True):
+    names = [path.name for path in folder.glob("*.txt")]
+    for month in folder.glob("*.zip"):
         if re.fullmatch(r"\d{6}", month.stem) and month.stem <= f"{day:%Y%m}":
             with _archive(month) as archive:
-                names = [Path(name) for name in archive.namelist()]
-            inside = _days_before(day, (name.stem for name in names if name.suffix == ".txt"))
-            if inside:
-                earlier |= inside
-                break
-    if not earlier:
+                names += archive.namelist()
+    stems = pd.Series([Path(name).stem for name in names if name.endswith(".txt")], dtype=str)
+    days = pd.to_datetime(stems, format="%Y%m%d", errors="coerce")
+    earlier = days[days < pd.Timestamp(day)]
+    if earlier.empty:
         raise InputError(
             f"{folder}: expected {_ACCEPTED} of a day before {day:%Y-%m-%d}, from which "
             "neighbours.history = 'earlier-day' takes the past, got none"
         )
-    return max(earlier)
-
-
-def _wanted(stations: Sequence[str] | None) -> tuple[str, ...]:
-    wanted = HORIZONTAL if stations is None else tuple(stations)
-    for name in wanted:
-        if name not in HORIZONTAL:
-            what = "is tilted" if name in _TILTED else "is not in the daily files"
-            raise InputError(
-                f"stations: expected {', '.join(HORIZONTAL)}, got '{name}', which {what}"
-            )
-    if not wanted:
-        raise InputError(f"stations: expected {', '.join(HORIZONTAL)}, got none")
-    check_stations_once(wanted)
-    return wanted
+    return earlier.max().date()
 
 
 def _find(folder: Path, day: date) -> tuple[str, bytes]:
-    """Name and content of a day's file."""
     plain = folder / f"{day:%Y%m%d}.txt"
     month = folder / f"{day:%Y%m}.zip"
     if plain.is_file():
@@ -156,31 +135,20 @@ def _archive(month: Path) -> Iterator[ZipFile]:
         raise InputError(f"{month}: expected a ZIP archive of daily files, got: {error}") from None
 
 
-def _table(source: str, content: bytes) -> Floats:
-    """All fields as numbers, shape (lines, 23)."""
-    text = text_fields(content.decode("latin-1"), source)
-    if text.shape[1] != len(_FIELDS):
-        hint = ", as a file of AP2 has" if text.shape[1] == 7 else ""
+def _table(source: str, content: bytes) -> CsvTable:
+    fields = text_fields(content.decode("latin-1"), source)
+    if fields.shape[1] != len(_FIELDS):
+        hint = ", as a file of AP2 has" if fields.shape[1] == 7 else ""
         raise InputError(
-            f"{source}: line 1: expected {len(_FIELDS)} fields, got {text.shape[1]}{hint}"
+            f"{source}: line 1: expected {len(_FIELDS)} fields, got {fields.shape[1]}{hint}"
         )
-    if len(text) < 2:
-        raise InputError(f"{source}: expected at least 2 lines, got {len(text)}")
-    columns = [pd.to_numeric(text[field], errors="coerce") for field in text]
-    table = np.column_stack(columns).astype(np.float64)
-    bad = np.argwhere(np.isnan(table))
-    if bad.size:
-        row, place = bad[0]
-        raise InputError(
-            f"{source}: line {row + 1}, field {place + 1} ({_FIELDS[place]}): expected a number, "
-            f"{MISSING:g} where it is missing, got '{text.iloc[row, place]}'"
-        )
-    return table
+    return CsvTable(source, _FIELDS, fields)
 
 
-def _times(source: str, table: Floats, day: date) -> pd.DatetimeIndex:
+def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:
     """Time stamps of all lines in UTC."""
-    stamp, of_day = table[:, : len(_TIME_FIELDS)], day.timetuple().tm_yday
+    table.check_length()
+    stamp, of_day = table.numbers(_TIME_FIELDS), day.timetuple().tm_yday
     second, year, day_of_year, clock = stamp.T
     hour, minute = np.divmod(clock, 100.0)
     bad = (year != day.year) | (day_of_year != of_day) | (hour > 23) | (minute > 59) | (second > 59)
@@ -188,20 +156,13 @@ def _times(source: str, table: Floats, day: date) -> pd.DatetimeIndex:
     if bad.any():
         row = int(bad.argmax())
         raise InputError(
-            f"{source}: line {row + 1}: expected {', '.join(_TIME_FIELDS)} of day {of_day} of "
+            f"{table.name}: line {row + 1}: expected {', '.join(_TIME_FIELDS)} of day {of_day} of "
             f"{day.year}, got {', '.join(f'{value:g}' for value in stamp[row])}"
         )
     second_of_day = hour * 3600.0 + minute * 60.0 + second
     midnight = pd.Timestamp(day).tz_localize(TIMEZONE).tz_convert("UTC")
     times = pd.DatetimeIndex(midnight + pd.to_timedelta(second_of_day, unit="s")).as_unit("ns")
-    check_steady(
-        times.asi8,
-        lambda row, expected: InputError(
-            f"{source}: line {row + 1}: expected {expected}, got "
-            f"{hour[row]:02g}:{minute[row]:02g}:{second[row]:02g}"
-        ),
-        first_line=1,
-    )
+    table.check_steady("second", times.asi8)
     return times
 
 
@@ -226,12 +187,3 @@ def _without_silent(
     names = tuple(found.sensors[sensor] for sensor in kept)
     place = found.lat_deg[kept], found.lon_deg[kept]
     return Irradiance(found.times, found.ghi_wm2[:, kept], names, *place), report
-
-
-def _days_before(day: date, stems: Iterable[str]) -> set[date]:
-    """Return the days before another that files are named after."""
-    found = set()
-    for stem in stems:
-        with suppress(ValueError):
-            found.add(date.fromisoformat(stem))
-    return {one for one in found if one < day}

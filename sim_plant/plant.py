@@ -69,7 +69,6 @@ class Plant:
         self._stages = (Stage("sense", (), timed=True), Stage("apply", self._commands))
 
     def _take_settings(self, settings: list[InverterSettings], cycle_s: float) -> None:
-        """Work out how each inverter takes commands."""
         reverts = [entry.revert for entry in settings]
         after_s = [inf if revert is None else revert.after_s for revert in reverts]
         self._revert_cycles = np.array(after_s) / cycle_s

@@ -26,16 +26,6 @@ _TWILIGHT_ZENITH_DEG = 96.0
 _TWILIGHT_MAX_WM2 = 50.0
 
 
-Tilt = Annotated[float, Meta(ge=0.0, le=90.0)]
-Azimuth = Annotated[float, Meta(ge=0.0, le=360.0)]
-DcAcRatio = Annotated[float, Meta(gt=0.0, le=3.0)]
-Celsius = Annotated[float, Meta(ge=-60.0, le=60.0)]
-WindSpeed = Annotated[float, Meta(ge=0.0, le=60.0)]
-PowerCoefficient = Annotated[float, Meta(ge=-0.01, le=0.0)]
-Efficiency = Annotated[float, Meta(gt=0.5, le=1.0)]
-Albedo = Annotated[float, Meta(ge=0.0, le=1.0)]
-
-
 class PvSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The arrays and inverters of the plant, all alike but for their rating.
 
@@ -52,14 +42,14 @@ class PvSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     albedo: Reflectance of the ground; without effect at tilt 0.
     """
 
-    tilt_deg: Tilt = 0.0
-    azimuth_deg: Azimuth = 180.0
-    dc_ac_ratio: DcAcRatio = 1.0
-    temp_air_c: Celsius = 20.0
-    wind_speed_ms: WindSpeed = 0.0
-    gamma_pdc_per_c: PowerCoefficient = -0.0035
-    inverter_efficiency: Efficiency = 0.96
-    albedo: Albedo = 0.25
+    tilt_deg: Annotated[float, Meta(ge=0.0, le=90.0)] = 0.0
+    azimuth_deg: Annotated[float, Meta(ge=0.0, le=360.0)] = 180.0
+    dc_ac_ratio: Annotated[float, Meta(gt=0.0, le=3.0)] = 1.0
+    temp_air_c: Annotated[float, Meta(ge=-60.0, le=60.0)] = 20.0
+    wind_speed_ms: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
+    gamma_pdc_per_c: Annotated[float, Meta(ge=-0.01, le=0.0)] = -0.0035
+    inverter_efficiency: Annotated[float, Meta(gt=0.5, le=1.0)] = 0.96
+    albedo: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.25
 
 
 def ac_power_kw(

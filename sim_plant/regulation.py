@@ -24,10 +24,6 @@ from sim_plant import Floats
 from sim_plant.csv_tables import read_csv
 from sim_plant.synthetic_regd import SAMPLES, STEP_S, synthetic_regd
 
-Capacity = Annotated[float, Meta(gt=0.0, le=1e8)]
-Second = Annotated[float, Meta(ge=-1e9, le=1e9)]
-Seed = Annotated[int, Meta(ge=0, le=2**32)]
-
 _NS: Final = 1_000_000_000
 _DAY_NS: Final = 86_400 * _NS
 
@@ -42,7 +38,7 @@ class _Offer(
     offered_to: Local time of its end; if before `from`, on the next day.
     """
 
-    capacity_kw: Capacity
+    capacity_kw: Annotated[float, Meta(gt=0.0, le=1e8)]
     offered_from: time | None = msgspec.field(default=None, name="from")
     offered_to: time | None = msgspec.field(default=None, name="to")
 
@@ -55,7 +51,7 @@ class RegulationFile(_Offer, frozen=True, tag="file"):
     """
 
     path: str
-    signal_midnight_s: Second = 0.0
+    signal_midnight_s: Annotated[float, Meta(ge=-1e9, le=1e9)] = 0.0
 
 
 class SyntheticRegulation(_Offer, frozen=True, tag="synthetic"):
@@ -64,7 +60,7 @@ class SyntheticRegulation(_Offer, frozen=True, tag="synthetic"):
     seed: Seed of the signal.
     """
 
-    seed: Seed = 0
+    seed: Annotated[int, Meta(ge=0, le=2**32)] = 0
 
 
 RegulationSettings = RegulationFile | SyntheticRegulation

@@ -32,22 +32,16 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
     table.check_header(("inverter", "lat", "lon"))
     if table.fields.empty:
         raise InputError(f"{path.name}: expected a line for each inverter, got none")
-    names = table.names("inverter")
+    names = table.unique_names("inverter")
     for row, name in enumerate(names):
         check_name(name, f"{table.name}: line {row + 2}")
-        if name in names[:row]:
-            raise table.error(row, "inverter", "a name that no other inverter has")
-
-    def column(name: str, expected: str, low: float, high: float) -> Floats:
-        return table.numbers((name,), f"a number {expected}", low, high)[:, 0]
-
     if "rating_kw" in table.header:
         smallest_kw = float(np.nextafter(0.0, 1.0))
-        rating_kw = column("rating_kw", "above 0, up to 1e7", smallest_kw, 1e7)
+        expected = "a number above 0, up to 1e7"
+        rating_kw = table.numbers(("rating_kw",), expected, smallest_kw, 1e7)[:, 0]
     else:
         rating_kw = equal_ratings_kw(plant_rating_kw, len(names), path.name)
-    lat_deg = column("lat", "from -90 to 90", -90.0, 90.0)
-    return Sites(names, lat_deg, column("lon", "from -180 to 180", -180.0, 180.0), rating_kw)
+    return Sites(names, *table.coordinates(), rating_kw)
 
 
 def inverter_name(station: str) -> str:
@@ -56,7 +50,6 @@ def inverter_name(station: str) -> str:
 
 
 def equal_ratings_kw(plant_rating_kw: float | None, inverters: int, where: str) -> Floats:
-    """Split a plant's rating equally [kW], shape (inverters,)."""
     if plant_rating_kw is None:
         raise InputError(f"{where}: expected plant.rating_kw or a column rating_kw, got neither")
     return np.full(inverters, plant_rating_kw / inverters)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Final, TypeAlias
+from typing import ClassVar, Final, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -33,7 +33,6 @@ class PlantUnderSky:
     pv: PvSettings
 
     def power_kw(self, ghi_wm2: Floats, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of each inverter, shape (T, n)."""
         sites = self.sites
         return ac_power_kw(ghi_wm2, times, sites.lat_deg, sites.lon_deg, sites.rating_kw, self.pv)
 
@@ -57,11 +56,7 @@ class CloudySky(PlantUnderSky):
     clouds: CloudSettings
     seed: int
     history_seed: int
-
-    @property
-    def measured_times(self) -> None:
-        """Any time can be asked for."""
-        return
+    measured_times: ClassVar[None] = None  # Any time can be asked for.
 
     def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
         return self._drawn_kw(times, self.seed)

@@ -122,7 +122,6 @@ class _Link:
         self._thread.start()
 
     def command(self, limit: Limit) -> None:
-        """Take a command of this cycle."""
         self._commands.append(limit)
         self._wake.set()
 

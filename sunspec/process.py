@@ -90,7 +90,6 @@ def read_accounts(folder: Path) -> tuple[DeviceAccount, ...]:
 
 
 def log_in(folder: Path) -> Path:
-    """Return the gateway's log in a run's folder."""
     return folder / "logs" / "gateway.log"
 
 

@@ -212,7 +212,6 @@ def meter_registers(
 
 
 def common(what: str, name: str, unit: int) -> Points:
-    """Return the points of the common model."""
     return {"Mn": "Heliarch", "Md": what[:32], "SN": name[-32:], "Vr": "1", "DA": unit}
 
 

@@ -45,11 +45,9 @@ class Sky:
             self.began_at = at
 
     def is_over(self, at: float) -> bool:
-        """Whether the last cycle has ended."""
         return self._cycle(at) >= len(self._mpp_kw)
 
     def possible_kw(self, place: int) -> Callable[[float], float]:
-        """Return what gives the maximum of an inverter at a time."""
         return lambda at: float(self._mpp_kw[min(self._cycle(at), len(self._mpp_kw) - 1), place])
 
     def _cycle(self, at: float) -> int:

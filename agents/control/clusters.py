@@ -17,6 +17,9 @@ Clusters = tuple[tuple[int, ...], ...]
 # Gains below this are rounding: without it two equal partitions could be swapped for ever.
 _LEAST_GAIN = 1e-12
 
+_STARTS = 20
+"""Random starts of a search, of which the best result is kept."""
+
 
 @dataclass(frozen=True, slots=True)
 class ClusterSearch:
@@ -43,38 +46,15 @@ class ClusterSearch:
         return sum(not value > best + _LEAST_GAIN for value in self.correlation_of_starts)
 
 
-def search_clusters(
-    correlation: NDArray[np.float64], sizes: Sequence[int], seed: int = 0, restarts: int = 20
-) -> ClusterSearch:
-    """Partition the inverters as `choose_clusters` does, and return what every start found.
-
-    Parameters
-    ----------
-    correlation, sizes, seed, restarts
-        As in `choose_clusters`.
-
-    Returns
-    -------
-    ClusterSearch
-
-    Raises
-    ------
-    ValueError
-        As in `choose_clusters`.
-    """
-    _check_symmetric(correlation)
-    _check_sizes(sizes, len(correlation))
-    if restarts < 1:
-        raise ValueError(f"at least one restart is needed, not {restarts}")
-    cost = np.array(correlation, dtype=np.float64)
-    np.fill_diagonal(cost, 0.0)
-    return _least_cost_partition(cost, sizes, np.random.default_rng(seed), restarts)
+def choose_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> Clusters:
+    """Return the clusters that `search_clusters` finds."""
+    return search_clusters(correlation, sizes).clusters
 
 
-def choose_clusters(
-    correlation: NDArray[np.float64], sizes: Sequence[int], seed: int = 0, restarts: int = 20
-) -> Clusters:
+def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> ClusterSearch:
     """Partition the inverters so that the correlation inside the clusters is least.
+
+    The same arguments give the same clusters.
 
     Parameters
     ----------
@@ -83,23 +63,23 @@ def choose_clusters(
         not used.
     sizes : sequence of int
         How many inverters each cluster takes; the sum must be N.
-    seed : int, default 0
-        Seed of the random starts. The same arguments give the same clusters.
-    restarts : int, default 20
-        Number of random starts, of which the best result is kept.
-
-    Returns
-    -------
-    tuple of tuple of int
-        The members of each cluster, ascending, in the order of `sizes`. Clusters of the same size
-        are in the order of their first members.
-
-    Raises
-    ------
-    ValueError
-        The matrix is not symmetric and finite, the sizes do not add up to N, or there is no start.
     """
-    return search_clusters(correlation, sizes, seed, restarts).clusters
+    cost = np.array(correlation, dtype=np.float64)
+    np.fill_diagonal(cost, 0.0)
+    rng = np.random.default_rng(0)
+    start = np.repeat(np.arange(len(sizes)), sizes)
+    best, best_cost = start, np.inf
+    costs = []
+    for _ in range(_STARTS):
+        label = _descend(cost, rng.permutation(start), len(sizes))
+        label_cost = float(cost[label[:, None] == label[None, :]].sum())
+        costs.append(label_cost)
+        if label_cost < best_cost - _LEAST_GAIN:
+            best, best_cost = label, label_cost
+    # The matrix holds each pair twice, and so does its sum.
+    pairs_twice = sum(size * (size - 1) for size in sizes)
+    mean = tuple(value / pairs_twice if pairs_twice else float("nan") for value in costs)
+    return ClusterSearch(_ordered(best, sizes), mean)
 
 
 def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
@@ -112,17 +92,7 @@ def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
     seed : int
         Seed of the random choice. All partitions are equally likely.
 
-    Returns
-    -------
-    tuple of tuple of int
-        As `choose_clusters` returns them.
-
-    Raises
-    ------
-    ValueError
-        A size is below 1, or there is none.
     """
-    _check_sizes(sizes, sum(sizes))
     label = np.repeat(np.arange(len(sizes)), sizes)
     return _ordered(np.random.default_rng(seed).permutation(label), sizes)
 
@@ -141,19 +111,7 @@ def geographic_clusters(
         Position of each inverter, east and north of any point [m].
     sizes : sequence of int
         How many inverters each cluster takes; the sum must be N.
-
-    Returns
-    -------
-    tuple of tuple of int
-        As `choose_clusters` returns them.
-
-    Raises
-    ------
-    ValueError
-        The positions are not two finite series of one length, or the sizes do not add up to N.
     """
-    if x_m.ndim != 1 or x_m.shape != y_m.shape or not np.isfinite([x_m, y_m]).all():
-        raise ValueError("positions must be two finite series of one length")
     position = np.column_stack([x_m, y_m])
     difference = position[:, None, :] - position[None, :, :]
     squared = np.sum(difference**2, axis=2)
@@ -178,11 +136,6 @@ def within_cluster_correlation(
     -------
     float
         The mean, each pair counted once; NaN if no cluster has two members.
-
-    Raises
-    ------
-    IndexError
-        A member is not an index of `correlation`.
     """
     pairs = [
         correlation[np.ix_(list(cluster), list(cluster))][np.triu_indices(len(cluster), k=1)]
@@ -190,24 +143,6 @@ def within_cluster_correlation(
         if len(cluster) > 1
     ]
     return float(np.mean(np.concatenate(pairs))) if pairs else float("nan")
-
-
-def _least_cost_partition(
-    cost: NDArray[np.float64], sizes: Sequence[int], rng: np.random.Generator, restarts: int
-) -> ClusterSearch:
-    start = np.repeat(np.arange(len(sizes)), sizes)
-    best, best_cost = start, np.inf
-    costs = []
-    for _ in range(restarts):
-        label = _descend(cost, rng.permutation(start), len(sizes))
-        label_cost = float(cost[label[:, None] == label[None, :]].sum())
-        costs.append(label_cost)
-        if label_cost < best_cost - _LEAST_GAIN:
-            best, best_cost = label, label_cost
-    # The matrix holds each pair twice, and so does its sum.
-    pairs_twice = sum(size * (size - 1) for size in sizes)
-    mean = tuple(value / pairs_twice if pairs_twice else float("nan") for value in costs)
-    return ClusterSearch(_ordered(best, sizes), mean)
 
 
 def _descend(cost: NDArray[np.float64], label: NDArray[np.intp], count: int) -> NDArray[np.intp]:
@@ -231,18 +166,3 @@ def _ordered(label: NDArray[np.intp], sizes: Sequence[int]) -> Clusters:
     members = [tuple(np.flatnonzero(label == c).tolist()) for c in range(len(sizes))]
     by_size = {size: sorted(m for m in members if len(m) == size) for size in set(sizes)}
     return tuple(by_size[size].pop(0) for size in sizes)
-
-
-def _check_symmetric(matrix: NDArray[np.float64]) -> None:
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
-        raise ValueError(f"the correlation must be square, not of shape {matrix.shape}")
-    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9):
-        raise ValueError("the correlation must be finite and symmetric")
-
-
-def _check_sizes(sizes: Sequence[int], count: int) -> None:
-    if not sizes or min(sizes) < 1 or sum(sizes) != count:
-        raise ValueError(
-            f"cluster sizes {tuple(sizes)} are given for {count} inverters;"
-            f" expected sizes of at least 1 that add up to {count}"
-        )

@@ -11,52 +11,17 @@ is asked last.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+HourlyMatrices: TypeAlias = dict[int, NDArray[np.float64]]
+"""A square matrix, shape (N, N), for each hour of which there is history, the hours ascending."""
+
 # A sum whose variance is below this share of its members' covariances is constant but for
 # rounding, e.g. two series that cancel each other.
 _CONSTANT_SHARE = 1e-12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HourlyMatrices:
-    """One square matrix for each hour of which there is history.
-
-    Attributes
-    ----------
-    hours : tuple of int
-        The hours, ascending, H of them.
-    values : numpy.ndarray, shape (H, N, N)
-        The matrix of each hour, in the order of `hours`.
-    """
-
-    hours: tuple[int, ...]
-    values: NDArray[np.float64]
-
-    def at(self, hour: int) -> NDArray[np.float64]:
-        """Return the matrix of one hour.
-
-        Parameters
-        ----------
-        hour : int
-            An hour of `hours`.
-
-        Returns
-        -------
-        numpy.ndarray, shape (N, N)
-
-        Raises
-        ------
-        KeyError
-            There is no history of that hour.
-        """
-        if hour not in self.hours:
-            raise KeyError(f"no history of hour {hour}; there is history of hours {self.hours}")
-        matrix: NDArray[np.float64] = self.values[self.hours.index(hour)]
-        return matrix
 
 
 def hourly_covariance(power_kw: NDArray[np.float64], hour: NDArray[np.integer]) -> HourlyMatrices:
@@ -75,18 +40,8 @@ def hourly_covariance(power_kw: NDArray[np.float64], hour: NDArray[np.integer]) 
     HourlyMatrices
         Mean product of the deviations from the hour's mean [kW^2]. A series that is constant
         within the hour has a covariance of exactly 0 with all others.
-
-    Raises
-    ------
-    ValueError
-        The shapes do not fit, there is no row, or a power is not finite.
     """
-    power = np.asarray(power_kw, dtype=np.float64)
-    hours = np.asarray(hour)
-    _check_history(power, hours)
-    found = np.unique(hours)
-    values = np.stack([_covariance(power[hours == h]) for h in found])
-    return HourlyMatrices(tuple(int(h) for h in found), values)
+    return {each: _covariance(power_kw[hour == each]) for each in np.unique(hour).tolist()}
 
 
 def hourly_correlation(power_kw: NDArray[np.float64], hour: NDArray[np.integer]) -> HourlyMatrices:
@@ -97,28 +52,17 @@ def hourly_correlation(power_kw: NDArray[np.float64], hour: NDArray[np.integer])
         C(X,Y) = \frac{\sum_i (X_i-\bar X)(Y_i-\bar Y)}
                       {\sqrt{\sum_i (X_i-\bar X)^2 \sum_i (Y_i-\bar Y)^2}}
 
-    Parameters
-    ----------
-    power_kw : numpy.ndarray, shape (T, N)
-        Power of each inverter [kW].
-    hour : numpy.ndarray of int, shape (T,)
-        The hour that each row belongs to.
+    The parameters are those of `hourly_covariance`.
 
     Returns
     -------
     HourlyMatrices
         Correlations in [-1, 1], symmetric, with a diagonal of exactly 1. Where one of two series
         is constant within the hour the entry is +1.
-
-    Raises
-    ------
-    ValueError
-        As in `hourly_covariance`.
     """
+    singles = [(inverter,) for inverter in range(power_kw.shape[1])]
     covariance = hourly_covariance(power_kw, hour)
-    singles = [(i,) for i in range(covariance.values.shape[1])]
-    values = np.stack([group_correlation(matrix, singles) for matrix in covariance.values])
-    return HourlyMatrices(covariance.hours, values)
+    return {each: group_correlation(matrix, singles) for each, matrix in covariance.items()}
 
 
 def group_correlation(
@@ -141,13 +85,10 @@ def group_correlation(
     numpy.ndarray, shape (G, G)
         Correlations in [-1, 1], symmetric, with a diagonal of exactly 1. Where one of two sums
         does not vary the entry is +1.
-
-    Raises
-    ------
-    ValueError
-        The covariance is not square, a group is empty, or a member is not an index of it.
     """
-    member = _membership(covariance, groups)
+    member = np.zeros((len(covariance), len(groups)))
+    for column, group in enumerate(groups):
+        member[list(group), column] = 1.0
     between = member.T @ covariance @ member
     variance = np.diag(between)
     scale = np.diag(member.T @ np.abs(covariance) @ member)
@@ -166,30 +107,3 @@ def _covariance(power_kw: NDArray[np.float64]) -> NDArray[np.float64]:
     deviation[:, np.ptp(power_kw, axis=0) == 0.0] = 0.0
     product: NDArray[np.float64] = deviation.T @ deviation / len(power_kw)
     return product
-
-
-def _membership(
-    covariance: NDArray[np.float64], groups: Sequence[Sequence[int]]
-) -> NDArray[np.float64]:
-    size = covariance.shape[0]
-    if covariance.shape != (size, size):
-        raise ValueError(f"the covariance must be square, not of shape {covariance.shape}")
-    member = np.zeros((size, len(groups)))
-    for column, group in enumerate(groups):
-        if not group or min(group) < 0 or max(group) >= size:
-            raise ValueError(f"group {column} is {tuple(group)}, expected members 0 to {size - 1}")
-        member[list(group), column] = 1.0
-    return member
-
-
-def _check_history(power_kw: NDArray[np.float64], hour: NDArray[np.integer]) -> None:
-    if power_kw.ndim != 2 or hour.shape != power_kw.shape[:1] or power_kw.size == 0:
-        raise ValueError(
-            f"power of shape (T, N) and hours of shape (T,) are needed,"
-            f" not {power_kw.shape} and {hour.shape}"
-        )
-    if not np.isfinite(power_kw).all():
-        row, column = np.argwhere(~np.isfinite(power_kw))[0]
-        raise ValueError(
-            f"power {power_kw[row, column]} in row {row}, column {column} is not finite"
-        )

@@ -96,21 +96,12 @@ def forecast_impp(
 
     Parameters
     ----------
-    power_kw
-        Power measured in the interval that just ended; NaN if there is none.
-    alpha
-        Share of its maximum that the inverter gave in it, in (0, 1]. An inverter that only holds a
-        limit gave 1.
-    available_kw
-        Available power that the inverter states; NaN if it states none.
+    power_kw, alpha, available_kw, rating_kw, last
+        As in `estimate_impp`. An inverter that only holds a limit applied an alpha of 1.
     limit_kw
         Power that it did not exceed, whatever its maximum; the rating or more if it was free.
-    rating_kw
-        AC rating; the forecast never exceeds it.
     cycle_s
         Length of a cycle [s].
-    last
-        The forecast of the cycle before.
 
     Returns
     -------

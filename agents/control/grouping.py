@@ -42,14 +42,7 @@ def grouping_levels(
     -------
     ndarray of float
         Shape (T, n); 1 for the reference group, and for all while it gives nothing.
-
-    Raises
-    ------
-    ValueError
-        The reference group is empty or the whole plant.
     """
-    if not reference.any() or reference.all():
-        raise ValueError(f"a reference group of 1 to {len(reference) - 1} inverters is needed")
     others_kw = reference_kw * (rating_kw[~reference].sum() / rating_kw[reference].sum())
     level = np.ones_like(others_kw)
     np.divide(desired_kw - reference_kw, others_kw, out=level, where=others_kw > 0.0)

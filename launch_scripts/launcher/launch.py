@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Final
 
 from agents.events import (
-    AnyEvent,
     Armed,
     Complaint,
+    Event,
     Over,
     Presence,
     Recorded,
@@ -170,7 +170,7 @@ class _Launch:
         left = [child for child in children.controllers() if child.finished is None]
         return self._over or (self._asked_at is not None and not left)
 
-    def _hear(self, event: AnyEvent) -> None:
+    def _hear(self, event: Event) -> None:
         now = time.monotonic()
         match event:
             case Armed():

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Final
 
-from agents.events import AnyEvent, Exited, Standing, Status, TookOver
+from agents.events import Event, Exited, Standing, Status, TookOver
 from agents.plan import RunPlan
 from agents.process import STANDING_S
 from bus_schemas.faults import incidents
@@ -131,7 +131,7 @@ class Restarts:
         if self._allowed and min(recorder_silent_s, now - started_at) >= self._policy.frozen_s:
             self._kill_silent(self._children[RECORDER])
 
-    def hear(self, child: Child, event: AnyEvent) -> None:
+    def hear(self, child: Child, event: Event) -> None:
         """Take in what a process says of itself, or the recorder of all others."""
         match event:
             case Standing():

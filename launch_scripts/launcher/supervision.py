@@ -17,7 +17,7 @@ import psutil
 
 from agents.cycle import Kind, kind_of
 from agents.events import (
-    AnyEvent,
+    Event,
     Exited,
     Failed,
     Finished,
@@ -121,7 +121,7 @@ class Child:
         self.pid, self.ready = 0, False
         self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 
-    def note(self, event: AnyEvent) -> None:
+    def note(self, event: Event) -> None:
         match event:
             case Started():
                 self.pid = event.pid
@@ -179,9 +179,9 @@ class Children:
     def __iter__(self) -> Iterator[Child]:
         return iter(self.by_agent.values())
 
-    def events(self, timeout_s: float) -> list[tuple[Child, AnyEvent]]:
+    def events(self, timeout_s: float) -> list[tuple[Child, Event]]:
         """Return what the processes say within a time; note what they report of themselves."""
-        heard: list[tuple[Child, AnyEvent]] = []
+        heard: list[tuple[Child, Event]] = []
         control = self.server.control
         control.settimeout(timeout_s)
         for _ in range(_MOST_PACKETS):
@@ -233,7 +233,7 @@ class Children:
             left = [child for child in left if child.exited is None]
         return left
 
-    def _note(self, agent: str, event: AnyEvent, heard: list[tuple[Child, AnyEvent]]) -> None:
+    def _note(self, agent: str, event: Event, heard: list[tuple[Child, Event]]) -> None:
         if agent in self.by_agent:
             child = self.by_agent[agent]
             child.note(event)

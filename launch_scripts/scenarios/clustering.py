@@ -47,7 +47,7 @@ def neighbourhoods(
         NodeNeighbourhoods(
             parent,
             tuple(
-                Neighbourhood(time_ns, _child_correlation(tree, parent, covariance.at(hour)))
+                Neighbourhood(time_ns, _child_correlation(tree, parent, covariance[hour]))
                 for hour, time_ns in sorted(began_ns.items())
             ),
         )
@@ -57,7 +57,7 @@ def neighbourhoods(
 
 def in_order(covariance: HourlyMatrices, order: Sequence[int]) -> HourlyMatrices:
     """Return the matrices with rows and columns in another order."""
-    return HourlyMatrices(covariance.hours, covariance.values[:, order][:, :, order])
+    return {hour: matrix[order][:, order] for hour, matrix in covariance.items()}
 
 
 def _tiers_of_clusters(control: ControlTable) -> int:
@@ -115,7 +115,7 @@ def _mean_correlation(
     groups: list[tuple[int, ...]], covariance: HourlyMatrices, hours: Sequence[int]
 ) -> NDArray[np.float64]:
     """Return the correlation between groups, the mean of all hours that decide."""
-    hourly = [group_correlation(covariance.at(hour), groups) for hour in hours]
+    hourly = [group_correlation(covariance[hour], groups) for hour in hours]
     return np.asarray(np.mean(hourly, axis=0))
 
 

@@ -162,8 +162,8 @@ def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -
     covariance = _covariance(own, source, times)
     of_scenario = _local_hours(_times(own, RunOptions()), own.time.timezone)
     # Hours without a past cannot decide on clusters, unless there are no others.
-    hours = sorted(set(of_scenario.tolist()).intersection(covariance.hours))
-    tree = control_tree(scenario.control, source.sites, covariance, hours or list(covariance.hours))
+    hours = sorted(set(of_scenario.tolist()).intersection(covariance))
+    tree = control_tree(scenario.control, source.sites, covariance, hours or list(covariance))
     return _Day(times, source, possible_kw, commitment, covariance, tree)
 
 

@@ -118,7 +118,7 @@ def _by_first_part(
     listed = [_leaf_names(plan.tree).index(name) for name in sites.names]
     past = hourly_covariance(profile.mpp_kw[:learned, listed], np.zeros(learned, dtype=np.int64))
     begins_ns = plan.sim_time_ns(learned)
-    tree = control_tree(control, sites, past, past.hours)
+    tree = control_tree(control, sites, past, list(past))
     order = [sites.names.index(name) for name in _leaf_names(tree)]
     rest = replace(
         plan,
@@ -171,11 +171,11 @@ def worth_of(
     shared = list(clusters(runs[0]).values())
     names = _leaf_names(plan.tree)
     in_past = [[past.inverters.index(names[leaf]) for leaf in cluster] for cluster in shared]
-    in_run = hourly_correlation(runs[0].mpp_kw, hours_from_first_midnight(runs[0])).values
+    in_run = hourly_correlation(runs[0].mpp_kw, hours_from_first_midnight(runs[0]))
     return ClustersWorth(
         clusters=tuple(tuple(names[leaf] for leaf in cluster) for cluster in shared),
         past_correlation=within_cluster_correlation(past.correlation, in_past),
-        run_correlation=within_cluster_correlation(in_run.mean(axis=0), shared),
+        run_correlation=within_cluster_correlation(np.mean([*in_run.values()], axis=0), shared),
         help=help_metrics(runs[0].residual_kw, runs[0].inverters),
         shortfalls=tuple(map(_shortfall, runs, periods)),
     )

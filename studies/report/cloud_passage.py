@@ -53,10 +53,9 @@ def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
     able = pd.DataFrame(series.residual_kw).rolling(minute, min_periods=1).min().to_numpy() > 0.0
     length = min(max(2, round(WINDOW_S / series.cycle_s)), series.cycles)
     best: CloudPassage | None = None
-    matrices = correlation_by_hour(series)
     candidates = [
         (hour, min(combinations(members, 2), key=lambda two: matrix[two]), matrix)
-        for hour, matrix in zip(matrices.hours, matrices.values, strict=True)
+        for hour, matrix in correlation_by_hour(series).items()
         for members in clusters(series).values()
         if len(members) > 1
     ]
@@ -81,10 +80,7 @@ def correlation_by_hour(series: RunSeries) -> HourlyMatrices:
     """
     known = np.isfinite(series.mpp_kw).all(axis=1)
     matrices = hourly_correlation(series.mpp_kw[known], hours_from_first_midnight(series)[known])
-    varies = [position for position, matrix in enumerate(matrices.values) if np.any(matrix < 1.0)]
-    return HourlyMatrices(
-        tuple(matrices.hours[position] for position in varies), matrices.values[varies]
-    )
+    return {hour: matrix for hour, matrix in matrices.items() if np.any(matrix < 1.0)}
 
 
 def hours_from_first_midnight(series: RunSeries) -> NDArray[np.int64]:

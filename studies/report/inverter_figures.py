@@ -220,12 +220,12 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
     None where no inverter's power varied in any hour.
     """
     matrices = correlation_by_hour(series)
-    if not matrices.hours:
+    if not matrices:
         return None
     order = inverters_by_cluster(series)
     names = [style.plain(series.inverters[position]) for position in order]
-    across = min(_ACROSS, len(matrices.hours))
-    rows = -(-len(matrices.hours) // across)
+    across = min(_ACROSS, len(matrices))
+    rows = -(-len(matrices) // across)
     matrix_px = _MATRIX_PX.get(across, _SMALLEST_MATRIX_PX)
     height_px = rows * matrix_px
     figure = make_subplots(
@@ -233,9 +233,9 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
         cols=across,
         horizontal_spacing=0.02,
         vertical_spacing=30.0 / height_px,
-        subplot_titles=_hour_titles(series, matrices.hours),
+        subplot_titles=_hour_titles(series, tuple(matrices)),
     )
-    for place, matrix in enumerate(matrices.values):
+    for place, matrix in enumerate(matrices.values()):
         row, column = place // across + 1, place % across + 1
         figure.add_heatmap(
             z=matrix[np.ix_(order, order)].astype(np.float32),

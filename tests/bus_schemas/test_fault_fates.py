@@ -33,7 +33,7 @@ MANY = 5_000
 def at_work(*rules: FaultRule, seed: int = 1) -> NetworkFaults:
     for rule in rules:
         check_rule(rule, TREE, "rule")
-    return NetworkFaults(rules, seed, TREE, SECOND_NS, SECOND_NS)
+    return NetworkFaults(rules, seed, TREE, SECOND_NS)
 
 
 def impp(cycle: int) -> Impp:
@@ -162,29 +162,6 @@ def test_fates_are_the_same_whenever_and_wherever_they_are_drawn() -> None:
         assert fate == (() if loss < 0.25 else (pytest.approx(delay_ms * 1e6, abs=1),))
 
 
-HOUR = FaultRule(delay_ms=3_600_000.0)
-
-
-@pytest.mark.parametrize(
-    ("rules", "cycle_ns", "expected"),
-    [
-        ((FaultRule(loss=0.5),), SECOND_NS, 1),
-        ((FaultRule(delay_ms=2_500.0),), SECOND_NS, 4),
-        ((HOUR, HOUR), SECOND_NS // 20, 144_001),
-        ((FaultRule(delay_ms=60_000.0, duplicate=0.1),), SECOND_NS, 122),
-        ((FaultRule(delay_ms=60_000.0, jitter_ms=30_000.0),), SECOND_NS, 91),
-        ((FaultRule(jitter_ms=10_000.0, distribution="normal"),), SECOND_NS, 87),
-        ((FaultRule(delay_ms=5_000.0, reorder=0.1, reorder_ms=9_000.0),), SECOND_NS, 15),
-        ((HOUR,), 0, 1),
-        ((FaultRule(listener="c2", delay_ms=9e5),), SECOND_NS, 1),
-    ],
-)
-def test_as_many_messages_can_be_under_way_as_are_sent_in_the_longest_delay(
-    rules: tuple[FaultRule, ...], cycle_ns: int, expected: int
-) -> None:
-    assert NetworkFaults(rules, 1, TREE, cycle_ns, cycle_ns).most_under_way("c1") == expected
-
-
 @given(
     cycle=st.integers(0, 2**40),
     delay_ms=st.floats(0.0, 1e6),
@@ -197,7 +174,7 @@ def test_no_delay_is_longer_than_the_longest(
     rule = FaultRule(
         delay_ms=delay_ms, jitter_ms=jitter_ms, distribution=distribution, reorder=0.5, loss=0.01
     )
-    network = NetworkFaults((rule,), 1, TREE, SECOND_NS, SECOND_NS)
+    network = NetworkFaults((rule,), 1, TREE, SECOND_NS)
     for delay_ns in network.fates(IMPP.of("c1/a"), "c1", impp(cycle)):
         assert delay_ns <= rule.longest_ms * 1e6 + 1
 

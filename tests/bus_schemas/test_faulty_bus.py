@@ -24,7 +24,7 @@ RULES = (
 )
 """Cycles are seconds here: nothing of the cycles 10 to 19 arrives."""
 
-FAULTS = NetworkFaults(RULES, 1, TREE, 1_000 * MS, 1_000 * MS)
+FAULTS = NetworkFaults(RULES, 1, TREE, 1_000 * MS)
 
 
 def telemetry(cycle: int) -> Telemetry:
@@ -100,7 +100,7 @@ def test_a_doubled_message_arrives_twice() -> None:
 
 
 def test_a_flood_that_is_under_way_is_bounded_and_counted() -> None:
-    hour = NetworkFaults((FaultRule(delay_ms=3_600_000.0),), 1, TREE, 1_000 * MS, 1_000 * MS)
+    hour = NetworkFaults((FaultRule(delay_ms=3_600_000.0),), 1, TREE, 1_000 * MS)
     inverter = Inverter(hour)
     message, now_ns = telemetry(1), time.monotonic_ns()
     inverter.wire.coming = [Arrival("a", PORT, message, now_ns)] * 150_000

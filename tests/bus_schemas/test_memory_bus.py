@@ -94,9 +94,7 @@ def test_arming_rounds_are_stamped_but_not_numbered_and_not_counted() -> None:
 
 def faulty(*rules: FaultRule) -> tuple[MemoryBus, VirtualClock]:
     clock = VirtualClock()
-    return MemoryBus(
-        WIRING, None, clock, NetworkFaults(rules, 1, TREE, 1_000 * MS, 1_000 * MS)
-    ), clock
+    return MemoryBus(WIRING, None, clock, NetworkFaults(rules, 1, TREE, 1_000 * MS)), clock
 
 
 def test_the_clock_jumps_to_the_next_arrival_or_to_the_end_of_the_wait() -> None:

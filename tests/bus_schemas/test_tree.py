@@ -65,7 +65,7 @@ def test_everybody_has_a_name_on_the_bus() -> None:
 @pytest.mark.parametrize(
     ("inverters", "named"),
     [
-        ((), "none"),
+        ((), "inverters"),
         ((("c1/a", 1.0), ("c1/a", 1.0)), "c1/a"),
         ((("c1", 1.0), ("c1/a", 1.0)), "c1"),
         *(((("c1/a", kw),), "node c1/a: rating_kw") for kw in (0.0, -5.0, math.nan, math.inf)),

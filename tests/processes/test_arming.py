@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from running import assert_none_left, small_plant
 
-from agents.events import AnyEvent, Armed
+from agents.events import Armed, Event
 from agents.plan import RunPlan
 from bus_schemas.links import explicit_links
 from bus_schemas.signals import IMPP, TELEMETRY
@@ -56,9 +56,9 @@ def all_but_one(plan: RunPlan) -> tuple[str, ...]:
     return tuple(agent for agent in plan.tree.agents() if agent != LATE)
 
 
-def hear_until(children: Children, condition: str) -> list[AnyEvent]:
+def hear_until(children: Children, condition: str) -> list[Event]:
     """Hear the processes until they are all `ready`, or the plant is `finished`."""
-    heard: list[AnyEvent] = []
+    heard: list[Event] = []
     give_up_at = time.monotonic() + 120.0
     while not (
         all(child.ready for child in children)

@@ -90,15 +90,13 @@ def test_a_station_has_one_position(read: Read) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stations", "complaint"),
-    [
-        (["DH3", "DH9"], "ghi.csv: line 1: expected a column for station 'DH9'"),
-        (["DH3", "DH3"], "stations: expected each station once"),
-        ([], "ghi.csv: line 1: expected at least one column"),
-    ],
+    ("stations", "named"),
+    [(["DH3", "DH9"], "'DH9'"), (["DH3", "DH3"], "'DH3' twice"), ([], "none")],
 )
-def test_stations_are_refused(read: Read, stations: list[str], complaint: str) -> None:
-    assert complaint_of(read, stations=stations).startswith(complaint)
+def test_stations_are_refused(read: Read, stations: list[str], named: str) -> None:
+    complaint = complaint_of(read, stations=stations)
+    assert complaint.startswith("ghi.csv: line 1: stations: expected")
+    assert named in complaint
 
 
 def test_a_file_that_lacks_a_station_is_not_taken_for_a_smaller_plant(read: Read) -> None:

@@ -27,9 +27,3 @@ def test_the_control_group_shares_what_the_reference_group_leaves(
     assert limits_kw[0] == pytest.approx([np.inf, control_kw * 2 / 3, control_kw / 3])
     levels = grouping_levels(*seen, RATING_KW, REFERENCE)
     assert levels[0] == pytest.approx([1.0, level, level])
-
-
-@pytest.mark.parametrize("reference", [np.zeros(3, dtype=bool), np.ones(3, dtype=bool)])
-def test_a_group_of_none_or_all_is_refused(reference: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="reference group of 1 to 2"):
-        grouping_limits_kw(np.ones(1), np.ones(1), RATING_KW, reference)

@@ -82,7 +82,7 @@ def test_gaps_may_be_refused(oahu: Folder, tmp_path: Path) -> None:
     ghi_wm2[7, AP3] = np.nan
     write_day(tmp_path / "archive", date(2010, 4, 1), ghi_wm2)
     oahu.change('gaps = "neighbours"', 'gaps = "refuse"')
-    assert "20100401.txt: line 8, field 17 (AP3): expected" in oahu.complaint()
+    assert "20100401.txt: line 8, column 'AP3': expected" in oahu.complaint()
 
 
 def test_a_day_shorter_than_the_run_and_a_folder_without_days_are_refused(

@@ -72,5 +72,5 @@ def test_an_hour_in_which_nothing_varies_has_no_correlation_to_show() -> None:
     run = cloudy_run(cycles=7200)
     mpp_kw = run.mpp_kw.copy()
     mpp_kw[:3600] = 0.0
-    assert correlation_by_hour(run).hours == (10, 11)
-    assert correlation_by_hour(replace(run, mpp_kw=mpp_kw)).hours == (11,)
+    assert list(correlation_by_hour(run)) == [10, 11]
+    assert list(correlation_by_hour(replace(run, mpp_kw=mpp_kw))) == [11]
