@@ -31,22 +31,15 @@ __all__ = [
     "simulate",
 ]
 
-_MODULES = {
-    "ComparedRuns": "heliarch.runs",
-    "SimulatedRun": "heliarch.runs",
-    "compare": "heliarch.runs",
-    "compare_runs": "heliarch.runs",
-    "load_scenario": "launch_scripts.scenarios.scenario",
-    "open_run": "recordings",
-    "simulate": "heliarch.runs",
-}
+_ELSEWHERE = {"load_scenario": "launch_scripts.scenarios.scenario", "open_run": "recordings"}
+"""Modules of what is not in `heliarch.runs`."""
 
 
 def __getattr__(name: str) -> object:
     """Import what is asked for when it is first used: `import heliarch` alone is quick."""
-    if name not in _MODULES:
+    if name not in __all__:
         raise AttributeError(f"module 'heliarch' has no attribute {name!r}")
-    found: object = getattr(import_module(_MODULES[name]), name)
+    found: object = getattr(import_module(_ELSEWHERE.get(name, "heliarch.runs")), name)
     return found
 
 

@@ -24,9 +24,9 @@ from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
 from launch_scripts.scenarios.toml_text import toml_value
 from studies.arrays.schemes import SCHEMES
 from studies.compare.cases import cases, parse_setting, with_settings
+from studies.compare.results import json_rows
 from studies.compare.runs import read_two_runs, two_runs_tables
 from studies.compare.study import Comparison, run_case
-from studies.compare.tables import json_rows
 from studies.tables import json_rows as table_rows
 from studies.workers import share_work
 

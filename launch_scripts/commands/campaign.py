@@ -55,7 +55,7 @@ def campaign(
     --curves: Instead, measure what failures cost, by rate and repair time.
     """
     from launch_scripts.scenarios.preparation import prepare
-    from studies.campaign import study, tables
+    from studies.campaign import results, study
     from studies.compare.cases import parse_seeds
 
     changed = changed_scenario(scenario, files.data, settings)
@@ -70,15 +70,10 @@ def campaign(
         _measure_curves(preparation, found, chosen, workers, files)
         return
     outcomes = shared(partial(study.run_seed, found), chosen, workers, "runs")
-
-    def page() -> str:
-        from studies.campaign.page import campaign_page  # Plotly is slow to import.
-
-        return campaign_page(preparation, found, outcomes)
-
+    page = partial(results.campaign_page, preparation, found, outcomes)
     broken = [outcome for outcome in outcomes if outcome.violations]
     with written(outcomes, files, page, PAGE) as console:
-        print_table(console, tables.campaign_table(preparation, outcomes))
+        print_table(console, results.campaign_table(preparation, outcomes))
         for outcome in broken[:_LISTED]:
             first = outcome.violations[0]
             where = f"{first.invariant}, cycle {first.cycle}"
@@ -97,22 +92,15 @@ def _measure_curves(
     workers: int,
     files: ResultOptions,
 ) -> None:
-    from studies.campaign import curves
+    from studies.campaign import curves, results
 
     points = shared(partial(curves.run_under, campaign), curves.conditions(seeds), workers, "runs")
     plan = preparation.plan
     title = f"{plan.plant}, {plan.cycles} cycles from {preparation.local_start()}"
     title += f", mean of {len(seeds)} seeds"
-    tables = curves.curve_tables(title, points)
-
-    def page() -> str:
-        from studies.campaign.page import curve_figure  # Plotly is slow to import.
-        from studies.report.page import html_page
-
-        return html_page(f"What failures cost: {title}", [], [curve_figure(points), *tables])
-
+    page = partial(results.curve_page, title, points)
     with written(points, files, page, PAGE) as console:
-        for table in tables:
+        for table in results.curve_tables(title, points):
             print_table(console, table)
 
 

@@ -51,8 +51,13 @@ def clusters(
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import prepare
     from studies.clusters import results
-    from studies.clusters.study import central_periods, study_clusters
-    from studies.clusters.worth import Arrange, by_first_part, by_scenario
+    from studies.clusters.study import (
+        Arrange,
+        by_first_part,
+        by_scenario,
+        central_periods,
+        study_clusters,
+    )
     from studies.compare.study import remarks_of
 
     changed = changed_scenario(scenario, files.data, settings)
@@ -68,10 +73,8 @@ def clusters(
             f"Clusters and neighbours were chosen from the first {learn_s:g} s; the rest was run.",
         )
     study = study_clusters(
+        preparation,
         arrange,
-        changed.scenario.control,
-        len(preparation.plan.inverters),
-        preparation.plan.scheme,
         central_periods(periods, preparation.plan),
         random,
         partial(shared, workers=workers, description="clusters"),

@@ -158,23 +158,19 @@ def _groups(text: str | None) -> ReferenceGroups:
 def _one(case: Case, comparison: Comparison, files: ResultOptions, csv: str | None) -> None:
     """Run one case and print the paper's tables; write a page and files of it if asked for."""
     from launch_scripts.scenarios.preparation import prepare
+    from studies.compare.results import case_tables, json_rows
     from studies.compare.study import CaseResult, remarks_of, results_of
-    from studies.compare.tables import case_tables, json_rows
 
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
     found = list(results_of(preparation, comparison))
     schemes = tuple(result for result, _ in found)
-    plan = preparation.plan
-    title = (
-        f"{plan.plant} from {preparation.local_start()}, {plan.cycles:,} cycles of "
-        f"{plan.cycle_ns / 1e9:g} s"
-    )
+    title = preparation.title()
     results = [CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)]
     tables = case_tables(title, schemes)
 
     def page() -> str:
-        from studies.compare.page import frontier
+        from studies.compare.frontier import frontier
         from studies.report.run_report import report_page
         from studies.report.tables import metrics_tables
 
@@ -235,7 +231,7 @@ def _tell_many(
     results: Sequence[CaseResult], shown: Sequence[str], json: str | None, csv: str | None
 ) -> None:
     """Print the cases and their summary; write files of them if asked for."""
-    from studies.compare.tables import cases_tables, json_rows
+    from studies.compare.results import cases_tables, json_rows
 
     # The files first: whoever reads the table may leave before its end.
     write_json(json_rows(results), json)
@@ -258,7 +254,7 @@ def _write_summary(results: Sequence[CaseResult], csv: str | None) -> None:
         from pandas import DataFrame
 
         from recordings.read.whole_file import whole_file
-        from studies.compare.tables import summaries
+        from studies.compare.results import summaries
 
         with whole_file(Path(csv)) as file:
             DataFrame(summaries(results)).to_csv(file, index=False)

@@ -77,6 +77,12 @@ class Preparation:
         moment = pd.Timestamp(self.plan.start_time_ns, tz="UTC")
         return f"{moment.tz_convert(self.plan.timezone):%Y-%m-%d %H:%M:%S %Z}"
 
+    def title(self) -> str:
+        """Return which part of which scenario is run, to be read."""
+        plan = self.plan
+        length = f"{plan.cycles:,} cycles of {plan.cycle_ns / 1e9:g} s"
+        return f"{plan.plant} from {self.local_start()}, {length}"
+
 
 @dataclass(frozen=True, slots=True)
 class _Day:

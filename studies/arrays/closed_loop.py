@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
-from math import isfinite, nan
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -29,7 +28,6 @@ from studies.arrays.compiled import compiled
 from studies.arrays.control_arrays import ControlArrays, control_arrays
 
 Floats: TypeAlias = NDArray[np.float64]
-LoopArrays: TypeAlias = tuple[Floats, Floats, Floats, Floats]
 
 
 class Settings(NamedTuple):
@@ -44,21 +42,6 @@ class Settings(NamedTuple):
     is_corrected: bool
     alpha_min: float
     cycle_s: float
-
-
-class Central(NamedTuple):
-    """The state of the central controller.
-
-    It has the last usable dispatch, before the first the plant's rating, so that nothing is
-    curtailed; the dispatch of its last turn, and the correction added to it; the sum of the plant's
-    meter since then, and over how many cycles.
-    """
-
-    dispatch_kw: float
-    wanted_kw: float
-    correction_kw: float
-    metered_kw: float
-    metered_cycles: int
 
 
 class LoopResult(NamedTuple):
@@ -82,13 +65,13 @@ def run_loop(
     `constants` has other values of constants in `agents.control`, by name.
     """
     loop = _compiled_loop(tuple(sorted((constants or {}).items())))
-    return LoopResult(*loop(*loop_inputs(plan, profile, scheme, actuator)))
+    return loop(*loop_inputs(plan, profile, scheme, actuator))
 
 
 @cache
 def _compiled_loop(
     constants: tuple[tuple[str, float], ...],
-) -> Callable[[ControlArrays, Settings, Floats, Floats, Floats, Floats], LoopArrays]:
+) -> Callable[[ControlArrays, Settings, Floats, Floats, Floats, Floats], LoopResult]:
     return compiled(closed_loop, dict(constants))
 
 
@@ -141,8 +124,7 @@ def closed_loop(
     dispatch_kw: Floats,
     meter_error: Floats,
     available_kw: Floats,
-) -> LoopArrays:
-    """Return power, IMPP, residual and alpha of each inverter in each cycle."""
+) -> LoopResult:
     cycles, inverters = mpp_kw.shape
     power_kw = np.empty((cycles, inverters))
     impp_kw = np.empty((cycles, inverters))
@@ -151,13 +133,15 @@ def closed_loop(
     plant_rating_kw = tree.rating_kw[0]
     last_kw = mpp_kw[0].copy()
     level = np.ones(inverters)
-    limit_kw = np.empty(inverters)
-    for i in range(inverters):
-        limit_kw[i] = tree.rating_kw[tree.inverters[i]]
+    limit_kw = tree.rating_kw[tree.inverters]
     estimates = [NOTHING_KNOWN for _ in range(inverters)]
     node_impp_kw = np.zeros(len(tree.rating_kw))
     target_kw = tree.rating_kw.copy()
-    central = Central(plant_rating_kw, 0.0, 0.0, 0.0, 0)
+    # The central controller: the last usable dispatch, before the first the plant's rating, so that
+    # nothing is curtailed; the dispatch of its last turn, and the correction added to it; the sum
+    # of the plant's meter since then, and over how many cycles.
+    heard_kw, wanted_kw, correction_kw = plant_rating_kw, 0.0, 0.0
+    metered_kw, metered_cycles = 0.0, 0
     for cycle in range(cycles):
         for i in range(inverters):
             node = tree.inverters[i]
@@ -172,15 +156,27 @@ def closed_loop(
             )
             node_impp_kw[node] = estimates[i].power_kw
         report_up(tree, node_impp_kw)
-        metered_kw = total(last_kw) if cycle > 0 else nan
-        central = hear(central, dispatch_kw[cycle], metered_kw, plant_rating_kw)
+        heard_kw = usable_dispatch_kw(dispatch_kw[cycle], heard_kw, plant_rating_kw)
+        if cycle > 0:
+            metered_kw += total(last_kw)
+            metered_cycles += 1
         if cycle % tree.period[0] == 0:
-            central = take_turn(central, node_impp_kw[0], plant_rating_kw, settings)
-            target_kw[0] = min(central.wanted_kw + central.correction_kw, plant_rating_kw)
+            if settings.is_corrected and metered_cycles > 0:
+                correction_kw = corrected(
+                    correction_kw,
+                    wanted_kw,
+                    metered_kw / metered_cycles,
+                    heard_kw >= node_impp_kw[0],
+                    plant_rating_kw,
+                    metered_cycles * settings.cycle_s,
+                    0.0,
+                )
+            wanted_kw, metered_kw, metered_cycles = heard_kw, 0.0, 0
+            target_kw[0] = min(wanted_kw + correction_kw, plant_rating_kw)
         solve_down(cycle, tree, settings, node_impp_kw, target_kw)
         for i in range(inverters):
             node = tree.inverters[i]
-            own_kw = request_kw(central.dispatch_kw, tree.rating_kw[node], plant_rating_kw)
+            own_kw = request_kw(heard_kw, tree.rating_kw[node], plant_rating_kw)
             residuals_kw[cycle, i] = residual_kw(node_impp_kw[node], own_kw)
             impp_kw[cycle, i] = node_impp_kw[node]
             level[i] = curtailment_level(target_kw[node], node_impp_kw[node], settings.alpha_min)
@@ -190,7 +186,7 @@ def closed_loop(
                 limit_kw[i] = tree.rating_kw[node] if is_free else share * node_impp_kw[node]
                 share = 1.0
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
-    return power_kw, impp_kw, residuals_kw, alpha
+    return LoopResult(power_kw, impp_kw, residuals_kw, alpha)
 
 
 def estimate(
@@ -213,40 +209,6 @@ def report_up(tree: ControlArrays, impp_kw: Floats) -> None:
     """Add up the children's IMPP, from the inverters to the root."""
     for row in range(len(tree.parents) - 1, -1, -1):
         impp_kw[tree.parents[row]] = total(impp_kw[tree.first[row] : tree.end[row]])
-
-
-def hear(last: Central, dispatch_kw: float, metered_kw: float, plant_rating_kw: float) -> Central:
-    """Take up the dispatch of a cycle and what the meter read in the interval that ended."""
-    is_metered = isfinite(metered_kw)
-    return Central(
-        dispatch_kw=usable_dispatch_kw(dispatch_kw, last.dispatch_kw, plant_rating_kw),
-        wanted_kw=last.wanted_kw,
-        correction_kw=last.correction_kw,
-        metered_kw=last.metered_kw + metered_kw if is_metered else last.metered_kw,
-        metered_cycles=last.metered_cycles + 1 if is_metered else last.metered_cycles,
-    )
-
-
-def take_turn(last: Central, impp_kw: float, plant_rating_kw: float, settings: Settings) -> Central:
-    """Correct by what the meter has read since the last turn, and want the newest dispatch."""
-    correction_kw = last.correction_kw
-    if settings.is_corrected and last.metered_cycles > 0:
-        correction_kw = corrected(
-            correction_kw,
-            last.wanted_kw,
-            last.metered_kw / last.metered_cycles,
-            last.dispatch_kw >= impp_kw,
-            plant_rating_kw,
-            last.metered_cycles * settings.cycle_s,
-            0.0,
-        )
-    return Central(
-        dispatch_kw=last.dispatch_kw,
-        wanted_kw=last.dispatch_kw,
-        correction_kw=correction_kw,
-        metered_kw=0.0,
-        metered_cycles=0,
-    )
 
 
 def solve_down(

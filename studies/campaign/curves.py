@@ -10,7 +10,6 @@ import random
 from collections.abc import Sequence
 from itertools import product
 from math import inf
-from statistics import fmean
 from typing import Final, Literal, TypeAlias, get_args
 
 import msgspec
@@ -23,7 +22,6 @@ from bus_schemas.faults import FaultRule
 from bus_schemas.tree import agent_name
 from launch_scripts.launcher.simulation import RESTART_TAKES_S
 from studies.campaign.study import FIRST_S, Campaign, trace_of
-from studies.tables import Cell, Column, Table, key_column
 
 RATES_PER_H: Final = (1.0, 3.0, 10.0, 30.0, 100.0)
 """How often each controller fails in an hour."""
@@ -36,10 +34,8 @@ Protection: TypeAlias = Literal["with standby", "default", "no ladder", "no reve
 _LAST_VALUES_HOLD: Final = 10**9
 """Cycles. Without the ladder a node obeys the last message that it heard, however old that is."""
 
-MEASURES: Final = {"over_percent": "Over-delivered", "short_percent": "Shortfall"}
 
-
-class Point(msgspec.Struct, frozen=True, kw_only=True):
+class Point(msgspec.Struct, frozen=True):
     """What the failures of one seed cost a plant with some protection.
 
     over_percent, short_percent: Energy beyond what was desired, or what the plant gives without
@@ -78,10 +74,7 @@ def run_under(campaign: Campaign, condition: Condition) -> Point:
     over_kw = trace.delivered_kw - np.maximum(desired_kw, healthy_kw)
     short_kw = np.minimum(desired_kw, healthy_kw) - trace.delivered_kw
     return Point(
-        protection=protection,
-        rate_per_h=rate_per_h,
-        repair_s=repair_s,
-        seed=seed,
+        *condition,
         over_percent=float(100.0 * np.maximum(over_kw, 0.0).sum() / desired_kw.sum()),
         short_percent=float(100.0 * np.maximum(short_kw, 0.0).sum() / desired_kw.sum()),
     )
@@ -98,42 +91,3 @@ def failures(plan: RunPlan, rate_per_h: float, seed: int) -> tuple[FaultRule, ..
             found.append(FaultRule(kill=agent_name(node), at=(round(at_s, 1),)))
             at_s += draw.expovariate(rate_per_h / 3600.0)
     return tuple(found)
-
-
-def curve_tables(title: str, points: Sequence[Point]) -> list[Table]:
-    """Return a table of each measure: a row for each protection and repair time."""
-    return [
-        Table(
-            f"{name}, in % of the desired energy: {title}",
-            (
-                key_column("Protection"),
-                key_column("Back after"),
-                *(Column(f"{rate:g} /h", "", 3) for rate in RATES_PER_H),
-            ),
-            tuple(
-                (protection, repair_text(repair_s), *means(points, measure, protection, repair_s))
-                for protection in get_args(Protection)
-                for repair_s in REPAIRS_S
-            ),
-            ("Columns: how often each controller fails in an hour.",),
-        )
-        for measure, name in MEASURES.items()
-    ]
-
-
-def means(
-    points: Sequence[Point], measure: str, protection: Protection, repair_s: float
-) -> list[Cell]:
-    """Return the mean over the seeds at each failure rate."""
-    return [
-        fmean(
-            getattr(point, measure)
-            for point in points
-            if (point.protection, point.repair_s, point.rate_per_h) == (protection, repair_s, rate)
-        )
-        for rate in RATES_PER_H
-    ]
-
-
-def repair_text(repair_s: float) -> str:
-    return "never" if repair_s == inf else f"{repair_s:g} s"

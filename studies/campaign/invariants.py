@@ -102,8 +102,11 @@ def violations(
     cycle_s = plan.cycle_ns / 1e9
     longest = round(longest_s / cycle_s)
     settles = round(SETTLES_S / cycle_s) + plan.hold_cycles
-    yield from _bounded_above(plan, trace, healthy_kw, longest)
-    yield from _bounded_below(plan, trace, longest)
+    rating_kw = plan.tree.rating_kw("")
+    over_kw = trace.delivered_kw - np.maximum(trace.desired_kw, healthy_kw)
+    yield from _lasting("over-delivery", over_kw, OVER_SHARE * rating_kw, longest)
+    under_kw = _alone_kw(plan, trace) - trace.delivered_kw
+    yield from _lasting("under-delivery", under_kw, UNDER_SHARE * rating_kw, longest)
     yield from _settled(plan, trace, healthy_kw, round(last_fault_s / cycle_s) + settles)
     yield from _reverted(plan, trace)
     yield from _shared_out(plan, trace)
@@ -111,29 +114,19 @@ def violations(
         yield Violation("one authority", message.cycle, f"{port} has two setpoints in one cycle")
 
 
-def _bounded_above(
-    plan: RunPlan, trace: Trace, healthy_kw: NDArray[np.float64], longest: int
-) -> Iterator[Violation]:
-    """Check that over-delivery does not last."""
-    allowed_kw = np.maximum(trace.desired_kw, healthy_kw)
-    over_kw = trace.delivered_kw - allowed_kw
-    limit_kw = OVER_SHARE * plan.tree.rating_kw("")
-    yield from _lasting("over-delivery", over_kw, limit_kw, longest)
-
-
-def _bounded_below(plan: RunPlan, trace: Trace, longest: int) -> Iterator[Violation]:
-    """Check that not for long less is given than each inverter by itself would give."""
+def _alone_kw(plan: RunPlan, trace: Trace) -> NDArray[np.float64]:
+    """Return what all inverters would give if each acted by itself, shape (cycles,)."""
     rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves])
     mpp_kw = np.array([one.inverter_mpp_kw for one in trace.produced])
     desired_kw = np.clip(trace.desired_kw, 0.0, rating_kw.sum())
-    alone_kw = np.minimum(mpp_kw, desired_kw[:, None] * (rating_kw / rating_kw.sum())).sum(axis=1)
-    missing_kw = alone_kw - trace.delivered_kw
-    yield from _lasting("under-delivery", missing_kw, UNDER_SHARE * rating_kw.sum(), longest)
+    request_kw = desired_kw[:, None] * (rating_kw / rating_kw.sum())
+    return np.asarray(np.minimum(mpp_kw, request_kw).sum(axis=1))
 
 
 def _lasting(
     name: str, beyond_kw: NDArray[np.float64], limit_kw: float, longest: int
 ) -> Iterator[Violation]:
+    """Check that no power is above a limit for long."""
     since = 0
     for cycle, kw in enumerate(beyond_kw.tolist()):
         if kw <= limit_kw:

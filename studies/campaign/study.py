@@ -104,7 +104,8 @@ def rerun(campaign: Campaign, outcome: Outcome) -> Trace:
 def judge(campaign: Campaign, rules: tuple[FaultRule, ...], trace: Trace) -> list[Violation]:
     """Return the invariants that a run under some faults breaks."""
     plan = campaign.plan
-    last_s = _last_s(plan, rules)
+    # When all faults are over, and inverters have done what they were told.
+    last_s = max(map(_end_s, rules), default=0.0) + _slowest_s(plan)
     # Inverters that hear nothing more obey for the revert time. Where direct controllers live and
     # hear the plant, and somebody only divides on old reports, `hold_cycles` is the longest.
     hold_s = plan.hold_cycles * plan.cycle_ns / 1e9
@@ -124,11 +125,6 @@ def _tried(campaign: Campaign, rules: tuple[FaultRule, ...]) -> tuple[Trace, lis
     shorter = msgspec.structs.replace(plan, cycles=min(plan.cycles, last))
     trace = trace_of(shorter, campaign.profile, rules)
     return trace, judge(campaign, rules, trace)
-
-
-def _last_s(plan: RunPlan, rules: tuple[FaultRule, ...]) -> float:
-    """When the last of some faults is over, and inverters have done what they were told [s]."""
-    return max((_end_s(rule) for rule in rules), default=0.0) + _slowest_s(plan)
 
 
 def _slowest_s(plan: RunPlan) -> float:

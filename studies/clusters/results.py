@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 import plotly.graph_objects as go
 
-from studies.clusters.study import ClusterStudy
-from studies.clusters.worth import ClustersWorth
+from studies.clusters.study import ClusterStudy, ClustersWorth
 from studies.report.page import html_page
 from studies.report.style import BLACK, SCHEMES, ReportFigure, dress
 from studies.tables import Cell, Column, Table, key_column, word_column
@@ -50,7 +49,7 @@ def clusters_table(study: ClusterStudy) -> Table:
         ]
         for label, of_many in zip(labels, of_several, strict=False):
             rows.append((label, *(of_many(figure) if figure else None for figure in known)))
-    return Table(study.title, columns, tuple(rows), _LEGEND)
+    return Table(study.title, columns, rows, _LEGEND)
 
 
 def _figures(worth: ClustersWorth) -> tuple[float | None, ...]:
@@ -66,27 +65,25 @@ def _figures(worth: ClustersWorth) -> tuple[float | None, ...]:
 
 def orders_table(study: ClusterStudy) -> Table:
     """Return the control-caused shortfall of each order of help in the virtual clusters."""
-    return Table(
-        "Order of help in the virtual clusters",
-        (
-            key_column("order"),
-            *(Column("control-caused", f"% at {period_s:g} s", 4) for period_s in study.periods_s),
-        ),
-        tuple(
-            (name, *(shortfall.control_caused_percent for shortfall in worth.shortfalls))
-            for name, worth in study.orders.items()
-        ),
+    columns = (
+        key_column("order"),
+        *(Column("control-caused", f"% at {period_s:g} s", 4) for period_s in study.periods_s),
     )
+    rows: list[tuple[Cell, ...]] = [
+        (name, *(shortfall.control_caused_percent for shortfall in worth.shortfalls))
+        for name, worth in study.orders.items()
+    ]
+    return Table("Order of help in the virtual clusters", columns, rows)
 
 
 def members_table(study: ClusterStudy) -> Table:
     """Return the inverters of each cluster, for ways that choose the same ones each time."""
     rows = [
-        (name, "; ".join(" ".join(cluster) for cluster in worths[0].clusters))
+        (name, "; ".join(" ".join(cluster) for cluster in worths[0].members))
         for name, worths in study.ways.items()
         if len(worths) == 1
     ]
-    return Table("Members", (key_column("clusters"), word_column("inverters")), tuple(rows))
+    return Table("Members", (key_column("clusters"), word_column("inverters")), rows)
 
 
 def study_lines(study: ClusterStudy) -> list[str]:
@@ -113,31 +110,21 @@ def study_json(study: ClusterStudy, remarks: Sequence[str]) -> dict[str, object]
             {
                 "clusters": name,
                 "seed": seed if name == "random" else None,
-                **_json_row(study.periods_s, worth),
+                **_json_row(worth),
             }
             for name, worths in study.ways.items()
             for seed, worth in enumerate(worths, start=1)
         ],
-        "orders": [
-            {"order": name, **_json_row(study.periods_s, worth)}
-            for name, worth in study.orders.items()
-        ],
+        "orders": [{"order": name, **_json_row(worth)} for name, worth in study.orders.items()],
         "search": study.search,
     }
 
 
-def _json_row(periods_s: Sequence[float], worth: ClustersWorth) -> dict[str, object]:
+def _json_row(worth: ClustersWorth) -> dict[str, object]:
     return {
-        "members": worth.clusters,
-        "past_correlation": worth.past_correlation,
-        "run_correlation": worth.run_correlation,
-        "help": worth.help,
+        **asdict(worth),
         "central_percent": worth.help.plant.central_percent,
         "central_percent_if_plant_sufficient": worth.help.plant_sufficient.central_percent,
-        "shortfalls": [
-            {"central_period_s": period_s, **asdict(shortfall)}
-            for period_s, shortfall in zip(periods_s, worth.shortfalls, strict=True)
-        ],
     }
 
 

@@ -14,7 +14,7 @@ import msgspec
 
 from bus_schemas.errors import InputError
 from bus_schemas.times import read_time
-from launch_scripts.scenarios.fields import place_and_objection, readable
+from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import (
     Scenario,
@@ -142,34 +142,16 @@ def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) ->
     document = msgspec.to_builtins(scenario.scenario, builtin_types=(datetime,))
     for field, value in chosen:
         _put(document, field, value)
+    settings = " ".join(f"--set {field}={value}" for field, value in chosen)
     try:
         changed = msgspec.convert(document, Scenario, str_keys=True)
-        check_scenario(changed, _in_words(chosen))
+        check_scenario(changed, settings)
     except msgspec.ValidationError as error:
-        words = _in_words(_to_blame(chosen, error) or chosen)
-        raise InputError(f"{words}: {readable(error, Scenario, document)}") from None
+        raise InputError(f"{settings}: {readable(error, Scenario, document)}") from None
     stated = msgspec.toml.decode(scenario.text)
     for field, value in chosen:
         _put(stated, field, value)
     return msgspec.structs.replace(scenario, scenario=changed, text=toml_text(stated))
-
-
-def _in_words(chosen: Sequence[tuple[str, str]]) -> str:
-    return " ".join(f"--set {field}={value}" for field, value in chosen)
-
-
-def _to_blame(
-    chosen: Sequence[tuple[str, str]], error: msgspec.ValidationError
-) -> list[tuple[str, str]]:
-    """Return the settings that an error is about; none, where it does not tell."""
-    where, objection = place_and_objection(error)
-    unknown = re.findall(r"unknown field `(.*)`", objection)
-    place = ".".join([*filter(None, [where]), *unknown])
-    return [
-        (field, value)
-        for field, value in chosen
-        if f"{field}.".startswith(f"{place}.") or f"{place}.".startswith(f"{field}.")
-    ]
 
 
 def _put(document: dict[str, Any], field: str, value: str) -> None:

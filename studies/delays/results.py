@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from itertools import takewhile
 from typing import Final, get_args
 
-import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 from rich.console import Console
 
@@ -16,7 +15,7 @@ from studies.compare.study import remarks_of
 from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble, counted_s
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
 from studies.report.page import html_page
-from studies.report.style import SCHEMES, ReportFigure, dress
+from studies.report.style import SCHEMES, ReportFigure, dress, marked_line
 from studies.tables import Column, Table, key_column, print_lines, print_table
 
 BEARABLE_PERCENT: Final = 1.0
@@ -47,16 +46,10 @@ _FRAME_PX: Final = 120
 
 def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: Console) -> None:
     """Print the tables, and how much of each trouble is survived."""
-    print_lines(console, [study_title(preparation), *study_notes(preparation), ""])
+    print_lines(console, [preparation.title(), *study_notes(preparation), ""])
     for trouble in VALUES:
         print_table(console, trouble_table(trouble, outcomes))
     print_lines(console, survived(outcomes))
-
-
-def study_title(preparation: Preparation) -> str:
-    plan = preparation.plan
-    length = f"{plan.cycles:,} cycles of {plan.cycle_ns / 1e9:g} s"
-    return f"{plan.plant} from {preparation.local_start()}, {length}"
 
 
 def study_notes(preparation: Preparation) -> tuple[str, ...]:
@@ -110,7 +103,7 @@ def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
         Column("absent", "%", 1, name="missed_percent"),
         Column("old inputs", name="old_inputs"),
     )
-    rows = tuple(
+    rows = [
         (
             f"{one.value:g}",
             one.scheme,
@@ -120,7 +113,7 @@ def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
         )
         for one in outcomes
         if one.trouble == trouble
-    )
+    ]
     return Table(title, columns, rows)
 
 
@@ -130,7 +123,7 @@ def _has_value(merit: str, outcomes: Sequence[Outcome]) -> bool:
 
 
 def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
-    title = f"{study_title(preparation)}: delay, loss and a slow central controller"
+    title = f"{preparation.title()}: delay, loss and a slow central controller"
     notes = [*study_notes(preparation), *survived(outcomes)]
     tables = [trouble_table(trouble, outcomes) for trouble in VALUES]
     return html_page(title, notes, [_study_figure(outcomes), *tables])
@@ -150,19 +143,16 @@ def _study_figure(outcomes: Sequence[Outcome]) -> ReportFigure:
         for column, (trouble, (_, measure, unit)) in enumerate(TROUBLES.items(), start=1):
             for colour, scheme in zip(SCHEMES, get_args(Scheme), strict=False):
                 found = column_of(outcomes, trouble, scheme)
-                trace = go.Scatter(
-                    x=list(range(len(found))),
-                    y=[one.figures[merit] for one in found],
-                    name=scheme,
-                    legendgroup=scheme,
+                line = marked_line(
+                    list(range(len(found))),
+                    [one.figures[merit] for one in found],
+                    scheme,
+                    colour,
                     showlegend=row == column == 1,
-                    mode="lines+markers",
-                    line={"color": colour, "width": 1.6},
-                    marker={"color": colour, "size": 5},
                     customdata=[one.value for one in found],
                     hovertemplate="%{customdata:g}: %{y:.4g}<extra>" + scheme + "</extra>",
                 )
-                figure.add_trace(trace, row, column)
+                figure.add_trace(line, row, column)
             figure.update_xaxes(
                 row=row,
                 col=column,

@@ -64,8 +64,8 @@ def residuals(series: RunSeries) -> style.ReportFigure:
         col=1,
     )
     worst_kw = np.fmin.reduce(series.residual_kw, axis=1)
-    line = style.time_line(series, worst_kw, name="worst", line={"color": style.BLUE, "width": 1.2})
-    figure.add_trace(line, row=2, col=1)
+    blue = {"color": style.BLUE, "width": 1.2}
+    figure.add_trace(style.time_line(series, worst_kw, "worst", blue), row=2, col=1)
     style.dress(figure, map_px + 230, legend=False)
     style.list_names(figure, count, row=1, col=1)
     figure.update_yaxes(title_text="worst [kW]", row=2, col=1)
@@ -135,7 +135,7 @@ def help_energy(series: Sequence[RunSeries]) -> style.ReportFigure:
     )
     style.list_names(figure, len(names))
     figure.update_xaxes(title_text="energy [kWh]", zeroline=True)
-    style.share_axis(figure, "x")
+    figure.update_xaxes(matches="x")
     return style.ReportFigure(
         "help-energy",
         "Energy above and below the share, inverter by inverter",
@@ -175,15 +175,10 @@ def virtual_neighbours(series: RunSeries) -> style.ReportFigure | None:
         return None
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.07)
     for inverter, colour in ((passage.shaded, style.ORANGE), (passage.helping, style.BLUE)):
-        look = {
-            "name": style.plain(series.inverters[inverter]),
-            "line": {"color": colour, "width": 2},
-        }
-        impp = style.time_line(series, series.impp_kw[:, inverter], passage.cycles, **look)
-        alpha = style.time_line(
-            series, series.alpha[:, inverter], passage.cycles, showlegend=False, **look
-        )
-        alpha.hovertemplate = "%{y:.3f}"
+        shown = series.inverters[inverter], {"color": colour, "width": 2}, passage.cycles
+        impp = style.time_line(series, series.impp_kw[:, inverter], *shown)
+        of_alpha = {"showlegend": False, "hovertemplate": "%{y:.3f}"}
+        alpha = style.time_line(series, series.alpha[:, inverter], *shown, **of_alpha)
         figure.add_trace(impp, row=1, col=1)
         figure.add_trace(alpha, row=2, col=1)
     # The request made of the two, as one line where it is the same of both.
@@ -191,9 +186,9 @@ def virtual_neighbours(series: RunSeries) -> style.ReportFigure | None:
     same = series.rating_kw[pair[0]] == series.rating_kw[pair[1]]
     request_kw = series.impp_kw - series.residual_kw
     for inverter, dash in zip(pair[:1] if same else pair, ("dash", "dot"), strict=False):
-        name = "request" if same else style.plain(f"request of {series.inverters[inverter]}")
-        look = {"name": name, "line": {"color": style.BLACK, "width": 1.2, "dash": dash}}
-        request = style.time_line(series, request_kw[:, inverter], passage.cycles, **look)
+        name = "request" if same else f"request of {series.inverters[inverter]}"
+        line = {"color": style.BLACK, "width": 1.2, "dash": dash}
+        request = style.time_line(series, request_kw[:, inverter], name, line, passage.cycles)
         figure.add_trace(request, row=1, col=1)
     style.dress(figure, 520)
     figure.update_yaxes(title_text="IMPP [kW]", rangemode="tozero", row=1, col=1)

@@ -30,19 +30,14 @@ _TEMPLATES: Final = Environment(
 
 
 class _Section(NamedTuple):
-    """A table or a figure as the template needs it."""
+    """What the template needs: a table in parts, or a figure with its Plotly data and layout."""
 
     anchor: str
     heading: str
     parts: Sequence[Table] = ()
     small: bool = False
     figure: ReportFigure | None = None
-
-    @property
-    def data(self) -> Markup:
-        """Plotly's `data` and `layout`. Only "<" could end a script element, or begin a comment."""
-        assert self.figure is not None
-        return Markup(self.figure.figure.to_json().replace("<", "\\u003c"))
+    data: Markup = Markup()
 
 
 def html_page(
@@ -79,4 +74,6 @@ def _sections(content: Sequence[Content]) -> Iterator[_Section]:
             yield _Section(f"table-{tables}", heading, parts, small)
         else:
             figures += 1
-            yield _Section(one.anchor, f"Figure {figures}. {one.heading}", figure=one)
+            # Only "<" could end a script element, or begin a comment.
+            data = Markup(one.figure.to_json().replace("<", "\\u003c"))
+            yield _Section(one.anchor, f"Figure {figures}. {one.heading}", figure=one, data=data)

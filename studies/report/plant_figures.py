@@ -22,26 +22,19 @@ _CLOSE_LOOK_S = 600.0
 # An error this small is rounding, not control: the allocation is exact to the same power.
 _ROUNDING_KW = 1e-6
 
+_POINTS = 600
+
 
 def possible_power(series: Sequence[RunSeries]) -> style.ReportFigure:
     """Draw possible power against commitment, desired and delivered power."""
     first = series[0]
     sand, grey = {"color": style.SAND, "width": 1}, {"color": style.GREY, "width": 1}
-    area = {"fill": "tozeroy", "fillcolor": style.faint(style.SAND, 0.5), "line": sand}
-    lines = [style.time_line(first, first.possible_kw, name="possible", **area)]
+    area = {"fill": "tozeroy", "fillcolor": style.faint(style.SAND, 0.5)}
+    lines = [style.time_line(first, first.possible_kw, "possible", sand, **area)]
     if _asks_regulation(first):
-        name = "desired, with regulation"
-        lines.append(style.time_line(first, first.desired_kw, name=name, line=grey))
-    lines += [
-        style.time_line(
-            one,
-            one.delivered_kw,
-            name=_of("delivered", one, series),
-            line=style.scheme_line(position),
-        )
-        for position, one in enumerate(series)
-    ]
-    lines.append(style.time_line(first, first.commitment_kw, name="commitment", line=_DASHED))
+        lines.append(style.time_line(first, first.desired_kw, "desired, with regulation", grey))
+    lines += _delivered_lines(series)
+    lines.append(style.time_line(first, first.commitment_kw, "commitment", _DASHED))
     figure = style.dress(go.Figure(lines), 420)
     figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero")
     style.label_time_axis(figure, first)
@@ -66,27 +59,17 @@ def delivered_and_support(series: Sequence[RunSeries]) -> style.ReportFigure:
         vertical_spacing=0.18 / count,
         subplot_titles=[style.plain(one.label) if count > 1 else "" for one in series],
     )
-    for position, one in enumerate(series):
+    red = {"color": style.SUPPORT, "width": 1}
+    area = {"fill": "tozeroy", "fillcolor": style.faint(style.SUPPORT)}
+    for row, (one, delivered) in enumerate(
+        zip(series, _delivered_lines(series), strict=True), start=1
+    ):
         # One entry in the legend is enough for what all panels have.
-        of_all = {"showlegend": position == 0}
-        red = {
-            "fillcolor": style.faint(style.SUPPORT),
-            "line": {"color": style.SUPPORT, "width": 1},
-        }
-        support = style.time_line(
-            one,
-            one.support_kw,
-            name="support needed",
-            legendgroup="support",
-            fill="tozeroy",
-            **red,
-            **of_all,
-        )
-        name, line = _of("delivered", one, series), style.scheme_line(position)
-        delivered = style.time_line(one, one.delivered_kw, name=name, line=line)
-        desired = {"name": "desired", "legendgroup": "desired", "line": _DASHED, **of_all}
-        for trace in (support, delivered, style.time_line(one, one.desired_kw, **desired)):
-            figure.add_trace(trace, row=position + 1, col=1)
+        once = {"showlegend": row == 1}
+        support = style.time_line(one, one.support_kw, "support needed", red, **area, **once)
+        desired = style.time_line(one, one.desired_kw, "desired", _DASHED, **once)
+        for line in (support, delivered, desired):
+            figure.add_trace(line, row, 1)
     style.dress(figure, 110 + _PANEL_PX * count)
     # A range that holds delivered and desired power of all runs, and zero.
     curves = [curve for one in series for curve in (one.delivered_kw, one.desired_kw)]
@@ -94,7 +77,7 @@ def delivered_and_support(series: Sequence[RunSeries]) -> style.ReportFigure:
     greatest_kw = max(float(np.nanmax(curve)) for curve in curves)
     range_kw = [least_kw, greatest_kw + 0.05 * (greatest_kw - least_kw)]
     figure.update_yaxes(title_text="power [kW]", range=range_kw)
-    style.share_axis(figure, "y")
+    figure.update_yaxes(matches="y")
     if count > 1:  # The legend stands above the title of the first panel.
         figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * count), margin_t=70)
     style.label_time_axis(figure, series[0], rows=count)
@@ -111,30 +94,31 @@ def delivered_and_support(series: Sequence[RunSeries]) -> style.ReportFigure:
     )
 
 
+def _delivered_lines(series: Sequence[RunSeries]) -> list[go.Scatter]:
+    return [
+        style.time_line(
+            one, one.delivered_kw, _of("delivered", one, series), style.scheme_line(position)
+        )
+        for position, one in enumerate(series)
+    ]
+
+
 def _of(what: str, one: RunSeries, series: Sequence[RunSeries]) -> str:
     """Name a line of one run in the legend."""
-    return what if len(series) == 1 else style.plain(f"{what}, {one.label}")
+    return what if len(series) == 1 else f"{what}, {one.label}"
 
 
 def tracking_error(series: Sequence[RunSeries]) -> style.ReportFigure:
     """Draw how often the delivered power was how far from the desired power."""
-    figure = go.Figure()
-    exact = []
+    exact, lines = [], []
     for position, one in enumerate(series):
         missed_kw = (one.delivered_kw - one.desired_kw)[one.known]
         exact.append(f"{one.label} {100.0 * np.mean(np.abs(missed_kw) <= _ROUNDING_KW):.1f} %")
         error_kw, share = folded_distribution(missed_kw)
-        figure.add_scatter(
-            x=error_kw,
-            y=100.0 * share,
-            mode="lines",
-            name=style.plain(one.label),
-            showlegend=True,
-            connectgaps=False,
-            line=style.scheme_line(position),
-            hovertemplate="%{x:,.1f} kW or farther: %{y:.3g} %",
-        )
-    style.dress(figure, 380)
+        line = style.curve(error_kw, 100.0 * share, one.label, style.scheme_line(position))
+        line.update(showlegend=True, hovertemplate="%{x:,.1f} kW or farther: %{y:.3g} %")
+        lines.append(line)
+    figure = style.dress(go.Figure(lines), 380)
     figure.update_xaxes(title_text="delivered less desired power [kW]", zeroline=True)
     figure.update_yaxes(title_text="share of cycles [%]", type="log", dtick=1)
     return style.ReportFigure(
@@ -148,31 +132,29 @@ def tracking_error(series: Sequence[RunSeries]) -> style.ReportFigure:
 
 
 def folded_distribution(
-    error_kw: NDArray[np.float64], points: int = 600
+    error_kw: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the cumulative distribution of an error, folded at zero.
 
     For each error, ascending, the share that lies at least as far from zero on the same side. One
-    NaN parts the two sides, which have at most so many points each, closest together in the tails.
+    NaN parts the two sides, which have at most 600 points each, closest together in the tails.
     Errors that are but rounding (up to 1e-6 kW) belong to neither.
     """
-    low_kw, low_share = _tail(-error_kw, points)
-    high_kw, high_share = _tail(error_kw, points)
+    low_kw, low_share = _tail(-error_kw)
+    high_kw, high_share = _tail(error_kw)
     return (
         np.concatenate([-low_kw, [np.nan], high_kw[::-1]]),
         np.concatenate([low_share, [np.nan], high_share[::-1]]),
     )
 
 
-def _tail(
-    error_kw: NDArray[np.float64], points: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _tail(error_kw: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return errors above zero, descending, and the share of all that is at least as large."""
     ascending = np.sort(error_kw[error_kw > _ROUNDING_KW])
     count = len(ascending)
     if count == 0:
         return ascending, ascending
-    ranks = np.unique(np.geomspace(1, count, points).astype(int))
+    ranks = np.unique(np.geomspace(1, count, _POINTS).astype(int))
     kept = np.unique(ascending[count - ranks])[::-1]
     return kept, (count - np.searchsorted(ascending, kept)) / len(error_kw)
 
@@ -193,16 +175,14 @@ def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
         subplot_titles=["whole run", f"from {style.clock_text(first, worst.start)}"],
     )
     for row, cycles in enumerate((range(first.cycles), worst), start=1):
+        once = {"showlegend": row == 1}
         for place, one in following.items():
             given_kw, name = one.delivered_kw - one.commitment_kw, _of("given", one, series)
-            look = {"name": name, "legendgroup": name, "showlegend": row == 1}
-            figure.add_trace(
-                style.time_line(one, given_kw, cycles, line=style.scheme_line(place), **look),
-                row,
-                1,
-            )
-        look = {"name": "asked", "legendgroup": "asked", "showlegend": row == 1, "line": _DASHED}
-        figure.add_trace(style.time_line(first, first.regulation_kw, cycles, **look), row, 1)
+            look = style.scheme_line(place)
+            given = style.time_line(one, given_kw, name, look, cycles, **once)
+            figure.add_trace(given, row, 1)
+        asked = style.time_line(first, first.regulation_kw, "asked", _DASHED, cycles, **once)
+        figure.add_trace(asked, row, 1)
     style.dress(figure, 580)
     figure.update_layout(legend_y=1.05, margin_t=70)
     capacity_kw = first.regulation_capacity_kw

@@ -36,6 +36,7 @@ from studies.report.plant_figures import (
 )
 from studies.report.style import ReportFigure
 from studies.report.tables import devices_tables, health_table, metrics_tables
+from studies.tables import counted
 from sunspec.process import read_accounts
 
 REPORT_NAME: Final = "report.html"
@@ -116,7 +117,7 @@ def run_line(plan: RunPlan) -> str:
     clustered = f" in {len(sizes)} clusters ({_sizes(sizes)})" if len(sizes) > 1 else ""
     pace = f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}" if plan.cycle_wall_ns else "lockstep"
     parts = (
-        f"Scenario {plan.plant}: {_count(len(plan.inverters), 'inverter')}{clustered}",
+        f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')}{clustered}",
         f"scheme {plan.scheme}",
         f"actuator {plan.actuator}",
         pace,
@@ -139,9 +140,9 @@ def _plant_line(series: Sequence[RunSeries]) -> str:
     """Return the first line where only the series are known."""
     first = series[0]
     named = [name for name in clusters(first) if name]
-    grouped = f" in {_count(len(named), 'cluster')}" if named else ""
+    grouped = f" in {counted(len(named), 'cluster')}" if named else ""
     labels = "; ".join(one.label for one in series)
-    return f"{_count(len(first.inverters), 'inverter')}{grouped}, {labels}."
+    return f"{counted(len(first.inverters), 'inverter')}{grouped}, {labels}."
 
 
 def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
@@ -152,7 +153,7 @@ def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
         missing = one.cycles - int(one.known.sum())
         if missing:
             lines.append(
-                f"{one.label}: {_count(missing, 'cycle')} without dispatch or production in the "
+                f"{one.label}: {counted(missing, 'cycle')} without dispatch or production in the "
                 "recording. They are gaps in the figures and do not count in the tables."
             )
     return lines
@@ -189,10 +190,6 @@ def when(one: RunSeries) -> str:
     end = begin + pd.Timedelta(seconds=one.cycles * one.cycle_s)
     last = f"{end:%H:%M:%S}" if end.date() == begin.date() else f"{end.day} {end:%B %Y %H:%M:%S}"
     return (
-        f"{_count(one.cycles, 'cycle')} of {one.cycle_s:g} s, {begin.day} {begin:%B %Y}, "
+        f"{counted(one.cycles, 'cycle')} of {one.cycle_s:g} s, {begin.day} {begin:%B %Y}, "
         f"{begin:%H:%M:%S} to {last} {begin:%Z}"
     )
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number:,} {noun}{'' if number == 1 else 's'}"

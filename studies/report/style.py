@@ -7,9 +7,9 @@ apart ("Color Universal Design", 2008, https://jfly.uni-koeln.de/color/).
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import plotly.graph_objects as go
@@ -106,17 +106,24 @@ def plain(text: str) -> str:
 
 
 def curve(
-    x: Sequence[object],
-    y: Sequence[object],
-    name: str,
-    colour: str,
-    width: float = 1.5,
-    dash: str = "solid",
-    **look: object,
+    x: object, y: object, name: str, line: Mapping[str, object], **look: object
 ) -> go.Scatter:
-    """Return a line; `look` are further properties of a Plotly scatter trace."""
-    line = {"color": colour, "width": width, "dash": dash}
-    return go.Scatter(x=x, y=y, name=name, mode="lines", line=line, **look)
+    """Return a line; `look` are further properties of a Plotly scatter trace.
+
+    Where that says `showlegend`, one entry in the legend stands for the lines of several panels.
+    """
+    own: dict[str, object] = {"mode": "lines", "name": plain(name), "line": line}
+    if "showlegend" in look:
+        own["legendgroup"] = name
+    return go.Scatter(x=x, y=y, **{**own, **look})
+
+
+def marked_line(
+    x: Sequence[float], y: Sequence[float | None], name: str, colour: str, **look: object
+) -> go.Scatter:
+    """Return a line with a mark at each point."""
+    line, marker = {"color": colour, "width": 1.6}, {"color": colour, "size": 5}
+    return curve(x, y, name, line, mode="lines+markers", marker=marker, **look)
 
 
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:
@@ -140,6 +147,8 @@ def clock_text(series: RunSeries, cycle: int) -> str:
 def time_line(
     series: RunSeries,
     values: NDArray[np.float64],
+    name: str,
+    line: Mapping[str, object],
     cycles: range | None = None,
     /,
     **look: object,
@@ -147,13 +156,8 @@ def time_line(
     """Return a line of one value a cycle, in all cycles or some, thinned out for a screen."""
     shown = cycles or range(series.cycles)
     rows = shown.start + extremes(values[shown.start : shown.stop])
-    return go.Scatter(
-        x=clock_ms(series)[rows],
-        y=values[rows].astype(np.float32),
-        mode="lines",
-        hovertemplate="%{y:,.1f}",
-        **look,
-    )
+    times_ms, kw = clock_ms(series)[rows], values[rows].astype(np.float32)
+    return curve(times_ms, kw, name, line, **{"hovertemplate": "%{y:,.1f}", **look})
 
 
 def thinning_note(cycles: int) -> str:
@@ -214,14 +218,6 @@ def name_px(count: int) -> int:
     if count > _MOST_NAMES:
         return max(1, 1800 // count)
     return _ROOMY_PX if count <= _FEW_NAMES else _TIGHT_PX
-
-
-def share_axis(figure: go.Figure, letter: Literal["x", "y"]) -> None:
-    """Make the panels of a figure keep the same range, also when one is zoomed."""
-    for axis in figure.select_xaxes() if letter == "x" else figure.select_yaxes():
-        # The first axis must not match itself.
-        if axis.plotly_name != f"{letter}axis":
-            axis.matches = letter
 
 
 def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None:

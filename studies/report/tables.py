@@ -12,7 +12,7 @@ from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import runs_as_columns, shown_in
-from studies.tables import Column, Table, key_column, word_column
+from studies.tables import Column, Table, attributes, key_column, word_column
 from sunspec.process import DeviceAccount
 
 _COMMITMENT_NOTE: Final = (
@@ -49,26 +49,19 @@ def health_table(run: RunReader) -> Table:
 def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
     """Return the table of how fast a run's real inverters answered; none where it had none."""
     columns = (
-        key_column("device"),
-        *(
-            Column(f"{what}{figure}", unit, decimals)
-            for what in ("reads", "writes")
-            for figure, unit, decimals in (("", "", 0), (" p50", "ms", 1), (" p99", "ms", 1))
-        ),
+        key_column("device", "node"),
+        Column("reads", name="reads.count"),
+        Column("reads p50", "ms", 1, name="reads.p50_ms"),
+        Column("reads p99", "ms", 1, name="reads.p99_ms"),
+        Column("writes", name="writes.count"),
+        Column("writes p50", "ms", 1, name="writes.p50_ms"),
+        Column("writes p99", "ms", 1, name="writes.p99_ms"),
         Column("late"),
         Column("refused"),
         Column("breaks"),
-        Column("gone for", "s", 1),
+        Column("gone for", "s", 1, name="gone_s"),
     )
-    rows = tuple(
-        (
-            device.node,
-            *(device.reads.count, device.reads.p50_ms, device.reads.p99_ms),
-            *(device.writes.count, device.writes.p50_ms, device.writes.p99_ms),
-            *(device.late, device.refused, device.breaks, device.gone_s),
-        )
-        for device in devices
-    )
+    rows = attributes(devices, columns)
     notes = (
         "how long it takes over Modbus to read all that is needed, and to write a limit",
         "late: readings that came after the end of their cycle",

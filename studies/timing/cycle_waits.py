@@ -8,7 +8,7 @@ message; it includes the hop between the two agents and the decision.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -76,72 +76,64 @@ class CycleWaits(NamedTuple):
 
 
 def cycle_waits(messages: MessageTimes, stages: Iterable[StageTimes], cycle: int) -> CycleWaits:
-    """Return the waits of a cycle that the plant has ended."""
-    found = _Cycle(messages, stages, cycle)
-    chain = tuple(found.chain())[::-1]
-    waits = tuple(found.wait(stage, found.last(stage)) for stage in found.stages)
-    return CycleWaits(cycle, chain[-1].ended_ns, chain, waits)
+    """Return the waits of a cycle that the plant has ended.
+
+    The chain follows the causes from the plant's production back to the tick. A message that came
+    too late counts up to the moment when nobody waited for it any more.
+    """
+    closed = [stage for stage in stages if stage.closed[cycle]]
+    waits = {(stage.agent, stage.name): _wait(messages, closed, stage, cycle) for stage in closed}
+    left, chain = dict(waits), list[Wait]()
+    message: Port[Message] | None = PRODUCTION.of(ROOT)
+    while message is not None:
+        wait = left.pop((message.publisher, stage_of(message, messages.plan.tree)), None)
+        if wait is None:
+            break
+        ended_ns = _published_ns(messages, message, cycle)
+        if chain:
+            ended_ns = min(ended_ns, chain[-1].ended_ns)
+        began_ns = min(wait.began_ns, ended_ns)
+        chain.append(wait._replace(message=message, began_ns=began_ns, ended_ns=ended_ns))
+        message = wait.cause
+    return CycleWaits(cycle, chain[0].ended_ns, tuple(chain[::-1]), tuple(waits.values()))
 
 
-class _Cycle:
-    """One cycle of a run; times are after its scheduled tick [ns]."""
+def _wait(
+    messages: MessageTimes, closed: Iterable[StageTimes], stage: StageTimes, cycle: int
+) -> Wait:
+    """Return the wait of a stage up to its last message."""
+    cause, message = _cause(stage, closed, cycle), _last(stage, cycle)
+    ended_ns = _published_ns(messages, message, cycle)
+    began_ns = 0 if cause is None else min(_published_ns(messages, cause, cycle), ended_ns)
+    missing = np.flatnonzero(stage.without[cycle])
+    without = tuple(sorted(str(stage.inputs[place]) for place in missing))
+    return Wait(stage.agent, stage.name, cause, message, began_ns, ended_ns, without)
 
-    def __init__(self, messages: MessageTimes, stages: Iterable[StageTimes], cycle: int) -> None:
-        self._messages = messages
-        self._cycle = cycle
-        self.stages = [stage for stage in stages if stage.closed[cycle]]
 
-    def chain(self) -> Iterator[Wait]:
-        """Follow the causes from the plant's production back to the tick.
+def _cause(stage: StageTimes, closed: Iterable[StageTimes], cycle: int) -> Port[Message] | None:
+    """Return what a stage waited for last; None if the clock closed it.
 
-        A message that came too late counts up to the moment when nobody waited for it any more.
-        """
-        by_name = {(stage.agent, stage.name): stage for stage in self.stages}
-        message: Port[Message] | None = PRODUCTION.of(ROOT)
-        until_ns: int | None = None
-        while message is not None:
-            place = message.publisher, stage_of(message, self._messages.plan.tree)
-            stage = by_name.pop(place, None)
-            if stage is None:
-                return
-            wait = self.wait(stage, message, until_ns)
-            yield wait
-            message, until_ns = wait.cause, wait.ended_ns
+    For a stage that closed at its deadline this is the input that came too late. A stage that
+    awaits nothing follows the agent's stage before it.
+    """
+    if stage.lacking[cycle]:
+        late_ns = np.where(stage.without[cycle], stage.input_ns[cycle], 0)
+        return stage.inputs[int(late_ns.argmax())] if late_ns.any() else None
+    if stage.awaited[cycle].any():
+        came = stage.completed_ns[cycle] > 0
+        return stage.inputs[int(stage.cause[cycle])] if came else None
+    before = [
+        other
+        for other in closed
+        if other.agent == stage.agent and other.last_ns[cycle] < stage.first_ns[cycle]
+    ]
+    return _last(max(before, key=lambda other: other.last_ns[cycle]), cycle) if before else None
 
-    def wait(self, stage: StageTimes, message: Port[Message], until_ns: int | None = None) -> Wait:
-        """Return the wait of a stage up to one of its messages, at most up to a moment."""
-        cause, began_ns, ended_ns = self._cause(stage), 0, self._published_ns(message)
-        if until_ns is not None:
-            ended_ns = min(ended_ns, until_ns)
-        if cause is not None:
-            began_ns = min(self._published_ns(cause), ended_ns)
-        missing = np.flatnonzero(stage.without[self._cycle])
-        without = tuple(sorted(str(stage.inputs[place]) for place in missing))
-        return Wait(stage.agent, stage.name, cause, message, began_ns, ended_ns, without)
 
-    def _cause(self, stage: StageTimes) -> Port[Message] | None:
-        """Return what a stage waited for last; None if the clock closed it.
+def _last(stage: StageTimes, cycle: int) -> Port[Message]:
+    return stage.outputs[int(stage.last[cycle])]
 
-        For a stage that closed at its deadline this is the input that came too late. A stage that
-        awaits nothing follows the agent's stage before it.
-        """
-        cycle = self._cycle
-        if stage.lacking[cycle]:
-            late_ns = np.where(stage.without[cycle], stage.input_ns[cycle], 0)
-            return stage.inputs[int(late_ns.argmax())] if late_ns.any() else None
-        if stage.awaited[cycle].any():
-            came = stage.completed_ns[cycle] > 0
-            return stage.inputs[int(stage.cause[cycle])] if came else None
-        before = [
-            other
-            for other in self.stages
-            if other.agent == stage.agent and other.last_ns[cycle] < stage.first_ns[cycle]
-        ]
-        return self.last(max(before, key=lambda other: other.last_ns[cycle])) if before else None
 
-    def last(self, stage: StageTimes) -> Port[Message]:
-        """Return where a stage published its last message."""
-        return stage.outputs[int(stage.last[self._cycle])]
-
-    def _published_ns(self, port: Port[Message]) -> int:
-        return int((self._messages.published_ns(port) - self._messages.tick_ns)[self._cycle])
+def _published_ns(messages: MessageTimes, port: Port[Message], cycle: int) -> int:
+    """Return when a message was published, after the scheduled tick of its cycle."""
+    return int((messages.published_ns(port) - messages.tick_ns)[cycle])

@@ -14,7 +14,6 @@ from bus_schemas.tree import CENTRAL, PLANT, ControlTree, some_of
 from studies.report import style
 from studies.report.decimation import extremes
 from studies.report.page import html_page
-from studies.report.tables import devices_tables
 from studies.timing import tables
 from studies.timing.budgets import Verdict
 from studies.timing.cycle_waits import CycleWaits, Wait
@@ -80,10 +79,7 @@ def run_page(reported: Reported) -> str:
             *waits,
             *([loop_figure(reported)] if report.cycles else []),
             *curves,
-            *tables.times_tables(report),
-            *tables.clocks_tables(report.clocks),
-            tables.counts_table(report.tiers),
-            *devices_tables(report.devices),
+            *tables.measured_tables(report),
             tables.budgets_table(report.verdicts),
             tables.processes_table(report.processes),
         ],
@@ -118,9 +114,8 @@ def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> style.Rep
     for earlier, later in pairwise(cycle.chain):
         times_ms += [earlier.ended_ns / 1e6, earlier.ended_ns / 1e6, None]
         agents += [earlier.agent, later.agent, None]
-    messages = style.curve(
-        times_ms, agents, "messages of the chain", style.VERMILLION, 1, "dot", hoverinfo="skip"
-    )
+    dotted = {"color": style.VERMILLION, "width": 1, "dash": "dot"}
+    messages = style.curve(times_ms, agents, "messages of the chain", dotted, hoverinfo="skip")
     figure = go.Figure(
         [
             _bars(others, "others", style.faint(style.BLUE, 0.35)),
@@ -178,8 +173,9 @@ def loop_figure(reported: Reported) -> style.ReportFigure:
     times_ms = timing.loop_ns / 1e6
     rows = extremes(times_ms)
     seconds = (timing.loop_cycles[rows] / report.rate_hz).tolist()
-    line = style.curve(seconds, times_ms[rows].tolist(), "loop time", style.BLUE, 1.2)
-    line.hovertemplate = "%{x:,.1f} s: %{y:.2f} ms"
+    blue, hover = {"color": style.BLUE, "width": 1.2}, "%{x:,.1f} s: %{y:.2f} ms"
+    times = times_ms[rows].tolist()
+    line = style.curve(seconds, times, "loop time", blue, hovertemplate=hover)
     ends = [seconds[0], seconds[-1]]
     figure = go.Figure([line, *_budgets(report.verdicts, [(LOOP, WHOLE_LOOP)], ends)])
     style.dress(figure, _CURVES_PX)
@@ -201,17 +197,12 @@ def percentile_figure(
     for place, row in enumerate(rows):
         shares, values_ms = curve_ms(row.times)
         least = min(least, *shares)
-        lines.append(
-            go.Scatter(
-                x=[1.0 / share for share in shares],
-                y=values_ms,
-                name=style.plain(f"{row.measure} {row.of}" if several else row.of),
-                mode="lines",
-                line={**style.scheme_line(place), "width": 1.8, "shape": "hv"},
-                customdata=[100.0 * (1.0 - share) for share in shares],
-                hovertemplate="%{customdata:.4g} %: %{y:.3f} ms",
-            )
-        )
+        name = f"{row.measure} {row.of}" if several else row.of
+        line = {**style.scheme_line(place), "width": 1.8, "shape": "hv"}
+        curve = style.curve([1.0 / share for share in shares], values_ms, name, line)
+        curve.customdata = [100.0 * (1.0 - share) for share in shares]
+        curve.hovertemplate = "%{customdata:.4g} %: %{y:.3f} ms"
+        lines.append(curve)
     judged = [(row.measure, row.of) for row in rows]
     figure = go.Figure([*lines, *_budgets(verdicts, judged, [1.0, 100.0])])
     style.dress(figure, _CURVES_PX)
@@ -243,7 +234,8 @@ def _budgets(
     lines = []
     for place, (limit_ms, names) in enumerate(sorted(found.items())):
         name, dash = f"budget {limit_ms:g} ms", ("dash", "dot", "solid")[place % 3]
-        line = style.curve(ends, [limit_ms, limit_ms], name, style.BLACK, 1.3, dash)
+        look = {"color": style.BLACK, "width": 1.3, "dash": dash}
+        line = style.curve(ends, [limit_ms, limit_ms], name, look)
         line.hovertemplate = f"{name}: {style.plain(some_of(names, 3))}<extra></extra>"
         lines.append(line)
     return lines
@@ -256,12 +248,13 @@ def rate_figure(rows: Sequence[RateRow]) -> style.ReportFigure:
     lines = []
     for colour, name in zip(style.SCHEMES, ("p50", "p99", "max"), strict=False):
         values_ms = [getattr(row, f"loop_{name}_us") / 1e3 for row in rows]
-        line = style.curve(rates_hz, values_ms, f"loop {name}", colour, 1.8)
+        line = style.curve(rates_hz, values_ms, f"loop {name}", {"color": colour, "width": 1.8})
         line.update(mode="lines+markers", marker={"symbol": symbols, "size": 9})
         line.hovertemplate = "%{x:g} cycles/s: %{y:.2f} ms"
         lines.append(line)
     cycles_ms = [1e3 / rate_hz for rate_hz in rates_hz]
-    length = style.curve(rates_hz, cycles_ms, "length of a cycle", style.GREY, 1.5, "dash")
+    dashed = {"color": style.GREY, "width": 1.5, "dash": "dash"}
+    length = style.curve(rates_hz, cycles_ms, "length of a cycle", dashed)
     length.hovertemplate = "%{y:.2f} ms"
     figure = style.dress(go.Figure([*lines, length]), _CURVES_PX)
     names = [f"{rate_hz:g}" for rate_hz in rates_hz]

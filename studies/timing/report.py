@@ -141,14 +141,8 @@ def report_on(
         remarks = (*summary.remarks, *filter(None, [summary.recording_ended]))
         wall_s = summary.wall_s
         processes = with_accounts(processes, summary.processes, wall_s, plan.tree)
-        seen = {
-            "interrupted": summary.interrupted,
-            "external": summary.external,
-            "devices": summary.devices,
-            "wrong": summary.wrong,
-            "faults": summary.faults,
-            "lost_messages": summary.lost,
-        }
+        names = ("interrupted", "external", "devices", "wrong", "faults")
+        seen = {name: getattr(summary, name) for name in names} | {"lost_messages": summary.lost}
     tiers = tier_timings(processes)
     report = TimingReport(
         scenario=plan.plant,

@@ -265,22 +265,23 @@ class _Measures:
         They come by measure, then in the order of a cycle; those of an agent by name.
         """
         outside = {"response", LOOP} if PLANT in self._plan.external else {"response"}
-        rows: dict[tuple[str, str], list[_Part]] = {}
-        for part in self._parts:
-            if process is None:
-                rows.setdefault((part.measure, part.of), []).append(part)
-            elif part.agent == process.agent:
-                own = part._replace(kind=process.kind, place=0)
-                rows.setdefault((part.measure, part.own), []).append(own)
+        parts = self._parts
+        if process is not None:
+            parts = [
+                part._replace(of=part.own, kind=process.kind, place=0)
+                for part in parts
+                if part.agent == process.agent
+            ]
 
-        def order(row: tuple[str, str]) -> tuple[int, int, str]:
-            return MEASURES.index(row[0]), rows[row][0].place, row[1]
+        def row(part: _Part) -> tuple[int, int, str]:
+            return MEASURES.index(part.measure), part.place, part.of
 
         found = []
-        for measure, of in sorted(rows, key=order):
-            parts = rows[measure, of]
-            durations = distribution(np.concatenate([part.durations_ns for part in parts]))
-            found.append(Times(measure, of, parts[0].kind, durations, measure in outside))
+        for _, group in groupby(sorted(parts, key=row), row):
+            members = list(group)
+            measure, of, kind = members[0].measure, members[0].of, members[0].kind
+            durations = distribution(np.concatenate([part.durations_ns for part in members]))
+            found.append(Times(measure, of, kind, durations, measure in outside))
         return tuple(found)
 
 
@@ -312,16 +313,15 @@ def with_accounts(
 
 
 def tier_timings(processes: Iterable[ProcessTiming]) -> tuple[TierTiming, ...]:
-    members: dict[str, list[ProcessTiming]] = {}
-    for process in processes:
-        members.setdefault(process.tier, []).append(process)
-    found = map(_tier, members.values())
-    return tuple(sorted(found, key=lambda tier: (KINDS.index(tier.kind), tier.tier)))
+    def tier(process: ProcessTiming) -> tuple[int, str]:
+        return KINDS.index(process.kind), process.tier
+
+    return tuple(_tier(list(members)) for _, members in groupby(sorted(processes, key=tier), tier))
 
 
 def _tier(members: Sequence[ProcessTiming]) -> TierTiming:
-    shares = [one.cpu_percent for one in members]
-    memory = [one.resident_mb for one in members]
+    shares = _known(one.cpu_percent for one in members)
+    memory = _known(one.resident_mb for one in members)
     return TierTiming(
         tier=members[0].tier,
         kind=members[0].kind,
@@ -333,8 +333,8 @@ def _tier(members: Sequence[ProcessTiming]) -> TierTiming:
         skipped_cycles=sum(one.skipped_cycles for one in members),
         dropped=total(count_of(one.dropped) for one in members),
         cpu_percent=total(shares),
-        cpu_highest_percent=max((share for share in shares if share is not None), default=None),
-        resident_mb=max((size_mb for size_mb in memory if size_mb is not None), default=None),
+        cpu_highest_percent=max(shares, default=None),
+        resident_mb=max(memory, default=None),
     )
 
 
@@ -345,5 +345,9 @@ def count_of(causes: dict[str, int] | None) -> int | None:
 
 def total(values: Iterable[N | None]) -> N | None:
     """Return the sum of the known values; None if none is known."""
-    known = [value for value in values if value is not None]
+    known = _known(values)
     return sum(known[1:], start=known[0]) if known else None
+
+
+def _known(values: Iterable[N | None]) -> list[N]:
+    return [value for value in values if value is not None]

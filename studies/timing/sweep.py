@@ -11,10 +11,19 @@ from rich.console import Console
 
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
-from studies.tables import Cell, Column, Table, key_column, print_lines, print_table, word_column
+from studies.tables import (
+    Cell,
+    Column,
+    Table,
+    counted,
+    key_column,
+    print_lines,
+    print_table,
+    word_column,
+)
 from studies.timing.report import Host, TimingReport
 from studies.timing.run_timing import LOOP, WHOLE_LOOP, total
-from studies.timing.tables import cycles_per_s, host_lines, how_often
+from studies.timing.tables import cycles_per_s, host_lines
 
 HIGHEST_HZ: Final = 1000.0
 LOWEST_HZ: Final = 1.0 / 3600.0
@@ -199,7 +208,7 @@ def _trouble(report: TimingReport) -> str:
             ("overran", tier.overruns),
             ("skipped a cycle", tier.skipped_cycles),
         )
-        found += [f"{tier.tier} {what} {how_often(count)}" for what, count in counts if count]
+        found += [f"{tier.tier} {what} {counted(count, 'time')}" for what, count in counts if count]
     if report.lost_messages:
         found.append(f"messages not recorded: {report.lost_messages:,}")
     return ", ".join(found)

@@ -15,6 +15,7 @@ from studies.tables import (
     Column,
     Table,
     attributes,
+    counted,
     key_column,
     print_lines,
     print_table,
@@ -24,7 +25,7 @@ from studies.timing.budgets import Verdict
 from studies.timing.clocks import ACROSS, ClockOffset
 from studies.timing.durations import Distribution
 from studies.timing.report import Host, TimingReport
-from studies.timing.run_timing import ProcessTiming, TierTiming, count_of
+from studies.timing.run_timing import ProcessTiming, count_of
 
 MEANINGS: Final = {
     "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
@@ -68,9 +69,7 @@ _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 def print_report(report: TimingReport, console: Console, *, processes: bool) -> None:
     """Print the tables of a run; with `processes` one for each process as well."""
     print_lines(console, [*header_lines(report), ""])
-    devices = devices_tables(report.devices)
-    clocks = clocks_tables(report.clocks)
-    for table in (*times_tables(report), *clocks, counts_table(report.tiers), *devices):
+    for table in measured_tables(report):
         print_table(console, table)
     for process in report.processes if processes else ():
         print_table(console, _process_table(process))
@@ -89,17 +88,11 @@ def cycles_per_s(rate_hz: float) -> str:
     return f"{rate_hz:.4g} cycle{'' if rate_hz == 1.0 else 's'}/s"
 
 
-def how_often(count: int) -> str:
-    """Return `1 time`, `2 times`."""
-    return f"{count:,} time{'' if count == 1 else 's'}"
-
-
 def header_lines(report: TimingReport) -> list[str]:
     """Return what was run, and on which machine."""
-    cycles = f"{report.cycles:,} cycle{'' if report.cycles == 1 else 's'}"
     return [
-        f"{report.scenario} at {cycles_per_s(report.rate_hz)} in real time: {cycles} in "
-        f"{report.wall_s:.1f} s, {report.late_cycles:,} late"
+        f"{report.scenario} at {cycles_per_s(report.rate_hz)} in real time: "
+        f"{counted(report.cycles, 'cycle')} in {report.wall_s:.1f} s, {report.late_cycles:,} late"
         f"{', interrupted' if report.interrupted else ''}",
         *host_lines(report.host),
         *report.remarks,
@@ -108,34 +101,33 @@ def header_lines(report: TimingReport) -> list[str]:
 
 def host_lines(host: Host) -> list[str]:
     """Return the machine and the software of a run."""
-    load = busy = ""
+    load = ""
     if host.load_before is not None and host.load_after is not None:
         load = f"; load average {host.load_before:.2f} before, {host.load_after:.2f} after"
-    if host.load_before is not None and host.load_before > host.cpus:
-        busy = (
-            "the machine was busy before the run began: more processes were running than it has "
-            "processors"
-        )
     lines = [
         f"kernel {host.kernel}",
         f"{host.cpus} CPUs{load}",
         f"scheduling: {host.scheduling}{'; memory locked' if host.memory_locked else ''}",
         f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}",
-        busy,
     ]
-    return list(filter(None, lines))
+    if host.load_before is not None and host.load_before > host.cpus:
+        lines.append(
+            "the machine was busy before the run began: more processes were running than it has "
+            "processors"
+        )
+    return lines
 
 
 def network_lines(report: TimingReport) -> list[str]:
     """Say what external agents sent, what of it was wrong, and what faults did to messages."""
     lines = [
-        f"external {account.agent}: answered {how_often(account.answered)} of {account.expected:,}"
-        f"; gaps in its sequence numbers show {account.lost:,} messages that never came or could "
-        "not be decoded"
+        f"external {account.agent}: answered {counted(account.answered, 'time')} of "
+        f"{account.expected:,}; gaps in its sequence numbers show {account.lost:,} messages that "
+        "never came or could not be decoded"
         for account in report.external
     ]
     lines += [
-        f"wrong {entry.key}, {how_often(entry.count)}: {entry.cause}: {entry.example}"
+        f"wrong {entry.key}, {counted(entry.count, 'time')}: {entry.cause}: {entry.example}"
         for entry in one_line_each(report.wrong)
     ]
     if report.faults:
@@ -173,7 +165,17 @@ def _amount(value: float | None, unit: str) -> str:
     return "nothing" if value is None else f"{value:,.{_DECIMALS[unit]}f} {unit}".rstrip()
 
 
-def times_tables(report: TimingReport) -> list[Table]:
+def measured_tables(report: TimingReport) -> list[Table]:
+    """Return the tables of durations, clocks, counts and devices."""
+    return [
+        *_times_tables(report),
+        *_clocks_tables(report.clocks),
+        Table("Counts", _TIER_COLUMNS, attributes(report.tiers, _TIER_COLUMNS), [_TIER_NOTE]),
+        *devices_tables(report.devices),
+    ]
+
+
+def _times_tables(report: TimingReport) -> list[Table]:
     """Return a table of durations for each measure, with its budgets if it has any."""
     limits: dict[tuple[str, str], tuple[Cell, Cell]] = {
         (verdict.measure, verdict.of): (verdict.limit, verdict.passed)
@@ -183,15 +185,14 @@ def times_tables(report: TimingReport) -> list[Table]:
     tables = []
     for measure, found in groupby(report.times, lambda row: row.measure):
         rows: list[tuple[Cell, ...]] = []
+        notes = [MEANINGS[measure]]
         for row in found:
             name = f"{row.of} (from outside)" if row.outside else row.of
             rows.append((name, *_figures(row.times), *limits.get((measure, row.of), ("", ""))))
+            if ACROSS in row.of and _ACROSS not in notes:
+                notes.append(_ACROSS)
         columns = _JUDGED if any(row[-1] != "" for row in rows) else _TIMES
-        cut = tuple(row[: len(columns)] for row in rows)
-        notes = (
-            MEANINGS[measure],
-            *([_ACROSS] if any(ACROSS in str(row[0]) for row in cut) else []),
-        )
+        cut = [row[: len(columns)] for row in rows]
         tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, notes))
     return tables
 
@@ -201,7 +202,7 @@ def _figures(times: Distribution) -> tuple[Cell, ...]:
     return (times.count, *(value_us / 1e3 for value_us in statistics_us))
 
 
-def clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
+def _clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
     """Return the clocks of other hosts and devices, if there are any."""
     columns = (
         key_column("clock of"),
@@ -217,10 +218,6 @@ def clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
         "± is half their round trip: so far off it may be if one way is slower than the other",
     )
     return [Table("Clocks", columns, rows, notes)] if rows else []
-
-
-def counts_table(tiers: Sequence[TierTiming]) -> Table:
-    return Table("Counts", _TIER_COLUMNS, attributes(tiers, _TIER_COLUMNS), (_TIER_NOTE,))
 
 
 def processes_table(processes: Iterable[ProcessTiming]) -> Table:

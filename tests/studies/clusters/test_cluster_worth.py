@@ -16,9 +16,8 @@ from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepar
 from launch_scripts.scenarios.scenario import ControlTable, ScenarioFile
 from launch_scripts.scenarios.scenario import load_scenario as load
 from sim_plant.profile import Profile
-from studies.clusters.worth import (
+from studies.clusters.study import (
     Arrange,
-    Arrangement,
     Past,
     by_first_part,
     by_scenario,
@@ -56,13 +55,13 @@ def chosen(scenario: ScenarioFile, **changes: object) -> ControlTable:
     return msgspec.structs.replace(scenario.scenario.control, **changes)
 
 
-def names(arrangement: Arrangement | Preparation) -> list[str]:
-    return [leaf.rpartition("/")[2] for leaf in arrangement.plan.tree.leaves]
+def names(preparation: Preparation) -> list[str]:
+    return [leaf.rpartition("/")[2] for leaf in preparation.plan.tree.leaves]
 
 
-def members(arrangement: Arrangement) -> set[frozenset[str]]:
+def members(preparation: Preparation) -> set[frozenset[str]]:
     found: dict[str, set[str]] = {}
-    for leaf in arrangement.plan.tree.leaves:
+    for leaf in preparation.plan.tree.leaves:
         cluster, _, name = leaf.rpartition("/")
         found.setdefault(cluster, set()).add(name)
     return {frozenset(cluster) for cluster in found.values()}
@@ -98,8 +97,8 @@ def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
     assert alike == sorted(alike)
     assert alike[0] < worth["geographic"].past_correlation <= alike[2]
     for found in worth.values():
-        assert [len(cluster) for cluster in found.clusters] == [6, 6, 5]
-        assert sorted(name for cluster in found.clusters for name in cluster) == sorted(
+        assert [len(cluster) for cluster in found.members] == [6, 6, 5]
+        assert sorted(name for cluster in found.members for name in cluster) == sorted(
             past.inverters
         )
     # However clusters are chosen, the same inverters are in need in the same cycles.
@@ -115,7 +114,7 @@ def test_random_clusters_go_by_their_seed(scenario: ScenarioFile, arrange: Arran
 
 
 def test_correlation_in_the_run_is_that_of_its_own_power(oahu: Preparation, past: Past) -> None:
-    found = worth_of(Arrangement(oahu.plan, oahu.profile), past, "paper", (1,))
+    found = worth_of(oahu, past, "paper", (1,))
     # The run is one hour long, from twelve to one.
     power = np.asarray(np.corrcoef(oahu.profile.mpp_kw.T))
     expected = within_cluster_correlation(power, [range(6), range(6, 12), range(12, 17)])
@@ -132,8 +131,8 @@ def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
     mpp_kw = np.full((30, 17), 400.0)
     mpp_kw[9] = 200.0
     plan = msgspec.structs.replace(oahu.plan, cycles=30)
-    arrangement = Arrangement(plan, Profile(mpp_kw, np.full(30, 5000.0)))
-    always, tenth = worth_of(arrangement, past, "paper", (1, 10)).shortfalls
+    changed = dataclasses.replace(oahu, plan=plan, profile=Profile(mpp_kw, np.full(30, 5000.0)))
+    always, tenth = worth_of(changed, past, "paper", (1, 10)).shortfalls
     # In cycle 9 the plant gives 5000 x 3400 / 6800 of the 3400 kW that it has: 900 kW less.
     percent_of_a_cycle = 100.0 / 30
     unavoidable = percent_of_a_cycle * 1600 / 5000
@@ -152,7 +151,7 @@ def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
 
 
 def test_other_orders_of_help_leave_the_clusters_as_they_are(oahu: Preparation) -> None:
-    orders = in_other_orders(Arrangement(oahu.plan, oahu.profile))
+    orders = in_other_orders(oahu)
     assert list(orders) == ["least alike first", "as listed", "most alike first"]
     assert {found.plan.inverters for found in orders.values()} == {oahu.plan.inverters}
     assert orders["as listed"].plan.neighbourhoods == ()

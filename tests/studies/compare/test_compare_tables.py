@@ -8,9 +8,9 @@ from typing import get_args
 import pytest
 
 from agents.settings import Actuator
-from studies.compare.page import frontier
+from studies.compare.frontier import frontier
+from studies.compare.results import Summary, case_tables, cases_tables, summaries
 from studies.compare.study import CaseResult, SchemeResult
-from studies.compare.tables import Summary, case_tables, cases_tables, summaries
 from studies.metrics import CommitmentMetrics, RunMetrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 from studies.metrics.run import HeadroomMetrics, SupportMileage, TrackingError

@@ -11,8 +11,8 @@ from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import load_scenario
 from studies.arrays.schemes import ReferenceGroups
 from studies.compare.cases import Case, cases
+from studies.compare.results import cases_tables
 from studies.compare.study import CaseResult, Comparison, run_case
-from studies.compare.tables import cases_tables
 from studies.workers import share_work
 
 COMPARISON = Comparison(("paper", "predictive", "grouping"), ReferenceGroups((1, 5), 3))

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 import plotly.graph_objects as go
 
+from studies.compare.results import AXES
 from studies.compare.study import SchemeResult
-from studies.compare.tables import AXES
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
-from studies.report.style import BLUE, GREY, VERMILLION, ReportFigure, dress, plain
+from studies.report.style import BLUE, GREY, VERMILLION, ReportFigure, curve, dress, plain
 
 _LEAST_PERCENT: Final = 1e-3
 """Where the logarithmic axes begin: less is drawn as this."""
@@ -28,25 +28,21 @@ def frontier(schemes: Sequence[SchemeResult]) -> ReportFigure:
     figure = go.Figure()
     for actuator, (symbol, colour, place) in _LOOKS.items():
         entries = [entry for entry in schemes if entry.actuator == actuator]
-        figure.add_trace(
-            go.Scatter(
-                x=[max(beyond.read(one.metrics) or 0.0, _LEAST_PERCENT) for one in entries],
-                y=[max(missing.read(one.metrics) or 0.0, _LEAST_PERCENT) for one in entries],
-                text=[f"{plain(one.scheme)}, {rmse.read(one.metrics):,.0f} kW" for one in entries],
-                mode="markers+text",
-                name=actuator,
-                textposition=place,
-                cliponaxis=False,
-                marker={"size": 10, "symbol": symbol, "color": colour},
-                hovertemplate="%{text}: %{y:.3f} % control-caused, %{x:.3f} % over-delivered",
-            )
+        figure.add_scatter(
+            x=[max(beyond.read(one.metrics) or 0.0, _LEAST_PERCENT) for one in entries],
+            y=[max(missing.read(one.metrics) or 0.0, _LEAST_PERCENT) for one in entries],
+            text=[f"{plain(one.scheme)}, {rmse.read(one.metrics):,.0f} kW" for one in entries],
+            mode="markers+text",
+            name=actuator,
+            textposition=place,
+            cliponaxis=False,
+            marker={"size": 10, "symbol": symbol, "color": colour},
+            hovertemplate="%{text}: %{y:.3f} % control-caused, %{x:.3f} % over-delivered",
         )
     points = sorted(point for trace in figure.data for point in zip(trace.x, trace.y, strict=True))
     least = np.minimum.accumulate([y for _, y in points])
     line = {"color": GREY, "width": 1.2, "dash": "dash", "shape": "hv"}
-    figure.add_trace(
-        go.Scatter(x=[x for x, _ in points], y=least, mode="lines", name="frontier", line=line)
-    )
+    figure.add_trace(curve([x for x, _ in points], least, "frontier", line))
     dress(figure, 480)
     figure.update_layout(hovermode="closest", margin_r=180)
     figure.update_xaxes(title_text=beyond.heading, type="log", dtick=1)

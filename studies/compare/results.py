@@ -18,7 +18,7 @@ from studies.metrics.figures_of_merit import (
     figures_json,
     shown_in,
 )
-from studies.tables import Cell, Column, Table, cell_text, key_column
+from studies.tables import Cell, Column, Table, attributes, cell_text, key_column
 
 QUANTILES: Final = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
 _UPPER: Final = 0.975
@@ -52,10 +52,10 @@ def _scheme_table(
 ) -> Table:
     columns = key_column("scheme"), key_column("actuator"), *(figure.column for figure in figures)
     cells = [_with_mark(figure, schemes) for figure in figures]
-    rows = tuple(
-        (entry.scheme, entry.actuator or "-", *row)
+    rows = [
+        (entry.scheme, entry.actuator, *row)
         for entry, row in zip(schemes, zip(*cells, strict=True), strict=True)
-    )
+    ]
     has_groups = any(entry.scheme == "grouping best" for entry in schemes)
     return Table(title, columns, rows, _NOTES if has_groups else _NOTES[:1])
 
@@ -102,7 +102,7 @@ def _cases_table(figures: Sequence[FigureOfMerit], results: Sequence[CaseResult]
     for name, share in QUANTILES.items():
         of_all[name] = np.quantile(values, share, axis=0)
     labelled = [*zip((result.label for result in results), values, strict=True), *of_all.items()]
-    rows = tuple((label, *(_together(figures, pair) for pair in row)) for label, row in labelled)
+    rows = [(label, *(_together(figures, pair) for pair in row)) for label, row in labelled]
     return Table(first + (f" ({', '.join(others)})" if others else ""), columns, rows)
 
 
@@ -117,23 +117,18 @@ def _together(figures: Sequence[FigureOfMerit], values: Sequence[float]) -> str:
 def _summary_table(figure: FigureOfMerit, results: Sequence[CaseResult]) -> Table:
     found = summaries(results, [figure])
     difference = f"less {found[0].baseline}" if found else "difference"
-    names = "mean", "± 95 %", *QUANTILES, difference, "± 95 %"
-    keys = ["scheme", "actuator"]
-    if any(one.settings for one in found):
-        keys.insert(0, "settings")
-    columns = (
-        *map(key_column, keys),
-        *(Column(name, "", figure.decimals) for name in names),
-    )
-    rows = tuple(
-        (
-            *(getattr(one, key) or "-" for key in keys),
-            *(one.mean, one.mean_error, one.low, one.median, one.high),
-            *(one.difference, one.difference_error),
-        )
-        for one in found
-    )
-    return Table(f"{figure.heading}, {len(results):,} cases", columns, rows)
+    titles = ("mean", "± 95 %", *QUANTILES, difference, "± 95 %")
+    fields = ("mean", "mean_error", "low", "median", "high", "difference", "difference_error")
+    keys = ["settings"] if any(one.settings for one in found) else []
+    columns = [
+        *map(key_column, (*keys, "scheme", "actuator")),
+        *(
+            Column(title, "", figure.decimals, name=field)
+            for title, field in zip(titles, fields, strict=True)
+        ),
+    ]
+    title = f"{figure.heading}, {len(results):,} cases"
+    return Table(title, columns, attributes(found, columns))
 
 
 def json_rows(results: Sequence[CaseResult]) -> list[dict[str, object]]:
@@ -203,11 +198,11 @@ def summaries(
             actuators = actuators_of(cases)
             for place, entry in enumerate(entries):
                 beside = baselines.get(entry.actuator, names.index(baseline))
-                own = _known(values[:, place])
-                less = _known(values[:, place] - values[:, beside])
-                if not len(own):
+                own = values[:, place]
+                less = own - values[:, beside]
+                if np.isnan(own).all():
                     continue
-                low, median, high = np.quantile(own, list(QUANTILES.values())).tolist()
+                low, median, high = np.nanquantile(own, list(QUANTILES.values())).tolist()
                 found.append(
                     Summary(
                         figure.name,
@@ -215,7 +210,7 @@ def summaries(
                         settings,
                         entry.scheme,
                         actuators[place],
-                        len(own),
+                        int(np.isfinite(own).sum()),
                         *_mean_and_error(own),
                         low,
                         median,
@@ -239,13 +234,10 @@ def actuators_of(cases: Sequence[CaseResult]) -> list[Actuator | None]:
     return [found[0] if len(set(found)) == 1 else None for found in of_schemes]
 
 
-def _known(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return values[~np.isnan(values)]
-
-
 def _mean_and_error(values: NDArray[np.float64]) -> tuple[float | None, float | None]:
-    count = len(values)
-    mean = float(values.mean()) if count else None
+    known = values[~np.isnan(values)]
+    count = len(known)
+    mean = float(known.mean()) if count else None
     if count < 2:
         return mean, None
-    return mean, float(stdtrit(count - 1, _UPPER) * values.std(ddof=1) / sqrt(count))
+    return mean, float(stdtrit(count - 1, _UPPER) * known.std(ddof=1) / sqrt(count))

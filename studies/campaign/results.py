@@ -1,0 +1,173 @@
+"""A campaign as a table and an HTML page with the worst seeds as plots; or as its curves."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from math import inf
+from statistics import fmean
+from typing import Final, get_args
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from launch_scripts.scenarios.preparation import Preparation
+from studies.campaign.curves import RATES_PER_H, REPAIRS_S, Point, Protection
+from studies.campaign.study import Campaign, Outcome, rerun
+from studies.report import style
+from studies.report.page import html_page
+from studies.tables import Cell, Column, Table, key_column
+
+_COSTS: Final = (
+    ("Over-delivered", "kWh", "over_kwh"),
+    ("Under-delivered", "kWh", "under_kwh"),
+    ("Most over-delivered", "kW", "over_kw"),
+    ("Most under-delivered", "kW", "under_kw"),
+)
+"""What an `Outcome` says of the cost of its faults: title, unit and field."""
+
+_MEASURES: Final = {"over_percent": "Over-delivered", "short_percent": "Shortfall"}
+"""What a `Point` says of the cost of failures."""
+
+_DRAWN: Final = 3
+_HEIGHT_PX: Final = 320
+_PANEL_PX: Final = 260
+
+
+def campaign_table(preparation: Preparation, outcomes: Sequence[Outcome]) -> Table:
+    """Return what the faults of all seeds cost, and how many seeds broke which invariant."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, unit, field in _COSTS:
+        values = [getattr(outcome, field) for outcome in outcomes]
+        rows.append((name, unit, fmean(values), *np.quantile(values, (0.5, 0.99, 1.0)).tolist()))
+    broken = Counter(one.violations[0].invariant for one in outcomes if one.violations)
+    listed = ", ".join(f"{name} {count:,}" for name, count in sorted(broken.items()))
+    plan = preparation.plan
+    return Table(
+        f"{plan.plant}: {len(outcomes):,} seeds of {plan.cycles} cycles from "
+        f"{preparation.local_start()}",
+        (
+            key_column("", "figure"),
+            key_column("", "unit"),
+            *(Column(name, "", 2) for name in ("mean", "median", "99 %", "most")),
+        ),
+        rows,
+        (
+            "All beside the same run without faults.",
+            f"Broken invariants, by seeds: {listed or 'none'}.",
+        ),
+    )
+
+
+def campaign_page(preparation: Preparation, campaign: Campaign, outcomes: Sequence[Outcome]) -> str:
+    """Return the page. Seeds that broke an invariant come first, then the most expensive ones."""
+    table = campaign_table(preparation, outcomes)
+    broken = [outcome for outcome in outcomes if outcome.violations]
+    verdict = (not broken, f"{len(broken):,} of {len(outcomes):,} seeds broke an invariant")
+    most_over = sorted(outcomes, key=lambda outcome: outcome.over_kwh, reverse=True)
+    most_under = sorted(outcomes, key=lambda outcome: outcome.under_kwh, reverse=True)
+    worst = (*broken[:_DRAWN], *most_over[:_DRAWN], *most_under[:_DRAWN])
+    drawn = {outcome.seed: outcome for outcome in worst}
+    figures = [_seed_figure(campaign, outcome) for outcome in drawn.values()]
+    paragraphs = ["Drawn are seeds that broke an invariant, and those that cost most energy."]
+    return html_page(f"Campaign: {table.title}", paragraphs, [table, *figures], verdict=verdict)
+
+
+def _seed_figure(campaign: Campaign, outcome: Outcome) -> style.ReportFigure:
+    """Draw the power of a seed beside what was desired and the run without faults."""
+    trace = rerun(campaign, outcome)
+    cycles = len(trace.produced)
+    time_s = np.arange(cycles) * campaign.plan.cycle_ns / 1e9
+    figure = go.Figure()
+    for name, kw, colour, dash in (
+        ("desired", trace.desired_kw, style.BLACK, "dot"),
+        ("without faults", campaign.healthy_kw[:cycles], style.GREY, "solid"),
+        ("with faults", trace.delivered_kw, style.BLUE, "solid"),
+    ):
+        figure.add_scatter(x=time_s, y=kw, name=name, line={"color": colour, "dash": dash})
+    for rule in outcome.fault_rules:
+        figure.add_vrect(
+            rule.at[0], rule.at[-1], fillcolor=style.VERMILLION, opacity=0.12, line_width=1
+        )
+    figure.update_xaxes(title_text="time since the first cycle [s]")
+    figure.update_yaxes(title_text="power [kW]")
+    broken = "".join(f"{one.invariant}: {one.text}. " for one in outcome.violations)
+    caption = (
+        f"{broken}Faults: {' and '.join(outcome.rules)}; over-delivered {outcome.over_kwh:,.2f} "
+        f"kWh, under-delivered {outcome.under_kwh:,.2f} kWh."
+    )
+    figure = style.dress(figure, _HEIGHT_PX)
+    return style.ReportFigure(f"seed-{outcome.seed}", f"Seed {outcome.seed}", caption, figure)
+
+
+def curve_tables(title: str, points: Sequence[Point]) -> list[Table]:
+    """Return a table of each measure: a row for each protection and repair time."""
+    columns = (
+        key_column("Protection"),
+        key_column("Back after"),
+        *(Column(f"{rate:g} /h") for rate in RATES_PER_H),
+    )
+    return [
+        Table(
+            f"{name}, in % of the desired energy: {title}",
+            columns,
+            [
+                (protection, _repair_text(repair_s), *_means(points, measure, protection, repair_s))
+                for protection in get_args(Protection)
+                for repair_s in REPAIRS_S
+            ],
+            ("Columns: how often each controller fails in an hour.",),
+        )
+        for measure, name in _MEASURES.items()
+    ]
+
+
+def curve_page(title: str, points: Sequence[Point]) -> str:
+    return html_page(
+        f"What failures cost: {title}", [], [_curve_figure(points), *curve_tables(title, points)]
+    )
+
+
+def _curve_figure(points: Sequence[Point]) -> style.ReportFigure:
+    """Draw each measure against the failure rate, in a panel for each repair time."""
+    figure = make_subplots(2, len(REPAIRS_S), shared_yaxes=True, shared_xaxes=True)
+    for row, (measure, name) in enumerate(_MEASURES.items(), start=1):
+        for column, repair_s in enumerate(REPAIRS_S, start=1):
+            for colour, protection in zip(style.SCHEMES, get_args(Protection), strict=False):
+                means = _means(points, measure, protection, repair_s)
+                line = style.marked_line(
+                    RATES_PER_H, means, protection, colour, showlegend=row == column == 1
+                )
+                figure.add_trace(line, row, column)
+        figure.update_yaxes(row=row, col=1, title_text=f"{name} [%]")
+    figure.update_xaxes(type="log")
+    figure.update_yaxes(type="log")
+    for column, repair_s in enumerate(REPAIRS_S, start=1):
+        title = f"/h, back: {_repair_text(repair_s)}"
+        figure.update_xaxes(row=len(_MEASURES), col=column, title_text=title)
+    caption = (
+        "Every controller dies at random, as often in an hour as the axis says, and is back after "
+        "the time below it. Nothing, 0, is not drawn. Without the ladder a node obeys the last "
+        "message for ever; without revert an inverter obeys its last command for ever."
+    )
+    figure = style.dress(figure, 2 * _PANEL_PX)
+    return style.ReportFigure("curves", "What failures cost", caption, figure)
+
+
+def _means(
+    points: Sequence[Point], measure: str, protection: Protection, repair_s: float
+) -> list[float]:
+    """Return the mean over the seeds at each failure rate."""
+    return [
+        fmean(
+            getattr(point, measure)
+            for point in points
+            if (point.protection, point.repair_s, point.rate_per_h) == (protection, repair_s, rate)
+        )
+        for rate in RATES_PER_H
+    ]
+
+
+def _repair_text(repair_s: float) -> str:
+    return "never" if repair_s == inf else f"{repair_s:g} s"
