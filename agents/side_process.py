@@ -7,17 +7,17 @@ import sys
 from contextlib import suppress
 from typing import Any, Final, Self
 
-ENDING_S: Final = 5.0
-"""How long such a process may take to end when its standard input does."""
+ENDING_S: Final = 6.0
+"""How long such a process may take to end: the fork server waits 5 s for the recorder."""
 
 
 class SideProcess:
     """A module as a process. It is told lines on its standard input, and ends with the context."""
 
-    def __init__(self, module: str, **options: Any) -> None:
+    def __init__(self, module: str, *words: str, **options: Any) -> None:
         self.process: subprocess.Popen[bytes] = subprocess.Popen(
             # Without the current folder on the path: a `signal.py` there is none of ours.
-            (sys.executable, "-P", "-m", module),
+            (sys.executable, "-P", "-m", module, *words),
             stdin=subprocess.PIPE,
             bufsize=0,
             process_group=0,  # Ctrl-C in a terminal is for the launcher.
@@ -28,6 +28,10 @@ class SideProcess:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let it end; kill it if it does not."""
         self.hang_up()
         try:
             self.process.wait(ENDING_S)

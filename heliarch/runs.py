@@ -17,9 +17,9 @@ from rich.console import Console
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.commands.run import run
-from launch_scripts.launcher.run_request import RunRequest
+from launch_scripts.launcher.run_folder import RunRequest
 from launch_scripts.launcher.summary import RunSummary
-from launch_scripts.scenarios.preparation import RunOptions
+from launch_scripts.scenarios.run_options import RunOptions
 from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
 from launch_scripts.scenarios.toml_text import toml_value
 from studies.arrays.schemes import SCHEMES
@@ -76,7 +76,7 @@ def simulate(
     """
     _check_names("scheme", () if scheme is None else (scheme,), get_args(Scheme))
     _check_names("actuator", () if actuator is None else (actuator,), get_args(Actuator))
-    options = RunOptions(start, duration, end, None, seed, scheme, actuator, tuple(faults))
+    options = RunOptions(start, duration, end, seed, scheme, actuator, list(faults))
     scenario_file = with_settings(_loaded(scenario), _texts(settings))
     request = RunRequest(scenario_file, options, None if out is None else Path(out))
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
@@ -127,7 +127,7 @@ def compare(
     _check_names("actuators", comparison.actuators, get_args(Actuator))
     found = cases(
         _loaded(scenario),
-        RunOptions(start, duration, end=end),
+        RunOptions(start, duration, end),
         [parse_setting(text) for text in _texts(settings)],
         tuple(days),
         tuple(seeds),

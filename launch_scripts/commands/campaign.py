@@ -15,11 +15,11 @@ from launch_scripts.commands.options import (
     ResultOptions,
     ScenarioArgument,
     SettingsOption,
-    StartOption,
     WorkersOption,
     changed_scenario,
 )
 from launch_scripts.commands.output import say, shared, written
+from launch_scripts.scenarios.run_options import RunOptions
 from studies.tables import print_table
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def campaign(
     scenario: ScenarioArgument = "oahu",
     *,
     seeds: str = "1..100",
-    start: StartOption = None,
+    start: str | None = None,
     duration: str = "150s",
     settings: SettingsOption = None,
     workers: WorkersOption = 1,
@@ -50,10 +50,11 @@ def campaign(
     writes campaign.html by default.
 
     --seeds SEEDS: Seeds of the faults, such as 1..1000.
+    --from TIME (start): Local time of the first cycle: 12:30, or 2010-04-01T12:30.
     --duration TIME: Length of each run: 150s, 10m.
     --curves: Instead, measure what failures cost, by rate and repair time.
     """
-    from launch_scripts.scenarios.preparation import RunOptions, prepare
+    from launch_scripts.scenarios.preparation import prepare
     from studies.campaign import results, study
     from studies.compare.cases import parse_seeds
 

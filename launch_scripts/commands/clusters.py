@@ -14,11 +14,11 @@ from launch_scripts.commands.options import (
     SchemeOption,
     SeedOption,
     SettingsOption,
-    TimeOptions,
     WorkersOption,
     changed_scenario,
 )
 from launch_scripts.commands.output import shared, written
+from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 from studies.tables import print_lines, print_table
 
 EXAMPLE: Final = "heliarch clusters oahu --random 50 --periods 1,30 --report"
@@ -49,7 +49,7 @@ def clusters(
     --learn TIME: Choose clusters from the first part of the run, this long; run the rest.
     """
     from bus_schemas.times import parse_duration_s
-    from launch_scripts.scenarios.preparation import RunOptions, prepare
+    from launch_scripts.scenarios.preparation import prepare
     from studies.clusters import results
     from studies.clusters.study import (
         Arrange,
@@ -61,7 +61,7 @@ def clusters(
     from studies.compare.study import remarks_of
 
     changed = changed_scenario(scenario, files.data, settings)
-    options = RunOptions(span.start, span.duration, seed=seed, scheme=scheme, end=span.end)
+    options = RunOptions(**vars(span), seed=seed, scheme=scheme)
     preparation = prepare(changed, options, "clusters")
     arrange: Arrange = partial(by_scenario, changed, options)
     remarks = remarks_of(preparation)

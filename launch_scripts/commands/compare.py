@@ -13,12 +13,12 @@ from agents.settings import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
     ResultOptions,
-    TimeOptions,
     WorkersOption,
     file_in_folder,
     refuse_others,
 )
 from launch_scripts.commands.output import counted, say, shared, write_json, written
+from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 from studies.tables import Table, console_for, print_table
 
 if TYPE_CHECKING:
@@ -98,7 +98,6 @@ def compare(
         return
     if _is_run(Path(scenario)):
         raise InputError(f"{scenario}: expected a second run to compare it with, or a scenario")
-    from launch_scripts.scenarios.preparation import RunOptions
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.arrays.schemes import SCHEMES
     from studies.compare.cases import cases, parse_days, parse_seeds, parse_setting
@@ -108,7 +107,7 @@ def compare(
     shown = _names("--show", show, FIGURES_OF_MERIT)
     found = cases(
         load_scenario(scenario, files.data),
-        RunOptions(span.start, span.duration, end=span.end),
+        RunOptions(**vars(span)),
         [parse_setting(text) for text in settings or ()],
         () if days is None else parse_days(days),
         () if seeds is None else parse_seeds(seeds),

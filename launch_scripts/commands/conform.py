@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
 
@@ -13,14 +13,8 @@ from bus_schemas.tree import PLANT
 from launch_scripts.commands.boundary import FAILED, OK
 from launch_scripts.commands.options import JsonOption, SchemeOption
 from launch_scripts.commands.output import say, write_json
+from launch_scripts.scenarios.run_options import RunOptions
 from studies.tables import console_for, json_rows, print_table
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from launch_scripts.launcher.run_folder import RunFolder
-    from launch_scripts.scenarios.preparation import Preparation
-    from studies.conformance.requirements import Findings
 
 EXAMPLE: Final = (
     "heliarch conform c2/inv07 --command 'python examples/direct_controller.py --plan {plan} "
@@ -67,11 +61,12 @@ def conform(
     --base-port PORT: Listen on this port and those after it, with the plant's name as namespace.
     --out DIR: Folder of the recorded tests; default runs/NAME-TIME.
     """
-    from launch_scripts.launcher.run_request import RunRequest, prepare_run
-    from launch_scripts.scenarios.preparation import RunOptions
+    from launch_scripts.launcher.run_folder import RunRequest, prepare_run
     from launch_scripts.scenarios.scenario import load_scenario
+    from recordings.verify.comparison import Comparison
     from studies.conformance import conform as of_controller
     from studies.conformance import plant as of_plant
+    from studies.conformance.device import Device
 
     if not 0.0 <= tolerance < inf:
         raise InputError(f"--tolerance: expected a number from 0 on, got {tolerance:g}")
@@ -92,30 +87,17 @@ def conform(
         preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
     except InputError as error:
         raise InputError(str(error).replace("--external:", "AGENT:")) from None
-    findings = _tried(preparation, folder, command, tolerance, console)
+    with Device(command, agent, folder.path) as device:
+        if agent == PLANT:
+            findings = of_plant.try_plant(preparation, folder, device, console)
+        else:
+            comparison = Comparison(tolerance)
+            trials = of_controller.Conformance(
+                preparation, folder, device, comparison, lambda line: say(console, line)
+            )
+            findings = trials.run(seed or 0)
     print_table(console, findings.table(agent))
     say(console, f"trials: {folder.path}")
     rows = json_rows(findings.table(agent))
     write_json({"agent": agent, "passed": findings.passed, "requirements": rows}, json)
     return OK if findings.passed else FAILED
-
-
-def _tried(
-    preparation: Preparation,
-    folder: RunFolder,
-    command: str | None,
-    tolerance: float,
-    console: Console,
-) -> Findings:
-    from recordings.verify.comparison import Comparison
-    from studies.conformance.conform import Conformance
-    from studies.conformance.device import Device
-    from studies.conformance.plant import try_plant
-
-    with Device(command, preparation.plan.external[0], folder.path) as device:
-        if preparation.plan.external == (PLANT,):
-            return try_plant(preparation, folder, device, console)
-        trials = Conformance(
-            preparation, folder, device, Comparison(tolerance), lambda line: say(console, line)
-        )
-        return trials.run(preparation.options.seed or 0)

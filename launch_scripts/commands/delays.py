@@ -13,14 +13,14 @@ from launch_scripts.commands.options import (
     ResultOptions,
     SeedOption,
     SettingsOption,
-    TimeOptions,
     WorkersOption,
     changed_scenario,
 )
 from launch_scripts.commands.output import shared, written
+from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 
 if TYPE_CHECKING:
-    from launch_scripts.scenarios.preparation import Preparation, RunOptions
+    from launch_scripts.scenarios.preparation import Preparation
     from launch_scripts.scenarios.scenario import ScenarioFile
 
 EXAMPLE: Final = "heliarch delays oahu --from 12:30 --duration 20m --report"
@@ -54,7 +54,6 @@ def delays(
     Everything runs in memory: each scheme with each delay, share of losses and central period.
     --report writes delays.html by default.
     """
-    from launch_scripts.scenarios.preparation import RunOptions
     from studies.compare.study import remarks_of
     from studies.delays.results import print_study, study_page
     from studies.delays.study import conditions, counted_s, run_under

@@ -6,11 +6,9 @@ import os
 import platform
 import resource
 import shutil
-import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from textwrap import wrap
@@ -30,7 +28,6 @@ _OPTIONAL: Final = {
     "pymodbus": "real inverters and `inverters` need it: pip install 'heliarch[modbus]'",
 }
 
-_BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome", "firefox")
 _CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 _INDENT: Final = 19
@@ -72,8 +69,17 @@ def doctor(
 
     if not out.is_dir():
         raise InputError(f"--out: expected an existing folder, got {out}")
-    found = [finding for check in _CHECKS for finding in check()]
-    found.append(_disk(out))
+    found = [
+        *_processors(),
+        *_scheduling(),
+        _clock(),
+        _wake_up(),
+        _zenoh(),
+        _open_files(),
+        _memory(),
+        *_versions(),
+        _disk(out),
+    ]
     write_json([finding._asdict() for finding in found], json)
     console = console_for(json)
     width = min(console.width, 100)
@@ -112,7 +118,7 @@ def _scheduling() -> Iterator[Finding]:
         yield Finding("real time", "SCHED_FIFO and locked memory are permitted")
 
 
-def _clock() -> Iterator[Finding]:
+def _clock() -> Finding:
     calls = 20_000
     began_ns = time.perf_counter_ns()
     for _ in range(calls):
@@ -120,128 +126,69 @@ def _clock() -> Iterator[Finding]:
     each_ns = (time.perf_counter_ns() - began_ns) / calls
     name = _CLOCK.read_text(encoding="ascii").strip() if _CLOCK.exists() else "unknown"
     advice = "boot with clocksource=tsc if the processor has it"
-    yield _judged("clock", f"{name}, read in {each_ns:.0f} ns", each_ns < 500.0, advice)
-    late_us = sorted(_lateness_us(200))
-    text = f"median {late_us[100]:.0f} µs late, 99 of 100 within {late_us[197]:.0f} µs"
-    advice = "agents notice deadlines this late: try --priority"
-    yield _judged("wake-up", text, late_us[197] < 1000.0, advice)
+    return _judged("clock", f"{name}, read in {each_ns:.0f} ns", each_ns < 500.0, advice)
 
 
-def _lateness_us(times: int) -> list[float]:
-    """Sleep for 1 ms so many times, in a thread set up like an agent; return how late it woke."""
+def _wake_up() -> Finding:
+    """Sleep for 1 ms again and again, in a thread set up like an agent; see how late it wakes."""
     from agents.machine import wake_precisely
 
-    late: list[float] = []
+    late_us: list[float] = []
 
     def sleep() -> None:
         wake_precisely()
-        for _ in range(times):
+        for _ in range(200):
             due_ns = time.monotonic_ns() + 1_000_000
             time.sleep(0.001)
-            late.append((time.monotonic_ns() - due_ns) / 1e3)
+            late_us.append((time.monotonic_ns() - due_ns) / 1e3)
 
     thread = threading.Thread(target=sleep)
     thread.start()
     thread.join()
-    return late
+    late_us.sort()
+    text = f"median {late_us[100]:.0f} µs late, 99 of 100 within {late_us[197]:.0f} µs"
+    advice = "agents notice deadlines this late: try --priority"
+    return _judged("wake-up", text, late_us[197] < 1000.0, advice)
 
 
-def _loopback() -> Iterator[Finding]:
-    try:
-        trips_us = sorted(_round_trips_us(500))
-    except OSError as error:
-        advice = "agents listen on 127.0.0.1: ip link set lo up"
-        yield Finding("loopback", f"{error.strerror}", "wrong", advice)
-        return
-    text = f"median {trips_us[250]:.0f} µs there and back, 99 of 100 within {trips_us[495]:.0f} µs"
-    advice = "a cycle waits for eight such hops: end other programs"
-    yield _judged("loopback", text, trips_us[250] < 200.0, advice)
-
-
-def _round_trips_us(times: int) -> list[float]:
-    """Send a byte to a thread and back over TCP so many times."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        near = socket.create_connection(server.getsockname())
-        far, _ = server.accept()
-
-    def answer() -> None:
-        while byte := far.recv(1):
-            far.send(byte)
-
-    thread = threading.Thread(target=answer)
-    trips = []
-    with near, far:
-        for end in (near, far):
-            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        thread.start()
-        for _ in range(times):
-            began_ns = time.monotonic_ns()
-            near.send(b".")
-            near.recv(1)
-            trips.append((time.monotonic_ns() - began_ns) / 1e3)
-        near.shutdown(socket.SHUT_WR)
-        thread.join()
-    return trips
-
-
-def _zenoh() -> Iterator[Finding]:
+def _zenoh() -> Finding:
     import psutil
     import zenoh
 
     from bus_schemas.zenoh_bus import ZENOH_RUNTIME, SessionSettings, open_session
 
-    given = os.environ.get("ZENOH_RUNTIME")
     before = psutil.Process().num_threads()
     try:
         with open_session(SessionSettings("doctor", ["tcp/127.0.0.1:0"], [])):
             threads = psutil.Process().num_threads() - before
     except zenoh.ZError as error:
-        advice = "no agent can open its session: reinstall eclipse-zenoh"
-        yield Finding("Zenoh", f"{error}", "wrong", advice)
-        return
+        advice = "no agent can listen on 127.0.0.1: ip link set lo up, or reinstall eclipse-zenoh"
+        return Finding("Zenoh", f"{error}", "wrong", advice)
     text = f"a session has {threads} thread" + "s" * (threads != 1)
+    is_tuned = os.environ.get("ZENOH_RUNTIME", ZENOH_RUNTIME) == ZENOH_RUNTIME
     advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
-    yield _judged("Zenoh", text, given in {None, ZENOH_RUNTIME}, advice)
+    return _judged("Zenoh", text, is_tuned, advice)
 
 
-def _limits() -> Iterator[Finding]:
+def _open_files() -> Finding:
     files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if files == resource.RLIM_INFINITY:
+        return Finding("open files", "any number")
     # Recorder and plant have a link with each inverter.
     inverters = max(files - 100, 0)
-    if files == resource.RLIM_INFINITY:
-        yield Finding("open files", "any number")
-    else:
-        advice = f"enough for {inverters:,} inverters; ulimit -n 65536 for more"
-        otherwise: Verdict = "slow" if inverters > 50 else "wrong"
-        yield _judged("open files", f"{files:,} at once", files >= 4096, advice, otherwise)
-    first, last = _free_port_range()
-    is_free = _is_free(7500)
-    text = f"{last - first + 1:,} from {first} on; 7500 is {'free' if is_free else 'taken'}"
-    yield _judged("ports", text, is_free, "choose another --base-port", "ok")
+    advice = f"enough for {inverters:,} inverters; ulimit -n 65536 for more"
+    otherwise: Verdict = "slow" if inverters > 50 else "wrong"
+    return _judged("open files", f"{files:,} at once", files >= 4096, advice, otherwise)
 
 
-def _free_port_range() -> tuple[int, int]:
-    path = Path("/proc/sys/net/ipv4/ip_local_port_range")
-    first, last = path.read_text(encoding="ascii").split() if path.exists() else (49_152, 65_535)
-    return int(first), int(last)
-
-
-def _is_free(port: int) -> bool:
-    with socket.socket() as tried, suppress(OSError):
-        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        tried.bind(("127.0.0.1", port))
-        return True
-    return False
-
-
-def _memory() -> Iterator[Finding]:
+def _memory() -> Finding:
     import psutil
 
     free_mb = psutil.virtual_memory().available / 1e6
     processes = int(free_mb // 25)
     advice = "a process needs about 25 MB: end other programs, or take a smaller plant"
     text = f"{free_mb:,.0f} MB free, enough for about {processes:,} processes"
-    yield _judged("memory", text, processes >= 40, advice)
+    return _judged("memory", text, processes >= 40, advice)
 
 
 def _versions() -> Iterator[Finding]:
@@ -252,9 +199,6 @@ def _versions() -> Iterator[Finding]:
         except PackageNotFoundError:
             yield Finding(name, "not installed", "ok", _OPTIONAL.get(name, "reinstall heliarch"))
     yield Finding("versions", ", ".join(found))
-    browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    advice = "open the page from another host: --page-address"
-    yield _judged("browser", browser or "none found", browser is not None, advice, "ok")
 
 
 def _disk(folder: Path) -> Finding:
@@ -264,15 +208,3 @@ def _disk(folder: Path) -> Finding:
     text = f"{free_gb:,.1f} GB free, about {hours:,.0f} h of 17 inverters at 1 cycle/s"
     advice = "free some, or choose another folder for runs with --out"
     return _judged("disk", text, free_gb >= 0.1, advice, "wrong")
-
-
-_CHECKS: Final[tuple[Callable[[], Iterator[Finding]], ...]] = (
-    _processors,
-    _scheduling,
-    _clock,
-    _loopback,
-    _zenoh,
-    _limits,
-    _memory,
-    _versions,
-)

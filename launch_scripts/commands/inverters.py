@@ -16,9 +16,9 @@ from launch_scripts.commands.options import (
     ScenarioArgument,
     SeedOption,
     SettingsOption,
-    TimeOptions,
     changed_scenario,
 )
+from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 
 EXAMPLE: Final = "heliarch inverters oahu --port 5020 --set plant.delay_s=1"
 
@@ -59,7 +59,7 @@ def inverters(
     if port is not None and base_port is not None:
         raise InputError("--port: expected no --base-port with it")
     from launch_scripts.launcher.run_folder import new_run_id
-    from launch_scripts.scenarios.preparation import RunOptions, prepare
+    from launch_scripts.scenarios.preparation import prepare
 
     try:
         from sunspec.limited_inverter import LimitedInverter
@@ -70,7 +70,7 @@ def inverters(
         ) from None
 
     scenario_file = changed_scenario(scenario, data, settings)
-    options = RunOptions(span.start, span.duration, span.end, seed=seed)
+    options = RunOptions(**vars(span), seed=seed)
     prepared = prepare(scenario_file, options, new_run_id(scenario_file.scenario.name))
     plan = prepared.plan
     sky = Sky(prepared.profile.mpp_kw, plan.cycle_ns / 1e9, None if wait else time.monotonic())

@@ -10,6 +10,7 @@ import typer
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import DataOption, JsonOption, ScenarioArgument
 from launch_scripts.commands.output import say, write_json
+from launch_scripts.scenarios.run_options import RunOptions
 from studies.tables import console_for
 
 EXAMPLE: Final = "heliarch keys oahu && heliarch launch oahu --secure --duration 30"
@@ -36,20 +37,16 @@ def keys(
         times.
     """
     from launch_scripts.scenarios.plant_keys import make_keys
-    from launch_scripts.scenarios.preparation import RunOptions, prepare
+    from launch_scripts.scenarios.preparation import prepare
     from launch_scripts.scenarios.scenario import load_scenario
 
     if not days > 0.0:
         raise InputError(f"--days: expected more than 0, got {days:g}")
     plan = prepare(load_scenario(scenario, data), RunOptions(), "keys").plan
     folder = out or Path("keys") / plan.plant
-    made = make_keys(folder, plan.plant, plan.tree.agents(), days, address or ())
-    write_json(
-        {"folder": str(folder), "agents": made.agents, "expires": made.expires.isoformat()}, json
-    )
-    authority = "a new authority" if made.new_authority else "renewed by the authority there"
-    say(
-        console_for(json),
-        f"{folder}: {len(made.agents)} certificates, {authority}, valid until "
-        f"{made.expires:%Y-%m-%d %H:%M} UTC",
-    )
+    agents = plan.tree.agents()
+    expires, is_new = make_keys(folder, plan.plant, agents, days, address or ())
+    write_json({"folder": str(folder), "agents": agents, "expires": expires.isoformat()}, json)
+    authority = "a new authority" if is_new else "renewed by the authority there"
+    text = f"{folder}: {len(agents)} certificates, {authority}, valid until"
+    say(console_for(json), f"{text} {expires:%Y-%m-%d %H:%M} UTC")

@@ -7,11 +7,11 @@ from typing import Final
 from launch_scripts.commands.options import (
     FileOptions,
     PageOptions,
-    PlantOptions,
     ScenarioArgument,
+    SettingsOption,
     SpanOptions,
 )
-from launch_scripts.scenarios.process_options import ProcessOptions
+from launch_scripts.scenarios.run_options import PlantOptions, ProcessOptions
 
 EXAMPLE: Final = "heliarch launch oahu --from 12:30 --duration 15m --pace 1"
 
@@ -21,6 +21,7 @@ def launch(
     *,
     span: SpanOptions,
     plant: PlantOptions,
+    settings: SettingsOption = None,
     processes: ProcessOptions,
     page: PageOptions,
     files: FileOptions,
@@ -36,5 +37,6 @@ def launch(
     with ForkServerProcess() as server:  # It imports what its processes need, beside the launcher.
         from launch_scripts.commands.run import run_and_print, run_request
 
-        request = run_request(scenario, files, plant, span, processes)
+        options = {**vars(span), **vars(plant), **vars(processes)}
+        request = run_request(scenario, settings, files, **options)
         return run_and_print(request, files, page, server)

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from agents.settings import Actuator, Scheme
+from agents.settings import Scheme
 from bus_schemas.errors import InputError
+from launch_scripts.scenarios.run_options import TimeOptions
 
 if TYPE_CHECKING:
     from launch_scripts.scenarios.scenario import ScenarioFile
@@ -41,24 +42,6 @@ ScenarioArgument: TypeAlias = Annotated[
 
 # What is run -------------------------------------------------------------------------------------
 
-StartOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--from",
-        help="Local time of the first cycle: 12:30, or 2010-04-01T12:30.",
-        metavar="TIME",
-    ),
-]
-EndOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--to", help="Local time at which the last cycle ends.", metavar="TIME"),
-]
-DurationOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        help="Simulated time, in place of --to: seconds, or 90s, 15m, 1h30m.", metavar="TIME"
-    ),
-]
 SeedOption: TypeAlias = Annotated[int | None, typer.Option(help="Seed of the synthetic clouds.")]
 SchemeOption: TypeAlias = Annotated[
     Scheme | None, typer.Option(help="How maximum powers are estimated.")
@@ -146,16 +129,7 @@ JsonOption: TypeAlias = Annotated[
 # Groups, for the commands that run a plant -------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class TimeOptions:
-    """Which part of a scenario is run."""
-
-    start: StartOption = None
-    end: EndOption = None
-    duration: DurationOption = None
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SpanOptions(TimeOptions):
     """Which part of a scenario is run, and how fast.
 
@@ -163,25 +137,6 @@ class SpanOptions(TimeOptions):
     """
 
     pace: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class PlantOptions:
-    """What is different from the scenario.
-
-    --actuator: Whether a command is a fraction of the maximum or a power limit.
-    --fault RULE (faults): Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source,
-        listener, signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by,
-        silent=60s..90s, at=60s..90s). Or cut links, freeze or kill controllers:
-        partition=c1|c2,at=5s..9s, freeze=c2,at=5s..9s, kill=c2,at=5s. May be given several times.
-    """
-
-    seed: SeedOption = None
-    scheme: SchemeOption = None
-    actuator: Actuator | None = None
-    settings: SettingsOption = None
-    # In a terminal of 80 columns, longer unbroken text in its description would be cut.
-    faults: list[str] | None = None
 
 
 @dataclass(frozen=True, slots=True)

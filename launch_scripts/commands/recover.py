@@ -36,35 +36,34 @@ def recover(
 
     --out FILE: The new file; default run.recovered.mcap beside the recording.
     """
-    from recordings.read.reader import RunReader
-    from recordings.read.run_file import NothingRecordedError
-
-    try:
-        with RunReader(run) as reader:
-            return _recover(reader, out or reader.path.with_suffix(_SUFFIX), json)
-    except NothingRecordedError as error:
-        return complain(f"{error}: there is nothing to recover", FAILED)
-
-
-def _recover(run: RunReader, out: Path, json: str | None) -> int:
     import msgspec
 
+    from recordings.read.reader import RunReader
+    from recordings.read.run_file import NothingRecordedError
     from recordings.recover import is_sound, recover_run
 
     console = console_for(json)
-    with progress_bar("checking") as follow:
-        sound = is_sound(run, follow)
-    if sound:
-        say(console, f"{run.path}: it is whole, there is nothing to recover")
-        write_json({"source": str(run.path), "out": None, "lossless": True}, json)
-        return OK
-    with progress_bar("copying") as follow:
-        recovery = recover_run(run, out, follow)
-    if not recovery.messages:
-        out.unlink()
-        return complain(f"{run.path}: no message can be read, there is nothing to recover", FAILED)
-    for line in _lines(run, recovery):
-        say(console, textwrap.fill(line, _WIDTH, subsequent_indent="  ", break_long_words=False))
+    try:
+        reader = RunReader(run)
+    except NothingRecordedError as error:
+        return complain(f"{error}: there is nothing to recover", FAILED)
+    with reader:
+        with progress_bar("checking") as follow:
+            sound = is_sound(reader, follow)
+        if sound:
+            say(console, f"{reader.path}: it is whole, there is nothing to recover")
+            write_json({"source": str(reader.path), "out": None, "lossless": True}, json)
+            return OK
+        out = out or reader.path.with_suffix(_SUFFIX)
+        with progress_bar("copying") as follow:
+            recovery = recover_run(reader, out, follow)
+        if not recovery.messages:
+            out.unlink()
+            nothing = "no message can be read, there is nothing to recover"
+            return complain(f"{reader.path}: {nothing}", FAILED)
+        for line in _lines(reader, recovery):
+            text = textwrap.fill(line, _WIDTH, subsequent_indent="  ", break_long_words=False)
+            say(console, text)
     write_json(msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}, json)
     return OK if recovery.lossless else LOSSY
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,45 +12,29 @@ from typing import Any
 import msgspec
 from rich.console import Console
 
-from agents.plan import RunPlan
 from bus_schemas.errors import FailureError, InputError
 from launch_scripts.commands.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
-from launch_scripts.commands.options import (
-    FileOptions,
-    PageOptions,
-    PlantOptions,
-    SpanOptions,
-    changed_scenario,
-)
+from launch_scripts.commands.options import FileOptions, PageOptions, changed_scenario
 from launch_scripts.commands.output import say, write_json
-from launch_scripts.launcher.launch import launch
+from launch_scripts.launcher.launch import check_processes, launch
 from launch_scripts.launcher.live_view import view_for
-from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.run_request import RunRequest, prepare_run
+from launch_scripts.launcher.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.launcher.simulation import simulate
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.launcher.wrong_messages import one_line_each
-from launch_scripts.scenarios.devices import check_devices
-from launch_scripts.scenarios.preparation import RunOptions
-from launch_scripts.scenarios.process_options import ProcessOptions
+from launch_scripts.scenarios.run_options import RunOptions
 from live_page.process import PageProcess
 from studies.tables import console_for
 
 
 def run_request(
-    scenario: str,
-    files: FileOptions,
-    *groups: PlantOptions | SpanOptions | ProcessOptions,
-    **span: str | None,
+    scenario: str, settings: list[str] | None, files: FileOptions, **options: Any
 ) -> RunRequest:
     """Return what the options of a command ask for."""
-    given: dict[str, Any] = dict(span)
-    for group in groups:
-        given |= asdict(group)
-    scenario_file = changed_scenario(scenario, files.data, given.pop("settings"))
-    return RunRequest(scenario_file, RunOptions(**given), files.out)
+    scenario_file = changed_scenario(scenario, files.data, settings)
+    return RunRequest(scenario_file, RunOptions(**options), files.out)
 
 
 @contextmanager
@@ -140,12 +123,12 @@ def run(
     monotonic time at which the user asked for it [s].
     """
     preparation, folder = prepare_run(request)
-    plan, scenario = preparation.plan, preparation.scenario.scenario
+    plan = preparation.plan
     if server is not None:
-        _check_processes(plan, request.options)
+        check_processes(plan)  # Before anything is printed.
     try:
-        with view_for(console, plan, scenario.time.timezone) as view:
-            for line in (scenario.title, *preparation.remarks):
+        with view_for(console, plan) as view:
+            for line in (preparation.scenario.scenario.title, *preparation.remarks):
                 view.say(line)
             if page is not None:
                 view.say(f"page: {page.show(folder.path)}")
@@ -157,33 +140,10 @@ def run(
         if not folder.recording.exists():
             raise
         text = f"{failure}\nrecording up to there: {folder.recording}"
-        if plan.lockstep and (trouble := _key_trouble(plan)):  # They may have expired meanwhile.
-            text += f"\n{trouble}"
+        if server is not None and plan.lockstep:
+            try:
+                check_processes(plan)  # How long it takes nobody knows: the keys may have expired.
+            except InputError as error:
+                text += f"\n{error}"
         raise FailureError(text) from failure
     return summary, folder
-
-
-def _check_processes(plan: RunPlan, options: RunOptions) -> None:
-    """Refuse what a run as processes cannot have, before anything is printed."""
-    if plan.lockstep and plan.faults:
-        where = f"--fault {options.faults[0]}" if options.faults else "faults of the scenario"
-        why = "an agent would wait forever for a lost message"
-        if all(rule.stops for rule in plan.faults):
-            why = "cycles follow no clock"
-        raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
-    check_devices(plan)
-    if trouble := _key_trouble(plan):
-        raise InputError(trouble)
-
-
-def _key_trouble(plan: RunPlan) -> str:
-    """Say why Zenoh would not open links with the keys of a run; empty: it would."""
-    if not plan.keys_folder:
-        return ""
-    from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
-
-    try:
-        check_keys(plan)
-    except InputError as error:
-        return str(error)
-    return ""

@@ -7,10 +7,11 @@ from typing import Final
 from launch_scripts.commands.options import (
     FileOptions,
     PageOptions,
-    PlantOptions,
     ScenarioArgument,
+    SettingsOption,
     SpanOptions,
 )
+from launch_scripts.scenarios.run_options import PlantOptions
 
 EXAMPLE: Final = "heliarch simulate valley --seed 8 --set commitment.share=0.4 --report"
 
@@ -20,10 +21,12 @@ def simulate(
     *,
     span: SpanOptions,
     plant: PlantOptions,
+    settings: SettingsOption = None,
     page: PageOptions,
     files: FileOptions,
 ) -> int:
     """Run the same agents in one process, with the same messages and recording."""
     from launch_scripts.commands.run import run_and_print, run_request
 
-    return run_and_print(run_request(scenario, files, plant, span), files, page)
+    request = run_request(scenario, settings, files, **vars(span), **vars(plant))
+    return run_and_print(request, files, page)

@@ -12,28 +12,25 @@ import typer
 
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
 from launch_scripts.commands.options import (
-    EndOption,
     FileOptions,
     PageOptions,
-    PlantOptions,
-    StartOption,
+    SettingsOption,
     refuse_others,
 )
 from launch_scripts.commands.output import say, written
-from launch_scripts.scenarios.process_options import ProcessOptions
+from launch_scripts.scenarios.run_options import PlantOptions, ProcessOptions, TimeOptions
 from studies.tables import console_for
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from launch_scripts.launcher.run_request import RunRequest
+    from launch_scripts.launcher.run_folder import RunRequest
     from live_page.process import PageProcess
     from studies.timing.report import Reported, TimingReport
     from studies.timing.sweep import Rates
 
 EXAMPLE: Final = "heliarch timing oahu --rate 20 --duration 60s --report"
 
-_RATE: Final = "1"
 _DURATION: Final = "60s"
 _SWEEP_DURATION: Final = "15s"
 
@@ -48,11 +45,10 @@ def timing(
         ),
     ] = "oahu",
     *,
-    rate: str | None = None,
-    start: StartOption = None,
-    end: EndOption = None,
-    duration: str | None = None,
+    rate: str = "1",
+    span: TimeOptions,
     plant: PlantOptions,
+    settings: SettingsOption = None,
     machine: ProcessOptions,
     processes: bool = False,
     page: PageOptions,
@@ -67,9 +63,8 @@ def timing(
     its table timing.budgets; see docs/timing.md.
 
     --rate RATES: Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the
-        highest rate that the plant keeps up with. Default 1.
-    --duration TIME: Length of the run, simulated and real, in place of --to: seconds, or 90s, 10m;
-        default 60s, 15s for each of several rates.
+        highest rate that the plant keeps up with. Without --to and --duration a run
+        takes 60 s, 15 s for each of several rates.
     --processes: Show each process as well as the tiers.
     """
     from launch_scripts.commands.run import page_beside, run_request
@@ -83,8 +78,9 @@ def timing(
         why = f"expected only --processes, --report or --json with {path}, which was run already"
         refuse_others(context, allowed, why)
         return _print_one(report_on(path, by_agent=processes), path, files, processes=processes)
-    rates = parse_rates(_RATE if rate is None else rate)
-    request = run_request(scenario, files, plant, machine, start=start, end=end, duration=duration)
+    rates = parse_rates(rate)
+    options = {**vars(span), **vars(plant), **vars(machine)}
+    request = run_request(scenario, settings, files, **options)
     with page_beside(page, console) as shown:
         if rates.single_hz is None:
             length_s = run_length_s(request, _SWEEP_DURATION)

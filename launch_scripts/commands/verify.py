@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
@@ -57,7 +57,13 @@ def verify(
     names = [name.strip() for name in (ignored or "").split(",") if name.strip()]
     comparison = _comparison(tolerance, names)
     if accept:
-        _check_accept(runs, {"--nodes": nodes, "--from": start, "--to": end})
+        from recordings.verify.golden import origin
+
+        for option, given in {"--nodes": nodes, "--from": start, "--to": end}.items():
+            if given is not None:
+                raise InputError(f"{option}: expected no --accept, which records the whole run")
+        for run in runs:
+            origin(run)  # Refuses what cannot be recorded again, before any work.
     results = [_verify(run, nodes or "", comparison, start, end, console) for run in runs]
     equal = all(found.equal for found, _ in results)
     write_json(json_ready({"equal": equal, "runs": [data for _, data in results]}), json)
@@ -97,18 +103,6 @@ def _verify(
     say(console, str(found.recording))
     say(console, *wrapped(verification_lines(found, comparison, wall_s), console.width))
     return found, verification_data(found, comparison, wall_s)
-
-
-def _check_accept(runs: Sequence[Path], parts: Mapping[str, str | None]) -> None:
-    from recordings.verify.golden import origin
-
-    for option, given in parts.items():
-        if given is not None:
-            raise InputError(
-                f"--accept: expected no {option} with it: the whole run is recorded again"
-            )
-    for run in runs:
-        origin(run)
 
 
 def _accept(found: Verification, console: Console) -> None:

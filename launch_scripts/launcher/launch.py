@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import Final
 
 from agents.events import (
@@ -19,7 +20,7 @@ from agents.events import (
 )
 from agents.machine import refusals
 from agents.plan import RunPlan
-from bus_schemas.errors import FailureError
+from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import PLANT, RECORDER, agent_of, some_of
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
@@ -44,9 +45,7 @@ from launch_scripts.launcher.supervision import (
     ForkServerProcess,
     Memory,
     RunFailure,
-    blame,
     stall,
-    with_log,
 )
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from launch_scripts.launcher.wrong_messages import wrong_messages
@@ -81,7 +80,6 @@ class _Launch:
     def __init__(
         self,
         preparation: Preparation,
-        plan: RunPlan,
         folder: RunFolder,
         view: View,
         began_at: float,
@@ -91,7 +89,7 @@ class _Launch:
         self._server = server
         self._gateway = gateway
         self._preparation = preparation
-        self._plan = plan
+        plan = self._plan = preparation.plan
         self._folder = folder
         self._view = view
         self._began_at = began_at
@@ -213,13 +211,12 @@ class _Launch:
             # While the recorder stands still, everybody waits for it.
             is_silent = self._watch.recorder_silent_s(now) > HEARTBEAT_S
             if not is_silent and not self._restarts.mends(to_blame):
-                raise RunFailure(blame(children, to_blame[0], line))
+                raise children.failure(to_blame[0], line)
             self._stalled_at = self._stalled_in = None
             for child in children:
                 child.waiting = None
         if self._rounds and (trouble := self._watch.check(now)) is not None:
-            agent, text = trouble
-            raise RunFailure(blame(children, agent, text))
+            raise children.failure(*trouble)
         gone_at = self._external.plant_gone_at
         if self._rounds and gone_at is not None and now > gone_at + HEARTBEAT_S:
             raise RunFailure("the plant (external) is gone and did not say that the run is over")
@@ -232,7 +229,7 @@ class _Launch:
         if complete_at is not None and now > complete_at + longest_s:
             absent = [child.agent for child in children if not child.ready] or [PLANT]
             text = f"not armed after {longest_s:.0f} s: nothing came from {some_of(absent)}"
-            raise RunFailure(blame(children, absent[0], text))
+            raise children.failure(absent[0], text)
 
     def _ask_stop(self, children: Children) -> None:
         """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
@@ -240,19 +237,16 @@ class _Launch:
             raise KeyboardInterrupt  # There is no cycle yet that could be completed.
         if self._asked_at is None:
             self._restarts.end()
-            self._tell_stop(children)
+            if PLANT in children.by_agent:
+                self._view.say("interrupted: ending after this cycle")
+                children.ask_to_end((PLANT,))
+            else:
+                self._view.say("interrupted: the controllers end; the external plant goes on")
+                children.ask_to_end([child.agent for child in children.controllers()])
             self._asked_at = time.monotonic()
         longest_s = _PATIENCE_S + 2.0 * self._plan.cycle_wall_ns / 1e9
         if self._interruption.count > 1 or time.monotonic() > self._asked_at + longest_s:
             raise KeyboardInterrupt
-
-    def _tell_stop(self, children: Children) -> None:
-        if PLANT in children.by_agent:
-            self._view.say("interrupted: ending after this cycle")
-            children.ask_to_end((PLANT,))
-            return
-        self._view.say("interrupted: the controllers end now; the plant is external and goes on")
-        children.ask_to_end([child.agent for child in children.controllers()])
 
     def _finish(self, children: Children) -> Recorded:
         """Wait until all agents have ended; then let the recorder close its file."""
@@ -261,19 +255,16 @@ class _Launch:
             # A controller that hears of an early end waits whether the plant goes on after all.
             children.ask_to_end([child.agent for child in children.controllers()])
         late = children.await_exit(children.controllers(), longest_s)
-        if late and all(child.finished for child in late):
-            server = f"the fork server (process {self._server.pid})"
-            raise RunFailure(f"{server} does not say that the run's processes have ended")
         if late:
             names = some_of([child.agent for child in late])
-            raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
+            raise children.failure(late[0].agent, f"{names} did not end with the run")
         published = self._published(children)
         recorder = children[RECORDER]
         # What a process that died has published nobody knows: wait until nothing more comes.
         total = _UNKNOWN if self._restarts.lost_processes else sum(published.values())
         children.end_recorder(total)
         if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
-            raise RunFailure(with_log(recorder, "the recorder did not close its file"))
+            raise children.failure(RECORDER, "the recorder did not close its file")
         return recorder.recorded
 
     def _published(self, children: Children) -> dict[str, int]:
@@ -346,6 +337,20 @@ class _Launch:
         )
 
 
+def check_processes(plan: RunPlan) -> None:
+    """Refuse what a run as processes cannot have."""
+    if plan.lockstep and plan.faults:
+        raise InputError(
+            "--fault, faults: expected a --pace such as 1 with faults, got lockstep, where an "
+            "agent would wait forever for a lost message"
+        )
+    check_devices(plan)
+    if plan.keys_folder:
+        from launch_scripts.scenarios.plant_keys import check_keys  # noqa: PLC0415 - optional
+
+        check_keys(plan)
+
+
 def launch(
     preparation: Preparation,
     folder: RunFolder,
@@ -360,17 +365,17 @@ def launch(
     plan, base_port = preparation.plan, preparation.options.base_port
     agents, further = listening(plan)
     further_port = None if base_port is None else base_port + len(agents)
-    check_devices(plan)
     with (
         GatewayProcess(plan) if plan.devices else nullcontext() as gateway,
         reserved_ports(agents, base_port, plan.address) as tcp_ports,
         reserved_ports(further, further_port, plan.address) as agent_ports,
     ):
         plan = folder.fill(preparation, tcp_ports, agent_ports)
+        preparation = replace(preparation, plan=plan)
         if gateway is not None:
             gateway.join(folder.path)
         try:
-            return _Launch(preparation, plan, folder, view, began_at, server, gateway).run()
+            return _Launch(preparation, folder, view, began_at, server, gateway).run()
         except FailureError as failure:
             folder.failure.write_text(f"{failure}\n", encoding="utf-8")
             raise

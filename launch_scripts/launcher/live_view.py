@@ -11,6 +11,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.panel import Panel
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
@@ -26,26 +27,9 @@ _NAMED: Final = 6
 """How many nodes in need are named before the rest is counted."""
 
 
-class View:
-    """Shows a run; this one shows nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-    def say(self, text: str) -> None:
-        """Show a line that stays."""
-
-    def show(self, status: Status) -> None:
-        """Show where the run stands."""
-
-
-def view_for(console: Console, plan: RunPlan, timezone: str) -> View:
+def view_for(console: Console, plan: RunPlan) -> View:
     """Choose the live panel for a terminal, plain lines for anything else."""
-    kind = LivePanel if console.is_terminal else PlainLines
-    return kind(console, plan, timezone)
+    return LivePanel(console, plan) if console.is_terminal else View(console, plan)
 
 
 class StatusLine:
@@ -75,23 +59,30 @@ class StatusLine:
             self._stream.flush()
 
 
-class PlainLines(View):
-    """A line every now and then."""
+class View:
+    """Shows a run: a line every now and then."""
 
-    def __init__(self, console: Console, plan: RunPlan, timezone: str) -> None:
+    def __init__(self, console: Console, plan: RunPlan) -> None:
         self._console = console
         self._plan = plan
-        self._zone = ZoneInfo(timezone)
+        self._zone = ZoneInfo(plan.timezone)
         self._line = StatusLine(console.file, in_place=False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
 
     def local_time(self, status: Status) -> str:
         return f"{datetime.fromtimestamp(status.sim_time_ns / 1e9, self._zone):%H:%M:%S}"
 
     def say(self, text: str) -> None:
+        """Show a line that stays."""
         self._console.print(printable(text), highlight=False, soft_wrap=True, markup=False)
 
     def show(self, status: Status) -> None:
-        """Print a line if the last one is old enough."""
+        """Show where the run stands, if the last line about it is old enough."""
         if status.cycle < 0 or not self._line.is_due():
             return
         self._line.show(
@@ -101,11 +92,11 @@ class PlainLines(View):
         )
 
 
-class LivePanel(PlainLines):
+class LivePanel(View):
     """A panel that is drawn anew a few times a second."""
 
-    def __init__(self, console: Console, plan: RunPlan, timezone: str) -> None:
-        super().__init__(console, plan, timezone)
+    def __init__(self, console: Console, plan: RunPlan) -> None:
+        super().__init__(console, plan)
         self._rating_kw = sum(rating_kw for _, rating_kw in plan.inverters)
         self._progress = Progress(
             TextColumn("cycle"),
@@ -138,16 +129,15 @@ class LivePanel(PlainLines):
             ("delivered", status.delivered_kw, "green"),
             ("possible", status.possible_kw, "cyan"),
         ):
-            powers.add_row(name, f"{power_kw:,.0f} kW", self._bar(power_kw, style))
+            bar = ProgressBar(
+                self._rating_kw, power_kw, _BAR_WIDTH, complete_style=style, finished_style=style
+            )
+            powers.add_row(name, f"{power_kw:,.0f} kW", bar)
         needy = Text(f"needs help: {_needy(status)}", style="red" if status.needy else "dim")
         title = f"{self._plan.plant} {self.local_time(status)}"
         subtitle = f"{status.recorded:,} messages recorded"
         body = Group(powers, needy, self._progress)
         self._live.update(Panel(body, title=Text(title), subtitle=subtitle, width=90))
-
-    def _bar(self, power_kw: float, style: str) -> Text:
-        filled = round(_BAR_WIDTH * min(power_kw / self._rating_kw, 1.0))
-        return Text("█" * filled, style=style) + Text("·" * (_BAR_WIDTH - filled), style="dim")
 
 
 def _needy(status: Status) -> str:

@@ -15,7 +15,8 @@ import msgspec
 from agents.plan import RunPlan
 from agents.session import users
 from bus_schemas.errors import InputError
-from launch_scripts.scenarios.preparation import Preparation
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import ScenarioFile
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
 from recordings.read.whole_file import whole_file
@@ -52,10 +53,7 @@ class RunFolder:
         return self.path / FAILURE_NAME
 
     def make(self) -> None:
-        try:
-            self.logs.mkdir(parents=True)
-        except OSError as error:
-            raise _no_folder(self.path, error.strerror) from None
+        self.logs.mkdir(parents=True)
 
     def fill(
         self,
@@ -82,22 +80,13 @@ class RunFolder:
         return plan
 
     def write_summary(self, document: bytes) -> None:
-        """Write the summary, whole or not at all."""
         with whole_file(self.summary) as file:
             file.write(document + b"\n")
 
     def write_plan(self, plan: RunPlan) -> None:
         """Write the plan at once. It lets a program join the run: it is for the user alone."""
-        unfinished = self.plan.with_suffix(".json.part")
-        unfinished.touch(mode=0o600)
-        unfinished.write_bytes(plan.as_json())
-        unfinished.replace(self.plan)
-
-
-def _no_folder(path: Path, reason: str | None) -> InputError:
-    return InputError(
-        f"--out: expected a new or empty folder, got {path}, where none can be made ({reason})"
-    )
+        with whole_file(self.plan, mode=0o600) as file:
+            file.write(plan.as_json())
 
 
 def new_run_id(scenario: str) -> str:
@@ -114,5 +103,21 @@ def run_folder(run_id: str, out: Path | None) -> RunFolder:
         raise InputError(f"--out: expected a new or empty folder, got {path}, which exists already")
     parent = next(folder for folder in path.absolute().parents if folder.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise _no_folder(path, f"{parent} is no folder that may be written to")
+        raise InputError(f"--out: expected a folder in which {path} can be made, got {parent}")
     return RunFolder(path)
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """A scenario, what is different from it, and the folder of the run (None: a new one)."""
+
+    scenario: ScenarioFile
+    options: RunOptions
+    out: Path | None = None
+
+
+def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
+    """Work out the run and the path of its folder; write nothing yet."""
+    run_id = new_run_id(request.scenario.scenario.name)
+    folder = run_folder(run_id, request.out)
+    return prepare(request.scenario, request.options, run_id), folder

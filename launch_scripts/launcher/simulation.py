@@ -98,9 +98,8 @@ class MemoryRun:
         plant.begin(start_ns, start_ns)
         done = 0
         for arrivals in self._turns(start_ns):
-            while done < plant.cycle:
-                yield done
-                done += 1
+            yield from range(done, plant.cycle)
+            done = plant.cycle
             if not arrivals and self._clock is None:
                 waiting = {
                     name: Waiting(loop.cycle, loop.stage, loop.needs)
@@ -108,9 +107,7 @@ class MemoryRun:
                     if loop.waiting
                 }
                 raise RunFailure(who_waits(waiting)[0])
-        while done < plant.cycle:
-            yield done
-            done += 1
+        yield from range(done, plant.cycle)
 
     def _turns(self, start_ns: int) -> Iterator[Sequence[Arrival]]:
         """Drive the agents; let happen to them what the rules say."""
@@ -159,15 +156,24 @@ class MemoryRun:
                 driver.join(self.loops[name])
 
     def _kill(self, incident: Incident) -> Iterator[tuple[float, Incident]]:
-        """Kill a process; yield its return."""
+        """Kill a process; yield its return, which the restart policy may refuse."""
         name = incident.agent
         if name in self._driver.loops:
             self._driver.leave(name)
         self._frozen.pop(name, None)
         self.bus.hold(name, keep=False)
-        if isfinite(self._restart_takes_s):
-            wait_s = self._wait_for_restart_s(name)
-            yield wait_s + self._restart_takes_s, incident._replace(what="start")
+        if not isfinite(self._restart_takes_s):
+            return
+        earlier_s, now_s = self._restarted_s.setdefault(name, []), self._driver.now_ns() / 1e9
+        policy = self.plan.restart
+        wait_s = policy.wait_s(earlier_s, now_s)
+        if wait_s is None:
+            why = f"it was started again {policy.most} times within {policy.within_s:g} s"
+            if policy.when == "never":
+                why = 'restart.when is "never"'
+            raise RunFailure(f"{name} was killed in the middle of the run, and {why}")
+        earlier_s.append(now_s)
+        yield wait_s + self._restart_takes_s, incident._replace(what="start")
 
     def _loop(self, name: str) -> AgentLoop[Any]:
         return AgentLoop(controller(self.plan, agent_of(name)), self.plan, process=name)
@@ -182,21 +188,6 @@ class MemoryRun:
             return next((one for one in both if one in self._frozen), name)
         there = [one for one in both if one in self._driver.loops]
         return min(there, key=lambda one: self.loops[one].silent, default=name)
-
-    def _wait_for_restart_s(self, name: str) -> float:
-        """Note a death; end the run if the policy does not let the controller be replaced."""
-        policy, now_s = self.plan.restart, self._driver.now_ns() / 1e9
-        earlier_s = self._restarted_s.setdefault(name, [])
-        wait_s = policy.wait_s(earlier_s, now_s)
-        if wait_s is None:
-            why = (
-                'restart.when is "never"'
-                if policy.when == "never"
-                else f"it was started again {policy.most} times within {policy.within_s:g} s"
-            )
-            raise RunFailure(f"{name} was killed in the middle of the run, and {why}")
-        earlier_s.append(now_s)
-        return wait_s
 
     @property
     def restarts(self) -> dict[str, int]:

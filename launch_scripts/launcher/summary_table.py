@@ -129,12 +129,10 @@ def _external_rows(summary: RunSummary) -> Iterator[Row]:
         late = sum(wrong.count for wrong in own if wrong.cause == "late")
         refused = sum(wrong.count for wrong in own if wrong.cause not in {"late", "repeated"})
         notes += [f"{late:,} late"] * bool(late) + [f"{refused:,} refused"] * bool(refused)
-        notes += [_outage_text(*cycles) for cycles in account.outages]
+        for gone, back in account.outages:
+            until = f"since cycle {gone:,}" if back is None else f"in cycles {gone:,} to {back:,}"
+            notes.append(f"gone {until}")
         yield f"External {account.agent}", sum(account.recorded.values()), "", "; ".join(notes)
-
-
-def _outage_text(gone: int, back: int | None) -> str:
-    return f"gone since cycle {gone:,}" if back is None else f"gone in cycles {gone:,} to {back:,}"
 
 
 def _wrong_rows(summary: RunSummary) -> Iterator[Row]:

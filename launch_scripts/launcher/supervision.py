@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -30,6 +28,7 @@ from agents.events import (
 )
 from agents.launcher_link import EventReader
 from agents.plan import RunPlan
+from agents.side_process import SideProcess
 from bus_schemas.errors import FailureError
 from bus_schemas.tree import RECORDER, some_of
 from launch_scripts.launcher.fork_requests import Expect, Request, Signal
@@ -43,7 +42,6 @@ _SAMPLE_S: Final = 0.5
 
 _LARGEST_PACKET: Final = 1 << 18
 _MOST_PACKETS: Final = 500
-_LAST_WAIT_S: Final = 5.0
 
 _ARENAS: Final = "1"
 """Heaps of glibc in each process. With a heap for each thread, a process grows with the links that
@@ -69,24 +67,16 @@ class RunFailure(FailureError):  # noqa: N818 - what failed is the run, not the 
     """A run that could not go on. The text names the process, who waited for what, and its log."""
 
 
-class ForkServerProcess:
+class ForkServerProcess(SideProcess):
     """The fork server as the launcher sees it. Start it early: it imports while others prepare."""
 
     def __init__(self) -> None:
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.control = ours
+        self.control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._was_asked = False
         with theirs:
-            self._process = subprocess.Popen(
-                # Without the current folder on the path: a `signal.py` there is none of ours.
-                (
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    "launch_scripts.launcher.fork_server",
-                    str(theirs.fileno()),
-                ),
-                stdin=subprocess.DEVNULL,
+            super().__init__(
+                "launch_scripts.launcher.fork_server",
+                str(theirs.fileno()),
                 env={
                     "MALLOC_ARENA_MAX": _ARENAS,
                     **os.environ,
@@ -95,37 +85,19 @@ class ForkServerProcess:
                     "OPENBLAS_NUM_THREADS": "1",
                 },
                 pass_fds=(theirs.fileno(),),
-                process_group=0,
             )
-
-    def __enter__(self) -> ForkServerProcess:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-    @property
-    def pid(self) -> int:
-        return self._process.pid
-
-    def has_ended(self) -> bool:
-        return self._process.poll() is not None
 
     def ask(self, request: Request) -> None:
         self._was_asked = True
         with suppress(BrokenPipeError, ConnectionResetError):
             self.control.send(msgspec.json.encode(request))
 
-    def close(self) -> None:
+    def hang_up(self) -> None:
         """Let it end what is left of its processes, and itself."""
+        super().hang_up()
         self.control.close()
         if not self._was_asked:  # It has no processes.
-            self._process.kill()
-        try:
-            self._process.wait(_LAST_WAIT_S + 1.0)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            self.process.kill()
 
 
 @dataclass
@@ -155,16 +127,8 @@ class Child:
                 self.pid = event.pid
             case Joined():
                 self.ready = True
-            case Finished():
-                self.finished = event
-            case Recorded():
-                self.recorded = event
-            case Waiting():
-                self.waiting = event
-            case Failed():
-                self.failed = event
-            case Exited():
-                self.exited = event
+            case Finished() | Recorded() | Waiting() | Failed() | Exited():
+                setattr(self, type(event).__name__.lower(), event)  # Each has a field of its name.
 
     def cpu_s(self) -> float | None:
         """Return the processor time of all its threads so far; None if it is not known."""
@@ -181,13 +145,6 @@ class Child:
             return bool(psutil.Process(self.pid).status() == psutil.STATUS_STOPPED)
         except psutil.Error:
             return False
-
-    def last_log_lines(self) -> str:
-        """Return the end of its log, empty if it said nothing."""
-        if not self.log.exists():
-            return ""
-        lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
-        return "\n".join(f"  | {line}" for line in lines[-_LOG_LINES:])
 
 
 class Children:
@@ -213,7 +170,8 @@ class Children:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.end()
+        # Then the server ends the recorder in order, so that its file is whole, others at once.
+        self.server.close()
 
     def __getitem__(self, agent: str) -> Child:
         return self.by_agent[agent]
@@ -247,6 +205,15 @@ class Children:
         """Return all processes but the recorder."""
         return [child for child in self if child.agent != RECORDER]
 
+    def failure(self, agent: str, text: str) -> RunFailure:
+        """Return the failure of a run that an agent is to blame for, with its last log lines."""
+        if agent not in self.by_agent:
+            return RunFailure(f"{text} ({agent} is external)")
+        log = self[agent].log
+        said = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
+        lines = "".join(f"\n  | {line}" for line in said.splitlines()[-_LOG_LINES:])
+        return RunFailure(f"{text}; last lines of {log}:{lines}" if lines else text)
+
     def end_recorder(self, messages: int) -> None:
         """Let the recorder close its file once it has so many messages."""
         self._asked_to_end.add(RECORDER)
@@ -255,7 +222,7 @@ class Children:
     def ask_to_end(self, agents: Sequence[str]) -> None:
         """Let agents end in order."""
         self._asked_to_end.update(agents)
-        self._signal(agents, signal.SIGTERM)
+        self.server.ask(Signal(tuple(agents), int(signal.SIGTERM)))
 
     def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
         """Wait for processes to end; return those that have not."""
@@ -265,16 +232,6 @@ class Children:
             self.events(0.02)
             left = [child for child in left if child.exited is None]
         return left
-
-    def end(self) -> None:
-        """End every process: the recorder in order, so that its file is whole, the others at once.
-
-        The server does so when the launcher hangs up.
-        """
-        self.server.close()
-
-    def _signal(self, agents: Sequence[str], number: signal.Signals) -> None:
-        self.server.ask(Signal(tuple(agents), int(number)))
 
     def _note(self, agent: str, event: Event, heard: list[tuple[Child, Event]]) -> None:
         if agent in self.by_agent:
@@ -301,17 +258,15 @@ class Children:
             child.memory = max(child.memory, memory_of(child.pid))
 
     def _check(self) -> None:
-        if self._server_gone or self.server.has_ended():
+        if self._server_gone or self.server.process.poll() is not None:
+            server = f"the fork server (process {self.server.process.pid})"
             why = self._server_failure or "it was killed or ended by itself"
-            raise RunFailure(
-                f"the fork server (process {self.server.pid}) is gone, and with it all processes "
-                f"of the run: {why}"
-            )
+            raise RunFailure(f"{server} is gone, and with it all processes of the run: {why}")
         for child in self:
             why = self._why_ended_early(child)
             died = child.exited is not None and child.failed is None  # It would give up again.
             if why and not (died and self.replaces(child, why)):
-                raise RunFailure(with_log(child, why))
+                raise self.failure(child.agent, why)
 
     def _why_ended_early(self, child: Child) -> str:
         """Say how a process has ended before its time; empty if it has not."""
@@ -329,19 +284,6 @@ class Children:
         code = exited.status
         how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
         return f"{name} {how} in the middle of the run"
-
-
-def with_log(child: Child, text: str) -> str:
-    """Return a text with the last log lines of the process that it is about."""
-    lines = child.last_log_lines()
-    return f"{text}; last lines of {child.log}:\n{lines}" if lines else text
-
-
-def blame(children: Children, agent: str, text: str) -> str:
-    """Return a text about an agent, with its last log lines if it is a process of this run."""
-    if agent in children.by_agent:
-        return with_log(children[agent], text)
-    return f"{text} ({agent} is external)"
 
 
 def who_waits(waiting: Mapping[str, Waiting], stopped: Sequence[str] = ()) -> tuple[str, list[str]]:

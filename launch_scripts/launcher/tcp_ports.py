@@ -31,14 +31,9 @@ def reserved_ports(
             try:
                 holder.bind((address, wanted))
             except OSError as error:
+                where = f"--base-port: expected free ports, got port {wanted} of {agent}"
                 if base_port is None:
-                    raise InputError(
-                        f"--address: expected an address of this host, got {address}: "
-                        f"{error.strerror}"
-                    ) from None
-                raise InputError(
-                    f"--base-port: expected free ports, got port {wanted} of {agent}: "
-                    f"{error.strerror}"
-                ) from None
+                    where = f"--address: expected an address of this host, got {address}"
+                raise InputError(f"{where}: {error.strerror}") from None
             ports[agent] = holder.getsockname()[1]
         yield ports

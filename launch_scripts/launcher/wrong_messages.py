@@ -82,13 +82,9 @@ def one_line_each(wrong: Iterable[WrongMessages]) -> tuple[WrongMessages, ...]:
     found = [
         replace(
             max(group, key=lambda entry: entry.count),
-            key=_keys_in_words([entry.key for entry in group]),
+            key=f"{group[0].key} and {len(group) - 1} more" if group[1:] else group[0].key,
             count=sum(entry.count for entry in group),
         )
         for group in groups.values()
     ]
     return tuple(sorted(found, key=lambda entry: -entry.count))
-
-
-def _keys_in_words(keys: list[str]) -> str:
-    return keys[0] if len(keys) == 1 else f"{keys[0]} and {len(keys) - 1} more"

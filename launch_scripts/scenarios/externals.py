@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
-from ipaddress import ip_address
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
 from typing import Final
 
@@ -29,11 +29,6 @@ def check_externals(
     """Check the options about external agents; return the agents in the order of the tree."""
     team = tuple(agent for agent in tree.agents() if agent != RECORDER)
     for agent in external:
-        if agent == RECORDER:
-            raise InputError(
-                f"--external: expected {', '.join(team[:4])} or another agent, got recorder, which "
-                "the launcher follows the run through"
-            )
         if agent not in team:
             near = get_close_matches(agent, team, n=4, cutoff=0.5) or team[:4]
             raise InputError(
@@ -61,6 +56,16 @@ def check_base_port(base_port: int, plan: RunPlan) -> None:
             f"--base-port: expected ports from {_PORTS[0]} to {_PORTS[-1]}, got "
             f"{base_port} to {last}"
         )
+
+
+def own_address(text: str) -> IPv4Address | IPv6Address:
+    """Read the value of `--address`."""
+    try:
+        return ip_address(text)
+    except ValueError:
+        raise InputError(
+            f"--address: expected an IP address such as 10.0.0.1, got {text}"
+        ) from None
 
 
 def addresses_of(

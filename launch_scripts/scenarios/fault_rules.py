@@ -1,7 +1,4 @@
-"""The network faults of a run: the scenario's rules, and those of `--fault`.
-
-An option reads `--fault source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s`.
-"""
+"""The network faults of a run: the scenario's rules, and those of `--fault`."""
 
 from __future__ import annotations
 
@@ -60,34 +57,32 @@ def parse_fault(text: str) -> FaultRule:
         field, _, value = (piece.strip() for piece in part.partition("="))
         if not value:
             raise InputError(f"{where}: expected fields such as {_EXAMPLE}, got {part.strip()!r}")
-        if field == "silent":
-            ends = split_range(value, f"{where}: silent")
-            interval_s = [_duration_s(end, f"{where}: silent") for end in ends]
-            values.setdefault("silent", []).append(interval_s)
-            continue
-        if field == "at":
-            times: tuple[str, ...] = (value,)
-            if ".." in value:
-                times = split_range(value, f"{where}: at")
-            values["at"] = [_duration_s(time, f"{where}: at") for time in times]
-            continue
         name, read = _field(field, value, where)
-        if name in values:
+        if name == "silent":
+            values.setdefault(name, []).append(read)
+        elif name in values:
             raise InputError(f"{where}: expected {field} once, got it twice")
-        values[name] = read
+        else:
+            values[name] = read
     try:
         return msgspec.convert(values, FaultRule)
     except msgspec.ValidationError as error:
         raise InputError(f"{where}: {readable(error, FaultRule, values)}") from None
 
 
-def _field(field: str, value: str, where: str) -> tuple[str, str | float]:
+def _field(field: str, value: str, where: str) -> tuple[str, object]:
+    """Return the field of a rule that is meant, and its value."""
+    its_where = f"{where}: {field}"
     if field in _NAMES:
         return field, value
     if field in _TIMES:
-        return _TIMES[field], _duration_s(value, f"{where}: {field}") * 1e3
+        return _TIMES[field], _duration_s(value, its_where) * 1e3
     if field in _SHARES:
-        return field, _share(value, f"{where}: {field}")
+        return field, _share(value, its_where)
+    if field in {"silent", "at"}:
+        is_range = field == "silent" or ".." in value
+        times = split_range(value, its_where) if is_range else (value,)
+        return field, [_duration_s(time, its_where) for time in times]
     accepted = ", ".join((*_NAMES, *_TIMES, *_SHARES, "silent", "at"))
     raise InputError(f"{where}: expected {accepted}, got {field!r}")
 

@@ -18,17 +18,23 @@ def readable(error: msgspec.ValidationError, struct: type[Any], document: object
     """Say `FIELD: expected X, got Y` of an error in a document that should be a struct."""
     where, what = place_and_objection(error)
     if unknown := re.fullmatch(r"Object contains unknown field `(.*)`", what, re.DOTALL):
-        names = ", ".join(field_names(struct, where, document))
-        return _at(where, f"expected the fields {names}, got {unknown[1]}")
-    if missing := re.fullmatch(r"Object missing required field `(.*)`", what):
-        place = f"{where}.{missing[1]}" if where else missing[1]
-        return _at(place, f"expected {_needs(struct, place, document)}, got nothing")
-    if not what.startswith(("Expected", "Invalid")):
-        return _at(where, what)  # From a `__post_init__`, in its own words.
-    types, value = types_at(struct, where, document), _value_at(document, where)
-    if " in `$" in str(error) and isinstance(value, Mapping):
-        types, value = [key for one in types for key in _keys(one)], ", ".join(map(str, value))
-    return _at(where, f"expected {takes(types) or what}, got {_shown(value)}")
+        text = f"expected the fields {', '.join(field_names(struct, where, document))}"
+        text += f", got {unknown[1]}"
+    elif missing := re.fullmatch(r"Object missing required field `(.*)`", what):
+        where = f"{where}.{missing[1]}".removeprefix(".")
+        text = f"expected {_needs(struct, where, document)}, got nothing"
+    elif what.startswith(("Expected", "Invalid")):
+        types, value = _types_and_value(struct, where, document)
+        if " in `$" in str(error) and isinstance(value, Mapping):
+            tables = (one for one in types if isinstance(one, inspect.DictType))
+            types = [key for table in tables for key in members(table.key_type)]
+            value = ", ".join(map(str, value))
+        shown = repr(value) if isinstance(value, str) else str(value)
+        shown = shown if len(shown) <= _LONGEST_SHOWN else f"{shown[:_LONGEST_SHOWN]}..."
+        text = f"expected {takes(types) or what}, got {shown}"
+    else:
+        text = what  # From a `__post_init__`, in its own words.
+    return f"{where}: {text}" if where else text
 
 
 def place_and_objection(error: msgspec.ValidationError) -> tuple[str, str]:
@@ -44,7 +50,7 @@ def field_names(struct: type[Any], path: str, document: object = None) -> tuple[
     all of them are named.
     """
     names: dict[str, None] = {}
-    for table in types_at(struct, path, document):
+    for table in _types_and_value(struct, path, document)[0]:
         if isinstance(table, inspect.StructType):
             if table.tag_field is not None:
                 names[table.tag_field] = None
@@ -52,14 +58,15 @@ def field_names(struct: type[Any], path: str, document: object = None) -> tuple[
     return tuple(names)
 
 
-def types_at(struct: type[Any], path: str, document: object = None) -> list[inspect.Type]:
-    """Return the types that a path such as `faults[1].loss` leads to, without those of `None`."""
-    found: list[inspect.Type] = [inspect.type_info(struct)]
+def _types_and_value(
+    struct: type[Any], path: str, document: object
+) -> tuple[list[inspect.Type], object]:
+    """Follow a path such as `faults[1].loss`; return the types there but `None`, and the value."""
+    types: list[inspect.Type] = [inspect.type_info(struct)]
     for part in re.findall(r"[^.\[\]]+|\[[^\]]*\]", path):
         document = _value_in(document, part)
-        inner = [one for outer in found for one in _inside(outer, part)]
-        found = _meant(inner, document)
-    return found
+        types = _meant([one for outer in types for one in _inside(outer, part)], document)
+    return types, document
 
 
 def members(kind: inspect.Type) -> tuple[inspect.Type, ...]:
@@ -77,37 +84,36 @@ def takes(types: Iterable[inspect.Type]) -> str:
 
 def _needs(struct: type[Any], place: str, document: object) -> str:
     """Say in words what a field takes that is missing; of a table also its required fields."""
-    types = types_at(struct, place, document)
+
+    def taken_at(path: str) -> str:
+        return takes(_types_and_value(struct, path, document)[0])
+
+    types, _ = _types_and_value(struct, place, document)
     tables = [one for one in types if isinstance(one, inspect.StructType)]
     names = [field.encode_name for table in tables[:1] for field in table.fields if field.required]
     if tables and tables[0].tag_field is not None:
         names = [tables[0].tag_field]
-    fields = (f"{one} ({takes(types_at(struct, f'{place}.{one}', document))})" for one in names)
-    return " with ".join(filter(None, [takes(types), ", ".join(fields)]))
+    fields = ", ".join(f"{name} ({taken_at(f'{place}.{name}')})" for name in names)
+    return f"{takes(types)} with {fields}" if fields else takes(types)
 
 
 def _takes(kind: inspect.Type) -> str:
     match kind:
         case inspect.LiteralType():
             return ", ".join(f'"{value}"' for value in kind.values)
-        case inspect.IntType() | inspect.FloatType():
-            return _number(kind)
         case inspect.StrType(pattern=str(pattern)):
             return ", ".join(re.findall(r"\^([^$]*)\$", pattern))
-    return _takes_several(kind) or _PLAIN[type(kind)]
-
-
-def _takes_several(kind: inspect.Type) -> str:
-    match kind:
-        case inspect.VarTupleType():
-            return f"list, each: {takes(members(kind.item_type))}"
-        case inspect.TupleType():
-            return f"list of {len(kind.item_types)}, each: {takes(members(kind.item_types[0]))}"
+        case inspect.VarTupleType(item_type=item):
+            return f"list, each: {takes(members(item))}"
+        case inspect.TupleType(item_types=items):
+            return f"list of {len(items)}, each: {takes(members(items[0]))}"
         case inspect.DictType():
             value = takes(members(kind.value_type))
             return f"table from {takes(members(kind.key_type))} to {value}"
-    return ""
+    return _number(kind) if isinstance(kind, _NUMBERS) else _PLAIN[type(kind)]
 
+
+_NUMBERS: Final = (inspect.IntType, inspect.FloatType)
 
 _PLAIN: Final[dict[type[inspect.Type], str]] = {
     inspect.StructType: "table",
@@ -125,19 +131,6 @@ def _number(kind: inspect.IntType | inspect.FloatType) -> str:
     return " ".join([what, *said])
 
 
-def _at(where: str, text: str) -> str:
-    return f"{where}: {text}" if where else text
-
-
-def _shown(value: object) -> str:
-    text = repr(value) if isinstance(value, str) else str(value)
-    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
-
-
-def _keys(kind: inspect.Type) -> tuple[inspect.Type, ...]:
-    return members(kind.key_type) if isinstance(kind, inspect.DictType) else ()
-
-
 def _inside(outer: inspect.Type, part: str) -> Iterator[inspect.Type]:
     """Yield the types that one part of a path leads to; for a tag, its value."""
     match outer:
@@ -153,12 +146,6 @@ def _inside(outer: inspect.Type, part: str) -> Iterator[inspect.Type]:
             yield from members(outer.item_types[0])
         case inspect.CollectionType():
             yield from members(outer.item_type)
-
-
-def _value_at(document: object, path: str) -> object:
-    for part in re.findall(r"[^.\[\]]+|\[\d+\]", path):
-        document = _value_in(document, part)
-    return document
 
 
 def _value_in(document: object, part: str) -> object:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated, cast
 
 import msgspec
@@ -32,17 +32,7 @@ def machine_settings(
     table: MachineTable, cpus: Sequence[str], priority: int | None, *, lockstep: bool
 ) -> MachineSettings:
     """Return what the processes of a run may take, by the scenario and the command line."""
-    everywhere, of_kind = _cpus(*(("--cpus", cpus) if cpus else ("machine.cpus:", table.cpus)))
-    if priority is not None:
-        _check_priority(priority, lockstep)
-    return MachineSettings(
-        everywhere, of_kind, table.priority if priority is None else priority, table.lock_memory
-    )
-
-
-def _cpus(
-    where: str, entries: Iterable[str]
-) -> tuple[tuple[int, ...], dict[Kind, tuple[int, ...]]]:
+    where, entries = ("--cpus", cpus) if cpus else ("machine.cpus:", table.cpus)
     everywhere: tuple[int, ...] = ()
     of_kind: dict[Kind, tuple[int, ...]] = {}
     for entry in entries:
@@ -51,12 +41,23 @@ def _cpus(
             raise InputError(
                 f"{where} {entry}: expected a kind of process ({', '.join(KINDS)}), got {kind!r}"
             )
-        cpus = _cpu_list(f"{where} {entry}", listed)
+        found = _cpu_list(f"{where} {entry}", listed)
         if equals:
-            of_kind[cast("Kind", kind)] = cpus
+            of_kind[cast("Kind", kind)] = found
         else:
-            everywhere = cpus
-    return everywhere, of_kind
+            everywhere = found
+    if priority is None:
+        priority = table.priority
+    elif not LOWEST_PRIORITY <= priority <= HIGHEST_PRIORITY:
+        raise InputError(
+            f"--priority: expected {LOWEST_PRIORITY} to {HIGHEST_PRIORITY}, got {priority}"
+        )
+    elif lockstep:
+        raise InputError(
+            "--priority: expected a --pace such as 1 with it, got lockstep, where nothing can be "
+            "late"
+        )
+    return MachineSettings(everywhere, of_kind, priority, table.lock_memory)
 
 
 def _cpu_list(where: str, text: str) -> tuple[int, ...]:
@@ -72,15 +73,3 @@ def _cpu_list(where: str, text: str) -> tuple[int, ...]:
         listed = ", ".join(map(str, sorted(known)))
         raise InputError(f"{where}: expected processors of this machine, {listed}, got {text}")
     return tuple(sorted(cpus))
-
-
-def _check_priority(priority: int, lockstep: bool) -> None:
-    if not LOWEST_PRIORITY <= priority <= HIGHEST_PRIORITY:
-        raise InputError(
-            f"--priority: expected {LOWEST_PRIORITY} to {HIGHEST_PRIORITY}, got {priority}"
-        )
-    if lockstep:
-        raise InputError(
-            "--priority: expected a --pace such as 1 with it, got lockstep, where nothing can be "
-            "late"
-        )

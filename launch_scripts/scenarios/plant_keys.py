@@ -5,17 +5,18 @@ The common name of a certificate is the agent that it is for, and its organizati
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime, timedelta
 from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from agents.plan import RunPlan
 from bus_schemas.access import common_name
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.zenoh_bus import KeyFiles
+from launch_scripts.scenarios.externals import own_address
+from recordings.read.whole_file import whole_file
 
 try:
     from cryptography import x509
@@ -33,54 +34,43 @@ except ImportError as error:
         "keys need the package cryptography: pip install 'heliarch[keys]'"
     ) from error
 
-LOOPBACK: Final = "127.0.0.1"
-
-_AUTHORITY_KEY: Final = "ca.key"
 _AUTHORITY_DAYS: Final = 3650
 _BEFORE: Final = timedelta(hours=1)
 """Certificates hold from a little before now on: clocks of hosts differ."""
 
 
-class MadeKeys(NamedTuple):
-    """What `make_keys` has made, and until when it holds."""
-
-    agents: tuple[str, ...]
-    expires: datetime
-    new_authority: bool
-
-
 def make_keys(
-    folder: Path, plant: str, agents: Sequence[str], days: float, addresses: Iterable[str]
-) -> MadeKeys:
+    folder: Path, plant: str, agents: Iterable[str], days: float, addresses: Iterable[str]
+) -> tuple[datetime, bool]:
     """Make a certificate for each agent, and the authority that signs them if there is none yet.
 
-    Private keys by the authority there stay: a process that starts in between finds a pair that
-    matches, and a device needs nothing but its new certificate.
+    Returns until when they hold, and whether the authority is new. Private keys by the authority
+    there stay: a process that starts in between finds a pair that matches, and a device needs
+    nothing but its new certificate.
     """
-    hosts = [_address("--address", address) for address in (LOOPBACK, *addresses)]
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except OSError as error:
-        raise InputError(f"--out: expected a folder, got {folder}: {error.strerror}") from None
-    there = [name for name in (_AUTHORITY_KEY, "ca.pem") if (folder / name).exists()]
+    hosts = (x509.IPAddress(own_address(address)) for address in ("127.0.0.1", *addresses))
+    names = x509.SubjectAlternativeName(hosts)
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    there = [name for name in ("ca.key", "ca.pem") if (folder / name).exists()]
     if len(there) == 1:
         raise InputError(
-            f"{folder}: expected both {_AUTHORITY_KEY} and ca.pem, got {there[0]} alone; bring the "
-            "other one back, or name a new folder with --out"
+            f"{folder}: expected both ca.key and ca.pem, got {there[0]} alone; bring the other one "
+            "back, or name a new folder with --out"
         )
-    new_authority = not there
-    if new_authority:
-        _make_authority(folder, plant)
-    authority, key = _authority(folder, plant)
+    if not there:
+        expires = datetime.now(UTC) + timedelta(days=_AUTHORITY_DAYS)
+        own = _new_key(folder / "ca.key")
+        _write(folder / "ca.pem", _certificate(plant, plant[:64], own, expires))
+    authority = _authority(folder, plant)
+    issuer = authority, _read_key(folder / "ca.key")
     expires = min(datetime.now(UTC) + timedelta(days=days), authority.not_valid_after_utc)
     for agent in agents:
         files = KeyFiles.of(folder, agent)
-        if new_authority or not files.key.exists():
-            _write_key(files.key, _new_key())
-        own = _read_key(files.key)
-        certificate = _certificate(plant, common_name(agent), own, expires, (authority, key), hosts)
-        _write(files.certificate, _pem(certificate))
-    return MadeKeys(tuple(agents), expires, new_authority)
+        is_new = not there or not files.key.exists()
+        own = _new_key(files.key) if is_new else _read_key(files.key)
+        certificate = _certificate(plant, common_name(agent), own, expires, issuer, names)
+        _write(files.certificate, certificate)
+    return expires, not there
 
 
 def check_keys(plan: RunPlan, agents: Sequence[str] = ()) -> None:
@@ -91,8 +81,7 @@ def check_keys(plan: RunPlan, agents: Sequence[str] = ()) -> None:
             f"--keys: expected a folder that `heliarch keys` has made, got {folder}, which has "
             "no ca.pem"
         )
-    authority = _read(folder / "ca.pem")
-    _check_plant(folder / "ca.pem", authority, plan.plant)
+    authority = _authority(folder, plan.plant)
     # Links close when a certificate expires. How long a run in lockstep takes nobody knows.
     ends = datetime.now(UTC) + timedelta(seconds=plan.cycles * plan.cycle_wall_ns / 1e9)
     for agent in agents or plan.tree.agents():
@@ -140,13 +129,6 @@ def _check(
         raise InputError(f"{files.key}: expected a key that its owner alone can read (mode 600)")
 
 
-def _address(where: str, text: str) -> IPv4Address | IPv6Address:
-    try:
-        return ip_address(text)
-    except ValueError:
-        raise InputError(f"{where}: expected an IP address such as 10.0.0.1, got {text}") from None
-
-
 def _read(path: Path) -> x509.Certificate:
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
@@ -156,11 +138,20 @@ def _read(path: Path) -> x509.Certificate:
         raise InputError(f"{path}: expected a certificate in PEM") from None
 
 
-def _authority(folder: Path, plant: str) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
-    key = _read_key(folder / _AUTHORITY_KEY)
-    certificate = _read(folder / "ca.pem")
-    _check_plant(folder / "ca.pem", certificate, plant)
-    return certificate, key
+def _authority(folder: Path, plant: str) -> x509.Certificate:
+    """Read the certificate of a plant's authority."""
+    path = folder / "ca.pem"
+    authority = _read(path)
+    if _name(authority) != plant[:64]:
+        raise InputError(
+            f"{path}: expected the certificate authority of {plant}, got that of {_name(authority)}"
+        )
+    return authority
+
+
+def _name(certificate: x509.Certificate) -> str:
+    found = certificate.subject.get_attributes_for_oid(x509.oid.NameOID.COMMON_NAME)
+    return str(found[0].value) if found else ""
 
 
 def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
@@ -173,23 +164,11 @@ def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     return key
 
 
-def _check_plant(path: Path, authority: x509.Certificate, plant: str) -> None:
-    if _name(authority) != plant[:64]:
-        raise InputError(
-            f"{path}: expected the certificate authority of {plant}, got that of {_name(authority)}"
-        )
-
-
-def _name(certificate: x509.Certificate) -> str:
-    found = certificate.subject.get_attributes_for_oid(x509.oid.NameOID.COMMON_NAME)
-    return str(found[0].value) if found else ""
-
-
-def _make_authority(folder: Path, plant: str) -> None:
-    key = _new_key()
-    expires = datetime.now(UTC) + timedelta(days=_AUTHORITY_DAYS)
-    _write_key(folder / _AUTHORITY_KEY, key)
-    _write(folder / "ca.pem", _pem(_certificate(plant, plant[:64], key, expires, None, ())))
+def _new_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    key = ec.generate_private_key(ec.SECP256R1())
+    with whole_file(path, mode=0o600) as file:
+        file.write(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    return key
 
 
 def _certificate(
@@ -197,8 +176,8 @@ def _certificate(
     name: str,
     key: ec.EllipticCurvePrivateKey,
     expires: datetime,
-    issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None,
-    hosts: Sequence[IPv4Address | IPv6Address],
+    issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None = None,
+    addresses: x509.SubjectAlternativeName | None = None,
 ) -> x509.Certificate:
     """Return a certificate; without an issuer that of an authority, signed by itself."""
     subject = x509.Name(
@@ -217,28 +196,11 @@ def _certificate(
         .not_valid_after(expires)
         .add_extension(x509.BasicConstraints(ca=issuer is None, path_length=None), critical=True)
     )
-    if hosts:
-        names = x509.SubjectAlternativeName([x509.IPAddress(host) for host in hosts])
-        builder = builder.add_extension(names, critical=False)
+    if addresses is not None:
+        builder = builder.add_extension(addresses, critical=False)
     return builder.sign(key if issuer is None else issuer[1], hashes.SHA256())
 
 
-def _new_key() -> ec.EllipticCurvePrivateKey:
-    return ec.generate_private_key(ec.SECP256R1())
-
-
-def _pem(certificate: x509.Certificate) -> bytes:
-    content: bytes = certificate.public_bytes(Encoding.PEM)
-    return content
-
-
-def _write_key(path: Path, key: ec.EllipticCurvePrivateKey) -> None:
-    _write(path, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()), mode=0o600)
-
-
-def _write(path: Path, content: bytes, mode: int = 0o644) -> None:
-    """Write a file that nobody reads half: a run may be using its predecessor."""
-    part = path.with_name(f"{path.name}.part")
-    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode), "wb") as file:
-        file.write(content)
-    part.replace(path)
+def _write(path: Path, certificate: x509.Certificate) -> None:
+    with whole_file(path) as file:
+        file.write(certificate.public_bytes(Encoding.PEM))

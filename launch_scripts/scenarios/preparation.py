@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, time
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
@@ -18,19 +17,24 @@ from numpy.typing import NDArray
 from agents.control.correlation import HourlyMatrices, hourly_covariance
 from agents.periods import Periods
 from agents.plan import RunPlan, check_plan, check_size
-from agents.settings import Actuator, Revert, Scheme
+from agents.settings import Revert
 from bus_schemas.errors import InputError
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
 from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.devices import devices
-from launch_scripts.scenarios.externals import addresses_of, check_base_port, check_externals
+from launch_scripts.scenarios.externals import (
+    addresses_of,
+    check_base_port,
+    check_externals,
+    own_address,
+)
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
 from launch_scripts.scenarios.machine_table import machine_settings
 from launch_scripts.scenarios.power_sources import power_source
-from launch_scripts.scenarios.process_options import ProcessOptions
 from launch_scripts.scenarios.real_time import cycle_wall_ns, parse_pace, tier_deadlines_ns
+from launch_scripts.scenarios.run_options import RunOptions
 from launch_scripts.scenarios.scenario import (
     LARGEST_SEED,
     CloudIrradiance,
@@ -45,28 +49,12 @@ from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw, regulation_remarks
 from sim_plant.sources import PowerSource
 
+__all__ = ["Preparation", "RunOptions", "prepare"]
+
 _HOUR_NS: Final = 3_600_000_000_000
 
 _LARGEST_INVERTER_KW: Final = 10_000.0
 """Larger than any on the market: a larger rating is probably in W."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunOptions(ProcessOptions):
-    """What the user may change about a scenario, as the options of `heliarch launch` say.
-
-    None and an empty list leave it as it is.
-    """
-
-    start: str | None = None
-    duration: str | None = None
-    end: str | None = None
-    pace: str | float | None = None
-    seed: int | None = None
-    scheme: Scheme | None = None
-    actuator: Actuator | None = None
-    faults: Sequence[str] | None = None
-    cycle_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +65,17 @@ class Preparation:
     profile: Profile
     scenario: ScenarioFile
     options: RunOptions
-    hindsight: bool
     remarks: tuple[str, ...]
+
+    @property
+    def hindsight(self) -> bool:
+        """Whether clusters and neighbours were chosen from the run's own data."""
+        return self.scenario.scenario.neighbours.history == "hindsight"
 
     def local_start(self) -> str:
         """Return the local time of cycle 0, to be read."""
         moment = pd.Timestamp(self.plan.start_time_ns, tz="UTC")
-        return f"{moment.tz_convert(self.scenario.scenario.time.timezone):%Y-%m-%d %H:%M:%S %Z}"
+        return f"{moment.tz_convert(self.plan.timezone):%Y-%m-%d %H:%M:%S %Z}"
 
     def title(self) -> str:
         """Return which part of which scenario is run, to be read."""
@@ -152,14 +144,8 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         plan.regulation_capacity_kw,
         meter_error=scenario.plant.meter_noise * meter.standard_normal(day.possible_kw.shape),
     )
-    return Preparation(
-        plan,
-        profile,
-        scenario_file,
-        options,
-        hindsight=scenario.neighbours.history == "hindsight",
-        remarks=(*remarks, *fault_remarks(plan.faults)),
-    )
+    remarks += fault_remarks(plan.faults)
+    return Preparation(plan, profile, scenario_file, options, tuple(remarks))
 
 
 def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -> _Day:
@@ -298,15 +284,11 @@ def _standby(kinds: Sequence[str], tree: ControlTree, external: Sequence[str]) -
 
 def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
     """Return the folder of the keys; empty: the links are not encrypted."""
-    try:
-        is_loopback = ip_address(options.address).is_loopback
-    except ValueError:
-        expected = "expected an IP address such as 10.0.0.1"
-        raise InputError(f"--address: {expected}, got {options.address}") from None
+    address = own_address(options.address)
     if not (scenario.secure if options.secure is None else options.secure):
         if options.keys is not None:
             raise InputError("--keys: expected --secure with it")
-        if not is_loopback:
+        if not address.is_loopback:
             raise InputError(
                 f"--address {options.address}: expected --secure with it, since whoever reaches "
                 "that address could command the plant"

@@ -19,10 +19,8 @@ SLOWEST_PACE: Final = 1e-3
 FASTEST_PACE: Final = 1e6
 
 SHORTEST_CYCLE_NS: Final = 100_000
-"""A process that waits for a time is woken up to so much late: no clock can pace it faster."""
-
-_SHORTEST_SLICE_NS: Final = SHORTEST_CYCLE_NS
-"""Nor can a stage keep a deadline that is less after that of the stage before it."""
+"""A process that waits for a time is woken up to so much late: no clock can pace it faster. Nor can
+a stage keep a deadline that is less after that of the stage before it."""
 
 SHORTEST_DEADLINE_MS: Final = SHORTEST_CYCLE_NS / 1e6
 LONGEST_DEADLINE_MS: Final = 3.6e9
@@ -74,13 +72,13 @@ def tier_deadlines_ns(
         )
     found = tuple(round(deadline_ms * 1e6) for deadline_ms in deadlines_ms)
     # The stages up to the central controller's solve share the time before its deadline.
-    earliest_ns = stage_place(CENTRAL, "solve", tree) * _SHORTEST_SLICE_NS
+    earliest_ns = stage_place(CENTRAL, "solve", tree) * SHORTEST_CYCLE_NS
     for tier, deadline_ns in enumerate(found):
         if deadline_ns < earliest_ns:
             raise _misplaced(tier, deadline_ns, f"{earliest_ns / 1e6:.10g} ms or more")
-        earliest_ns = deadline_ns + _SHORTEST_SLICE_NS  # Each tier acts after its parent.
+        earliest_ns = deadline_ns + SHORTEST_CYCLE_NS  # Each tier acts after its parent.
     # The plant applies the commands halfway between the last deadline and its next tick.
-    latest_ns = cycle_ns - 2 * _SHORTEST_SLICE_NS
+    latest_ns = cycle_ns - 2 * SHORTEST_CYCLE_NS
     if cycle_ns and found[-1] > latest_ns:
         wanted = f"at most {latest_ns / 1e6:.10g} ms in a cycle of {cycle_ns / 1e6:g} ms"
         raise _misplaced(len(found) - 1, found[-1], wanted)

@@ -12,12 +12,13 @@ from zoneinfo import ZoneInfo, available_timezones
 import msgspec
 from msgspec import Meta
 
+from agents.cycle import KINDS, STAGES
 from agents.settings import Actuator, Delay, InverterSettings, Ramp, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
+from bus_schemas.signals import SIGNALS
 from bus_schemas.times import LONGEST_S
 from bus_schemas.tree import check_name
-from launch_scripts.scenarios.budget_table import TimingTable
 from launch_scripts.scenarios.devices import DeviceTable
 from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.machine_table import MachineTable
@@ -50,6 +51,13 @@ MissingShare: TypeAlias = Annotated[float, Meta(ge=0.0, lt=1.0)]
 Current: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e9)]
 AlphaMin: TypeAlias = Annotated[float, Meta(gt=0.0, le=1.0)]
 Deadline: TypeAlias = Annotated[float, Meta(ge=SHORTEST_DEADLINE_MS, le=LONGEST_DEADLINE_MS)]
+Limit: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e12)]
+Amount: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
+Tier: TypeAlias = Annotated[str, Meta(pattern="|".join(f"^{tier}$" for tier in STAGES))]
+AnyKind: TypeAlias = Annotated[str, Meta(pattern="|".join(f"^{kind}$" for kind in KINDS))]
+HopSignal: TypeAlias = Annotated[
+    str, Meta(pattern="|".join(f"^{row.name}$" for row in SIGNALS if row.hop_p99_ms is not None))
+]
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -197,6 +205,47 @@ class NeighboursTable(_Table, frozen=True):
     """
 
     history: Literal["earlier-day", "hindsight"]
+
+
+class BudgetTable(_Table, frozen=True):
+    """Upper limits by which a run in real time is judged.
+
+    loop_p99_ms: From the plant's tick to its last command. Default: half the cycle.
+    loop_max_ms: The same, in the slowest cycle.
+    decision_p99_ms: By tier. Default: each stage's slice, and the paper's upper bounds.
+    lateness_p99_ms: By tier. Default: for the plant's tick 2 % of the cycle, at least 1 ms.
+    jitter_p99_ms: By tier, for each stage.
+    age_p99_ms: By tier, for each stage.
+    hop_p99_ms: By signal. Default: 10 ms.
+    missed_deadlines: In the whole run, of all tiers.
+    overruns: In the whole run, of all tiers.
+    skipped_cycles: In the whole run, of all tiers.
+    lost_messages: In the whole run, of all tiers.
+    dropped_messages: In the whole run. Default: any number.
+    cpu_percent: By kind; of one core, per process. Default: 80.
+    resident_mb: By kind, per process.
+    """
+
+    loop_p99_ms: Limit | None = None
+    loop_max_ms: Limit | None = None
+    decision_p99_ms: dict[Tier, Limit] = {}
+    lateness_p99_ms: dict[Tier, Limit] = {}
+    jitter_p99_ms: dict[Tier, Limit] = {}
+    age_p99_ms: dict[Tier, Limit] = {}
+    hop_p99_ms: dict[HopSignal, Limit] = {}
+    missed_deadlines: NotNegative = 0
+    overruns: NotNegative = 0
+    skipped_cycles: NotNegative = 0
+    lost_messages: NotNegative = 0
+    dropped_messages: NotNegative | None = None
+    cpu_percent: dict[AnyKind, Amount] = {}
+    resident_mb: dict[AnyKind, Amount] = {}
+
+
+class TimingTable(_Table, frozen=True):
+    """What a run in real time is judged by."""
+
+    budgets: BudgetTable = BudgetTable()
 
 
 class Scenario(_Table, frozen=True):

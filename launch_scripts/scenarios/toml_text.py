@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from datetime import date, time
 from typing import Any
 
 
 def toml_text(document: Mapping[str, Any]) -> str:
     """Return a document as TOML: each top-level table under its heading, nested ones inline."""
-    return "\n".join(_lines(document)) + "\n"
+    tables = {name: value for name, value in document.items() if isinstance(value, Mapping)}
+    lines = [_line(name, value) for name, value in document.items() if name not in tables]
+    for name, table in tables.items():
+        lines += ["", f"[{_key(name)}]", *(_line(*entry) for entry in table.items())]
+    return "\n".join(lines) + "\n"
 
 
-def _lines(document: Mapping[str, Any]) -> Iterator[str]:
-    for name, value in document.items():
-        if not isinstance(value, Mapping):
-            yield f"{_key(name)} = {toml_value(value)}"
-    for name, table in document.items():
-        if isinstance(table, Mapping):
-            yield f"\n[{_key(name)}]"
-            yield from (f"{_key(field)} = {toml_value(value)}" for field, value in table.items())
+def _line(name: str, value: object) -> str:
+    return f"{_key(name)} = {toml_value(value)}"
 
 
 def _key(name: str) -> str:
@@ -30,13 +28,9 @@ def _key(name: str) -> str:
 
 def toml_value(value: object) -> str:
     if isinstance(value, Mapping):
-        return (
-            "{"
-            + ", ".join(f"{_key(name)} = {toml_value(one)}" for name, one in value.items())
-            + "}"
-        )
+        return f"{{{', '.join(_line(*entry) for entry in value.items())}}}"
     if isinstance(value, list):
-        return "[" + ", ".join(map(toml_value, value)) + "]"
+        return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, date | time):
         return value.isoformat()
     if isinstance(value, float):

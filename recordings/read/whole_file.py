@@ -13,11 +13,12 @@ from bus_schemas.errors import InputError
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
+def whole_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     """Open a file to write to, which replaces an older one when it is complete.
 
     A device, a pipe or a link is written in place: it must not be replaced by a plain file.
-    `/dev/stdout` is a link, which leads to a file where standard output goes to one.
+    `/dev/stdout` is a link, which leads to a file where standard output goes to one. `mode` is that
+    of a new file, less the process's mask.
     """
     try:
         if path.is_symlink() or (path.exists() and not path.is_file()):
@@ -25,6 +26,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
                 yield file
             return
         with _beside(path) as beside:
+            beside.touch(mode)
             with beside.open("wb") as file:
                 yield file
             beside.replace(path)

@@ -25,7 +25,7 @@ from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import REPLAYER, ROOT, some_of
 from bus_schemas.zenoh_bus import Inbox
 from launch_scripts.launcher.interruption import Interruption
-from launch_scripts.launcher.supervision import Children, RunFailure, who_waits, with_log
+from launch_scripts.launcher.supervision import Children, RunFailure, who_waits
 from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus
@@ -256,7 +256,7 @@ class LiveBus(ReplayBus):
         late = self._children.await_exit(list(self._children), _END_S)
         if late:
             names = ", ".join(child.agent for child in late)
-            raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
+            raise self._children.failure(late[0].agent, f"{names} did not end with the run")
         ended = [child.finished for child in self._children if child.finished is not None]
         sent = sum(sum(finished.published.values()) for finished in ended)
         until = time.monotonic() + _END_S

@@ -46,7 +46,7 @@ def try_plant(
         try:
             with (
                 ForkServerProcess() as server,
-                view_for(console, one, preparation.scenario.scenario.time.timezone) as view,
+                view_for(console, one) as view,
             ):
                 summary = launch(its_preparation, its_folder, view, time.monotonic(), server)
         except RunFailure as failure:

@@ -17,7 +17,7 @@ from agents.cycle import STAGES, kind_of
 from agents.plan import RunPlan
 from bus_schemas.signals import SIGNALS, listeners, ports
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER
-from launch_scripts.scenarios.budget_table import BudgetTable
+from launch_scripts.scenarios.scenario import BudgetTable
 from studies.timing.clocks import ACROSS
 from studies.timing.durations import Times
 from studies.timing.run_timing import LOOP, WHOLE_LOOP, TierTiming, tier_of, total

@@ -12,10 +12,9 @@ from rich.console import Console
 from bus_schemas.errors import InputError
 from bus_schemas.times import parse_duration_s
 from launch_scripts.launcher.interruption import interruptible
-from launch_scripts.launcher.launch import launch
+from launch_scripts.launcher.launch import check_processes, launch
 from launch_scripts.launcher.live_view import view_for
-from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.run_request import RunRequest, prepare_run
+from launch_scripts.launcher.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.scenarios.preparation import Preparation
 from studies.timing.report import Reported, report_on
@@ -42,7 +41,9 @@ def prepare_at(
     cycle_s = 1.0 / rate_hz
     duration = f"{round(length_s * rate_hz) * cycle_s:.9f}"
     options = replace(request.options, pace="1", cycle_s=cycle_s, duration=duration, end=None)
-    return prepare_run(RunRequest(request.scenario, options, out))
+    preparation, folder = prepare_run(RunRequest(request.scenario, options, out))
+    check_processes(preparation.plan)
+    return preparation, folder
 
 
 def measured_run(
@@ -54,7 +55,7 @@ def measured_run(
     began_at, load_before = time.monotonic(), psutil.getloadavg()[0]
     with (
         ForkServerProcess() as server,
-        view_for(console, plan, scenario.time.timezone) as view,
+        view_for(console, plan) as view,
     ):
         view.say(scenario.title)
         view.say(f"{cycles_per_s(1e9 / plan.cycle_wall_ns)} for {round(duration_s, 2):g} s")

@@ -15,7 +15,7 @@ from bus_schemas.errors import InputError
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.wrong_messages import WrongMessages
-from launch_scripts.scenarios.budget_table import BudgetTable, TimingTable
+from launch_scripts.scenarios.scenario import BudgetTable, TimingTable
 from recordings.read.reader import RunReader
 from studies.timing.budgets import Verdict, judge
 from studies.timing.clocks import ClockOffset

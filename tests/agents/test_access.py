@@ -253,7 +253,7 @@ def test_a_link_closes_when_a_certificate_expires_and_comes_back_with_a_renewed_
 
     shutil.copytree(keys / "own", tmp_path / "keys")
     renew = partial(make_keys, tmp_path / "keys", BARE.plant, addresses=())
-    expires = renew(agents=["c1/a", "c2/b"], days=VALID_S / 86_400).expires.timestamp()
+    expires = renew(agents=["c1/a", "c2/b"], days=VALID_S / 86_400)[0].timestamp()
     for team in team_of(replace(BARE, keys_folder=str(tmp_path / "keys")), tmp_path):
         assert time.time() < expires, "the machine is too slow"
         renew(agents=["c1/a"], days=1.0)

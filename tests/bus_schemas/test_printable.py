@@ -29,7 +29,7 @@ def test_no_control_character_is_left(text: str) -> None:
 def test_a_launched_run_shows_names_with_markup_and_escapes_as_text(is_terminal: bool) -> None:
     output = io.StringIO()
     console = Console(file=output, force_terminal=is_terminal, width=200, color_system=None)
-    view = view_for(console, plan_at_noon(), "UTC")
+    view = view_for(console, plan_at_noon())
     view.say(HOSTILE)
     print_table(console, Table(HOSTILE, (key_column("key"),), ((HOSTILE,),), (HOSTILE,)))
     shown = output.getvalue()

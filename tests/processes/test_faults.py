@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import signal
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 from command_line import python
+from rich.console import Console
 from running import Heliarch, Start, assert_none_left, small_plant
 from verifying import assert_equal_as_far_as_recorded, verified
 
@@ -181,7 +183,8 @@ def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
     def run(number: int) -> tuple[int, int, int]:
         preparation = prepare(scenario, RunOptions(duration="5"), f"run{number}")
         with ForkServerProcess() as server:
-            launch(preparation, RunFolder(tmp_path / f"run{number}"), View(), 0.0, server)
+            view = View(Console(file=io.StringIO()), preparation.plan)
+            launch(preparation, RunFolder(tmp_path / f"run{number}"), view, 0.0, server)
         own = psutil.Process()
         return own.num_fds(), len(own.children(recursive=True)), own.num_threads()
 

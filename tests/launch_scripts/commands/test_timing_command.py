@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from reports_by_hand import missed, summary_of
 from timed_recordings import PLAN, cycle, recorded
 
-from launch_scripts.launcher.run_request import RunRequest
+from launch_scripts.launcher.run_folder import RunRequest
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from studies.timing.measured_run import prepare_at, run_length_s

@@ -61,7 +61,7 @@ def test_delays_within_the_cycle_change_nothing_but_the_time(
 
 
 def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
-    words = RunOptions(duration=str(CYCLES), faults=("signal=help,loss=100%",))
+    words = RunOptions(duration=str(CYCLES), faults=["signal=help,loss=100%"])
     prepared = prepare(load_scenario("valley"), words, "faults")
     run, sent = run_with(prepared, prepared.plan.faults)
     assert any(port.signal is HELP for port, _ in sent.messages)

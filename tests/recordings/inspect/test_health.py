@@ -169,7 +169,7 @@ def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, ru
 
 
 def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: Path) -> None:
-    options = RunOptions(duration="60", faults=("loss=2%",), pace=1.0)
+    options = RunOptions(duration="60", faults=["loss=2%"], pace=1.0)
     prepared = prepare(load_scenario("oahu"), options, "lossy")
     plan = replace(prepared.plan, cycle_wall_ns=prepared.plan.cycle_ns)
     run, sent = run_in_memory(plan, prepared.profile)

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from reports_by_hand import MISSED, missed, reported
 from timed_recordings import PLAN, TIMES_MS, cycle
 
-from launch_scripts.scenarios.budget_table import BudgetTable
+from launch_scripts.scenarios.scenario import BudgetTable
 from studies.timing.budgets import p99_limits_ms
 from studies.timing.report import TimingReport
 

@@ -1,12 +1,51 @@
-"""What the command line says of the processes of a run: whose they are, where, and how they run."""
+"""What the command line says of a run: which part of a scenario, what is different, and how.
+
+None leaves it as the scenario has it. `with_options` reads the docstrings.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
+from agents.settings import Actuator, Scheme
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+
+@dataclass(frozen=True)
+class TimeOptions:
+    """Which part of a scenario is run.
+
+    --from TIME (start): Local time of the first cycle: 12:30, or 2010-04-01T12:30.
+    --duration TIME: Simulated time, in place of --to: seconds, or 90s, 15m, 1h30m.
+    --to TIME (end): Local time at which the last cycle ends.
+    """
+
+    start: str | None = None
+    duration: str | None = None
+    end: str | None = None
+
+
+@dataclass(frozen=True)
+class PlantOptions:
+    """What is different from the scenario.
+
+    --seed: Seed of the synthetic clouds.
+    --scheme: How maximum powers are estimated.
+    --actuator: Whether a command is a fraction of the maximum or a power limit.
+    --fault RULE (faults): Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source,
+        listener, signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by,
+        silent=60s..90s, at=60s..90s). Or cut links, freeze or kill controllers:
+        partition=c1|c2,at=5s..9s, freeze=c2,at=5s..9s, kill=c2,at=5s. May be given several times.
+    """
+
+    seed: int | None = None
+    scheme: Scheme | None = None
+    actuator: Actuator | None = None
+    # In a terminal of 80 columns, longer unbroken text in its description would be cut.
+    faults: list[str] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class ProcessOptions:
     """External agents, real inverters, keys, and how the processes use the machine.
 
@@ -40,3 +79,14 @@ class ProcessOptions:
     on: list[str] | None = None
     cpus: list[str] | None = None
     priority: int | None = None
+
+
+@dataclass(frozen=True)
+class RunOptions(ProcessOptions, PlantOptions, TimeOptions):
+    """What is asked for, beside a scenario, of any run.
+
+    `timing` sets its own length of the cycle.
+    """
+
+    pace: str | float | None = None
+    cycle_s: float | None = None
