@@ -6,6 +6,7 @@ import os
 import platform
 import resource
 import shutil
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -74,6 +75,7 @@ def doctor(
         *_scheduling(),
         _clock(),
         _wake_up(),
+        _loopback(),
         _zenoh(),
         _open_files(),
         _memory(),
@@ -149,6 +151,33 @@ def _wake_up() -> Finding:
     text = f"median {late_us[100]:.0f} µs late, 99 of 100 within {late_us[197]:.0f} µs"
     advice = "agents notice deadlines this late: try --priority"
     return _judged("wake-up", text, late_us[197] < 1000.0, advice)
+
+
+def _loopback() -> Finding:
+    """Send a byte to a thread and back over TCP again and again; see how long it takes."""
+    trips_us: list[float] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        near = socket.create_connection(server.getsockname())
+        far, _ = server.accept()
+
+    def answer() -> None:
+        while byte := far.recv(1):
+            far.send(byte)
+
+    thread = threading.Thread(target=answer)
+    with near, far:
+        thread.start()
+        for _ in range(500):
+            began_ns = time.monotonic_ns()
+            near.send(b".")
+            near.recv(1)
+            trips_us.append((time.monotonic_ns() - began_ns) / 1e3)
+        near.shutdown(socket.SHUT_WR)
+        thread.join()
+    trips_us.sort()
+    text = f"median {trips_us[250]:.0f} µs there and back, 99 of 100 within {trips_us[495]:.0f} µs"
+    advice = "a cycle waits for six such hops: end other programs"
+    return _judged("loopback", text, trips_us[250] < 200.0, advice)
 
 
 def _zenoh() -> Finding:
