@@ -1,4 +1,4 @@
-"""The barrier before cycle 0, with real processes: who is missing is named."""
+"""The barrier before cycle 0, with real processes: it names the agents that are missing."""
 
 from __future__ import annotations
 
