@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from agents.plan import RunPlan
 from bus_schemas.access import Subject, access_rules, common_name, password, session_id
 from bus_schemas.links import Links
-from bus_schemas.tree import agent_of
-from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
+from bus_schemas.tree import RECORDER, agent_of
+from bus_schemas.zenoh_bus import TAP_BATCH_BYTES, KeyFiles, SessionSettings
 
 _LARGEST_BYTES = 65_536
 _BYTES_PER_INVERTER = 64
@@ -30,8 +29,7 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
             peer: {"cert_common_names": [common_name(agent_of(peer))]}
             for peer in plan.links.peers(agent)
         }
-        settings = _settings(plan, agent, plan.links, plan.tcp_ports, subjects)
-        return replace(settings, keys=keys)
+        return _settings(plan, agent, plan.links, plan.tcp_ports, subjects, keys.config())
     if not plan.secret:
         return _settings(plan, agent, plan.links, plan.tcp_ports)
     devices = None
@@ -44,37 +42,37 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     for top, below in links.pairs:
         if top == agent:
             subjects[below]["usernames"] = [below]
-    return replace(
-        _settings(plan, agent, links, plan.agent_ports or plan.tcp_ports, subjects | {"": {}}),
-        session_id=session_id(plan.secret, agent),
-        user=agent,
-        password=password(plan.secret, agent),
-        users_file=plan.users_file,
-        devices=devices,
-    )
+    own = {
+        "id": session_id(plan.secret, agent),
+        "transport/auth/usrpwd/user": agent,
+        "transport/auth/usrpwd/password": password(plan.secret, agent),
+        "transport/auth/usrpwd/dictionary_file": plan.users_file,
+    }
+    ports = plan.agent_ports or plan.tcp_ports
+    return replace(_settings(plan, agent, links, ports, subjects | {"": {}}, own), devices=devices)
 
 
 def _settings(
     plan: RunPlan,
     agent: str,
     links: Links,
-    tcp_ports: Mapping[str, int],
-    subjects: Mapping[str, Subject] | None = None,
+    tcp_ports: dict[str, int],
+    subjects: dict[str, Subject] | None = None,
+    further: dict[str, object] | None = None,
 ) -> SessionSettings:
     listen, connect = links.endpoints(agent, tcp_ports, plan.host_of)
-    access = None
+    largest_bytes = _LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters)
+    further = {"transport/link/rx/max_message_size": largest_bytes, **(further or {})}
+    if plan.external:  # zenoh-pico closes a link that is idle for 10 s.
+        further["transport/link/tx/keep_alive"] = 12
+    if agent == RECORDER:
+        further["transport/link/tx/batch_size"] = TAP_BATCH_BYTES
     if subjects is not None:
-        access = access_rules(agent, plan.bus_namespace, plan.keys, plan.wiring, links, subjects)
+        further["access_control"] = access_rules(
+            agent, plan.bus_namespace, plan.keys, plan.wiring, links, subjects
+        )
     return SessionSettings(
-        plan.bus_namespace,
-        listen,
-        connect,
-        lockstep=plan.lockstep,
-        largest_bytes=_LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters),
-        # zenoh-pico closes a link that is idle for 10 s.
-        signs_of_life=12 if plan.external else 4,
-        access=access,
-        peers=links.peers(agent),
+        plan.bus_namespace, listen, connect, plan.lockstep, further, links.peers(agent)
     )
 
 

@@ -6,7 +6,6 @@ rules take from it or add to its time comes on top.
 
 from __future__ import annotations
 
-from collections import Counter
 from heapq import heappop, heappush
 from itertools import count
 from typing import Final
@@ -25,13 +24,10 @@ class FaultyBus:
     """One agent's place on the bus, at the end of imperfect links.
 
     tally: What the faults did to messages.
-    flooded: Messages that found no room, by port.
     """
 
     def __init__(self, bus: ZenohBus, agent: str, faults: NetworkFaults) -> None:
         self.tally = FaultTally()
-        self.flooded: Counter[str] = Counter()
-        self.outbox = bus.outbox
         self._bus = bus
         self._agent = agent
         self._faults = faults
@@ -65,7 +61,7 @@ class FaultyBus:
             self.tally.count(fate)
             for delay_ns in fate:
                 if len(self._under_way) >= _MOST_UNDER_WAY:
-                    self.flooded[str(arrival.port)] += 1
+                    self._bus.dropped[str(arrival.port), "flooded"] += 1
                     continue
                 late = arrival._replace(time_ns=arrival.time_ns + delay_ns)
                 heappush(self._under_way, (late.time_ns, next(self._numbers), late))

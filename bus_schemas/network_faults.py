@@ -8,6 +8,7 @@ memory, and when the run is repeated.
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from dataclasses import dataclass
 from hashlib import blake2b
 from math import cos, log, pi, sqrt
@@ -24,23 +25,11 @@ UNHARMED: Final[tuple[int, ...]] = (0,)
 _LOST: Final[tuple[int, ...]] = ()
 
 
-@dataclass(slots=True)
-class FaultTally:
+class FaultTally(Counter[str]):
     """What faults did to messages: of a lost one no copy arrived."""
 
-    lost: int = 0
-    duplicated: int = 0
-    delayed: int = 0
-
     def count(self, fate: tuple[int, ...]) -> None:
-        self.lost += not fate
-        self.duplicated += len(fate) > 1
-        self.delayed += any(fate)
-
-    def as_counts(self) -> dict[str, int]:
-        """Return what was done to messages and how often, as far as it was done."""
-        counts = {"lost": self.lost, "duplicated": self.duplicated, "delayed": self.delayed}
-        return {name: count for name, count in counts.items() if count}
+        self.update(lost=not fate, duplicated=len(fate) > 1, delayed=any(fate))
 
 
 @dataclass(slots=True)

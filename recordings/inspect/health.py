@@ -192,7 +192,7 @@ class HealthWatch:
                 else FaultAct(rule, acts.messages, acts.first_cycle, acts.last_cycle)
                 for rule, acts in zip(self._plan.faults, self._faults.acts, strict=True)
             ),
-            faults=self._tally.as_counts(),
+            faults=dict(+self._tally),
             lost=dict(lost.most_common()),
             repeated=sum(found.repeated for found in ports.values()),
             misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),

@@ -124,19 +124,19 @@ class Team:
         password: str = "",
     ) -> Heard:
         """Let a program speak that is none of the agents; return who hears what of it."""
+        further = {} if keys is None else keys.config()
+        if session_id:
+            further["id"] = session_id
+        if password:
+            further["transport/auth/usrpwd/user"] = PLANT
+            further["transport/auth/usrpwd/password"] = password
         with ExitStack() as stack:
             configs = []
             for port in (*self.plan.tcp_ports.values(), *self.plan.agent_ports.values()):
-                settings = SessionSettings(
-                    self.plan.bus_namespace,
-                    [],
-                    [f"{self.plan.host_of(PLANT)}:{port}"],
-                    keys=keys,
-                    session_id=session_id,
-                    user=PLANT if password else "",
-                    password=password,
-                )
-                config = settings.config()
+                endpoint = f"{self.plan.host_of(PLANT)}:{port}"
+                config = SessionSettings(
+                    self.plan.bus_namespace, [], [endpoint], further=further
+                ).config()
                 config.insert_json5("mode", f'"{mode}"')
                 config.insert_json5("connect/timeout_ms", "500")
                 configs.append(config)

@@ -178,7 +178,7 @@ def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: 
     counted = sum(loop.missing_inputs for loop in run.loops.values())
     assert counted > 10
     assert sum(found.inputs for found in health.misses) == counted
-    assert health.faults == run.bus.tally.as_counts()
+    assert health.faults == +run.bus.tally
     (act,) = health.fault_acts
     assert act.messages == health.faults["lost"]
     assert "1 rule" in text
