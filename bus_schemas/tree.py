@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from math import fsum
 from typing import Final
 
@@ -101,12 +102,8 @@ class ControlTree:
     def _children_of(self) -> dict[str, tuple[str, ...]]:
         children: dict[str, dict[str, None]] = {ROOT: {}}
         for leaf, _ in self.inverters:
-            parent = ROOT
-            parts = leaf.split("/")
-            for end in range(1, len(parts) + 1):
-                path = "/".join(parts[:end])
-                children.setdefault(parent, {})[path] = None
-                parent = path
+            for child, parent in pairwise((leaf, *ancestors(leaf))):
+                children.setdefault(parent, {})[child] = None
         return {path: tuple(kids) for path, kids in children.items()}
 
     @cached_property
