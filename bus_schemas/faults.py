@@ -17,7 +17,6 @@ References
 from __future__ import annotations
 
 from fnmatch import fnmatchcase
-from math import log, sqrt
 from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
@@ -34,10 +33,6 @@ UNHEARD: Final = frozenset(
     signal.name for signal in SIGNALS if signal.is_cyclic and not signal.listeners
 )
 """Cyclic signals that no agent acts on: what becomes of them changes nothing in a run."""
-
-_MOST_SIGMAS: Final = sqrt(-2.0 * log(2.0**-53))
-"""No normal number that is made of 53 bits is further from the mean: 8.6 standard deviations."""
-
 
 Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
 Milliseconds: TypeAlias = Annotated[float, Meta(ge=0.0, le=LONGEST_MS)]
@@ -96,13 +91,6 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def held_back_ms(self) -> float:
         """How much longer than the others a message takes that is held back [ms]."""
         return self.delay_ms if self.reorder_ms is None else self.reorder_ms
-
-    @property
-    def longest_ms(self) -> float:
-        """The longest delay that can be drawn, held back and all [ms]."""
-        spread = _MOST_SIGMAS if self.distribution == "normal" else 1.0
-        held_back_ms = self.held_back_ms if self.reorder else 0.0
-        return self.delay_ms + spread * self.jitter_ms + held_back_ms
 
     @property
     def acts_outside_silence(self) -> bool:

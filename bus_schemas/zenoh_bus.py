@@ -371,9 +371,8 @@ class ZenohBus(_Place):
             for session in self._sessions
             for key, callback in by_key.items()
         ]
-        self._newest: dict[Port[Message], bytes] | None = None
+        self._newest: dict[Port[Message], bytes] = {}
         if settings.lockstep:
-            self._newest = {}
             self._queryables = [
                 session.declare_queryable(
                     f"{keys.plant}/**", zenoh.handlers.Callback(self._answer, indirect=False)
@@ -386,8 +385,7 @@ class ZenohBus(_Place):
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
         self.outbox.stamp(port, message, now_ns)
         payload = encode(message)
-        if self._newest is not None:
-            self._newest[port] = payload
+        self._newest[port] = payload
         for put in self._puts[port]:
             put(payload)
 
@@ -410,7 +408,7 @@ class ZenohBus(_Place):
 
     def _answer(self, query: zenoh.Query) -> None:
         with query:
-            for port, payload in list((self._newest or {}).items()):
+            for port, payload in list(self._newest.items()):
                 query.reply(self._keys.key(port), payload, encoding=ENCODING)
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> list[Arrival]:
