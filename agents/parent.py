@@ -64,7 +64,7 @@ class _Child:
     setpoint: Port[Setpoint]
 
 
-class _Parent:
+class Parent:
     """What all parents do: hear what their children report, and divide a target among them."""
 
     may_skip = True
@@ -94,7 +94,7 @@ class _Parent:
         alike = [[0.0] * len(self._children)] * len(self._children)
         self._orders = [help_order(hour.correlation) for hour in hours] or [help_order(alike)]
 
-    def _reports(self, turn: Turn) -> list[Report]:
+    def reports(self, turn: Turn) -> list[Report]:
         """Return what each child reports.
 
         The inverters of a silent child serve their own requests, since they do not hear of
@@ -102,9 +102,9 @@ class _Parent:
         it belongs to the same cycle as the IMPP.
         """
         dispatch = turn.get(self._dispatch)
-        return [self._report_of(child, turn, dispatch) for child in self._children]
+        return [self._report(turn, child, dispatch) for child in self._children]
 
-    def _report_of(self, child: _Child, turn: Turn, dispatch: Dispatch | None) -> Report:
+    def _report(self, turn: Turn, child: _Child, dispatch: Dispatch | None) -> Report:
         impp, residual = turn.get(child.impp), turn.get(child.residual)
         request_kw = own_request_kw(dispatch, child.rating_kw) or 0.0
         if impp is None:
@@ -115,7 +115,7 @@ class _Parent:
         age = turn.cycle - impp.cycle
         return Report(impp.power_kw, left_kw, impp.stale_cycles + age, is_old=age > 0)
 
-    def _report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
+    def report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
         """State the sums over the children (eq. 2). A negative residual is a call for help."""
         impp_port, residual_port, help_port = self._own
         impp_kw = total([report.impp_kw for report in reports])
@@ -129,7 +129,7 @@ class _Parent:
             outputs.append((help_port, Help(*turn.stamp, missing_kw=-left_kw)))
         return outputs
 
-    def _setpoints(self, turn: Turn, target_kw: float, reports: list[Report]) -> list[Delivery]:
+    def setpoints(self, turn: Turn, target_kw: float, reports: list[Report]) -> list[Delivery]:
         """Divide a target (step 4): return a setpoint for each child.
 
         Between its turns, or where a report is old, `predictive` gives needy children what they
@@ -165,7 +165,7 @@ class _Parent:
         ]
 
 
-class Supervisor(_Parent):
+class Supervisor(Parent):
     """Balances need and headroom within its cluster, and asks its parent for the rest."""
 
     def __init__(self, plan: RunPlan, node: str) -> None:
@@ -187,15 +187,15 @@ class Supervisor(_Parent):
         return self._with_parent if parent_acts else self._alone
 
     def step(self, state: None, turn: Turn) -> tuple[None, list[Delivery]]:
-        reports = self._reports(turn)
+        reports = self.reports(turn)
         if turn.stage == "report":
-            return None, self._report_up(turn, reports)
+            return None, self.report_up(turn, reports)
         setpoint = turn.get(self._setpoint)
         request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw)
         target_kw = request_kw if setpoint is None else setpoint.power_kw
         if target_kw is None:
             return None, []
-        return None, self._setpoints(turn, target_kw, reports)
+        return None, self.setpoints(turn, target_kw, reports)
 
 
 class CentralState(msgspec.Struct, frozen=True, gc=False):
@@ -216,7 +216,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     clamped: int = 0
 
 
-class CentralController(_Parent):
+class CentralController(Parent):
     """Takes the operator's dispatch and moves power between clusters to meet it."""
 
     def __init__(self, plan: RunPlan) -> None:
@@ -236,8 +236,8 @@ class CentralController(_Parent):
 
     def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
         """Report for the plant as a whole, and divide the dispatch."""
-        reports = self._reports(turn)
-        outputs = self._report_up(turn, reports)
+        reports = self.reports(turn)
+        outputs = self.report_up(turn, reports)
         state = self._read_meter(state, turn.get(self._meter))
         dispatch = turn.get(self._dispatch)
         if dispatch is None:
@@ -255,7 +255,7 @@ class CentralController(_Parent):
             delay = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
             state = self._correct(state, usable_kw, possible_kw, delay * self._cycle_s)
             target_kw = min(state.wanted_kw + state.correction_kw, self._rating_kw)
-            outputs += self._setpoints(turn, target_kw, reports)
+            outputs += self.setpoints(turn, target_kw, reports)
         return state, outputs
 
     def _read_meter(self, state: CentralState, meter: Meter | None) -> CentralState:

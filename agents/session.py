@@ -42,7 +42,7 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     for top, below in links.pairs:
         if top == agent:
             subjects[below]["usernames"] = [below]
-    own = {
+    own: dict[str, object] = {
         "id": session_id(plan.secret, agent),
         "transport/auth/usrpwd/user": agent,
         "transport/auth/usrpwd/password": password(plan.secret, agent),

@@ -15,6 +15,7 @@ from recordings_by_hand import PLAN, numbered, whole_run, write_messages, write_
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Message
+from bus_schemas.network_faults import FaultAct
 from bus_schemas.signals import HELP, TELEMETRY
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -23,7 +24,6 @@ from recordings.inspect.health import (
     FAILURE_NAME,
     SUMMARY_NAME,
     Absence,
-    FaultAct,
     Health,
     health_lines,
 )
