@@ -6,7 +6,6 @@ import ctypes
 import gc
 import logging
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterator
 from math import inf
@@ -52,9 +51,8 @@ _STOP_PATIENCE_S: Final = 10.0
 
 
 def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
-    """Ask the kernel for a signal when the parent of this process dies, where it can (Linux)."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, int(death_signal))
+    """Ask the kernel for a signal when the parent of this process dies."""
+    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, int(death_signal))
 
 
 def run_controller(plan: RunPlan, name: str, link: LauncherLink, *, rejoins: bool = False) -> int:
