@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 import heliarch
 from agents.plan import RunPlan, load_plan
-from bus_schemas.access import password, session_id
+from agents.session import password, session_id
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Run

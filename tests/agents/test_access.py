@@ -22,8 +22,7 @@ from msgspec.structs import replace
 from plans_by_hand import plan_of
 
 from agents.plan import RunPlan
-from agents.session import session_settings, users
-from bus_schemas.access import password, session_id
+from agents.session import password, session_id, session_settings, users
 from bus_schemas.signals import CLOCK
 from bus_schemas.tree import PLANT, RECORDER
 from bus_schemas.zenoh_bus import KeyFiles, SessionSettings, open_sessions
