@@ -16,13 +16,11 @@ import msgspec
 from msgspec.structs import asdict, replace
 
 from agents.control.forecast import HIDDEN_ALPHA_MIN
-from agents.cycle import Deadlines
+from agents.cycle import Deadlines, Periods
 from agents.machine import MachineSettings
-from agents.periods import Periods
 from agents.settings import Actuator, InverterSettings, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError
-from bus_schemas.fault_checks import check_rule
-from bus_schemas.faults import FaultRule
+from bus_schemas.faults import FaultRule, check_rule
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links, explicit_links
 from bus_schemas.messages import PROTOCOL, Message, Run

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from bus_schemas.codec import decode, encode
 from bus_schemas.errors import InputError
-from bus_schemas.fault_checks import check_rule
-from bus_schemas.faults import FaultRule
+from bus_schemas.faults import FaultRule, check_rule
 from bus_schemas.messages import Impp, Run
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import COMMAND, IMPP, RUN
