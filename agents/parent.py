@@ -138,7 +138,7 @@ class Parent:
         tops_up = self._tops_up or (self._tops_up_old and any(r.is_old for r in reports))
         silent_kw = total([report.impp_kw for report in reports if report.is_silent])
         hour = max(bisect_right(self._from_times_ns, turn.sim_time_ns) - 1, 0)
-        power_kw, share_kw, donors, needy, given_kw, _ = allocate(
+        power_kw, share_kw, donors, needy, given_kw = allocate(
             max(target_kw - silent_kw, 0.0),
             self._ratings_kw,
             [0.0 if report.is_silent else report.impp_kw for report in reports],

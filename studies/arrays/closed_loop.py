@@ -216,7 +216,7 @@ def solve_down(
     for row in range(len(tree.parents)):
         if cycle % tree.period[row] == 0:
             first, end = tree.first[row], tree.end[row]
-            setpoints_kw, _, _, _, _, _ = allocate(
+            setpoints_kw, _, _, _, _ = allocate(
                 target_kw[tree.parents[row]],
                 tree.rating_kw[first:end],
                 impp_kw[first:end],
