@@ -90,7 +90,7 @@ def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> b
             for _ in process.drive():
                 if link.dismissed:
                     break
-                if process.plant_is_gone():
+                if process.plant_is_gone() and not process.loop.finished:
                     if link.by_hand:
                         return False
                     raise FailureError("the plant is gone")
