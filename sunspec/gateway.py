@@ -22,7 +22,7 @@ from hdrh.histogram import HdrHistogram
 from agents.plan import RunPlan
 from sim_plant.devices import Pipes, Reading
 from sunspec.client import DeviceError, DeviceRefusedError, SunSpecInverter
-from sunspec.process import Connected, DeviceAccount, Event, Latency, News, write_accounts
+from sunspec.process import DeviceAccount, Latency, write_accounts
 
 _READ_AT: Final = 0.75
 """When an inverter is read, as a share of the cycle after the command came."""
@@ -40,12 +40,12 @@ Limit: TypeAlias = tuple[float, float | None]
 class Gateway:
     """The real inverters of a run, connected.
 
-    tell: Takes events for the launcher, in any thread.
+    tell: Takes lines for the launcher, in any thread; an empty one when a run can begin.
 
     Raises DeviceError: One of them does not answer, or lacks what is needed.
     """
 
-    def __init__(self, plan: RunPlan, tell: Callable[[Event], None]) -> None:
+    def __init__(self, plan: RunPlan, tell: Callable[[str], None]) -> None:
         self._tell = tell
         links = [_Link(plan, node, address, tell) for node, address in plan.devices]
         with ThreadPoolExecutor(len(links)) as pool:
@@ -58,7 +58,7 @@ class Gateway:
         try:
             for link in self._links.values():
                 link.begin(pipes)
-            self._tell(Connected())
+            self._tell("")
             told_at = 0.0
             while until not in select.select([until, pipes.commands], [], [], _ACCOUNTS_S)[0]:
                 for place, limit_kw, revert_kw in pipes.take_commands():
@@ -82,7 +82,7 @@ class _Link:
     """The link to one inverter, with its thread."""
 
     def __init__(
-        self, plan: RunPlan, node: str, address: str, tell: Callable[[Event], None]
+        self, plan: RunPlan, node: str, address: str, tell: Callable[[str], None]
     ) -> None:
         self.place = plan.tree.leaves.index(node)
         revert = plan.settings_of(node).revert
@@ -212,7 +212,7 @@ class _Link:
     def _say(self, text: str) -> None:
         if text != self._said:
             self._said = text
-            self._tell(News(f"{self._node}: {text}"))
+            self._tell(f"{self._node}: {text}")
 
 
 def _latency(took: HdrHistogram) -> Latency:
