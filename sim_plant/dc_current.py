@@ -7,18 +7,19 @@ bright it is. That current is a convention of the scenario, not a property of th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import check_name, some_of
 from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
+from sim_plant.positions import placed_on_the_equator
+from sim_plant.sites import Sites, equal_ratings_kw, inverter_name
+from sim_plant.sources import MeasuredPlant
 
 TIME_COLUMN: Final = "t_s"
 
@@ -31,37 +32,24 @@ _FAINT_SHARE: Final = 0.02
 _FURTHEST_M: Final = 1e6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InverterCurrents:
-    """Mean DC current of the combiners of n inverters at T time stamps.
-
-    `time_ns` is the time since the beginning of the measurement, with a constant step. `share` has
-    the shape (T, n): mean current over the current at full power, never negative. `x_m` and `y_m`
-    are the mean position of each inverter's combiners, east and north of an arbitrary point.
-    `listed` says how many inverters the positions name, those that are left out included, and
-    `report` what was missing.
-    """
-
-    time_ns: NDArray[np.int64]
-    share: Floats
-    inverters: tuple[str, ...]
-    x_m: Floats
-    y_m: Floats
-    listed: int
-    report: tuple[str, ...]
-
-
 def read_currents(
-    currents_csv: Path, positions_csv: Path, full_power_current: float, *, refuse_gaps: bool
-) -> InverterCurrents:
-    """Read the currents of combiners and take their mean for each inverter.
+    currents_csv: Path,
+    positions_csv: Path,
+    full_power_current: float,
+    begins: pd.Timestamp,
+    plant_rating_kw: float | None,
+    *,
+    refuse_gaps: bool,
+) -> MeasuredPlant:
+    """Read the currents of combiners; their mean, clipped at 1, is the power of each inverter.
 
-    `currents_csv` has the column `t_s`, seconds with a constant step, and one column for each
-    combiner; a field may be empty. `positions_csv` has the columns `combiner, inverter, x_m, y_m`.
+    `currents_csv` has the column `t_s`, seconds since `begins` with a constant step, and one column
+    for each combiner; a field may be empty. `positions_csv` has the columns `combiner, inverter,
+    x_m, y_m`, metres east and north of an arbitrary point.
 
     Where some combiners of an inverter are missing the mean is over those that are there. An
-    inverter of which all are missing throughout is left out. If `refuse_gaps`, a missing value is
-    an error instead.
+    inverter of which all are missing throughout is left out, with its rating. If `refuse_gaps`, a
+    missing value is an error instead.
     """
     table = read_csv(currents_csv)
     combiners = _read_combiners(positions_csv)
@@ -76,20 +64,16 @@ def read_currents(
     )
     _check_never_silent(table, inverters, means)
     positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()
-    return InverterCurrents(
-        table.seconds_ns(TIME_COLUMN),
-        means,
-        inverters,
-        positions["x_m"][list(inverters)].to_numpy(),
-        positions["y_m"][list(inverters)].to_numpy(),
-        len(positions),
+    rating_kw = equal_ratings_kw(plant_rating_kw, len(positions), "plant")[: len(inverters)]
+    x_m, y_m = positions.loc[list(inverters)].to_numpy().T
+    names = tuple(inverter_name(inverter) for inverter in inverters)
+    return MeasuredPlant(
+        Sites(names, *placed_on_the_equator(x_m, y_m), rating_kw),
+        begins + pd.to_timedelta(table.seconds_ns(TIME_COLUMN), unit="ns"),
+        np.minimum(means, 1.0) * rating_kw,
+        str(currents_csv),
         report,
     )
-
-
-def ac_power_kw(share: Floats, rating_kw: Floats) -> Floats:
-    """Return the AC power that the currents of inverters mean [kW], clipped at the rating."""
-    return np.minimum(share, 1.0) * rating_kw
 
 
 def _read_combiners(path: Path) -> pd.DataFrame:
