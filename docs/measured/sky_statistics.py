@@ -236,13 +236,12 @@ def _standardised(series: Floats) -> Floats:
     return np.asarray(centred / np.where(spread > 0.0, spread, np.nan))
 
 
-def real_plant(data_folder: Path, hour: str) -> tuple[Floats, Floats, Floats, Floats]:
+def real_plant(folder: Path, hour: str) -> tuple[Floats, Floats, Floats, Floats]:
     """Read an hour of a real plant: currents, shape (T, combiners), and where the combiners stand.
 
     The last array averages over the combiners of each inverter.
     """
-    folder = data_folder / "plant20mw-combiners-10s"
-    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s")
+    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s").dropna(axis="columns")
     places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")
     places = places.loc[currents.columns]
     east_m, north_m = places[["x_m", "y_m"]].to_numpy(dtype=np.float64).T
