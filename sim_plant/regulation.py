@@ -92,22 +92,6 @@ def regulation_kw(
     return settings.capacity_kw * signal
 
 
-def regulation_remarks(
-    settings: RegulationSettings, find_file: Callable[[str], Path]
-) -> tuple[str, ...]:
-    """Say what is unusual about a regulation signal: a step other than PJM's."""
-    if isinstance(settings, SyntheticRegulation):
-        return ()
-    recorded = read_signal(find_file(settings.path))
-    step_s = (recorded.time_ns[1] - recorded.time_ns[0]) / _NS
-    if step_s == STEP_S:
-        return ()
-    return (
-        f"{recorded.source}: a value every {step_s:g} s, PJM sends one every {STEP_S:g} s: each is"
-        " held until the next.",
-    )
-
-
 def _offered(settings: RegulationSettings, clock_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Tell in which cycles regulation is offered, shape (T,)."""
     begin_ns = _of_day_ns(settings.offered_from)
