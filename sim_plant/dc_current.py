@@ -58,21 +58,17 @@ def read_currents(
     # Combiners of the positions file that the currents lack are missing throughout.
     share = pd.DataFrame(np.maximum(current / full_power_current, 0.0), columns=list(columns))
     share = share.reindex(columns=combiners.index)
-    inverters, report = _inverters(table.name, share, combiners["inverter"], refuse_gaps)
-    means = np.column_stack(
-        [share.loc[:, combiners["inverter"] == one].mean(axis=1) for one in inverters]
-    )
-    _check_never_silent(table, inverters, means)
+    means, report = _means(table.name, share, combiners["inverter"], refuse_gaps)
     positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()
-    rating_kw = equal_ratings_kw(plant_rating_kw, len(positions), "plant")[: len(inverters)]
-    x_m, y_m = positions.loc[list(inverters)].to_numpy().T
-    names = tuple(inverter_name(inverter) for inverter in inverters)
+    x_m, y_m = positions.loc[means.columns].to_numpy().T
+    rating_kw = equal_ratings_kw(plant_rating_kw, len(positions), "plant")[: len(x_m)]
+    names = tuple(inverter_name(str(inverter)) for inverter in means)
     return MeasuredPlant(
         Sites(names, *placed_on_the_equator(x_m, y_m), rating_kw),
         begins + pd.to_timedelta(table.seconds_ns(TIME_COLUMN), unit="ns"),
-        np.minimum(means, 1.0) * rating_kw,
+        np.minimum(np.ascontiguousarray(means), 1.0) * rating_kw,
         str(currents_csv),
-        report,
+        tuple(report),
     )
 
 
@@ -122,37 +118,33 @@ def _currents(
     return current
 
 
-def _inverters(
+def _means(
     name: str, share: pd.DataFrame, inverter_of: pd.Series, refuse_gaps: bool
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the inverters of which there is any current, and a line on what was missing."""
-    used, report = [], []
-    for inverter in inverter_of.unique():
-        own = share.loc[:, inverter_of == inverter]
-        total, there, combiners = own.size, int(own.count().sum()), own.shape[1]
-        if there:
-            used.append(inverter)
-        if there == total:
+) -> tuple[pd.DataFrame, list[str]]:
+    """Return the mean of each inverter of which there is any, and a line on what was missing."""
+    own = {inverter: share.loc[:, inverter_of == inverter] for inverter in inverter_of.unique()}
+    report = []
+    for inverter, shares in own.items():
+        missing, total = int(shares.isna().to_numpy().sum()), shares.size
+        if not missing:
             continue
         what = (
-            f"{name}: inverter {inverter}: {total - there:,} of {total:,} currents of its "
-            f"{combiners} combiners missing"
+            f"{name}: inverter {inverter}: {missing:,} of {total:,} currents of its "
+            f"{shares.shape[1]} combiners missing"
         )
         if refuse_gaps:
             raise InputError(f"{what}, expected none, as irradiance.gaps is 'refuse'")
-        then = "the mean is over those that are there" if there else "left out, with its rating"
-        report.append(f"{what}: {then}")
-    if not used:
+        is_there = "the mean is over those that are there"
+        report.append(f"{what}: {is_there if missing < total else 'left out, with its rating'}")
+    means = pd.DataFrame({inverter: shares.mean(axis=1) for inverter, shares in own.items()})
+    means = means.dropna(axis="columns", how="all")
+    if means.empty:
         raise InputError(f"{name}: expected at least one inverter with a current, got none")
-    return tuple(used), tuple(report)
-
-
-def _check_never_silent(table: CsvTable, inverters: tuple[str, ...], means: Floats) -> None:
-    """Refuse an inverter that has currents at some times only: it cannot come and go."""
-    silent = np.argwhere(np.isnan(means))
+    silent = np.argwhere(means.isna())
     if silent.size:
-        row, inverter = silent[0]
+        row, place = silent[0]
         raise InputError(
-            f"{table.name}: line {row + 2}: expected some current of inverter "
-            f"{inverters[inverter]} in each line, or none at all, got {len(silent):,} lines without"
+            f"{name}: line {row + 2}: expected some current of inverter {means.columns[place]} in "
+            f"each line, or none at all, got {len(silent):,} lines without"
         )
+    return means, report

@@ -65,7 +65,13 @@ def read_day(
     check_stations(wanted, HORIZONTAL, "stations")
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
     source, content = _find(folder, day)
-    table = _table(source, content)
+    fields = text_fields(content.decode("latin-1"), source)
+    if fields.shape[1] != len(_FIELDS):
+        hint = ", as a file of AP2 has" if fields.shape[1] == 7 else ""
+        raise InputError(
+            f"{source}: line 1: expected {len(_FIELDS)} fields, got {fields.shape[1]}{hint}"
+        )
+    table = CsvTable(source, _FIELDS, fields)
     times = _times(table, day)
     ghi_wm2 = table.numbers(wanted, f"a number, {MISSING:g} where it is missing")
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
@@ -120,16 +126,6 @@ def _archive(month: Path) -> Iterator[ZipFile]:
             yield archive
     except (BadZipFile, RuntimeError, NotImplementedError) as error:
         raise InputError(f"{month}: expected a ZIP archive of daily files, got: {error}") from None
-
-
-def _table(source: str, content: bytes) -> CsvTable:
-    fields = text_fields(content.decode("latin-1"), source)
-    if fields.shape[1] != len(_FIELDS):
-        hint = ", as a file of AP2 has" if fields.shape[1] == 7 else ""
-        raise InputError(
-            f"{source}: line 1: expected {len(_FIELDS)} fields, got {fields.shape[1]}{hint}"
-        )
-    return CsvTable(source, _FIELDS, fields)
 
 
 def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:

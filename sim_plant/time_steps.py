@@ -44,7 +44,13 @@ def on_cycles(
             f"{source}: expected a time.cycle_s that is a multiple of its step, {step / _NS:g} s, "
             f"or shorter, got {cycle / _NS:g} s"
         )
-    _check_covered(times, cycles, source)
+    start, end = cycles[0], cycles[-1] + pd.Timedelta(cycle, unit="ns")
+    covered_until = times[-1] + pd.Timedelta(step, unit="ns")
+    if start < times[0] or end > covered_until:
+        raise InputError(
+            f"{source}: expected measurements of {utc_text(start)} to {utc_text(end)}, got "
+            f"{utc_text(times[0])} to {utc_text(covered_until)}"
+        )
     if cycle < step:
         return _on_lines(times, values, cycles)
     first = times.searchsorted(cycles, side="right") - 1
@@ -67,19 +73,9 @@ def conversion(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex) -> tuple[str, 
     return ()
 
 
-def _check_covered(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex, source: str) -> None:
-    start, end = cycles[0], cycles[-1] + pd.Timedelta(step_ns(cycles), unit="ns")
-    covered_until = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
-    if start < times[0] or end > covered_until:
-        raise InputError(
-            f"{source}: expected measurements of {utc_text(start)} to {utc_text(end)}, got "
-            f"{utc_text(times[0])} to {utc_text(covered_until)}"
-        )
-
-
 def _on_lines(times: pd.DatetimeIndex, values: Floats, cycles: pd.DatetimeIndex) -> Floats:
     # From the first cycle's value on: nanoseconds since 1970 have more digits than a float keeps.
-    origin = times[times.searchsorted(cycles[0], side="right") - 1]
+    origin = times[int(times.searchsorted(cycles[0], side="right")) - 1]
     known_s = (times - origin).total_seconds().to_numpy()
     wanted_s = (cycles - origin).total_seconds().to_numpy()
     return np.column_stack([np.interp(wanted_s, known_s, column) for column in values.T])

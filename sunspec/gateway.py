@@ -81,9 +81,7 @@ class Gateway:
 class _Link:
     """The link to one inverter, with its thread."""
 
-    def __init__(
-        self, plan: RunPlan, node: str, address: str, tell: Callable[[str], None]
-    ) -> None:
+    def __init__(self, plan: RunPlan, node: str, address: str, tell: Callable[[str], None]) -> None:
         self.place = plan.tree.leaves.index(node)
         revert = plan.settings_of(node).revert
         self._node, self._tell = node, tell

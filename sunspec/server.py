@@ -100,10 +100,10 @@ def served(plant: ServedPlant) -> Iterator[dict[str, str]]:
     thread.start()
     servers: list[ModbusTcpServer] = []
     try:
-        found = asyncio.run_coroutine_threadsafe(_serve(plant, servers), loop).result()
-        yield found
+        yield asyncio.run_coroutine_threadsafe(_serve(plant, servers), loop).result()
     finally:
-        asyncio.run_coroutine_threadsafe(_shut(servers), loop).result()
+        for server in servers:
+            asyncio.run_coroutine_threadsafe(server.shutdown(), loop).result()
         loop.call_soon_threadsafe(loop.stop)
         thread.join()
         loop.close()
@@ -130,8 +130,3 @@ async def _serve(plant: ServedPlant, servers: list[ModbusTcpServer]) -> dict[str
         for name, device in zip(names, devices, strict=True):
             addresses[name] = f"modbus://{plant.host}:{port}/{device.id}"
     return addresses
-
-
-async def _shut(servers: list[ModbusTcpServer]) -> None:
-    for server in servers:
-        await server.shutdown()

@@ -61,7 +61,9 @@ def test_the_three_nearest_that_have_a_value_serve_and_farther_ones_in_their_ste
     given = line_of_sensors(ghi_wm2, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
     found = fill_from_neighbours(given)
     np.testing.assert_allclose(found.ghi_wm2[1:, 0], [500.0, 500.0])
-    assert found.report[0] == "A: 2 of 3 values missing, filled from B, C, D and 1 farther times 1.000"
+    assert (
+        found.report[0] == "A: 2 of 3 values missing, filled from B, C, D and 1 farther times 1.000"
+    )
 
 
 def test_a_sensor_that_was_never_there_takes_the_level_of_its_neighbours() -> None:

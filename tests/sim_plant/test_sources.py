@@ -26,9 +26,7 @@ def irradiance(
 ) -> Irradiance:
     times = pd.date_range(begin, periods=60, freq="1s")
     ghi_wm2 = base_wm2 + np.column_stack([np.arange(60.0), 3.0 * np.arange(60.0)])
-    return Irradiance(
-        times, ghi_wm2, SITES.names, SITES.lat_deg, SITES.lon_deg, "ghi.csv", report
-    )
+    return Irradiance(times, ghi_wm2, SITES.names, SITES.lat_deg, SITES.lon_deg, "ghi.csv", report)
 
 
 def sky(
