@@ -53,7 +53,7 @@ _LIMIT_POINTS: Final = {
 _RANGES: Final = {
     "percent": (0.0, 100.0),
     "revert_percent": (0.0, 100.0),
-    "revert_s": (0.0, inf),
+    "revert_s": (0.0, 65_534.0),  # Model 704 could hold more, but 123 shows it too.
     "set_in_w": (1.0, 1.0),
     "set_w": (0.0, inf),
 }
