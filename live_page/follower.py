@@ -117,9 +117,11 @@ class RunFollower:
         return "silent" if age_s > longest_s else "running"
 
     @property
-    def read_share(self) -> float:
-        """Share of the file's chunks that has been read."""
-        return len(self._firsts) / max(len(self.run.outline.chunks), 1)
+    def read_share(self) -> float | None:
+        """Share of the file's chunks that has been read; None: all of them."""
+        if self._next_chunk() is None:
+            return None
+        return round(len(self._firsts) / len(self.run.outline.chunks), 3)
 
     def chunks_with(self, cycle: int, before: int = 1) -> list[ChunkPlace]:
         """Return the chunks that can hold messages of a cycle and of some cycles before it."""

@@ -72,7 +72,7 @@ class NodeStates:
         devices = [node for node, _ in self._plan.devices]
         return {
             "cycle": cycle,
-            "nodes": _columns([self._powers(found, node) for node in self._tree.nodes]),
+            "nodes": columns([self._powers(found, node) for node in self._tree.nodes]),
             "help": self._help(found),
             "agents": self._agents(cycle, found, newest),
             "unread": [self._place[node] for node in devices if TELEMETRY.of(node) not in found],
@@ -139,7 +139,7 @@ class NodeStates:
                     "restarts": self.follower.restarts[agent],
                 }
             )
-        return _columns(rows)
+        return columns(rows)
 
     def _timing(self, cycle: int, found: Messages) -> list[dict[str, object]]:
         """Return when the messages of each stage went out, after the beginning of the cycle [ms].
@@ -226,7 +226,8 @@ class NodeStates:
         return found
 
 
-def _columns(rows: list[dict[str, float | None]]) -> dict[str, Column]:
+def columns(rows: list[dict[str, float | None]]) -> dict[str, Column]:
+    """Return a list for each name, from at least one row."""
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 

@@ -176,17 +176,19 @@ class PageServer:
             return PlainTextResponse("too many browsers look on", 503)
         begin = _number(request, "from", -1.0)
         speed = min(max(_number(request, "speed", 0.0), 0.0), _FASTEST)
-        updates = self._view(request).updates(None if begin < 0 else begin, speed)
-        return EventStream(self._events(updates))
+        view = self._view(request)
+        return EventStream(self._events(view, view.updates(None if begin < 0 else begin, speed)))
 
-    async def _events(self, updates: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    async def _events(self, view: RunView, updates: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
         self.streams += 1
+        view.watched += 1
         try:
             async for update in updates:
                 yield b"data: " + update + b"\n\n"
                 if self._server.should_exit:
                     return
         finally:
+            view.watched -= 1
             self.streams -= 1
             self.left_at = asyncio.get_running_loop().time()
 

@@ -97,7 +97,6 @@ class _Link:
         self._wake, self._over = threading.Event(), threading.Event()
         self._written_kw: float | None = None
         self._written_at = 0.0
-        self._state = ""
         self._late = self._refused = self._breaks = 0
         self._gone_at: float | None = None
         self._said = ""
@@ -110,7 +109,6 @@ class _Link:
             self._reading = self._inverter.read()
         except DeviceError as error:
             raise DeviceError(f"device {self._node}: {error}") from None
-        self._state = self._inverter.state
 
     def begin(self, pipes: Pipes) -> None:
         self._pipes = pipes
@@ -160,14 +158,13 @@ class _Link:
                 self._reconnect(error)
 
     def _read(self) -> None:
+        before = self._inverter.state
         with self._timed("read"):
             reading = self._inverter.read()
         self._pipes.hand_reading(self.place, reading)
-        if self._inverter.state != self._state:
-            operating = {"MPPT", "RUNNING", "THROTTLED"}
-            if not {self._state, self._inverter.state} <= operating:
-                self._say(f"{self._state or '-'} -> {self._inverter.state or '-'}")
-            self._state = self._inverter.state
+        state = self._inverter.state
+        if state != before and not {before, state} <= {"MPPT", "RUNNING", "THROTTLED"}:
+            self._say(f"{before or '-'} -> {state or '-'}")
 
     def _write(self, limit: Limit) -> None:
         """Write a limit if it is new, or the inverter would revert before long."""
