@@ -146,29 +146,22 @@ class NodeStates:
 
         In lockstep a cycle begins with its first message.
         """
-        out = [
-            (self._stages[port], message.publish_time_ns)
-            for port, message in found.items()
-            if port in self._stages
-            and message.cycle == cycle
-            and port.publisher not in self._plan.external  # Another host has another clock.
-        ]
-        if not out:
-            return []
-        begin_ns = min(time_ns for _, time_ns in out)
+        times_ns: dict[_Stage, list[int]] = {}
+        for port, message in found.items():
+            is_here = port.publisher not in self._plan.external  # Another host has another clock.
+            if port in self._stages and message.cycle == cycle and is_here:
+                times_ns.setdefault(self._stages[port], []).append(message.publish_time_ns)
+        begin_ns = min(chain.from_iterable(times_ns.values()), default=0)
         if not self._plan.lockstep and self.follower.start_time_ns is not None:
             begin_ns = self.follower.start_time_ns + cycle * self._plan.cycle_wall_ns
-        times: dict[_Stage, list[float]] = {}
-        for stage, time_ns in out:
-            times.setdefault(stage, []).append(round((time_ns - begin_ns) / 1e6, 3))
         return [
             {
                 "stage": stage.label,
                 "deadline_ms": stage.deadline_ms,
-                "first_ms": min(times[stage]),
-                "last_ms": max(times[stage]),
+                "first_ms": round((min(times_ns[stage]) - begin_ns) / 1e6, 3),
+                "last_ms": round((max(times_ns[stage]) - begin_ns) / 1e6, 3),
             }
-            for stage in sorted(times, key=lambda stage: stage.place)
+            for stage in sorted(times_ns, key=lambda stage: stage.place)
         ]
 
     def _stages_of(self, ports: Iterable[Port[Message]]) -> dict[Port[Message], _Stage]:

@@ -73,16 +73,14 @@ def read_day(
         )
     table = CsvTable(source, _FIELDS, fields)
     times = _times(table, day)
-    ghi_wm2 = table.numbers(wanted, f"a number, {MISSING:g} where it is missing")
+    expected, lowest = f"a number, {MISSING:g} where it is missing", -np.inf
+    if most_missing is None:
+        expected, lowest = "no missing value, as irradiance.gaps is 'refuse'", MISSING + 1.0
+    ghi_wm2 = table.numbers(wanted, expected, lowest)
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
     check_ghi(table, wanted, ghi_wm2)
     found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg, source)
     if most_missing is None:
-        missing = np.argwhere(np.isnan(ghi_wm2))
-        if missing.size:
-            row, column = missing[0]
-            expected = "no missing value, as irradiance.gaps is 'refuse'"
-            raise table.error(int(row), wanted[column], expected)
         return found
     complete = fill_from_neighbours(_without_silent(found, most_missing))
     name = source.rpartition("/")[2]

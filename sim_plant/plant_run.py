@@ -42,9 +42,6 @@ _ARMING_S: Final = 30.0
 _LOOK_S: Final = 0.005
 """Time between two looks at who is there."""
 
-_MOST_NAMED: Final = 3
-"""One agent that does not answer delays all others, so only so many names are listed."""
-
 _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 everybody is told when it begins."""
 
@@ -68,9 +65,8 @@ def needed_messages(waiting: Iterable[Port[Message]], external: Collection[str])
     ports = list(waiting)
     theirs = [port for port in ports if port.publisher in external]
     needs = sorted(map(str, theirs or ports)) or ["the recorder"]
-    others = len(needs) - _MOST_NAMED
-    rest = f" and {others} more" if others > 0 else ""
-    return ", ".join(needs[:_MOST_NAMED]) + rest
+    # One agent that does not answer delays all others, so only so many are named.
+    return some_of(needs, most=3)
 
 
 def run_plant(
