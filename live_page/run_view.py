@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
@@ -72,15 +73,9 @@ class RunView:
 
     def open(self) -> NodeStates | None:
         """Return the recording; None while it has not begun."""
-        if self._states is None:
-            try:
+        if self._states is None and self.path.exists():
+            with suppress(NothingRecordedError):
                 self._states = NodeStates(RunFollower(self.path))
-            except NothingRecordedError:
-                return None
-            except InputError:
-                if self.path.exists():
-                    raise
-                return None
         return self._states
 
     def _begun(self) -> NodeStates:

@@ -78,11 +78,10 @@ class GatewayProcess(SideProcess):
 
     def __init__(self, plan: RunPlan) -> None:
         super().__init__("sunspec", stdout=subprocess.PIPE)
-        self._rest = b""
         self._folder: Path | None = None
         try:
             self.tell(msgspec.json.encode(plan))
-            if refusal := self._lines(wait=True)[0]:
+            if refusal := self._next_line():
                 raise InputError(refusal)
         except BaseException:
             self.close()
@@ -92,15 +91,16 @@ class GatewayProcess(SideProcess):
         """Let the plant's process find the gateway in a run's folder."""
         self._folder = folder
         self.tell(str(folder.absolute()).encode())
-        self._lines(wait=True)
+        self._next_line()
 
     def look(self, say: Callable[[str], None]) -> None:
         """Pass on what the gateway says.
 
         Raises FailureError: It has ended.
         """
-        for line in filter(None, self._lines()):
-            say(line)
+        while select.select([self.process.stdout], [], [], 0.0)[0]:
+            if line := self._next_line():
+                say(line)
 
     def end(self) -> tuple[DeviceAccount, ...]:
         """End the gateway; return what it measured."""
@@ -108,17 +108,13 @@ class GatewayProcess(SideProcess):
         self.close()
         return read_accounts(self._folder)
 
-    def _lines(self, *, wait: bool = False) -> list[str]:
+    def _next_line(self) -> str:
+        """Return the next line, which is written as a whole."""
         assert self.process.stdout is not None
-        pipe = self.process.stdout.fileno()
-        found: list[str] = []
-        while (wait and not found) or select.select([pipe], [], [], 0.0)[0]:
-            written = os.read(pipe, 1 << 16)
-            if not written:
-                raise FailureError(self._how_it_ended())
-            *lines, self._rest = (self._rest + written).split(b"\n")
-            found += map(os.fsdecode, lines)
-        return found
+        line = self.process.stdout.readline()
+        if not line:
+            raise FailureError(self._how_it_ended())
+        return os.fsdecode(line.rstrip(b"\n"))
 
     def _how_it_ended(self) -> str:
         code = self.process.wait()

@@ -88,11 +88,6 @@ def test_measurements_of_one_day_have_no_earlier_one(source: MeasuredPlant) -> N
     assert found.startswith("neighbours.history: expected")
 
 
-def test_a_plant_without_a_place_has_no_clear_sky() -> None:
-    found = complaint_of(plant().clear_sky_kw, cycles(2, "10s"))
-    assert found.startswith("commitment.kind: expected")
-
-
 def test_what_a_reader_must_know_of_the_data_is_told() -> None:
     mean = "a cycle of 20 s is the mean of 2 measured values"
     assert plant().remarks(cycles(2, "20s")) == ("hour.csv: a remark", mean)
