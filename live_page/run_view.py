@@ -24,7 +24,7 @@ from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import shown_in
 from sunspec.process import read_accounts
 
-UPDATE_S: Final = 0.1
+_UPDATE_S: Final = 0.1
 """Time between two updates of a page."""
 
 _READING_S: Final = 0.03
@@ -175,7 +175,7 @@ class RunView:
             elif shown < newest:
                 shown = min(shown + speed * (now - before) * 1e9 / follower.plan.cycle_ns, newest)
             yield min(int(shown), newest)
-            await asyncio.sleep(UPDATE_S if up_to_date else _READING_S / 3)
+            await asyncio.sleep(_UPDATE_S if up_to_date else _READING_S / 3)
 
     def _news(self, cycle: int, sent: _Sent) -> dict[str, Any]:
         """Return what a browser does not know yet; nothing if it was told all and recently."""

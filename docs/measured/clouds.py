@@ -301,12 +301,8 @@ def legend(figure: Figure, axes: Axes) -> None:
 
 def numbers(sky: Sky, index: Array) -> dict[str, float]:
     """Return the key figures of a sky."""
-    shares = sky_shares(index)
     found = {
-        "share cloudy": shares.cloudy,
-        "share partly": shares.partly,
-        "share clear": shares.clear,
-        "share enhanced": shares.enhanced,
+        **{f"share {kind}": share for kind, share in sky_shares(index).items()},
         "index, 5 % quantile": float(np.quantile(index, 0.05)),
         "index, median": float(np.median(index)),
     }
