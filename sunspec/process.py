@@ -98,6 +98,7 @@ class GatewayProcess(SideProcess):
 
         Raises FailureError: It has ended.
         """
+        assert self.process.stdout is not None
         while select.select([self.process.stdout], [], [], 0.0)[0]:
             if line := self._next_line():
                 say(line)
