@@ -217,9 +217,8 @@ def _figures(metrics: RunMetrics | None) -> list[dict[str, str]]:
     """Return the figures that a summary shows, as texts."""
     if metrics is None:
         return []
-    values = [(figure, figure.read(metrics)) for figure in shown_in("summary")]
     return [
         {"title": figure.title, "unit": figure.unit, "value": f"{value:,.{figure.decimals}f}"}
-        for figure, value in values
-        if value is not None
+        for figure in shown_in("summary")
+        if (value := figure.read(metrics)) is not None
     ]
