@@ -112,7 +112,7 @@ class _Copy:
             out=str(out),
             closed=outline.closed,
             planned_cycles=run.plan.cycles,
-            cut_bytes=0 if outline.closed else outline.size - outline.readable_end,
+            cut_bytes=0 if outline.closed else max(outline.size - outline.readable_end, 0),
             damaged_attachments=outline.damaged_attachments,
         )
         self._run = run

@@ -7,7 +7,7 @@ from collections.abc import Collection, Container, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import msgspec
 
@@ -24,14 +24,9 @@ from recordings.read.chunks import (
     messages_in,
     unpack_chunk,
 )
-from recordings.read.outline import NoMcapError, Outline, read_outline
+from recordings.read.outline import read_outline
 from recordings.read.run_clock import RunClock
-from recordings.read.run_file import (
-    RECORDING_NAME,
-    declare,
-    further_file,
-    read_origin,
-)
+from recordings.read.run_file import RECORDING_NAME, declare, further_file, read_origin
 from recordings.read.selection import find_nodes, find_signals
 
 if TYPE_CHECKING:
@@ -125,7 +120,7 @@ class RunReader:
         self._skip_damaged = skip_damaged
         self._first_cycles: dict[ChunkPlace, int | None] = {}
         try:
-            self.outline = _outline_of(self.path, self.files[0])
+            self.outline = read_outline(self.files[0])
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
@@ -140,8 +135,11 @@ class RunReader:
         """Take in the files of recorders that were started again."""
         while (path := further_file(self.path, len(self.files) + 1)).exists():
             file = path.open("rb")
-            outline = _outline_of(path, file)
-            if outline.metadata.get("run", {}).get("run_id") != self.plan.run_id:
+            outline = read_outline(file)
+            run_id = outline.metadata.get("run", {}).get("run_id")
+            # One that is empty, or cut that early, was of a recorder that was killed at once.
+            is_next = outline.cut_early if run_id is None else run_id == self.plan.run_id
+            if not is_next:
                 file.close()
                 break
             self.outline.go_on(outline)
@@ -271,7 +269,7 @@ class RunReader:
         """Return the messages of some channels in a chunk, none if it is damaged and skipped."""
         self.file_number = place.file
         try:
-            records = self.unpack(place)
+            return messages_in(self.unpack(place), channels)
         except DamagedChunkError as error:
             if self._skip_damaged:
                 self.damage.add(place)
@@ -280,7 +278,6 @@ class RunReader:
                 f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
                 "what is sound"
             ) from None
-        return messages_in(records, channels)
 
     def cycles_in(self, place: ChunkPlace) -> range:
         """Return the cycles that a chunk has messages of; empty if none can be read."""
@@ -381,13 +378,6 @@ class RunReader:
         if self.plan.lockstep:
             return _FURTHEST_CYCLES
         return max(round(_LATEST_S * 1e9 / self.plan.cycle_wall_ns), self.plan.periods.longest) + 1
-
-
-def _outline_of(path: Path, file: BinaryIO) -> Outline:
-    try:
-        return read_outline(file)
-    except NoMcapError as error:
-        raise InputError(f"{path}: not an MCAP file, {error}") from None
 
 
 def end_of_run(stops: Collection[int], last_cycle: int) -> int | None:
