@@ -68,7 +68,7 @@ def replay_live(
         its_plan = live_plan(plan, live, tcp_ports, tcp_ports[_OTHERS])
         path.write_bytes(its_plan.as_json())
         with (
-            replay_bus(reader, selected_ports(plan), listen, out) as observers,
+            replay_bus(reader, selected_ports(reader), listen, out) as observers,
             LiveBus(its_plan, live, tcp_ports[_OTHERS], observers, children, interruption) as bus,
         ):
             say(out, f"live: {', '.join(live)}; all others as recorded")
@@ -92,7 +92,7 @@ def replay_live(
             playback.play()
             bus.finish()
     wall_s = time.monotonic() - began_at
-    findings, timing = bus.comparison.findings, playback.timing.figures()
+    findings = bus.comparison.findings
     compared = sum(found.compared for found in findings.values())
     differing = {name: one.differences.total() for name, one in findings.items() if one.first}
     say(
@@ -100,8 +100,7 @@ def replay_live(
         f"compared {compared:,} messages of {len(live)} live controllers over "
         f"{bus.cycles:,} cycles in {wall_s:.1f} s",
     )
-    if timing is not None:
-        say(out, timing.text())
+    timing = playback.timing_error(out)
     lines = finding_lines(findings, RunClock(plan, bus.cycles - 1))
     for text in wrapped(lines, shutil.get_terminal_size((100, 0)).columns):
         say(out, text)
