@@ -88,7 +88,7 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
         check_plan(plan)
         _check_times(plan)
     except (InputError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path} plan.json: {error}") from None
+        raise InputError(f"{path}: plan.json: {error}") from None
     # Nothing depends on the scenario, which may be damaged: the plan has what the run was.
     return attachments.get("scenario.toml", b"").decode(errors="replace"), plan
 
