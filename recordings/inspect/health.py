@@ -147,7 +147,6 @@ class HealthWatch:
         self._last_cycle = dict.fromkeys(steps, cycles.start - 1)
         # The cycle in which the process that speaks for each agent joined.
         self._joined = dict.fromkeys(steps, max(cycles.start - 1, 0))
-        self._numbered_anew: dict[str, int] = {}
         self._absences: list[Absence] = []
         self._more_absences = 0
         self._missed = MissedInputs(plan)
@@ -155,13 +154,14 @@ class HealthWatch:
     def see(self, record: RecordedMessage) -> None:
         port, cycle = record.port, record.cycle
         found = self.gaps.ports[port]
-        restarts, lost = found.restarts, found.lost
+        lost = found.lost
         self.gaps.see(port, cycle, record.sequence, record.incarnation)
-        agent = port.publisher
+        agent, joined = port.publisher, None
         if agent in self._last_cycle:
             if found.lost > lost:  # It was there: its messages are not.
                 self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
-            joined = self._newly_joined(record, numbered_anew=found.restarts > restarts)
+            if record.incarnation > self._joined[agent]:
+                joined = self._joined[agent] = record.incarnation
             self._see_agent(agent, cycle, joined)
         if port in self._devices:
             self._see_agent(self._devices[port], cycle, None)
@@ -219,21 +219,8 @@ class HealthWatch:
             if listener not in self._plan.external:
                 self._tally.count(self._faults.fates(port, listener, message))
 
-    def _newly_joined(self, record: RecordedMessage, *, numbered_anew: bool) -> int | None:
-        """Return in which cycle another process of an agent joined, with its first message."""
-        agent, cycle, joined = record.port.publisher, record.cycle, record.incarnation
-        if joined > self._joined[agent]:
-            self._joined[agent] = joined
-            return joined
-        # A device that does not say when it joined: its regular messages show it, within a period.
-        if joined or not numbered_anew or not due_step(self._plan, record.port):
-            return None
-        if cycle <= self._numbered_anew.get(agent, -1):
-            return None
-        self._numbered_anew[agent] = cycle + self._plan.periods.longest
-        return cycle
-
     def _see_agent(self, agent: str, cycle: int, joined: int | None) -> None:
+        """Note if an agent was absent, or if another process of it joined in some cycle."""
         last = self._last_cycle[agent]
         if cycle > last:
             self._last_cycle[agent] = cycle
