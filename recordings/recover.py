@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final
 
 import msgspec
 from mcap.writer import CompressionType, Writer
@@ -64,18 +64,11 @@ class Recovery(msgspec.Struct, kw_only=True):
         return (self.closed or self.ended) and not missing
 
 
-_Follow: TypeAlias = Callable[[float], None]
-
-
-def is_sound(run: RunReader, follow: _Follow = lambda share: None) -> bool:
-    """Whether a recording was closed in order and all of it can be read.
-
-    `follow` is called now and then with the share that has been read, 0 to 1.
-    """
+def is_sound(run: RunReader) -> bool:
+    """Whether a recording was closed in order and all of it can be read."""
     if not run.whole or run.outline.damaged_attachments:
         return False
-    for number, place in enumerate(run.outline.chunks):
-        follow(number / len(run.outline.chunks))
+    for place in run.followed_chunks():
         try:
             run.unpack(place)
         except DamagedChunkError:
@@ -83,7 +76,7 @@ def is_sound(run: RunReader, follow: _Follow = lambda share: None) -> bool:
     return True
 
 
-def recover_run(run: RunReader, out: Path, follow: _Follow = lambda share: None) -> Recovery:
+def recover_run(run: RunReader, out: Path) -> Recovery:
     """Copy everything that can be read of a recording into a new one.
 
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
@@ -101,8 +94,7 @@ def recover_run(run: RunReader, out: Path, follow: _Follow = lambda share: None)
     with new_path(out) as beside, beside.open("xb") as file:
         writer = Writer(file, compression=CompressionType.LZ4)
         channel_of = _begin(writer, outline)
-        for number, place in enumerate(outline.chunks):
-            follow(number / len(outline.chunks))
+        for place in run.followed_chunks():
             for raw, head in _readable(run, place, found):
                 channel, sequence, log_time_ns, publish_time_ns, payload = raw
                 writer.add_message(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Callable, Iterator
-from typing import Final
+from collections.abc import Iterator
 
 import msgspec
 
@@ -15,9 +14,6 @@ from recordings.inspect.health import Health, HealthWatch
 from recordings.read.gaps import Gap, RunGaps
 from recordings.read.reader import RunReader
 from recordings.recover import RECOVERY_METADATA
-
-_FOLLOW_EVERY: Final = 10_000
-"""Messages between two calls of `follow`."""
 
 
 class SignalCount(msgspec.Struct, frozen=True):
@@ -72,25 +68,19 @@ class Overview(msgspec.Struct, frozen=True):
     health: Health
 
 
-def read_overview(
-    run: RunReader,
-    cycles: range | None = None,
-    follow: Callable[[float], None] = lambda share: None,
-) -> Overview:
+def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     """Go through a recording, message by message but without decoding them, and count."""
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
     watch = HealthWatch(run.plan, wanted)
     first_ns = last_ns = complete_cycles = 0
     last_production = wanted.start - 1
-    for number, record in enumerate(run.records(cycles=cycles)):
+    for record in run.records(cycles=cycles):
         watch.see(record)
         first_ns = first_ns or record.log_time_ns
         last_ns = record.log_time_ns
         if record.port.signal is PRODUCTION:
             complete_cycles += 1
             last_production = max(last_production, record.cycle)
-        if number % _FOLLOW_EVERY == 0:
-            follow(run.read_share)
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = last_production + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
     watch.end(end)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Collection, Container, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -101,7 +101,7 @@ class RunReader:
 
     It is `whole` if each file was closed in order and has its index. `damage` are the damaged
     chunks that were skipped so far, `read_share` is how far the reading has come, 0 to 1, and
-    `file_number` in which of the `files`.
+    `file_number` in which of the `files`. `follow` is called with it now and then.
 
     Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
     """
@@ -117,6 +117,7 @@ class RunReader:
         self.damage: set[ChunkPlace] = set()
         self.file_number = 0
         self.read_share = 0.0
+        self.follow: Callable[[float], None] = lambda share: None
         self._skip_damaged = skip_damaged
         self._first_cycles: dict[ChunkPlace, int | None] = {}
         try:
@@ -261,6 +262,15 @@ class RunReader:
         stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
         return end_of_run(stops, self.last_cycle)
 
+    def followed_chunks(self, begin: int = 0) -> Iterator[ChunkPlace]:
+        """Yield the chunks from one on, and say now and then how far that is."""
+        count = len(self.outline.chunks)
+        for number, place in enumerate(self.outline.chunks[begin:], start=begin):
+            self.read_share = number / count
+            if number % (count // 100 + 1) == 0:
+                self.follow(self.read_share)
+            yield place
+
     def unpack(self, place: ChunkPlace) -> bytes:
         """Return the records in a chunk; DamagedChunkError if it is damaged."""
         return unpack_chunk(self.files[place.file], place)
@@ -325,8 +335,7 @@ class RunReader:
     ) -> Iterator[RawMessage]:
         """Yield the messages of the chunks that can hold some cycles."""
         begin = 0 if cycles is None else self._search(cycles.start)
-        for number, place in enumerate(self.outline.chunks[begin:], start=begin):
-            self.read_share = number / len(self.outline.chunks)
+        for place in self.followed_chunks(begin):
             if cycles is not None:
                 first = self._first_cycle(place)
                 if first is not None and first >= cycles.stop + self._slack:
