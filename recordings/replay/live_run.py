@@ -17,7 +17,6 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import agent_name
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import interruptible
-from launch_scripts.launcher.live_view import StatusLine
 from launch_scripts.launcher.supervision import Children, ForkServerProcess, RunFailure
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.reader import RunReader
@@ -83,7 +82,7 @@ def replay_live(
                 "wall",
                 no_keyboard,
                 interruption,
-                StatusLine(out, in_place=out.isatty()),
+                out,
                 bus.listen,
             )
             bus.arm(reader)
@@ -100,7 +99,7 @@ def replay_live(
         f"compared {compared:,} messages of {len(live)} live controllers over "
         f"{bus.cycles:,} cycles in {wall_s:.1f} s",
     )
-    timing = playback.timing_error(out)
+    timing = playback.timing_error()
     lines = finding_lines(findings, RunClock(plan, bus.cycles - 1))
     for text in wrapped(lines, shutil.get_terminal_size((100, 0)).columns):
         say(out, text)

@@ -76,9 +76,8 @@ def replay_recording(
             say(out, KEYS_IN_WORDS)
         before = None if end is None else span.stop
         playing = PlaybackClock(rate, paused=start_paused)
-        line = StatusLine(out, in_place=out.isatty())
         playback = Playback(
-            reader, span.start, before, ports, bus, playing, kind, keys, interruption, line
+            reader, span.start, before, ports, bus, playing, kind, keys, interruption, out
         )
         if wait:
             await_subscriber(bus, interruption, out)
@@ -95,7 +94,7 @@ def replay_recording(
         "wall_s": wall_s,
         "pace": rate or "max",
         "clock": kind,
-        "timing_error": playback.timing_error(out),
+        "timing_error": playback.timing_error(),
         "interrupted": bool(interruption),
     }
 
@@ -117,11 +116,12 @@ class Playback:
     kind: ClockKind
     keyboard: Keyboard
     interruption: Interruption
-    line: StatusLine
+    out: TextIO
     sleep: Callable[[float], None] = time.sleep
 
     def __post_init__(self) -> None:
         self.messages = self.cycles = 0
+        self._line = StatusLine(self.out, in_place=self.out.isatty())
         self._late = HdrHistogram(1, _LATEST_NS, 3)
         self._quit = False
         self._look_at_ns = self._position_ns = 0
@@ -143,9 +143,9 @@ class Playback:
                 self._turn_to_next()
             self._obey_keys()
         self._show(self._cycle)
-        self.line.end()
+        self._line.end()
 
-    def timing_error(self, out: TextIO) -> dict[str, float] | None:
+    def timing_error(self) -> dict[str, float] | None:
         """Print how much later than due messages were sent; return it for JSON, None: none was."""
         late, count = self._late, self._late.get_total_count()
         if not count:
@@ -155,7 +155,7 @@ class Playback:
         )
         max_us = late.get_max_value() / 1e3
         say(
-            out,
+            self.out,
             f"sent later than due: p50 {p50_us:,.0f} µs, p99 {p99_us:,.0f} µs, "
             f"p99.9 {p99_9_us:,.0f} µs, max {max_us:,.0f} µs",
         )
@@ -222,12 +222,12 @@ class Playback:
         elif now_ns >= self._look_at_ns:
             self._look_at_ns = now_ns + round(_LOOK_S * 1e9)
             self._keys.extend(self.keyboard(0.0))
-            if self.line.is_due():
+            if self._line.is_due():
                 self._show(self._cycle)
         while self._keys and not self._is_stepping():
             self._do(self._keys.popleft())
             self._announce()
-            if self.line.is_due(now=True):
+            if self._line.is_due(now=True):
                 self._show(self._here)
 
     def _is_stepping(self) -> bool:
@@ -263,4 +263,4 @@ class Playback:
             last = self.reader.last_cycle  # The message that ends a run names the cycle after it.
             cycle = min(cycle, last)
             place = f"{self.reader.clock.text(cycle)} cycle {cycle} of 0 to {last}"
-            self.line.show(f"{place}, {rate}{paused}")
+            self._line.show(f"{place}, {rate}{paused}")

@@ -16,7 +16,6 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import IMPP, Port
 from launch_scripts.launcher.interruption import Interruption
-from launch_scripts.launcher.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus
 from recordings.replay.clock import ClockKind, PlaybackClock, positions
@@ -102,7 +101,7 @@ def play(
             "wall",
             keyboard,
             Interruption() if interruption is None else interruption,
-            StatusLine(out or io.StringIO(), in_place=False),
+            out or io.StringIO(),
             heard.clock.sleep,
         )
         heard.clock.sleep(waited_s)
@@ -137,7 +136,7 @@ def test_all_bytes_are_sent_on_their_ports_in_their_order(recorded: Path) -> Non
     assert heard.payloads == payloads(SAID)
     assert heard.ports == [entry.port for entry in SAID]
     assert (played.messages, played.cycles) == (len(SAID), 40)
-    assert played.timing_error(io.StringIO()) is None  # as fast as possible: nothing is due
+    assert played.timing_error() is None  # as fast as possible: nothing is due
     # The message that ends the run names the cycle after the last one.
     assert heard.states == [(cycle, 0.0, False) for cycle in range(41)]
     assert "12:00:39 cycle 39 of 0 to 39" in out.getvalue().splitlines()[-1]
@@ -174,12 +173,11 @@ def due_at_a_quarter(first: int, before: int, began_ns: int) -> list[int]:
 def test_each_message_is_sent_when_it_is_due_and_all_is_timed(
     recorded: Path, waited_s: float
 ) -> None:
-    heard = Heard()
-    played = play(recorded, heard, span=(5, 9), rate=0.25, waited_s=waited_s)
+    heard, out = Heard(), io.StringIO()
+    played = play(recorded, heard, span=(5, 9), rate=0.25, waited_s=waited_s, out=out)
     due_ns = due_at_a_quarter(5, 9, heard.moments_ns[0])
     assert heard.moments_ns == due_ns
-    out = io.StringIO()
-    figures = played.timing_error(out)
+    figures = played.timing_error()
     assert figures is not None
     assert figures["count"] == len(due_ns)
     assert figures["max_us"] < 1.0
@@ -200,7 +198,7 @@ def test_each_step_sends_one_cycle_also_if_keys_come_together(
     heard = Heard()
     played = play(recorded, heard, paused=True, keyboard=hands(*keys), rate=1.0)
     assert heard.payloads == step(0, 2)
-    assert played.timing_error(io.StringIO()) is None  # a step has no due time
+    assert played.timing_error() is None  # a step has no due time
 
 
 @pytest.mark.parametrize(
