@@ -165,8 +165,7 @@ def walk_on(outline: Outline, file: BinaryIO) -> None:
 def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
     """Enter a record of the data section into the outline."""
     if place.opcode == Opcode.CHUNK:
-        chunk = chunk_at(file, place.offset, place.length, outline.size)
-        chunk = chunk._replace(file=outline.file)
+        chunk = chunk_at(file, place.offset, place.length, outline.size)._replace(file=outline.file)
         outline.chunks.append(chunk)
         if len(outline.chunks) == 1:
             # A recording declares all its channels before its first message.
