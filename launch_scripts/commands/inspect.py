@@ -148,8 +148,8 @@ def _show_overview(
 ) -> None:
     from recordings.inspect.overview import read_overview
 
-    with progress_bar("reading") as follow:
-        overview = read_overview(run, cycles, follow)
+    with progress_bar("reading") as run.follow:
+        overview = read_overview(run, cycles)
     for table in _overview_tables(overview, run.clock):
         print_table(console, table)
     _warn_if_cut(run, console)

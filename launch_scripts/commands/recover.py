@@ -48,15 +48,15 @@ def recover(
     except NothingRecordedError as error:
         return complain(f"{error}: there is nothing to recover", FAILED)
     with reader:
-        with progress_bar("checking") as follow:
-            sound = is_sound(reader, follow)
+        with progress_bar("checking") as reader.follow:
+            sound = is_sound(reader)
         if sound:
             say(console, f"{reader.path}: it is whole, there is nothing to recover")
             write_json({"source": str(reader.path), "out": None, "lossless": True}, json)
             return OK
         out = out or reader.path.with_suffix(_SUFFIX)
-        with progress_bar("copying") as follow:
-            recovery = recover_run(reader, out, follow)
+        with progress_bar("copying") as reader.follow:
+            recovery = recover_run(reader, out)
         if not recovery.messages:
             out.unlink()
             nothing = "no message can be read, there is nothing to recover"

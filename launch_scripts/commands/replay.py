@@ -90,7 +90,7 @@ def replay(
         figures = replay_recording(
             reader,
             out,
-            selected_ports(reader.plan, signals, exclude, nodes),
+            selected_ports(reader, signals, exclude, nodes),
             start=start,
             end=end,
             rate=speed if isinstance(speed, float) else 0.0,
