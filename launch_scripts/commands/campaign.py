@@ -5,19 +5,12 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import typer
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.options import (
-    ResultOptions,
-    ScenarioArgument,
-    SettingsOption,
-    WorkersOption,
-    changed_scenario,
-)
+from launch_scripts.commands.options import ResultOptions, changed_scenario
 from launch_scripts.commands.output import say, shared, written
 from launch_scripts.scenarios.run_options import RunOptions
 from studies.tables import print_table
@@ -26,19 +19,17 @@ if TYPE_CHECKING:
     from launch_scripts.scenarios.preparation import Preparation
     from studies.campaign.study import Campaign, Outcome
 
-EXAMPLE: Final = "heliarch campaign oahu --seeds 1..200 --workers 2"
-PAGE: Final = Path("campaign.html")
 _LISTED: Final = 10
 
 
 def campaign(
-    scenario: ScenarioArgument = "oahu",
+    scenario: str = "oahu",
     *,
     seeds: str = "1..100",
     start: str | None = None,
     duration: str = "150s",
-    settings: SettingsOption = None,
-    workers: WorkersOption = 1,
+    settings: list[str] | None = None,
+    workers: int = 1,
     curves: bool = False,
     files: ResultOptions,
 ) -> None:
@@ -53,6 +44,7 @@ def campaign(
     --from TIME (start): Local time of the first cycle: 12:30, or 2010-04-01T12:30.
     --duration TIME: Length of each run: 150s, 10m.
     --curves: Instead, measure what failures cost, by rate and repair time.
+    Example: heliarch campaign oahu --seeds 1..200 --workers 2
     """
     from launch_scripts.scenarios.preparation import prepare
     from studies.campaign import results, study
@@ -72,7 +64,7 @@ def campaign(
     outcomes = shared(partial(study.run_seed, found), chosen, workers, "runs")
     page = partial(results.campaign_page, preparation, found, outcomes)
     broken = [outcome for outcome in outcomes if outcome.violations]
-    with written(outcomes, files, page, PAGE) as console:
+    with written(outcomes, files, page, "campaign.html") as console:
         print_table(console, results.campaign_table(preparation, outcomes))
         for outcome in broken[:_LISTED]:
             first = outcome.violations[0]
@@ -99,7 +91,7 @@ def _measure_curves(
     title = f"{plan.plant}, {plan.cycles} cycles from {preparation.local_start()}"
     title += f", mean of {len(seeds)} seeds"
     page = partial(results.curve_page, title, points)
-    with written(points, files, page, PAGE) as console:
+    with written(points, files, page, "campaign.html") as console:
         for table in results.curve_tables(title, points):
             print_table(console, table)
 

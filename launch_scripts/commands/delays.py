@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
-
-import typer
+from typing import TYPE_CHECKING, Any, Final
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.options import (
-    ResultOptions,
-    SeedOption,
-    SettingsOption,
-    WorkersOption,
-    changed_scenario,
-)
+from launch_scripts.commands.options import ResultOptions, changed_scenario
 from launch_scripts.commands.output import shared, written
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 
 if TYPE_CHECKING:
     from launch_scripts.scenarios.preparation import Preparation
     from launch_scripts.scenarios.scenario import ScenarioFile
-
-EXAMPLE: Final = "heliarch delays oahu --from 12:30 --duration 20m --report"
-PAGE: Final = Path("delays.html")
 
 DEFAULT_SCENARIO: Final = "oahu-day"
 DEFAULT_START: Final = "11:58"
@@ -34,25 +22,22 @@ DEFAULT_SETTINGS: Final = ("commitment.share=0.6",)
 
 
 def delays(
-    scenario: Annotated[
-        str | None,
-        typer.Argument(
-            help="A shipped scenario or a TOML file; default the hour from noon of oahu-day, with "
-            "a commitment of 0.6 of what is possible.",
-            show_default=False,
-        ),
-    ] = None,
+    scenario: str | None = None,
     *,
     span: TimeOptions,
-    seed: SeedOption = None,
-    settings: SettingsOption = None,
-    workers: WorkersOption = 2,
+    seed: int | None = None,
+    settings: list[str] | None = None,
+    workers: int = 2,
     files: ResultOptions,
 ) -> None:
     """Measure what delays, losses and a slow central controller cost.
 
     Everything runs in memory: each scheme with each delay, share of losses and central period.
     --report writes delays.html by default.
+
+    SCENARIO: A shipped scenario or a TOML file; default the hour from noon of oahu-day, with a
+        commitment of 0.6 of what is possible.
+    Example: heliarch delays oahu --from 12:30 --duration 20m --report
     """
     from studies.compare.study import remarks_of
     from studies.delays.results import print_study, study_page
@@ -81,7 +66,7 @@ def delays(
         "outcomes": outcomes,
     }
     page = partial(study_page, preparation, outcomes)
-    with written(document, files, page, PAGE) as console:
+    with written(document, files, page, "delays.html") as console:
         print_study(preparation, outcomes, console)
 
 

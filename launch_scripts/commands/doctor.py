@@ -17,11 +17,8 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, OK
-from launch_scripts.commands.options import JsonOption
 from launch_scripts.commands.output import write_json
 from studies.tables import console_for
-
-EXAMPLE: Final = "heliarch doctor"
 
 _PACKAGES: Final = ("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap")
 _OPTIONAL: Final = {
@@ -58,13 +55,14 @@ def _judged(
 
 def doctor(
     out: Path = Path(),
-    json: JsonOption = None,
+    json: str | None = None,
 ) -> int:
     """Check whether a run will work on this machine, what will slow it down, and what to do.
 
     Exit status 1: something is wrong, and a run would not work.
 
     --out DIR: Folder in which runs will be recorded.
+    Example: heliarch doctor
     """
     from rich.text import Text
 

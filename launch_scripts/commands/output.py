@@ -76,7 +76,7 @@ def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
 
 @contextmanager
 def written(
-    document: object, files: ResultOptions, page: Callable[[], str], default: Path
+    document: object, files: ResultOptions, page: Callable[[], str], default: Path | str
 ) -> Iterator[Console]:
     """Write a result as JSON and as a page, where they are wanted; give the console to print it on.
 
