@@ -100,7 +100,6 @@ class _Launch:
         self._stalled_in: int | None = None
         self._asked_at: float | None = None
         self._rounds = 0
-        self._cpu_at_start_s: dict[str, float | None] = {}
         self._started_at = began_at
         self._over = self._ended_early = False
         self._external = ExternalWatch(plan, folder.plan, self._patience_s, time.monotonic())
@@ -154,7 +153,8 @@ class _Launch:
                 self._hear(event)
                 self._restarts.hear(child, event)
                 if isinstance(event, Armed):
-                    self._cpu_at_start_s = {child.agent: child.cpu_s() for child in children}
+                    for one in children:
+                        one.cpu_at_start_s = one.cpu_s()
             if self._gateway is not None:
                 self._gateway.look(self._view.say)
             self._restarts.look(self._watch.recorder_silent_s(time.monotonic()))
@@ -309,7 +309,6 @@ class _Launch:
             # In real time the last cycle lasts to its end, though all have done their part before.
             wall_s=max(ended_at - self._armed_at, cycles * plan.cycle_wall_ns / 1e9),
             startup_s=self._armed_at - self._began_at,
-            arming_rounds=self._rounds,
             metrics=recorded_metrics(self._folder.recording),
             messages=count_messages(published, heard),
             restarts=dict(self._restarts.counts),
@@ -324,11 +323,7 @@ class _Launch:
             faults=merge_counts([account.faults for account in accounts]),
             old_inputs=missed.all_old,
             skipped_cycles=sum(account.skipped_cycles for account in accounts),
-            processes_startup_s=self._armed_at - self._started_at,
-            processes=tuple(
-                process_account(child, self._cpu_at_start_s.get(child.agent), missed)
-                for child in children
-            ),
+            processes=tuple(map(process_account, children)),
             external=recorded.external,
             devices=self._gateway.end() if self._gateway is not None else (),
             wrong=wrong_messages(

@@ -260,7 +260,6 @@ def simulate(
         cycle_s=plan.cycle_ns / 1e9,
         wall_s=wall_s,
         startup_s=started_at - began_at,
-        arming_rounds=0,
         metrics=recorded_metrics(folder.recording),
         messages=count_messages(run.bus.outbox.published, writer.recorded),
         dropped=dict(drops),

@@ -8,7 +8,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -114,11 +114,13 @@ class Child:
     waiting: Waiting | None = None
     failed: Failed | None = None
     exited: Exited | None = None
-    memory: Memory = field(default_factory=lambda: Memory(0.0, 0.0))
+    memory: Memory = Memory(0.0, 0.0)
+    cpu_at_start_s: float | None = None
+    """Its processor time when cycle 0 began [s]."""
 
     def begin_again(self) -> None:
         """Forget all that its process, which has ended, has said."""
-        self.pid, self.ready = 0, False
+        self.pid, self.ready, self.cpu_at_start_s = 0, False, 0.0
         self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 
     def note(self, event: Event) -> None:
