@@ -30,9 +30,8 @@ from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.run_watch import HEARTBEAT_S, RunWatch
 from launch_scripts.launcher.summary import (
     RunSummary,
-    count_lost,
     count_messages,
-    count_missed,
+    count_missing,
     dropped_by_cause,
     memory_use,
     merge_counts,
@@ -288,12 +287,11 @@ class _Launch:
         for child in children:
             if child.memory.resident_mb:  # A short run may be over before all were looked at.
                 memory.setdefault(child.kind, []).append(child.memory)
-        missed = count_missed(self._folder.recording, plan)
+        missed, lost = count_missing(self._folder.recording, plan)
         published = self._published(children)
         heard = without_external(recorded)
         if self._restarts.lost_processes:
             # Nobody knows what processes published that died: the numbers of messages tell.
-            lost = count_lost(self._folder.recording, plan.elsewhere)
             published |= {
                 name: max(published.get(name, 0), heard.get(name, 0) + lost[name])
                 for name in {*heard, *lost}

@@ -35,7 +35,7 @@ from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.summary import (
     RunSummary,
     count_messages,
-    count_missed,
+    count_missing,
     memory_use,
     recorded_metrics,
 )
@@ -245,7 +245,7 @@ def simulate(
     finally:
         writer.close()
     wall_s = time.monotonic() - started_at
-    missed = count_missed(folder.recording, plan)
+    missed, _ = count_missing(folder.recording, plan)
     drops: Counter[str] = Counter()
     for loop in run.loops.values():
         for (_, cause), number in loop.dropped.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -170,26 +170,22 @@ def recorded_metrics(recording: Path) -> RunMetrics | None:
         return None
 
 
-def count_lost(recording: Path, external: Collection[str]) -> Counter[str]:
-    """Count by signal what the numbers of messages in a recording leave out, devices' set aside."""
-    with RunReader(recording) as run:
-        gaps = RunGaps(run.plan)
-        for record in run.records():
+def count_missing(recording: Path, plan: RunPlan) -> tuple[MissedInputs, Counter[str]]:
+    """Go through a recording, and count what is missing.
+
+    Returns the inputs that were missing at deadlines, and by signal the messages that their numbers
+    leave out, those of devices and other hosts set aside.
+    """
+    missed, gaps = MissedInputs(plan), RunGaps(plan)
+    with suppress(InputError), RunReader(recording) as run:
+        # In lockstep nothing is, unless a process was replaced.
+        for record in run.records() if plan.restarts or not plan.lockstep else ():
+            missed.see(record)
             gaps.see(record.port, record.cycle, record.sequence, record.incarnation)
     lost: Counter[str] = Counter()
     for port, found in gaps.ports.items():
-        lost[port.signal.name] += found.lost * (port.publisher not in external)
-    return lost
-
-
-def count_missed(recording: Path, plan: RunPlan) -> MissedInputs:
-    """Count the inputs that were missing at deadlines; in lockstep there are none."""
-    found = MissedInputs(plan)
-    if not plan.lockstep:
-        with suppress(InputError), RunReader(recording) as run:
-            for record in run.records():
-                found.see(record)
-    return found
+        lost[port.signal.name] += found.lost * (port.publisher not in plan.elsewhere)
+    return missed, lost
 
 
 def count_messages(
