@@ -12,7 +12,7 @@ import typer
 from agents.settings import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import ResultOptions, refuse_others
-from launch_scripts.commands.output import counted, say, shared, write_json, written
+from launch_scripts.commands.output import counted, say, write_json, written
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 from studies.tables import Table, console_for, print_table
 
@@ -104,8 +104,7 @@ def compare(
     if len(found) == 1:
         _one(found[0], comparison, files, csv)
     else:
-        results = _many(found, comparison, workers, scheduler)
-        _tell_many(results, shown, files.json, csv)
+        _many(found, comparison, workers, scheduler, shown, files.json, csv)
 
 
 def _is_run(path: Path) -> bool:
@@ -193,25 +192,22 @@ def _print(console: Console, lines: Sequence[str], tables: Sequence[Table]) -> N
 
 
 def _many(
-    found: Sequence[Case], comparison: Comparison, workers: int, scheduler: str | None
-) -> list[CaseResult]:
-    """Run many cases with a progress bar; return their results in order."""
+    found: Sequence[Case],
+    comparison: Comparison,
+    workers: int,
+    scheduler: str | None,
+    shown: Sequence[str],
+    json: str | None,
+    csv: str | None,
+) -> None:
+    """Run many cases with a progress bar; print them and their summary, and write files of them."""
+    from studies.compare.results import cases_tables, json_rows
     from studies.compare.study import run_case
-    from studies.workers import share_over_cluster
+    from studies.workers import share_over_cluster, share_work
 
     run = partial(run_case, comparison)
-    if scheduler is None:
-        return shared(run, found, workers, "cases")
-    results = dict(counted(share_over_cluster(run, found, scheduler), "cases", len(found)))
-    return [results[number] for number in sorted(results)]
-
-
-def _tell_many(
-    results: Sequence[CaseResult], shown: Sequence[str], json: str | None, csv: str | None
-) -> None:
-    """Print the cases and their summary; write files of them if asked for."""
-    from studies.compare.results import cases_tables, json_rows
-
+    by_cluster = scheduler and share_over_cluster(run, found, scheduler)
+    results = counted(by_cluster or share_work(run, found, workers), "cases", len(found))
     # The files first: whoever reads the table may leave before its end.
     write_json(json_rows(results), json)
     _write_summary(results, csv)

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import ResultOptions, changed_scenario
 from launch_scripts.commands.output import shared, written
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
-
-if TYPE_CHECKING:
-    from launch_scripts.scenarios.preparation import Preparation
-    from launch_scripts.scenarios.scenario import ScenarioFile
 
 DEFAULT_SCENARIO: Final = "oahu-day"
 DEFAULT_START: Final = "11:58"
@@ -39,9 +35,10 @@ def delays(
         commitment of 0.6 of what is possible.
     Example: heliarch delays oahu --from 12:30 --duration 20m --report
     """
+    from launch_scripts.scenarios.preparation import prepare
     from studies.compare.study import remarks_of
     from studies.delays.results import print_study, study_page
-    from studies.delays.study import conditions, counted_s, run_under
+    from studies.delays.study import WARM_UP_S, conditions, counted_s, run_under
 
     changes, start, duration = tuple(settings or ()), span.start, span.duration
     if scenario is None:
@@ -50,9 +47,16 @@ def delays(
         if span.end is None:
             duration = duration or DEFAULT_DURATION
     changed = changed_scenario(scenario, files.data, changes)
-    preparation = _prepared(changed, RunOptions(start, duration, seed=seed, end=span.end))
+    preparation = prepare(changed, RunOptions(start, duration, seed=seed, end=span.end), "delays")
     plan = preparation.plan
     cycle_s, correction = plan.cycle_ns / 1e9, changed.scenario.control.correction
+    if plan.faults:
+        raise InputError(f"{changed.path} faults: expected none, this study has its own")
+    if plan.cycles * cycle_s <= WARM_UP_S:
+        raise InputError(
+            f"--duration: expected more than the {WARM_UP_S:g} s at the beginning of each run "
+            f"that do not count, got {plan.cycles * cycle_s:g} s"
+        )
     chosen = conditions(cycle_s, counted_s(plan), correction)
     run = partial(run_under, plan, preparation.profile)
     outcomes = shared(run, chosen, workers, "runs")
@@ -68,20 +72,3 @@ def delays(
     page = partial(study_page, preparation, outcomes)
     with written(document, files, page, "delays.html") as console:
         print_study(preparation, outcomes, console)
-
-
-def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:
-    """Work out the run; refuse one of which nothing would count."""
-    from launch_scripts.scenarios.preparation import prepare
-    from studies.delays.study import WARM_UP_S
-
-    preparation = prepare(scenario, options, "delays")
-    if preparation.plan.faults:
-        raise InputError(f"{scenario.path} faults: expected none, this study has its own")
-    length_s = preparation.plan.cycles * preparation.plan.cycle_ns / 1e9
-    if length_s <= WARM_UP_S:
-        raise InputError(
-            f"--duration: expected more than the {WARM_UP_S:g} s at the beginning of each run "
-            f"that do not count, got {length_s:g} s"
-        )
-    return preparation
