@@ -339,8 +339,8 @@ def check_plan(plan: RunPlan) -> None:
     height, periods = plan.tree.height, len(plan.periods.cycles)
     if periods != height:
         raise InputError(
-            f"period_cycles: expected an entry for each of the {height} tiers that have children, "
-            f"got {periods}"
+            f"control.period_cycles: expected an entry for each of the {height} tiers that have "
+            f"children, got {periods}"
         )
     if len(plan.tier_deadlines_ns) not in {0, height + 1}:
         raise InputError(

@@ -206,8 +206,12 @@ def _many(
     from studies.workers import share_over_cluster, share_work
 
     run = partial(run_case, comparison)
-    by_cluster = scheduler and share_over_cluster(run, found, scheduler)
-    results = counted(by_cluster or share_work(run, found, workers), "cases", len(found))
+    numbered = (
+        share_work(run, found, workers)
+        if scheduler is None
+        else share_over_cluster(run, found, scheduler)
+    )
+    results = counted(numbered, "cases", len(found))
     # The files first: whoever reads the table may leave before its end.
     write_json(json_rows(results), json)
     _write_summary(results, csv)
