@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from textwrap import wrap
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 from bus_schemas.errors import InputError
@@ -28,8 +27,6 @@ _OPTIONAL: Final = {
 
 _CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
-_INDENT: Final = 19
-
 
 Verdict: TypeAlias = Literal["ok", "slow", "wrong"]
 
@@ -64,6 +61,7 @@ def doctor(
     --out DIR: Folder in which runs will be recorded.
     Example: heliarch doctor
     """
+    from rich.table import Table
     from rich.text import Text
 
     if not out.is_dir():
@@ -81,15 +79,14 @@ def doctor(
         _disk(out),
     ]
     write_json([finding._asdict() for finding in found], json)
-    console = console_for(json)
-    width = min(console.width, 100)
+    rows = Table.grid(padding=(0, 1))
     for finding in found:
         style = {"ok": "green", "slow": "yellow", "wrong": "bold red"}[finding.verdict]
-        head = Text.assemble(f"{finding.about:12} ", (f"{finding.verdict:6}", style))
-        text = wrap(finding.found, width - _INDENT) or [""]
-        console.print(head + Text(f"\n{'':{_INDENT}}".join(text)), width=width)
-        for line in wrap(finding.advice, width - _INDENT):
-            console.print(Text(f"{'':{_INDENT}}{line}", "dim"), width=width)
+        rows.add_row(finding.about, Text(finding.verdict, style), Text(finding.found))
+        if finding.advice:
+            rows.add_row("", "", Text(finding.advice, "dim"))
+    console = console_for(json)
+    console.print(rows, width=min(console.width, 100))
     return FAILED if any(finding.verdict == "wrong" for finding in found) else OK
 
 

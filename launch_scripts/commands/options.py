@@ -28,6 +28,7 @@ def file_in_folder(option: typer.CallbackParam, value: str | None) -> str | None
         raise InputError(f"{option.opts[0]}: expected a file in an existing folder, got {path}")
     return value
 
+
 _SHARED: Final = """
 RUN: Folder of a run, or its run.mcap.
 SCENARIO: A shipped scenario (see `heliarch scenarios`) or a TOML file.
@@ -158,6 +159,7 @@ def add_command(app: typer.Typer, command: Callable[..., int | None], heading: s
     name = command.__name__
     app.command(name, cls=Command, rich_help_panel=heading, epilog=epilog)(expanded)
 
+
 _ENTRY: Final = re.compile(r"\n(?=(?:--[\w-]+|[A-Z]{3}).*: )")
 _HEAD: Final = re.compile(r"(--[\w-]+)? ?(\S*[A-Z]\S*)? ?(?:(\d*)\.\.(\d+))? ?(?:\((\w+)\))?")
 
@@ -171,7 +173,7 @@ def _described(text: str) -> tuple[str, dict[str, Any]]:
         parts = _HEAD.fullmatch(head)
         assert parts, head
         option, metavar, least, most, name = parts.groups()
-        shown = {"help": " ".join(words.split()), "metavar": metavar}
+        shown: dict[str, Any] = {"help": " ".join(words.split()), "metavar": metavar}
         if option is None:
             found[name or metavar.lower()] = typer.Argument(**shown)
             continue

@@ -40,9 +40,7 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
-def counted(
-    numbered: Generator[tuple[int, Result]], description: str, total: int
-) -> list[Result]:
+def counted(numbered: Generator[tuple[int, Result]], description: str, total: int) -> list[Result]:
     """Return numbered results in order; show in a terminal how many are done.
 
     Whatever ends it ends those who work on the results.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from launch_scripts.commands.output import say, write_json
 from studies.tables import console_for
 

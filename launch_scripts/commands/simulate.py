@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 from launch_scripts.commands.options import FileOptions, PageOptions, SpanOptions
 from launch_scripts.scenarios.run_options import PlantOptions
 

@@ -58,6 +58,9 @@ class Memory(NamedTuple):
     own_mb: float
 
 
+NOTHING_SEEN: Final = Memory(0.0, 0.0)
+
+
 def memory_of(pid: int) -> Memory:
     info = psutil.Process(pid).memory_full_info()
     return Memory(info.rss / 1e6, info.uss / 1e6)
@@ -114,7 +117,7 @@ class Child:
     waiting: Waiting | None = None
     failed: Failed | None = None
     exited: Exited | None = None
-    memory: Memory = Memory(0.0, 0.0)
+    memory: Memory = NOTHING_SEEN
     cpu_at_start_s: float | None = None
     """Its processor time when cycle 0 began [s]."""
 

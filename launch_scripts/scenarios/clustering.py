@@ -33,7 +33,8 @@ def control_tree(
         )
     groups: list[tuple[int, ...]] = [(index,) for index in range(len(sites.names))]
     paths = list(sites.names)
-    for tier, given in enumerate(control.cluster_sizes or control.cluster_count or ()):
+    tiers: Sequence[Sequence[int] | int] = control.cluster_sizes or control.cluster_count or ()
+    for tier, given in enumerate(tiers):
         sizes = _sizes(given, tier, len(groups))
         clusters = _choose(control, sizes, groups, sites, covariance, hours)
         groups = [
