@@ -254,6 +254,9 @@ class _Launch:
             # A controller that hears of an early end waits whether the plant goes on after all.
             children.ask_to_end([child.agent for child in children.controllers()])
         late = children.await_exit(children.controllers(), longest_s)
+        silent_s = time.monotonic() - children[RECORDER].heard_at
+        if late and silent_s > HEARTBEAT_S:  # In lockstep all wait for a recorder that stands still.
+            raise children.failure(RECORDER, f"recorder has said nothing for {silent_s:.0f} s")
         if late:
             names = some_of([child.agent for child in late])
             raise children.failure(late[0].agent, f"{names} did not end with the run")

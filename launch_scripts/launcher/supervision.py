@@ -120,6 +120,8 @@ class Child:
     memory: Memory = NOTHING_SEEN
     cpu_at_start_s: float | None = None
     """Its processor time when cycle 0 began [s]."""
+    heard_at: float = 0.0
+    """When it said something last, monotonic [s]."""
 
     def begin_again(self) -> None:
         """Forget all that its process, which has ended, has said."""
@@ -127,6 +129,7 @@ class Child:
         self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 
     def note(self, event: Event) -> None:
+        self.heard_at = time.monotonic()
         match event:
             case Started():
                 self.pid = event.pid
