@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from launch_scripts.commands.boundary import FAILED, OK, complain
-from launch_scripts.commands.options import JsonOption, RunArgument
 from launch_scripts.commands.output import progress_bar, say, write_json
 from studies.tables import console_for
 
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from recordings.read.reader import RunReader
     from recordings.recover import Recovery
 
-EXAMPLE: Final = "heliarch recover runs/oahu-20261121-120000-4711 --out whole.mcap"
 LOSSY: Final = 3
 
 _WIDTH: Final = 100
@@ -25,9 +23,9 @@ _SUFFIX: Final = ".recovered.mcap"
 
 
 def recover(
-    run: RunArgument,
+    run: Path,
     out: Path | None = None,
-    json: JsonOption = None,
+    json: str | None = None,
 ) -> int:
     """Repair a recording that a crash or a full disk cut short.
 
@@ -35,6 +33,7 @@ def recover(
     1 if there is nothing to recover.
 
     --out FILE: The new file; default run.recovered.mcap beside the recording.
+    Example: heliarch recover runs/oahu-20261121-120000-4711 --out whole.mcap
     """
     import msgspec
 
