@@ -21,12 +21,11 @@ from agents.machine import MachineSettings
 from agents.settings import Actuator, InverterSettings, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule, check_rule
-from bus_schemas.keys import KeyTable
-from bus_schemas.links import Links, explicit_links
 from bus_schemas.messages import PROTOCOL, Message, Run
 from bus_schemas.network_faults import NetworkFaults
-from bus_schemas.signals import Occurrence, Port, Wiring
+from bus_schemas.signals import Occurrence, Port
 from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, some_of, standby_of
+from bus_schemas.wiring import Links, Wiring
 
 LONGEST_CYCLE_NS: Final = 3_600_000_000_000
 MOST_CYCLES: Final = 10_000_000
@@ -159,16 +158,16 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return ControlTree(self.inverters)
 
     @cached_property
-    def keys(self) -> KeyTable:
-        return KeyTable(self.plant, self.tree)
-
-    @cached_property
     def wiring(self) -> Wiring:
-        return Wiring(self.tree, self.standbys)
+        return Wiring(self.plant, self.tree, self.standbys)
+
+    @property
+    def keys(self) -> Wiring:
+        return self.wiring
 
     @cached_property
     def links(self) -> Links:
-        return explicit_links(self.tree, self.standbys)
+        return self.wiring.links()
 
     @cached_property
     def device_links(self) -> Links:

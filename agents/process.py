@@ -137,7 +137,6 @@ class AgentProcess:
         self._tell_at = 0.0
         self._bus = ZenohBus(
             agent.name,
-            plan.keys,
             plan.wiring,
             session_settings(plan, name or agent.name),
             patience_s=min(plan.stall_timeout_s, STANDING_S),
@@ -196,7 +195,7 @@ class AgentProcess:
         Nobody else ends an agent there, or one that was started by hand, if the launcher dies.
         """
         for key, is_there in self._tokens.changes() if self._tokens is not None else ():
-            if key == self.plan.keys.alive_key(PLANT):
+            if key == self.plan.wiring.alive_key(PLANT):
                 self._plant_left_at = inf if is_there else time.monotonic()
                 if self.link.by_hand and not is_there:
                     return True
@@ -205,7 +204,7 @@ class AgentProcess:
     def catch_up(self) -> None:
         """Join a run in lockstep, where the others wait: ask them for what they have said last."""
         heard = self.plan.wiring.heard[self.loop.agent.name]
-        publishers = {self.plan.keys.alive_key(port.publisher) for port in heard}
+        publishers = {self.plan.wiring.alive_key(port.publisher) for port in heard}
         tokens = self.watch_tokens()
         while self.loop.cycle < 0 and not self.link.dismissed:
             if publishers <= tokens.alive():

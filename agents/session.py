@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 from agents.plan import RunPlan
-from bus_schemas.links import Links
 from bus_schemas.tree import RECORDER, agent_of
+from bus_schemas.wiring import Links
 from bus_schemas.zenoh_bus import TAP_BATCH_BYTES, KeyFiles, SessionSettings
 
 _LARGEST_BYTES = 65_536
@@ -91,7 +91,7 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
 
     They follow from who publishes and who hears what in the run.
     """
-    keys, wiring = plan.keys, plan.wiring
+    wiring = plan.wiring
     rules: list[dict[str, object]] = []
     policies: list[dict[str, object]] = []
 
@@ -106,7 +106,7 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
     def between(publisher: str, listener: str) -> list[str]:
         """Keys of what one process may say to another: the recorder hears everything."""
         return [
-            keys.key(port)
+            wiring.key(port)
             for port in wiring.published.get(agent_of(publisher), ())
             if listener == RECORDER or listener in wiring.processes[port]
         ]
@@ -115,11 +115,11 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
     # In lockstep a process that replaces another asks for what it has missed.
     listens += ["declare_queryable", "query"]
     of_all = [
-        add("subscriptions", ["ingress", "egress"], listens, [f"{keys.plant}/**"]),
-        add("own token", ["egress"], ["liveliness_token"], [keys.alive_key(agent)]),
+        add("subscriptions", ["ingress", "egress"], listens, [f"{wiring.plant}/**"]),
+        add("own token", ["egress"], ["liveliness_token"], [wiring.alive_key(agent)]),
     ]
     for peer in links.peers(agent):
-        own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], [keys.alive_key(peer)])]
+        own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], [wiring.alive_key(peer)])]
         if heard := between(peer, agent):
             own.append(add(f"from {peer}", ["ingress"], ["put", "reply"], heard))
         if told := between(agent, peer):
@@ -130,7 +130,7 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
         known["anybody"] = subjects[""]
         from_anybody = add("from anybody", ["ingress"], ["put"], ["**"])
         # What a client says, peers pass on to whoever may hear it from them.
-        own_keys = [keys.key(port) for port in wiring.published[agent]]
+        own_keys = [wiring.key(port) for port in wiring.published[agent]]
         not_own = add("not in its name", ["ingress"], ["put"], own_keys, "deny")
         policies.append({"rules": [*of_all, from_anybody, not_own], "subjects": ["anybody"]})
     return {

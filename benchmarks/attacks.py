@@ -156,7 +156,7 @@ ATTACKS: Final = (
 
 
 def ports_of(plan: RunPlan, attack: Attack) -> list[Port[Any]]:
-    return [port for port in plan.keys.ports if port.signal is attack.signal]
+    return [port for port in plan.wiring.ports if port.signal is attack.signal]
 
 
 @contextmanager
@@ -218,7 +218,7 @@ def perform(plan: RunPlan, sessions: Sessions, start_ns: int, alive: Callable[[]
                 for port in ports_of(plan, attack):
                     payloads = attack.payloads(plan, port, cycle)
                     for session, payload in product(sessions(port.publisher), payloads):
-                        session.put(plan.keys.key(port), payload)
+                        session.put(plan.wiring.key(port), payload)
             if not attack.payload:
                 time.sleep(0.02)
 

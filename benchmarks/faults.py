@@ -129,7 +129,7 @@ def recorded(folder: Path) -> Recorded:
     lacking = []
     start_ns = 0
     with open_run(folder) as run:
-        publisher_of = {str(port): port.publisher for port in run.plan.keys.ports}
+        publisher_of = {str(port): port.publisher for port in run.plan.wiring.ports}
         for port, message in run.messages():
             if isinstance(message, Run):
                 start_ns = message.start_time_ns if message.state == "start" else start_ns

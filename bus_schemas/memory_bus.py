@@ -15,8 +15,9 @@ from itertools import count
 from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import UNHARMED, FaultTally, NetworkFaults
-from bus_schemas.signals import Port, Wiring
+from bus_schemas.signals import Port
 from bus_schemas.tree import agent_of
+from bus_schemas.wiring import Wiring
 
 
 class VirtualClock:

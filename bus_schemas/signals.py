@@ -8,7 +8,6 @@ who publishes it and who listens, both as seen from that node.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, Generic, TypeVar
@@ -24,7 +23,6 @@ from bus_schemas.tree import (
     ControlTree,
     agent_name,
     parent_of,
-    standby_of,
 )
 
 M_co = TypeVar("M_co", bound=Message, covariant=True)
@@ -165,41 +163,13 @@ _NAMES: Final = {
 
 def listeners(port: Port[Message], tree: ControlTree) -> tuple[str, ...]:
     """Names of the agents that act on a port's messages. The recorder hears all of them besides."""
-    names = [name for role in port.signal.listeners for name in _agents(role, port.node, tree)]
-    return tuple(name for name in names if name != port.publisher)
+    roles = port.signal.listeners
+    return tuple(name for role in roles for name in _agents(role, port.node, tree))
 
 
 def ports(tree: ControlTree) -> tuple[Port[Message], ...]:
     """Every port of a run, in the order of the table."""
     return tuple(signal.of(node) for signal in SIGNALS for node in signal.nodes(tree))
-
-
-class Wiring:
-    """Who publishes and who hears what in a run, worked out once from the table.
-
-    listeners: Agents that hear each port.
-    signs: Of an agent with a standby: its last port in each cycle, and in each of its turns. Its
-        two processes hear them from each other.
-    processes: Processes that hear each port: agents, and standbys of agents.
-    """
-
-    def __init__(self, tree: ControlTree, standbys: Collection[str] = ()) -> None:
-        self.listeners = {port: listeners(port, tree) for port in ports(tree)}
-        self.published: dict[str, list[Port[Message]]] = {}
-        self.heard: dict[str, list[Port[Message]]] = {}
-        self.signs: dict[str, tuple[Port[Message], ...]] = {}
-        for port, names in self.listeners.items():
-            self.published.setdefault(port.publisher, []).append(port)
-            for name in names:
-                self.heard.setdefault(name, []).append(port)
-        self.processes = dict(self.listeners)
-        for agent in standbys:
-            last = {port.signal.occurrence: port for port in self.published[agent]}
-            self.signs[agent] = (last[Occurrence.CYCLE], last[Occurrence.TURN])
-            self.heard[agent] += self.signs[agent]
-            for port in self.heard[agent]:
-                own = (agent,) if port in self.signs[agent] else ()
-                self.processes[port] += (*own, standby_of(agent))
 
 
 def _agents(role: Role, node: str, tree: ControlTree | None = None) -> tuple[str, ...]:

@@ -27,10 +27,10 @@ import zenoh
 from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.host_clock import HostClock
-from bus_schemas.keys import KeyTable
 from bus_schemas.messages import LARGEST_PAYLOAD, Message
-from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal, Wiring
+from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal
 from bus_schemas.tree import PLANT, RECORDER
+from bus_schemas.wiring import Wiring
 
 ENCODING: Final = "application/msgpack"
 
@@ -267,11 +267,11 @@ class Inbox:
 class TokenWatch:
     """The liveliness tokens of all agents that some sessions see."""
 
-    def __init__(self, sessions: Sequence[zenoh.Session], keys: KeyTable) -> None:
+    def __init__(self, sessions: Sequence[zenoh.Session], wiring: Wiring) -> None:
         self._alive: set[str] = set()
         self._subscribers = [
             session.liveliness().declare_subscriber(
-                keys.alive_key("**"), zenoh.handlers.FifoChannel(_TAP_CAPACITY), history=True
+                wiring.alive_key("**"), zenoh.handlers.FifoChannel(_TAP_CAPACITY), history=True
             )
             for session in sessions
         ]
@@ -292,9 +292,9 @@ class TokenWatch:
 class _Place:
     """An agent's sessions, open until the context is left."""
 
-    def __init__(self, keys: KeyTable, settings: SessionSettings) -> None:
+    def __init__(self, wiring: Wiring, settings: SessionSettings) -> None:
         self.outbox = Outbox()
-        self._keys = keys
+        self._wiring = wiring
         self._sessions = open_sessions(settings)
 
     def __enter__(self) -> Self:
@@ -310,10 +310,10 @@ class _Place:
 
     def watch_tokens(self) -> TokenWatch:
         """Follow the liveliness tokens of all agents from now on."""
-        return TokenWatch(self._sessions, self._keys)
+        return TokenWatch(self._sessions, self._wiring)
 
     def _show_token(self, process: str) -> None:
-        key = self._keys.alive_key(process)
+        key = self._wiring.alive_key(process)
         self._tokens = [session.liveliness().declare_token(key) for session in self._sessions]
 
 
@@ -330,14 +330,13 @@ class ZenohBus(_Place):
     def __init__(
         self,
         agent: str,
-        keys: KeyTable,
         wiring: Wiring,
         settings: SessionSettings,
         patience_s: float = 0.5,
         process: str | None = None,
         clock: HostClock | None = None,
     ) -> None:
-        super().__init__(keys, settings)
+        super().__init__(wiring, settings)
         self.now_ns = time.monotonic_ns if clock is None else clock.now_ns
         self._clock = clock
         self.inbox = Inbox()
@@ -354,14 +353,14 @@ class ZenohBus(_Place):
             hears_there = not devices.isdisjoint({RECORDER, *wiring.processes[port]})
             must_arrive = settings.lockstep or port.signal.occurrence is Occurrence.EVENT
             self._puts[port] = [
-                _putter(session, keys.key(port), must_arrive, declared=port.signal not in many)
+                _putter(session, wiring.key(port), must_arrive, declared=port.signal not in many)
                 for session in self._sessions[: 2 if hears_there else 1]
             ]
         many = _signals_of_many(heard)
         hear = self.inbox.callback
-        by_key = {keys.key(port): hear(port) for port in heard if port.signal not in many}
+        by_key = {wiring.key(port): hear(port) for port in heard if port.signal not in many}
         for signal in many:
-            by_key[f"{keys.plant}/**/{signal.name}"] = _by_key(hear, heard, keys)
+            by_key[f"{wiring.plant}/**/{signal.name}"] = _by_key(hear, heard, wiring)
         self._subscribers = [
             session.declare_subscriber(
                 key,
@@ -375,7 +374,7 @@ class ZenohBus(_Place):
         if settings.lockstep:
             self._queryables = [
                 session.declare_queryable(
-                    f"{keys.plant}/**", zenoh.handlers.Callback(self._answer, indirect=False)
+                    f"{wiring.plant}/**", zenoh.handlers.Callback(self._answer, indirect=False)
                 )
                 for session in self._sessions
             ]
@@ -393,7 +392,7 @@ class ZenohBus(_Place):
         """Return the newest messages of those that are heard in lockstep, the dispatch first."""
         replies = [
             session.get(
-                f"{self._keys.plant}/**",
+                f"{self._wiring.plant}/**",
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=_ANSWER_S,
@@ -401,7 +400,7 @@ class ZenohBus(_Place):
             for session in self._sessions
         ]
         samples = [reply.ok for reply in chain(*replies) if reply.ok is not None]
-        found = [(self._keys.port(str(one.key_expr)), one.payload) for one in samples]
+        found = [(self._wiring.port(str(one.key_expr)), one.payload) for one in samples]
         now_ns = time.monotonic_ns()
         taken = [(port, payload, now_ns) for port, payload in found if port in self._heard]
         return self._decoded(sorted(taken, key=lambda one: one[0].signal is not DISPATCH))
@@ -409,7 +408,7 @@ class ZenohBus(_Place):
     def _answer(self, query: zenoh.Query) -> None:
         with query:
             for port, payload in list(self._newest.items()):
-                query.reply(self._keys.key(port), payload, encoding=ENCODING)
+                query.reply(self._wiring.key(port), payload, encoding=ENCODING)
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> list[Arrival]:
         """Return what has arrived: once `wanted` messages are there, or when the time has come."""
@@ -475,10 +474,10 @@ def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
 def _by_key(
     callback: Callable[[Port[Message]], Callable[[zenoh.Sample], None]],
     heard: Sequence[Port[Message]],
-    keys: KeyTable,
+    wiring: Wiring,
 ) -> Callable[[zenoh.Sample], None]:
     """Return a callback that finds each message's port by its key."""
-    hear_of = {keys.key(port): callback(port) for port in heard}
+    hear_of = {wiring.key(port): callback(port) for port in heard}
 
     def hear(sample: zenoh.Sample) -> None:
         found = hear_of.get(str(sample.key_expr))
@@ -496,11 +495,11 @@ class ZenohTap(_Place):
     they cannot send within 20 ms. A recording then lacks these messages by their numbers.
     """
 
-    def __init__(self, agent: str, keys: KeyTable, settings: SessionSettings) -> None:
-        super().__init__(keys, settings)
+    def __init__(self, agent: str, wiring: Wiring, settings: SessionSettings) -> None:
+        super().__init__(wiring, settings)
         self._subscribers = [
             session.declare_subscriber(
-                f"{keys.plant}/**",
+                f"{wiring.plant}/**",
                 zenoh.handlers.FifoChannel(_TAP_CAPACITY),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
@@ -511,7 +510,7 @@ class ZenohTap(_Place):
     def publish(self, port: Port[Message], message: Message) -> None:
         self.outbox.stamp(port, message, time.monotonic_ns())
         for session in self._sessions:
-            session.put(self._keys.key(port), encode(message), encoding=ENCODING)
+            session.put(self._wiring.key(port), encode(message), encoding=ENCODING)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """Yield key and payload of all that has arrived."""

@@ -427,7 +427,7 @@ def _exchange() -> Iterator[str]:
         port, message = said[name]
         payload = encode(message)
         way = "in" if port in _INPUTS else "out"
-        yield f"{way}, `{_example().plan.keys.key(port)}`, {len(payload)} bytes:"
+        yield f"{way}, `{_example().plan.wiring.key(port)}`, {len(payload)} bytes:"
         yield ""
         text = payload.hex(" ")
         yield from (f"    {text[begin : begin + 96]}".rstrip() for begin in range(0, len(text), 96))

@@ -44,7 +44,7 @@ class FoxgloveStream:
         else:
             plan = states.follower.plan
         # Before the server: a channel that comes later may be asked for before the server knows it.
-        rows = [row for row in plan.keys.ports if row.signal.logged and row.signal is not RUN]
+        rows = [row for row in plan.wiring.ports if row.signal.logged and row.signal is not RUN]
         self._channels = {row: _channel(plan, row, self._context) for row in rows}
         try:
             self._server = start_server(
@@ -92,7 +92,7 @@ class FoxgloveStream:
 
 def _channel(plan: RunPlan, port: Port[Message], context: Context) -> Channel:
     return Channel(
-        plan.keys.key(port),
+        plan.wiring.key(port),
         message_encoding="json",
         schema=Schema(
             name=port.signal.type.__name__,

@@ -52,7 +52,7 @@ class NodeStates:
         self._below = [tree.leaves_below(node) for node in tree.nodes]
         self.agents = (PLANT, *(agent_name(node) for node in tree.nodes))
         self._parsed = lru_cache(MOST_CHUNKS + 4)(self._parse)
-        self._stages = self._stages_of(port for port in plan.keys.ports if port.signal.is_cyclic)
+        self._stages = self._stages_of(port for port in plan.wiring.ports if port.signal.is_cyclic)
         self.frame = lru_cache(32)(self._frame)
 
     def series(self, node: str, cycle: int) -> dict[str, float | None]:

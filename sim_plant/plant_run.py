@@ -102,7 +102,7 @@ def _lead(process: AgentProcess, patience_s: float) -> None:
 
 
 def _await_everybody(process: AgentProcess, give_up_at: float) -> None:
-    alive_key = process.plan.keys.alive_key
+    alive_key = process.plan.wiring.alive_key
     others = {alive_key(agent): agent for agent in process.plan.processes if agent != PLANT}
     tokens = process.watch_tokens()
     while not others.keys() <= tokens.alive():

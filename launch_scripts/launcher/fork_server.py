@@ -104,7 +104,7 @@ class ForkServer:
         for node in plan.tree.nodes[-1:]:
             AgentLoop(controller(plan, agent_name(node)), plan)
             session_settings(plan, agent_name(node))
-        _ = plan.keys, plan.network_faults
+        _ = plan.network_faults
         gc.collect()
         gc.freeze()
         for agent in request.agents:

@@ -15,7 +15,6 @@ from msgspec.structs import replace
 
 from agents.events import Complaint
 from agents.plan import RunPlan
-from bus_schemas.signals import ports
 
 _LISTENERS_CAUSES: Final = {
     "late": "older than the newest one",
@@ -53,7 +52,7 @@ def wrong_messages(
     agents dropped (port, cause and number), only ports of external agents count: what comes late
     from a process is the machine's fault.
     """
-    publishers = {str(port): port.publisher for port in ports(plan.tree)}
+    publishers = {str(port): port.publisher for port in plan.wiring.ports}
     theirs = {port for port, publisher in publishers.items() if publisher in plan.external}
     counts: Counter[tuple[str, str]] = Counter()
     for port, cause, count in dropped:

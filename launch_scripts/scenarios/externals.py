@@ -15,7 +15,6 @@ from typing import Final
 from agents.events import Complaint, Presence, Status
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.signals import ports
 from bus_schemas.tree import PLANT, RECORDER, ControlTree
 from recordings.read.selection import find_agents
 
@@ -117,7 +116,7 @@ class ExternalWatch:
         self._complaints: dict[str, str] = {}
         self._publisher_of = {
             str(port): port.publisher
-            for port in ports(plan.tree)
+            for port in plan.wiring.ports
             if port.publisher in plan.elsewhere
         }
 
@@ -211,5 +210,5 @@ class ExternalWatch:
         targets = ", ".join(f"{end} ({listeners[end]})" for end in connects)
         parts = [f"listens on {', '.join(listens)}"] if listens else []
         parts += [f"connects to {targets}"] if targets else []
-        token = plan.keys.alive_key(agent)
+        token = plan.wiring.alive_key(agent)
         return f"{', '.join(parts)}, namespace {plan.bus_namespace}, liveliness token {token}"

@@ -30,7 +30,7 @@ from launch_scripts.launcher.tcp_ports import reserved_ports
 
 BARE = plan_of({"c1/a": 100.0, "c2/b": 100.0}, secret="told to nobody")
 AGENTS = BARE.tree.agents()
-PORTS = [port for port in BARE.keys.ports if port.signal is not CLOCK]
+PORTS = [port for port in BARE.wiring.ports if port.signal is not CLOCK]
 LISTENING = BARE.links.listening
 DEVICE = "c2/b"
 INTRUDING_S = 1.0
@@ -41,7 +41,7 @@ Heard = set[tuple[str, str]]
 
 
 def alive(agent: str) -> str:
-    return BARE.keys.alive_key(agent).partition("/")[2]
+    return BARE.wiring.alive_key(agent).partition("/")[2]
 
 
 class Team:
@@ -68,7 +68,7 @@ class Team:
 
         remote = zenoh.Locality.REMOTE
         session.declare_subscriber(f"{self.plan.plant}/**", hear, allowed_origin=remote)
-        every_token = self.plan.keys.alive_key("**")
+        every_token = self.plan.wiring.alive_key("**")
         session.liveliness().declare_subscriber(every_token, partial(self._see_token, agent))
 
     def _see_token(self, agent: str, sample: zenoh.Sample) -> None:
@@ -84,7 +84,7 @@ class Team:
     def say(self, session: zenoh.Session, name: str) -> None:
         """Put a message of a sender on each key."""
         for port in PORTS:
-            session.put(self.plan.keys.key(port), name)
+            session.put(self.plan.wiring.key(port), name)
 
     def until_linked(self, without: str = "") -> None:
         """Wait until each agent's messages come through to each that is to hear them."""
@@ -143,7 +143,7 @@ class Team:
                 opened = [session for session in pool.map(session_of, configs) if session]
             sessions = [stack.enter_context(session) for session in opened]
             tokens = [
-                session.liveliness().declare_token(self.plan.keys.alive_key(agent))
+                session.liveliness().declare_token(self.plan.wiring.alive_key(agent))
                 for agent, session in product(AGENTS, sessions)
             ]
             until = time.monotonic() + INTRUDING_S

@@ -42,11 +42,11 @@ class Plant:
         self.ended = ended
         self.loop = driver.loops["a"]
         self._session = session
-        self._residuals = session.declare_subscriber(PLAN.keys.key(RESIDUAL.of("a")))
+        self._residuals = session.declare_subscriber(PLAN.wiring.key(RESIDUAL.of("a")))
 
     def say(self, *deliveries: Delivery) -> None:
         for port, message in deliveries:
-            self._session.put(PLAN.keys.key(port), encode(message))
+            self._session.put(PLAN.wiring.key(port), encode(message))
 
     def arm(self) -> None:
         """Open arming rounds until the controller has entered one."""
@@ -72,7 +72,7 @@ def linked(plan: RunPlan, agent: Controller | None = None) -> Iterator[Plant]:
         settings = SessionSettings("eager-by-hand", endpoint, [])
         session = stack.enter_context(open_session(settings))
         settings = SessionSettings("eager-by-hand", [], endpoint)
-        bus = ZenohBus("a", plan.keys, plan.wiring, settings, patience_s=FOR_EVER_S)
+        bus = ZenohBus("a", plan.wiring, settings, patience_s=FOR_EVER_S)
         stack.enter_context(bus)
         driver = EagerDriver(AgentLoop(agent or controller(plan, "a"), plan), bus)
         own_thread = stack.enter_context(ThreadPoolExecutor(1))

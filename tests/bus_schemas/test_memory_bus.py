@@ -7,11 +7,12 @@ from bus_schemas.faults import FaultRule
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message, Notice, Ready, Residual, Setpoint
 from bus_schemas.network_faults import NetworkFaults
-from bus_schemas.signals import NOTICE, READY, RESIDUAL, SETPOINT, Port, Wiring
+from bus_schemas.signals import NOTICE, READY, RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT, ControlTree
+from bus_schemas.wiring import Wiring
 
 TREE = ControlTree((("c1/a", 1.0), ("c1/b", 1.0)))
-WIRING = Wiring(TREE)
+WIRING = Wiring("pair", TREE)
 MS = 1_000_000
 
 

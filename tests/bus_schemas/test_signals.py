@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import pytest
 
-from bus_schemas.keys import KeyTable
-from bus_schemas.links import explicit_links
-from bus_schemas.signals import CLOCK, RUN, Wiring, listeners, ports
+from bus_schemas.signals import CLOCK, RUN, listeners, ports
 from bus_schemas.tree import ROOT, ControlTree
+from bus_schemas.wiring import Wiring
 
 OAHU = ControlTree((("c1/inv07", 470.0), ("c1/inv08", 470.0), ("c2/inv09", 470.0)))
 RAGGED = ControlTree((("inv01", 1.0), ("c1/inv02", 1.0), ("z1/c1/inv03", 1.0)))
 FLAT = ControlTree((("inv01", 1.0),))
 TREES = [OAHU, RAGGED, FLAT]
 
-KEYS = KeyTable("oahu", OAHU)
+WIRING = Wiring("oahu", OAHU)
 LEAVES = ("c1/inv07", "c1/inv08", "c2/inv09")
 
 
@@ -40,9 +39,9 @@ LEAVES = ("c1/inv07", "c1/inv08", "c2/inv09")
     ],
 )
 def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple[str, ...]) -> None:
-    port = KEYS.port(key)
+    port = WIRING.port(key)
     assert port is not None
-    assert KEYS.key(port) == key
+    assert WIRING.key(port) == key
     assert port.publisher == published_by
     assert listeners(port, OAHU) == heard_by
 
@@ -56,10 +55,10 @@ def test_every_port_has_a_publisher_of_the_run_and_a_key_of_its_own(tree: Contro
     publishers = {port: port.publisher for port in ports(tree)}
     assert publishers.pop(CLOCK.of(ROOT)) == "replayer"
     assert set(publishers.values()) <= set(tree.agents())
-    keys = KeyTable("oahu", tree)
-    assert keys.ports == ports(tree)
-    assert all(keys.port(keys.key(port)) is port for port in ports(tree))
-    assert len({keys.key(port) for port in ports(tree)}) == len(ports(tree))
+    wiring = Wiring("oahu", tree)
+    assert wiring.ports == ports(tree)
+    assert all(wiring.port(wiring.key(port)) is port for port in ports(tree))
+    assert len({wiring.key(port) for port in ports(tree)}) == len(ports(tree))
 
 
 @pytest.mark.parametrize(
@@ -75,15 +74,15 @@ def test_every_port_has_a_publisher_of_the_run_and_a_key_of_its_own(tree: Contro
     ],
 )
 def test_a_key_of_no_port_is_known_as_such(key: str) -> None:
-    assert KEYS.port(key) is None
+    assert WIRING.port(key) is None
 
 
 @pytest.mark.parametrize("tree", TREES)
 def test_listeners_are_others_of_the_run_linked_and_wired_with_whom_they_hear(
     tree: ControlTree,
 ) -> None:
-    linked = {frozenset(pair) for pair in explicit_links(tree).pairs}
-    wiring = Wiring(tree)
+    wiring = Wiring("oahu", tree)
+    linked = {frozenset(pair) for pair in wiring.links().pairs}
     for port in ports(tree):
         heard_by = listeners(port, tree)
         assert len(set(heard_by)) == len(heard_by)

@@ -10,10 +10,9 @@ import pytest
 import zenoh
 
 from bus_schemas.codec import encode
-from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Telemetry
-from bus_schemas.signals import Wiring
 from bus_schemas.tree import PLANT, ControlTree
+from bus_schemas.wiring import Wiring
 from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
 from launch_scripts.launcher.tcp_ports import reserved_ports
 
@@ -31,7 +30,7 @@ def linked() -> Iterator[tuple[zenoh.Session, ZenohBus]]:
         settings = SessionSettings("bus-by-hand", endpoint, [])
         session = stack.enter_context(zenoh.open(settings.config()))
         settings = SessionSettings("bus-by-hand", [], endpoint)
-        bus = stack.enter_context(ZenohBus("a", KeyTable("pair", TREE), Wiring(TREE), settings, 60))
+        bus = stack.enter_context(ZenohBus("a", Wiring("pair", TREE), settings, 60))
         session.put(KEY, GOOD)
         while not bus.receive(time.monotonic_ns() + 20_000_000):
             session.put(KEY, GOOD)  # The first ones may go before the link is up.

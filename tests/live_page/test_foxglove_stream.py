@@ -30,7 +30,9 @@ from live_page.foxglove_stream import FoxgloveStream  # noqa: E402
 
 TIME, MESSAGE = 2, 1
 KEYS = {
-    PLAN.keys.key(port) for port in PLAN.keys.ports if port.signal.logged and port.signal is not RUN
+    PLAN.wiring.key(port)
+    for port in PLAN.wiring.ports
+    if port.signal.logged and port.signal is not RUN
 }
 
 

@@ -68,7 +68,7 @@ def test_the_layout_for_viewers_names_fields_of_topics_of_the_run(run: Path) -> 
     assert len(paths) > len(panels) > 1
     for path in paths:
         topic, _, field = path.partition(".")
-        port = PLAN.keys.port(topic)
+        port = PLAN.wiring.port(topic)
         assert port is not None, path
         assert field in port.signal.type.__struct_fields__, path
     assert all(f'"{name}"' in json.dumps(layout["layout"]) for name in panels)

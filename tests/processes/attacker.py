@@ -49,7 +49,7 @@ class Attacker:
 
     def put(self, port: Port[Message], message: Message) -> None:
         """Send a message to everybody."""
-        self.put_bytes(self.plan.keys.key(port), encode(message))
+        self.put_bytes(self.plan.wiring.key(port), encode(message))
 
     def put_bytes(self, key: str, payload: bytes) -> None:
         """Send a payload to everybody."""
@@ -59,7 +59,7 @@ class Attacker:
     def forge(self, cycle: int, spared: str = "") -> None:
         """Forge what decides of power in a cycle, but for one agent's."""
         head = {"cycle": cycle, "sim_time_ns": self.plan.sim_time_ns(cycle)}
-        for port in self.plan.keys.ports:
+        for port in self.plan.wiring.ports:
             forged = FORGED.get(port.signal.name)
             if forged is not None and port.publisher != spared:
                 self.put(port, replace(forged, **head, source=port.publisher))

@@ -49,7 +49,7 @@ def test_every_message_is_read_and_is_as_its_schema_says(tmp_path: Path, reader:
     expected: dict[str, int] = {}
     with RunReader(run) as recording:
         for record in recording.records():
-            key = recording.plan.keys.key(record.port)
+            key = recording.plan.wiring.key(record.port)
             expected[key] = expected.get(key, 0) + 1
     assert {topic: entry["messages"] for topic, entry in found.items()} == expected
     assert {topic: entry["errors"] for topic, entry in found.items() if entry["errors"]} == {}

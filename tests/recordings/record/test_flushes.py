@@ -32,7 +32,7 @@ def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
     clock = ClockByHand()
     began_ns = clock.now_ns
     ends_ns, bursts_ns = began_ns + round(LASTS_S * 1e9), round(bursts_s * 1e9)
-    said = cycle((PLAN.keys.key(port), encode(message)) for port, message in whole_run(5))
+    said = cycle((PLAN.wiring.key(port), encode(message)) for port, message in whole_run(5))
     end = RecordingEnd()
 
     def drain() -> Iterator[tuple[str, bytes]]:
@@ -68,7 +68,7 @@ def test_who_answered_the_arming_round_is_not_silent_when_cycle_0_begins(tmp_pat
     ends_ns = joined_ns + round(0.5 * longest_pause_s(IN_REAL_TIME) * 1e9)
     end = RecordingEnd()
     coming = [
-        (PLAN.keys.key(port), encode(replace(message, cycle=-1)))
+        (PLAN.wiring.key(port), encode(replace(message, cycle=-1)))
         for port, message in whole_run(1)
         if port.signal.is_cyclic
     ]

@@ -44,7 +44,7 @@ def recorded(said: Sequence[Spoken], folder: Path) -> tuple[list[Message], Recor
     first = [(port, m) for port, m in said if isinstance(m, Message) and m.cycle == 0]
     arming = [(port, replace(message, cycle=-1)) for port, message in first]
     waiting = [
-        (IN_LOCKSTEP.keys.key(port), entry if isinstance(entry, bytes) else encode(entry))
+        (IN_LOCKSTEP.wiring.key(port), entry if isinstance(entry, bytes) else encode(entry))
         for port, entry in [*arming, *said]
     ]
 

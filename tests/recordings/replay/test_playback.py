@@ -95,7 +95,7 @@ def play(
         playback = Playback(
             reader,
             *span,
-            [port for port in PLAN.keys.ports if port.signal.logged],
+            [port for port in PLAN.wiring.ports if port.signal.logged],
             heard,
             PlaybackClock(rate, paused=paused, now_ns=heard.clock),
             "wall",
