@@ -130,17 +130,17 @@ class AgentProcess:
     def __init__(
         self, plan: RunPlan, agent: Agent[Any], link: LauncherLink, name: str | None = None
     ) -> None:
+        name = name or agent.name
         self.plan = plan
         self.link = link
         set_up_process(plan, agent.name)
-        self._is_away = is_away = (name or agent.name) in plan.addresses
+        self._is_away = is_away = name in plan.addresses
         self._tell_at = 0.0
         self._bus = ZenohBus(
-            agent.name,
+            name,
             plan.wiring,
-            session_settings(plan, name or agent.name),
+            session_settings(plan, name),
             patience_s=min(plan.stall_timeout_s, STANDING_S),
-            process=name,
             clock=HostClock() if is_away else None,
         )
         self._faults: FaultyBus | None = None

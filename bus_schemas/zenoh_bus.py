@@ -29,7 +29,7 @@ from bus_schemas.codec import decode, encode
 from bus_schemas.host_clock import HostClock
 from bus_schemas.messages import LARGEST_PAYLOAD, Message
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal
-from bus_schemas.tree import PLANT, RECORDER
+from bus_schemas.tree import PLANT, RECORDER, agent_of
 from bus_schemas.wiring import Wiring
 
 ENCODING: Final = "application/msgpack"
@@ -320,8 +320,8 @@ class _Place:
 class ZenohBus(_Place):
     """One agent's place on the bus.
 
+    process: Name of its process: the agent's, or that of its standby.
     patience_s: How long to wait for a message where the agent waits for no time of its own.
-    process: Name of the process, where it is another one than the agent's.
     clock: Of the plant, where that is on another host.
 
     dropped: Messages that could not be read or found no room, by port and cause.
@@ -329,11 +329,10 @@ class ZenohBus(_Place):
 
     def __init__(
         self,
-        agent: str,
+        process: str,
         wiring: Wiring,
         settings: SessionSettings,
-        patience_s: float = 0.5,
-        process: str | None = None,
+        patience_s: float,
         clock: HostClock | None = None,
     ) -> None:
         super().__init__(wiring, settings)
@@ -341,9 +340,10 @@ class ZenohBus(_Place):
         self._clock = clock
         self.inbox = Inbox()
         self.dropped = self.inbox.dropped
-        self._process = process or agent
+        self._process = process
         self._patience_s = patience_s
         devices = set(() if settings.devices is None else settings.devices.peers)
+        agent = agent_of(process)
         published, heard = wiring.published[agent], wiring.heard.get(agent, [])
         self._heard = frozenset(heard)
         many = _signals_of_many(published)
@@ -357,10 +357,16 @@ class ZenohBus(_Place):
                 for session in self._sessions[: 2 if hears_there else 1]
             ]
         many = _signals_of_many(heard)
-        hear = self.inbox.callback
-        by_key = {wiring.key(port): hear(port) for port in heard if port.signal not in many}
-        for signal in many:
-            by_key[f"{wiring.plant}/**/{signal.name}"] = _by_key(hear, heard, wiring)
+        hear_of = {wiring.key(port): self.inbox.callback(port) for port in heard}
+
+        def hear_many(sample: zenoh.Sample) -> None:
+            """Find a message's port by its key."""
+            if (hear := hear_of.get(str(sample.key_expr))) is not None:
+                hear(sample)
+
+        alone = [wiring.key(port) for port in heard if port.signal not in many]
+        subscribed = {key: hear_of[key] for key in alone}
+        subscribed |= {f"{wiring.plant}/**/{signal.name}": hear_many for signal in many}
         self._subscribers = [
             session.declare_subscriber(
                 key,
@@ -368,7 +374,7 @@ class ZenohBus(_Place):
                 allowed_origin=zenoh.Locality.REMOTE,
             )
             for session in self._sessions
-            for key, callback in by_key.items()
+            for key, callback in subscribed.items()
         ]
         self._newest: dict[Port[Message], bytes] = {}
         if settings.lockstep:
@@ -378,7 +384,7 @@ class ZenohBus(_Place):
                 )
                 for session in self._sessions
             ]
-        self._show_token(self._process)
+        self._show_token(process)
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
@@ -469,22 +475,6 @@ def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
     """Return the signals of which there are many ports."""
     counts = Counter(port.signal for port in ports)
     return [signal for signal, count in counts.items() if count >= _MANY]
-
-
-def _by_key(
-    callback: Callable[[Port[Message]], Callable[[zenoh.Sample], None]],
-    heard: Sequence[Port[Message]],
-    wiring: Wiring,
-) -> Callable[[zenoh.Sample], None]:
-    """Return a callback that finds each message's port by its key."""
-    hear_of = {wiring.key(port): callback(port) for port in heard}
-
-    def hear(sample: zenoh.Sample) -> None:
-        found = hear_of.get(str(sample.key_expr))
-        if found is not None:
-            found(sample)
-
-    return hear
 
 
 class ZenohTap(_Place):
