@@ -151,8 +151,9 @@ def without_correction(data: Path) -> Lines:
         ("delay", 10.0, "delay of 10 s per hop"),
         ("loss", 20.0, "20 % of all messages lost"),
     ]
+    setting = "control.correction=false"
     found = measured(
-        [("", Condition(trouble, value, "predictive", False)) for trouble, value, _ in conditions]
+        [(setting, Condition(trouble, value, "predictive")) for trouble, value, _ in conditions]
     )
     yield from header(["trouble", "correction", *TITLES])
     for (trouble, value, label), without in zip(conditions, found, strict=True):

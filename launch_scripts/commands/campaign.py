@@ -18,13 +18,11 @@ from launch_scripts.commands.options import (
     WorkersOption,
     changed_scenario,
 )
-from launch_scripts.commands.output import say, shared, written
+from launch_scripts.commands.output import publish, shared
 from launch_scripts.scenarios.run_options import RunOptions
-from studies.tables import print_table
 
 if TYPE_CHECKING:
-    from launch_scripts.scenarios.preparation import Preparation
-    from studies.campaign.study import Campaign, Outcome
+    from studies.campaign.study import Outcome
 
 EXAMPLE: Final = "heliarch campaign oahu --seeds 1..200 --workers 2"
 PAGE: Final = Path("campaign.html")
@@ -55,6 +53,7 @@ def campaign(
     --curves: Instead, measure what failures cost, by rate and repair time.
     """
     from launch_scripts.scenarios.preparation import prepare
+    from studies.campaign import curves as failures
     from studies.campaign import results, study
     from studies.compare.cases import parse_seeds
 
@@ -67,41 +66,24 @@ def campaign(
     chosen = parse_seeds(seeds)
     found = study.campaign(preparation)
     if curves:
-        _measure_curves(preparation, found, chosen, workers, files)
+        conditions = failures.conditions(chosen)
+        points = shared(partial(failures.run_under, found), conditions, workers, "runs")
+        publish(results.curves_result(preparation, points), files, PAGE)
         return
     outcomes = shared(partial(study.run_seed, found), chosen, workers, "runs")
-    page = partial(results.campaign_page, preparation, found, outcomes)
     broken = [outcome for outcome in outcomes if outcome.violations]
-    with written(outcomes, files, page, PAGE) as console:
-        print_table(console, results.campaign_table(preparation, outcomes))
-        for outcome in broken[:_LISTED]:
-            first = outcome.violations[0]
-            where = f"{first.invariant}, cycle {first.cycle}"
-            say(console, f"seed {outcome.seed}: {where}: {first.text}")
-            say(console, f"  {_command(scenario, start, duration, settings or (), outcome)}")
-        if len(broken) > _LISTED:
-            say(console, f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
+    more = []
+    for outcome in broken[:_LISTED]:
+        first = outcome.violations[0]
+        more += [
+            f"seed {outcome.seed}: {first.invariant}, cycle {first.cycle}: {first.text}",
+            f"  {_command(scenario, start, duration, settings or (), outcome)}",
+        ]
+    if len(broken) > _LISTED:
+        more.append(f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
+    publish(results.campaign_result(preparation, found, outcomes), files, PAGE, *more)
     if broken:
         raise typer.Exit(1)
-
-
-def _measure_curves(
-    preparation: Preparation,
-    campaign: Campaign,
-    seeds: Sequence[int],
-    workers: int,
-    files: ResultOptions,
-) -> None:
-    from studies.campaign import curves, results
-
-    points = shared(partial(curves.run_under, campaign), curves.conditions(seeds), workers, "runs")
-    plan = preparation.plan
-    title = f"{plan.plant}, {plan.cycles} cycles from {preparation.local_start()}"
-    title += f", mean of {len(seeds)} seeds"
-    page = partial(results.curve_page, title, points)
-    with written(points, files, page, PAGE) as console:
-        for table in results.curve_tables(title, points):
-            print_table(console, table)
 
 
 def _command(

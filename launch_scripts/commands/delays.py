@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -16,7 +16,7 @@ from launch_scripts.commands.options import (
     WorkersOption,
     changed_scenario,
 )
-from launch_scripts.commands.output import shared, written
+from launch_scripts.commands.output import publish, shared
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 
 if TYPE_CHECKING:
@@ -54,8 +54,7 @@ def delays(
     Everything runs in memory: each scheme with each delay, share of losses and central period.
     --report writes delays.html by default.
     """
-    from studies.compare.study import remarks_of
-    from studies.delays.results import print_study, study_page
+    from studies.delays.results import study_result
     from studies.delays.study import conditions, counted_s, run_under
 
     changes, start, duration = tuple(settings or ()), span.start, span.duration
@@ -67,22 +66,10 @@ def delays(
     changed = changed_scenario(scenario, files.data, changes)
     preparation = _prepared(changed, RunOptions(start, duration, seed=seed, end=span.end))
     plan = preparation.plan
-    cycle_s, correction = plan.cycle_ns / 1e9, changed.scenario.control.correction
-    chosen = conditions(cycle_s, counted_s(plan), correction)
+    chosen = conditions(plan.cycle_ns / 1e9, counted_s(plan))
     run = partial(run_under, plan, preparation.profile)
     outcomes = shared(run, chosen, workers, "runs")
-    document: dict[str, Any] = {
-        "scenario": plan.plant,
-        "start": preparation.local_start(),
-        "cycles": plan.cycles,
-        "cycle_s": cycle_s,
-        "settings": changes,
-        "remarks": remarks_of(preparation),
-        "outcomes": outcomes,
-    }
-    page = partial(study_page, preparation, outcomes)
-    with written(document, files, page, PAGE) as console:
-        print_study(preparation, outcomes, console)
+    publish(study_result(preparation, changes, outcomes), files, PAGE)
 
 
 def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:

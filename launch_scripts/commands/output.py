@@ -20,10 +20,11 @@ from rich.progress import (
 
 from bus_schemas.printable import printable
 from launch_scripts.commands.options import ResultOptions
+from studies.report.result import Result, print_result
 from studies.tables import console_for
 
 Item = TypeVar("Item")
-Result = TypeVar("Result")
+Outcome = TypeVar("Outcome")
 
 
 def say(console: Console, *lines: str) -> None:
@@ -41,8 +42,8 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
 
 
 def counted(
-    numbered: Generator[tuple[int, Result]], description: str, total: int
-) -> Iterator[tuple[int, Result]]:
+    numbered: Generator[tuple[int, Outcome]], description: str, total: int
+) -> Iterator[tuple[int, Outcome]]:
     """Yield numbered results as they are done; show in a terminal how many are.
 
     Whatever ends it ends those who work on the results.
@@ -55,8 +56,8 @@ def counted(
 
 
 def shared(
-    function: Callable[[Item], Result], items: Sequence[Item], workers: int, description: str
-) -> list[Result]:
+    function: Callable[[Item], Outcome], items: Sequence[Item], workers: int, description: str
+) -> list[Outcome]:
     """Apply a function to each item in a pool of processes; return the results in their order."""
     from studies.workers import share_work
 
@@ -74,23 +75,22 @@ def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
     )
 
 
-@contextmanager
-def written(
-    document: object, files: ResultOptions, page: Callable[[], str], default: Path
-) -> Iterator[Console]:
-    """Write a result as JSON and as a page, where they are wanted; give the console to print it on.
+def publish(result: Result, files: ResultOptions, default: Path, *more: str) -> None:
+    """Write a result as JSON and as a page, where they are wanted; then print it, and more lines.
 
     The files come first: whoever reads the tables may leave before their end.
     """
-    write_json(document, files.json)
-    path = Path(files.report or default)
+    write_json(result.document, files.json)
     if files.report is not None:
+        from studies.report.page import html_page
+
+        path = Path(files.report or default)
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(page().encode(), path)
+        _write(html_page(result).encode(), path)
+        more += (f"report: {path}",)
     console = console_for(files.json)
-    yield console
-    if files.report is not None:
-        say(console, f"report: {path}")
+    print_result(console, result)
+    say(console, *more)
 
 
 def write_json(content: object, destination: str | None) -> None:
