@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing.connection import Connection, wait
@@ -27,9 +27,12 @@ class WorkerLostError(FailureError):
 
 
 def share_work(
-    function: Callable[[Item], Result], items: Sequence[Item], workers: int
-) -> Generator[tuple[int, Result]]:
-    """Apply a function to each item; yield the item's place and the result as each is done.
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int,
+    done: Callable[[], object] = lambda: None,
+) -> list[Result]:
+    """Apply a function to each item; return the results in their order. `done` is called for each.
 
     With one worker everything runs in this process. With more, function and items must be
     picklable. Workers never outlive this process, however it ends: they ignore the signals that
@@ -38,12 +41,30 @@ def share_work(
     Raises WorkerLostError: A worker was killed.
     """
     if workers == 1 or len(items) <= 1:
-        yield from enumerate(map(function, items))
-        return
+        found = []
+        for item in items:
+            found.append(function(item))
+            done()
+        return found
+    try:
+        return _in_processes(function, items, workers, done)
+    except (EOFError, ConnectionError):
+        raise WorkerLostError(
+            "a worker was killed, often because memory ran out: try fewer --workers"
+        ) from None
+
+
+def _in_processes(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int,
+    done: Callable[[], object],
+) -> list[Result]:
     context = multiprocessing.get_context("spawn")
     started: list[SpawnProcess] = []
     ours: list[Connection] = []
     waiting = iter(enumerate(items))
+    found: dict[int, Result] = {}
     try:
         ensure_running()  # Its start lifts a block of signals, so it must not fall within ours.
         for _ in range(min(workers, len(items))):
@@ -58,21 +79,18 @@ def share_work(
             end.send(next(waiting))
         for _ in items:
             end = cast("Connection", wait(ours)[0])
-            place, result, error = end.recv()
+            place, found[place], error = end.recv()
             if error is not None:
                 raise error
             if (item := next(waiting, None)) is not None:
                 end.send(item)
-            yield place, result
-    except (EOFError, ConnectionError):
-        raise WorkerLostError(
-            "a worker was killed, often because memory ran out: try fewer --workers"
-        ) from None
+            done()
     finally:
         for worker in started:
             worker.kill()
         for worker in started:
             worker.join()
+    return [found[place] for place in range(len(items))]
 
 
 def _work(study: Connection) -> None:
@@ -104,8 +122,11 @@ def _signals_blocked() -> Iterator[None]:
 
 
 def share_over_cluster(
-    function: Callable[[Item], Result], items: Sequence[Item], scheduler: str
-) -> Generator[tuple[int, Result]]:
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    scheduler: str,
+    done: Callable[[], object] = lambda: None,
+) -> list[Result]:
     """As `share_work`, over the workers of a Dask scheduler.
 
     They must have Heliarch installed and see the data under the same paths.
@@ -126,16 +147,15 @@ def share_over_cluster(
             f"got {scheduler} ({type(error).__name__})"
         ) from None
     with client:
-        places = {
-            client.submit(function, item, pure=False): place for place, item in enumerate(items)
-        }
-        for future in distributed.as_completed(list(places)):
-            try:
-                result: Result = future.result()
-            except InputError:
-                raise
-            except Exception as error:  # Whatever is wrong with a cluster comes in many kinds.
-                raise WorkerLostError(
-                    f"--scheduler {scheduler} gave up ({type(error).__name__}: {error})"
-                ) from None
-            yield places[future], result
+        futures = [client.submit(function, item, pure=False) for item in items]
+        try:
+            for _ in distributed.as_completed(futures, raise_errors=True, with_results=True):
+                done()
+            results: list[Result] = client.gather(futures)
+        except InputError:
+            raise
+        except Exception as error:  # Whatever is wrong with a cluster comes in many kinds.
+            raise WorkerLostError(
+                f"--scheduler {scheduler} gave up ({type(error).__name__}: {error})"
+            ) from None
+        return results

@@ -110,8 +110,7 @@ def cells(one: Outcome) -> list[str]:
 
 def measured(runs: Sequence[tuple[str, Condition]]) -> list[Outcome]:
     """Run the hour of the study with other settings: each with its condition."""
-    found = dict(share_work(partial(_run, {s: _prepared(s) for s, _ in runs}), runs, WORKERS))
-    return [found[place] for place in sorted(found)]
+    return share_work(partial(_run, {s: _prepared(s) for s, _ in runs}), runs, WORKERS)
 
 
 def _run(prepared: dict[str, Preparation], run: tuple[str, Condition]) -> Outcome:

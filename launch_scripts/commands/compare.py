@@ -18,7 +18,7 @@ from launch_scripts.commands.options import (
     file_in_folder,
     refuse_others,
 )
-from launch_scripts.commands.output import counted, publish, shared
+from launch_scripts.commands.output import publish, shared
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 from studies.report.result import Result
 
@@ -100,7 +100,7 @@ def compare(
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.arrays.schemes import SCHEMES
     from studies.compare.cases import cases, parse_days, parse_seeds, parse_setting
-    from studies.compare.study import Comparison
+    from studies.compare.study import Comparison, run_case
     from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
     shown = _names("--show", show, FIGURES_OF_MERIT)
@@ -124,7 +124,7 @@ def compare(
     if len(found) == 1:
         result, *results = _one(found[0], comparison)
     else:
-        results = _many(found, comparison, workers, scheduler)
+        results = shared(partial(run_case, comparison), found, workers, "cases", scheduler)
         result = _cases_result(results, shown)
     _write_summary(results, csv)
     publish(result, files, PAGE)
@@ -198,20 +198,6 @@ def _two_runs(paths: tuple[Path, Path]) -> Result:
     runs = [str(path) for path in paths]
     document = {"runs": runs, "figures": figures, "differences": differences}
     return runs_result(f"{paths[0].name} and {paths[1].name}", series, tables, lines, document)
-
-
-def _many(
-    found: Sequence[Case], comparison: Comparison, workers: int, scheduler: str | None
-) -> list[CaseResult]:
-    """Run many cases with a progress bar; return their results in order."""
-    from studies.compare.study import run_case
-    from studies.workers import share_over_cluster
-
-    run = partial(run_case, comparison)
-    if scheduler is None:
-        return shared(run, found, workers, "cases")
-    results = dict(counted(share_over_cluster(run, found, scheduler), "cases", len(found)))
-    return [results[number] for number in sorted(results)]
 
 
 def _cases_result(results: Sequence[CaseResult], shown: Sequence[str]) -> Result:

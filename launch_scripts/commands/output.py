@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
@@ -41,28 +42,25 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
-def counted(
-    numbered: Generator[tuple[int, Outcome]], description: str, total: int
-) -> Iterator[tuple[int, Outcome]]:
-    """Yield numbered results as they are done; show in a terminal how many are.
-
-    Whatever ends it ends those who work on the results.
-    """
-    with closing(numbered), _progress(description, MofNCompleteColumn()) as progress:
-        task = progress.add_task(description, total=total)
-        for one in numbered:
-            yield one
-            progress.advance(task)
-
-
 def shared(
-    function: Callable[[Item], Outcome], items: Sequence[Item], workers: int, description: str
+    function: Callable[[Item], Outcome],
+    items: Sequence[Item],
+    workers: int,
+    description: str,
+    scheduler: str | None = None,
 ) -> list[Outcome]:
-    """Apply a function to each item in a pool of processes; return the results in their order."""
-    from studies.workers import share_work
+    """Apply a function to each item in a pool of processes, or of a Dask scheduler.
 
-    found = dict(counted(share_work(function, items, workers), description, len(items)))
-    return [found[place] for place in range(len(items))]
+    Returns the results in their order; shows in a terminal how many are done.
+    """
+    from studies.workers import share_over_cluster, share_work
+
+    with _progress(description, MofNCompleteColumn()) as progress:
+        task = progress.add_task(description, total=len(items))
+        done = partial(progress.advance, task)
+        if scheduler is not None:
+            return share_over_cluster(function, items, scheduler, done)
+        return share_work(function, items, workers, done)
 
 
 def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:

@@ -41,9 +41,6 @@ from sunspec.process import read_accounts
 
 REPORT_NAME: Final = "report.html"
 
-_MOST_SIZES: Final = 6
-"""Clusters whose sizes the first line lists one by one."""
-
 
 def write_run_report(run: Path, out: Path | None = None) -> Path:
     """Write the report of a recorded run, by default beside its recording; return where it is."""
@@ -97,8 +94,9 @@ def runs_result(
 
 def run_line(plan: RunPlan) -> str:
     """Return the first line of a report: what was run, and how."""
-    sizes = list(Counter(parent_of(leaf) for leaf in plan.tree.leaves).values())
-    clustered = f" in {len(sizes)} clusters ({_sizes(sizes)})" if len(sizes) > 1 else ""
+    sizes = Counter(parent_of(leaf) for leaf in plan.tree.leaves).values()
+    listed = ", ".join(f"{count} of {size}" for size, count in Counter(sizes).items())
+    clustered = f" in {len(sizes)} clusters ({listed})" if len(sizes) > 1 else ""
     pace = f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}" if plan.cycle_wall_ns else "lockstep"
     parts = (
         f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')}{clustered}",
@@ -108,16 +106,6 @@ def run_line(plan: RunPlan) -> str:
         "measured irradiance" if plan.seed is None else f"seed {plan.seed}",
     )
     return ", ".join(parts) + "."
-
-
-def _sizes(sizes: Sequence[int]) -> str:
-    """Return the sizes of clusters: `6, 6 and 5`, `5 each`, or `10 of 5, 2 of 4`."""
-    counts = Counter(sizes)
-    if len(counts) == 1:
-        return f"{sizes[0]} each"
-    if len(sizes) > _MOST_SIZES:
-        return ", ".join(f"{count} of {size}" for size, count in counts.items())
-    return f"{', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
 
 
 def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
