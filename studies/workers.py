@@ -6,12 +6,12 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib import import_module
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
 from multiprocessing.resource_tracker import ensure_running
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, TypeVar
 
 from agents.process import die_with_parent
 from bus_schemas.errors import FailureError, InputError
@@ -46,66 +46,42 @@ def share_work(
             found.append(function(item))
             done()
         return found
+    others = set(multiprocessing.active_children())
+    ensure_running()  # Its start lifts a block of signals, so it must not fall within ours.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(workers, len(items)), context, _begin, (function,))
     try:
-        return _in_processes(function, items, workers, done)
-    except (EOFError, ConnectionError):
+        with _signals_blocked():
+            futures: list[Future[Any]] = [pool.submit(_apply, item) for item in items]
+        for future in as_completed(futures):
+            future.result()
+            done()
+        return [future.result() for future in futures]
+    except BrokenProcessPool:
         raise WorkerLostError(
             "a worker was killed, often because memory ran out: try fewer --workers"
         ) from None
-
-
-def _in_processes(
-    function: Callable[[Item], Result],
-    items: Sequence[Item],
-    workers: int,
-    done: Callable[[], object],
-) -> list[Result]:
-    context = multiprocessing.get_context("spawn")
-    started: list[SpawnProcess] = []
-    ours: list[Connection] = []
-    waiting = iter(enumerate(items))
-    found: dict[int, Result] = {}
-    try:
-        ensure_running()  # Its start lifts a block of signals, so it must not fall within ours.
-        for _ in range(min(workers, len(items))):
-            end, theirs = context.Pipe()
-            ours.append(end)
-            worker = context.Process(target=_work, args=(theirs,))
-            with _signals_blocked(), theirs:
-                worker.start()
-                started.append(worker)
-        for end in ours:
-            end.send(function)
-            end.send(next(waiting))
-        for _ in items:
-            end = cast("Connection", wait(ours)[0])
-            place, found[place], error = end.recv()
-            if error is not None:
-                raise error
-            if (item := next(waiting, None)) is not None:
-                end.send(item)
-            done()
     finally:
-        for worker in started:
+        for worker in set(multiprocessing.active_children()) - others:
             worker.kill()
-        for worker in started:
-            worker.join()
-    return [found[place] for place in range(len(items))]
+        pool.shutdown(cancel_futures=True)
 
 
-def _work(study: Connection) -> None:
-    """Apply the function that the study sends to each of its items, until it kills this process."""
+_OF_WORKER: Final[dict[str, Callable[[Any], Any]]] = {}
+"""In a worker: the function that it applies. It may be large, so it is sent once."""
+
+
+def _begin(function: Callable[[Any], Any]) -> None:
+    """Prepare a worker."""
     die_with_parent()
     parent = multiprocessing.parent_process()
     if parent is None or os.getppid() != parent.pid:  # It died before the kernel was asked.
-        return
-    function = study.recv()
-    while True:
-        place, item = study.recv()
-        try:
-            study.send((place, function(item), None))
-        except Exception as error:
-            study.send((place, None, error))
+        os._exit(1)
+    _OF_WORKER["function"] = function
+
+
+def _apply(item: object) -> object:
+    return _OF_WORKER["function"](item)
 
 
 @contextmanager
