@@ -46,7 +46,7 @@ from launch_scripts.scenarios.scenario import (
 from sim_plant.commitment import commitment_kw, hindsight
 from sim_plant.positions import east_north_m
 from sim_plant.profile import Profile
-from sim_plant.regulation import regulation_kw, regulation_remarks
+from sim_plant.regulation import regulation_kw
 from sim_plant.sources import PowerSource
 
 __all__ = ["Preparation", "RunOptions", "prepare"]
@@ -134,8 +134,6 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         remarks.append(f"inverters revert after {plan.revert.after_s:g} s, which is three cycles")
     if of_commitment := hindsight(scenario.commitment):
         remarks.append(of_commitment)
-    if offer is not None:
-        remarks += regulation_remarks(offer, scenario_file.data_path)
     meter = np.random.default_rng(scenario.plant.meter_seed)  # The same errors in each run.
     profile = Profile(
         np.ascontiguousarray(day.possible_kw[:, day.order]),
