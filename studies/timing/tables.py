@@ -163,7 +163,7 @@ def _times_tables(report: TimingReport) -> list[Table]:
         if verdict.line.endswith("p99")
     }
     of_processes = [
-        msgspec.structs.replace(row, of=f"{process.agent} {row.of}".rstrip())
+        msgspec.structs.replace(row, of=f"{process.agent}: {row.of}".rstrip(": "))
         for process in report.processes
         for row in process.times
     ]

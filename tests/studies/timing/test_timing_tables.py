@@ -129,12 +129,12 @@ def test_the_host_tells_what_was_asked_for_and_not_refused(
 
 
 def test_each_process_is_shown_if_asked_for(tmp_path: Path) -> None:
-    assert "c2/d estimate" not in text_of(reported(tmp_path / "tiers", cycle(0), missed(1)))
+    assert "c2/d: estimate" not in text_of(reported(tmp_path / "tiers", cycle(0), missed(1)))
     text = text_of(reported(tmp_path / "each", cycle(0), missed(1), by_agent=True))
     # Slowest decision, CPU and memory, then the missed deadlines.
     assert row(text, "plant +plant")[3:] == ["1", "0", "0", "0"]
-    assert row(text, "c2/d estimate")[0] == "2"
-    assert row(text, "c1/a c1/a/telemetry")[0] == "2"
+    assert row(text, "c2/d: estimate")[0] == "2"
+    assert row(text, "c1/a: c1/a/telemetry")[0] == "2"
 
 
 def test_an_external_device_and_its_wrong_messages_are_reported(tmp_path: Path) -> None:
