@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import get_args
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
 
 import pytest
 
 from agents.settings import Actuator
 from studies.compare.frontier import frontier
-from studies.compare.results import Summary, case_tables, cases_tables, summaries
+from studies.compare.results import case_tables, cases_tables, summaries
 from studies.compare.study import CaseResult, SchemeResult
 from studies.metrics import CommitmentMetrics, RunMetrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
@@ -104,8 +104,14 @@ def test_many_cases_have_both_axes_and_mean_and_quantiles() -> None:
     assert beyond.texts()[0][2:4] == ("0.000", "0.000")
 
 
-def by_scheme(*cases: CaseResult) -> dict[str, Summary]:
-    return {one.scheme: one for one in summaries(cases, CAUSED)}
+def summaries_of(cases: Sequence[CaseResult]) -> list[Any]:
+    """The summaries of the control-caused shortfall; None where there is no figure."""
+    found = summaries(cases, CAUSED).astype(object)
+    return list(found.where(found.notna(), None).itertuples())
+
+
+def by_scheme(*cases: CaseResult) -> dict[str, Any]:
+    return {one.scheme: one for one in summaries_of(cases)}
 
 
 def test_three_cases_by_hand() -> None:
@@ -139,7 +145,7 @@ def test_schemes_are_paired_with_the_baseline_of_their_own_actuator() -> None:
         result("uncontrolled", None, 0.0),
     )
     cases = [CaseResult(f"seed={seed}", "", schemes, 0.0, 0.0, ()) for seed in (1, 2)]
-    found = [(one.scheme, one.actuator, one.difference) for one in summaries(cases, CAUSED)]
+    found = [(one.scheme, one.actuator, one.difference) for one in summaries_of(cases)]
     assert found == [
         ("paper", "fraction", 4.0),
         ("paper", "limit", 5.0),
@@ -156,7 +162,7 @@ def test_each_choice_of_settings_is_a_sample_unless_cases_differ_in_nothing_else
             for share in (1.0, 10.0)
             for seed in seeds
         ]
-        return [(one.settings, one.cases, one.mean) for one in summaries(cases, CAUSED)]
+        return [(one.settings, one.cases, one.mean) for one in summaries_of(cases)]
 
     assert means(1, 2) == [("share=1.0", 2, 1.5), ("share=10.0", 2, 15.0)]
     assert means(1) == [("", 2, 5.5)]
@@ -167,7 +173,7 @@ def test_of_one_case_there_is_no_interval_and_no_summary_of_what_it_lacks() -> N
     found = by_scheme(alone)["paper"]
     assert (found.mean, found.mean_error) == (1.0, None)
     assert (found.difference, found.difference_error) == (1.0, None)
-    assert not summaries([alone], [FIGURES_OF_MERIT["score"]])
+    assert summaries([alone], [FIGURES_OF_MERIT["score"]]).empty
 
 
 def test_cases_with_different_actuators_have_none_in_common() -> None:
@@ -175,5 +181,5 @@ def test_cases_with_different_actuators_have_none_in_common() -> None:
         CaseResult(f"actuator={name}", f"actuator={name}", (result("paper", name, 1.0),), 0, 0, ())
         for name in get_args(Actuator)
     ]
-    (found,) = summaries(cases, CAUSED)
+    (found,) = summaries_of(cases)
     assert (found.actuator, found.cases) == (None, 2)
