@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from io import BytesIO
 from pathlib import Path
 
 import pandas as pd
@@ -18,6 +19,7 @@ from bus_schemas.tree import ROOT
 from recordings import open_run
 from recordings.read import reader
 from recordings.read.chunks import ChunkPlace, unpack_chunk
+from recordings.read.outline import read_outline
 from recordings.read.reader import RunReader
 
 CYCLES = 300
@@ -110,12 +112,14 @@ def test_messages_that_come_late_are_found_by_their_cycle(tmp_path: Path) -> Non
             assert [message.cycle for _, message in found] == [cycle]
 
 
-@pytest.mark.parametrize("share", [0.2, 0.77])
+@pytest.mark.parametrize(("share", "behind"), [(0.2, b""), (0.77, b""), (0.77, bytes(5000))])
 def test_a_cut_recording_is_read_up_to_the_cut(
-    recording: Recording, tmp_path: Path, share: float
+    recording: Recording, tmp_path: Path, share: float, behind: bytes
 ) -> None:
     path, written = recording
     cut(path, tmp_path / "run.mcap", share)
+    with (tmp_path / "run.mcap").open("ab") as file:
+        file.write(behind)
     with open_run(tmp_path) as run:
         found = list(run.messages())
         assert not run.whole
@@ -124,6 +128,31 @@ def test_a_cut_recording_is_read_up_to_the_cut(
         last = found[-1][1].cycle
         ends = [pair for pair in found if pair[1].cycle == last]
         assert list(run.messages(start=last)) == ends
+
+
+def test_a_damaged_index_is_not_believed(recording: Recording, tmp_path: Path) -> None:
+    path, written = recording
+    torn = bytearray(path.read_bytes())
+    with open_run(path) as run:
+        torn[(run.outline.readable_end + len(torn)) // 2] ^= 0xFF
+    (tmp_path / "run.mcap").write_bytes(torn)
+    with open_run(tmp_path) as run:
+        assert not run.outline.indexed
+        assert list(run.messages()) == written
+
+
+byte = st.tuples(st.floats(0.001, 1.0, exclude_max=True), st.integers(0, 255))
+
+
+@settings(max_examples=60)
+@given(damage=st.lists(byte, min_size=5, max_size=5))
+def test_a_torn_file_never_breaks_the_reading(
+    recording: Recording, damage: list[tuple[float, int]]
+) -> None:
+    torn = bytearray(recording[0].read_bytes())
+    for place, value in damage:
+        torn[int(place * len(torn))] = value
+    assert read_outline(BytesIO(torn)).size == len(torn)
 
 
 def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> None:
