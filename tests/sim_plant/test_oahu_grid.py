@@ -52,10 +52,7 @@ def message_of(read: Read, text: str, **options: object) -> str:
 
 
 def test_each_sensor_has_its_own_field_and_the_tilted_have_none(read: Read) -> None:
-    ghi_wm2 = some_minutes()
-    ghi_wm2[3, column("DH4")] = -0.7  # As at night: it is set to zero.
-    found = read(day_text(DAY, ghi_wm2), stations=None)
-    assert found.irradiance.ghi_wm2[3, HORIZONTAL.index("DH4")] == 0.0
+    found = read(day_text(DAY, some_minutes()), stations=None)
     assert found.irradiance.sensors == HORIZONTAL
     assert len(HORIZONTAL) == 17
     assert not {"DH1T", "AP6T", "AP2"} & set(HORIZONTAL)
@@ -69,6 +66,22 @@ def test_stamps_are_hawaii_standard_time(read: Read) -> None:
     assert times[0] == pd.Timestamp("2010-04-01T05:00:00-10:00")
     assert times[-1] == pd.Timestamp("2010-04-01T15:02:29Z")
     assert str(times.tz) == "UTC"
+
+
+def test_stations_and_their_positions_are_in_the_order_asked_for(read: Read) -> None:
+    found = read(day_text(DAY, some_minutes()), stations=["AP7", "DH1"]).irradiance
+    assert found.sensors == ("AP7", "DH1")
+    np.testing.assert_array_equal(found.ghi_wm2[0], [200.0, 120.0])
+    np.testing.assert_array_equal(found.lat_deg, [21.31478, 21.31533])
+    np.testing.assert_array_equal(found.lon_deg, [-158.07785, -158.087])
+
+
+def test_the_small_negatives_of_the_night_are_zero(read: Read) -> None:
+    ghi_wm2 = some_minutes()
+    ghi_wm2[3, column("DH4")] = -0.7
+    found = read(day_text(DAY, ghi_wm2))
+    assert found.irradiance.ghi_wm2[3, HORIZONTAL.index("DH4")] == 0.0
+    assert found.report == ()
 
 
 @pytest.mark.parametrize("inside", ["20100401.txt", "201004/20100401.txt"])

@@ -112,14 +112,12 @@ def test_messages_that_come_late_are_found_by_their_cycle(tmp_path: Path) -> Non
             assert [message.cycle for _, message in found] == [cycle]
 
 
-@pytest.mark.parametrize(("share", "behind"), [(0.2, b""), (0.77, b""), (0.77, bytes(5000))])
+@pytest.mark.parametrize("share", [0.2, 0.77])
 def test_a_cut_recording_is_read_up_to_the_cut(
-    recording: Recording, tmp_path: Path, share: float, behind: bytes
+    recording: Recording, tmp_path: Path, share: float
 ) -> None:
     path, written = recording
     cut(path, tmp_path / "run.mcap", share)
-    with (tmp_path / "run.mcap").open("ab") as file:
-        file.write(behind)
     with open_run(tmp_path) as run:
         found = list(run.messages())
         assert not run.whole
@@ -130,11 +128,25 @@ def test_a_cut_recording_is_read_up_to_the_cut(
         assert list(run.messages(start=last)) == ends
 
 
-def test_a_damaged_index_is_not_believed(recording: Recording, tmp_path: Path) -> None:
+def test_zeros_behind_a_cut_are_no_records(recording: Recording, tmp_path: Path) -> None:
+    path, written = recording
+    with open_run(path) as run:
+        end = run.outline.chunks[2].offset
+    (tmp_path / "run.mcap").write_bytes(path.read_bytes()[:end] + bytes(5000))
+    with open_run(tmp_path) as run:
+        assert (run.whole, run.outline.readable_end) == (False, end)
+        assert list(run.messages()) == written[:400]
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9])
+def test_a_damaged_index_is_not_believed(
+    recording: Recording, tmp_path: Path, share: float
+) -> None:
     path, written = recording
     torn = bytearray(path.read_bytes())
     with open_run(path) as run:
-        torn[(run.outline.readable_end + len(torn)) // 2] ^= 0xFF
+        end = run.outline.readable_end
+    torn[end + round(share * (len(torn) - end))] ^= 1
     (tmp_path / "run.mcap").write_bytes(torn)
     with open_run(tmp_path) as run:
         assert not run.outline.indexed
