@@ -52,7 +52,8 @@ def recorded(said: Sequence[Spoken], folder: Path) -> tuple[list[Message], Recor
         while waiting:
             yield waiting.pop(0)
 
-    tap = Mock(drain=drain, presence=list)
+    tap = Mock(drain=drain)
+    tap.watch_tokens.return_value.changes.return_value = ()
     link = Mock(expected_messages=lambda: None, by_hand=False)
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
     end = RecordingEnd()
