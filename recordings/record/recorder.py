@@ -183,7 +183,10 @@ class Recorder:
         """Record until told to end, then close the file and report."""
         flush_at = status_at = heard_at = time.monotonic()
         while not self._may_end(time.monotonic() - heard_at):
-            heard = self._drain()
+            # Flush and status must have their turn, however much comes.
+            heard = list(islice(self._tap.drain(), _MOST_AT_ONCE))
+            for key, payload in heard:
+                self._hear(key, payload)
             now = time.monotonic()
             if heard:
                 heard_at = now
@@ -217,13 +220,6 @@ class Recorder:
             return quiet_s > FLUSH_S or time.monotonic() > asked_at + _QUIET_S
         heard = self._writer.heard - self._external.heard - self._extra.total()
         return heard >= expected or quiet_s > _QUIET_S
-
-    def _drain(self) -> bool:
-        # Flush and status must have their turn, however much comes.
-        waiting = list(islice(self._tap.drain(), _MOST_AT_ONCE))
-        for key, payload in waiting:
-            self._hear(key, payload)
-        return bool(waiting)
 
     def _hear(self, key: str, payload: bytes) -> None:
         port = self._port_of.get(key)
@@ -276,14 +272,10 @@ class Recorder:
                 self._extra[port.signal.name] += 1
         elif message is None:
             self.monitor.see_head(port, head.cycle)
-        elif not is_external or self._is_right(port, message, heard_ns):
-            self._follow(port, message)
-
-    def _is_right(self, port: Port[Message], message: Message, heard_ns: int) -> bool:
-        """Complain of a message of an external agent that is absurd."""
-        if absurd := absurdity(self._plan, port, message, heard_ns):
+        elif is_external and (absurd := absurdity(self._plan, port, message, heard_ns)):
             self.complaints.add(self._plan.keys.key(port), ABSURD, absurd)
-        return not absurd
+        else:
+            self._follow(port, message)
 
     def _follow(self, port: Port[Message], message: Message) -> None:
         if isinstance(message, Run):

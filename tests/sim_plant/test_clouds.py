@@ -219,7 +219,7 @@ def test_changes_and_correlations_are_those_of_measurements(hope: tuple[Floats, 
 
 @pytest.mark.parametrize("hour", ["a", "c"])
 def test_changes_are_those_of_a_real_plant(data_folder: Path, hour: str) -> None:
-    current, east_m, north_m, averaging = real_plant(data_folder, hour)
+    current, east_m, north_m, averaging = real_plant(data_folder / "plant20mw-combiners-10s", hour)
     measured = index_by_quantile(current @ averaging)
     motion = cloud_motion(measured, east_m @ averaging, north_m @ averaging, 10.0)
     settings = CloudSettings(
@@ -246,7 +246,7 @@ def test_changes_are_those_of_a_real_plant(data_folder: Path, hour: str) -> None
 def test_the_motion_over_a_real_plant_is_the_one_that_its_publisher_found(
     data_folder: Path, hour: str, speed_ms: float, angle_rad: float
 ) -> None:
-    current, east_m, north_m, averaging = real_plant(data_folder, hour)
+    current, east_m, north_m, averaging = real_plant(data_folder / "plant20mw-combiners-10s", hour)
     motion = cloud_motion(current @ averaging, east_m @ averaging, north_m @ averaging, 10.0)
     # The angle is that of the velocity, counter-clockwise from east.
     from_deg = (270.0 - np.rad2deg(angle_rad)) % 360.0
