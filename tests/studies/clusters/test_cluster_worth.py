@@ -197,14 +197,6 @@ def test_clusters_are_chosen_from_the_first_part_alone(
     assert members(other_past) != members(before)
 
 
-def test_its_past_is_the_correlation_of_the_first_part(
-    oahu: Preparation, scenario: ScenarioFile
-) -> None:
-    past = past_of(by_first_part(oahu, 1200.0), scenario.scenario.control, 17)
-    first_part = oahu.profile.mpp_kw[:120, [names(oahu).index(name) for name in past.index]]
-    np.testing.assert_allclose(past, np.corrcoef(first_part.T), rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("learn_s", [10.0, 15.0, 3600.0, 7200.0])
 def test_a_first_part_that_leaves_nothing_to_learn_from_or_to_run_is_refused(
     oahu: Preparation, learn_s: float

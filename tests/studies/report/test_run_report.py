@@ -179,13 +179,6 @@ def test_the_page_loads_nothing_and_has_plotly_once(tmp_path: Path) -> None:
     assert sum("plotly.js v" in script.text for script in page.of("script")) == 1
 
 
-def test_the_report_of_a_day_of_17_inverters_is_below_12_mb(tmp_path: Path) -> None:
-    inverters = tuple(f"c{n % 3}/inv{n:02d}" for n in range(17))
-    run = cloudy_run(cycles=54_000, inverters=inverters, regulation=True)
-    report(tmp_path, run, without_estimates(run, "b"), without_estimates(run, "c"))
-    assert (tmp_path / "report.html").stat().st_size < 12e6
-
-
 # Incomplete, small and odd runs -------------------------------------------------------------------
 
 
