@@ -95,7 +95,7 @@ def runs_result(
 def run_line(plan: RunPlan) -> str:
     """Return the first line of a report: what was run, and how."""
     sizes = Counter(parent_of(leaf) for leaf in plan.tree.leaves).values()
-    listed = ", ".join(f"{count} of {size}" for size, count in Counter(sizes).items())
+    listed = ", ".join(f"{count} with {size}" for size, count in Counter(sizes).items())
     clustered = f" in {len(sizes)} clusters ({listed})" if len(sizes) > 1 else ""
     pace = f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}" if plan.cycle_wall_ns else "lockstep"
     parts = (
