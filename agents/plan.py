@@ -163,6 +163,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @property
     def keys(self) -> Wiring:
+        """The wiring, for those who ask it for keys alone."""
         return self.wiring
 
     @cached_property
