@@ -21,6 +21,7 @@ from agents.machine import refusals
 from agents.plan import RunPlan
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import PLANT, RECORDER, agent_of, some_of
+from launch_scripts.launcher.external_watch import ExternalWatch, directions
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import View
@@ -48,7 +49,7 @@ from launch_scripts.launcher.supervision import (
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from launch_scripts.launcher.wrong_messages import wrong_messages
 from launch_scripts.scenarios.devices import check_devices
-from launch_scripts.scenarios.externals import ExternalWatch, listening
+from launch_scripts.scenarios.externals import listening
 from launch_scripts.scenarios.preparation import Preparation
 from sunspec.process import GatewayProcess
 
@@ -112,7 +113,7 @@ class _Launch:
         if plan.lockstep and plan.standby:
             view.say("no standby in lockstep, where nothing has a deadline: give a --pace")
         view.say(f"starting {len(agents)} processes, logs in {self._folder.logs}")
-        for line in self._external.directions():
+        for line in directions(plan, self._folder.plan, self._patience_s):
             view.say(line)
         with (
             interruptible() as self._interruption,
