@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Final
@@ -31,11 +32,10 @@ from launch_scripts.launcher.run_watch import HEARTBEAT_S, RunWatch
 from launch_scripts.launcher.summary import (
     RunSummary,
     count_messages,
-    count_missing,
-    dropped_by_cause,
     memory_use,
     merge_counts,
     process_account,
+    recorded_health,
     recorded_metrics,
     without_external,
 )
@@ -281,18 +281,23 @@ class _Launch:
         """Bring together what processes, recorder and launcher know of the run."""
         plan, cycles = self._plan, recorded.cycles
         accounts = [child.finished for child in children if child.finished is not None]
-        dropped = dropped_by_cause(accounts)
+        processes = tuple(map(process_account, children))
+        dropped = merge_counts([process.dropped for process in processes])
         if recorded.foreign:
             dropped["at the recorder"] = recorded.foreign
         memory: dict[str, list[Memory]] = {}
         for child in children:
             if child.memory.resident_mb:  # A short run may be over before all were looked at.
                 memory.setdefault(child.kind, []).append(child.memory)
-        missed, lost = count_missing(self._folder.recording, plan)
+        health = recorded_health(self._folder.recording, plan)
         published = self._published(children)
         heard = without_external(recorded)
         if self._restarts.lost_processes:
             # Nobody knows what processes published that died: the numbers of messages tell.
+            lost: Counter[str] = Counter()
+            for port in plan.keys.ports:
+                if health is not None and port.publisher not in plan.elsewhere:
+                    lost[port.signal.name] += health.lost.get(str(port), 0)
             published |= {
                 name: max(published.get(name, 0), heard.get(name, 0) + lost[name])
                 for name in {*heard, *lost}
@@ -313,21 +318,22 @@ class _Launch:
             restarts=dict(self._restarts.counts),
             takeovers=dict(self._restarts.takeovers),
             dropped=dropped,
-            missing_inputs=missed.all_missing,
+            missing_inputs=health.missing_inputs if health else 0,
             memory=memory_use(memory),
             hindsight_neighbours=self._preparation.hindsight,
             remarks=(*self._preparation.remarks, *refused),
             interrupted=bool(self._interruption),
             recording_ended=recorded.ended_early,
             faults=merge_counts([account.faults for account in accounts]),
-            old_inputs=missed.all_old,
-            skipped_cycles=sum(account.skipped_cycles for account in accounts),
-            processes=tuple(map(process_account, children)),
+            old_inputs=health.old_inputs if health else 0,
+            skipped_cycles=sum(process.skipped_cycles for process in processes),
+            processes=processes,
             external=recorded.external,
             devices=self._gateway.end() if self._gateway is not None else (),
             wrong=wrong_messages(
                 plan, recorded.complaints, [one for account in accounts for one in account.dropped]
             ),
+            health=health,
         )
 
 

@@ -17,6 +17,7 @@ from rich.markup import escape
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, read_series
 from recordings.read.whole_file import whole_file
@@ -63,7 +64,8 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
             series = replace(read_series(run), label=f"hierarchical ({plan.scheme})")
             devices = devices_tables(read_accounts(reader.path.parent))
-            tables = [health_table(reader), *metrics_tables([series]), *devices]
+            health = health_table(read_overview(reader).health, reader.clock)
+            tables = [health, *metrics_tables([series]), *devices]
     with console.status("drawing"):
         title = f"{plan.plant}: run {plan.run_id}"
         page = report_page(title, [series], tables, notes, lead=run_line(plan))
