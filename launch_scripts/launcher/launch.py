@@ -324,7 +324,7 @@ class _Launch:
             remarks=(*self._preparation.remarks, *refused),
             interrupted=bool(self._interruption),
             recording_ended=recorded.ended_early,
-            faults=merge_counts([account.faults for account in accounts]),
+            faults=health.faults if health else {},
             old_inputs=health.old_inputs if health else 0,
             skipped_cycles=sum(process.skipped_cycles for process in processes),
             processes=processes,

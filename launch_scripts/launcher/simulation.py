@@ -264,7 +264,7 @@ def simulate(
         messages=count_messages(run.bus.outbox.published, writer.recorded),
         dropped=dict(drops),
         missing_inputs=health.missing_inputs if health else 0,
-        faults=dict(+run.bus.tally),
+        faults=health.faults if health else {},
         old_inputs=health.old_inputs if health else 0,
         memory=memory_use({"simulation": [memory_of(os.getpid())]}),
         hindsight_neighbours=preparation.hindsight,
