@@ -225,11 +225,12 @@ class Children:
         self.server.ask(Signal(tuple(agents), int(signal.SIGTERM)))
 
     def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
-        """Wait for processes to end; return those that have not."""
+        """Wait for processes to end; return those that have not, once they say nothing more."""
         until = time.monotonic() + timeout_s
         left = [child for child in children if child.exited is None]
         while left and time.monotonic() < until:
-            self.events(0.02)
+            if any(child in left for child, _ in self.events(0.02)):
+                until = time.monotonic() + timeout_s
             left = [child for child in left if child.exited is None]
         return left
 
