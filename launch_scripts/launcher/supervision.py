@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -73,6 +74,7 @@ class ForkServerProcess(SideProcess):
     def __init__(self) -> None:
         self.control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._was_asked = False
+        self._unsent: deque[bytes] = deque()
         with theirs:
             super().__init__(
                 "launch_scripts.launcher.fork_server",
@@ -89,8 +91,19 @@ class ForkServerProcess(SideProcess):
 
     def ask(self, request: Request) -> None:
         self._was_asked = True
-        with suppress(BrokenPipeError, ConnectionResetError):
-            self.control.send(msgspec.json.encode(request))
+        self._unsent.append(msgspec.json.encode(request))
+        self.send_requests()
+
+    def send_requests(self) -> None:
+        """Send what is asked, as far as there is room. A server that forks hundreds does not read.
+
+        To be called again and again: it must not wait, since the server may wait to be heard.
+        """
+        self.control.setblocking(False)
+        with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):
+            while self._unsent:
+                self.control.send(self._unsent[0])
+                self._unsent.popleft()
 
     def hang_up(self) -> None:
         """Let it end what is left of its processes, and itself."""
@@ -182,6 +195,7 @@ class Children:
     def events(self, timeout_s: float) -> list[tuple[Child, Event]]:
         """Return what the processes say within a time; note what they report of themselves."""
         heard: list[tuple[Child, Event]] = []
+        self.server.send_requests()
         control = self.server.control
         control.settimeout(timeout_s)
         for _ in range(_MOST_PACKETS):
