@@ -42,7 +42,10 @@ def _check_fields(rule: FaultRule, where: str) -> None:
             f"{where}: distribution: expected uniform or normal with jitter, got fixed"
         )
     if rule.reorder and not rule.held_back_ms:
-        raise InputError(f"{where}: reorder_ms: expected a time above 0 with reorder, got none")
+        raise InputError(
+            f"{where}: reorder: expected a delay or reorder-by (in a scenario delay_ms or "
+            "reorder_ms) above 0 with it, got none"
+        )
     for begin_s, end_s in rule.silent:
         if begin_s >= end_s:
             raise InputError(
