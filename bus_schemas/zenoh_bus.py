@@ -574,7 +574,15 @@ class ZenohTap:
         return self
 
     def __exit__(self, *error: object) -> None:
-        _close(self._sessions)
+        # A session does not close while Zenoh's thread waits for room in a queue.
+        closing = threading.Thread(target=_close, args=(self._sessions,))
+        closing.start()
+        while closing.is_alive():
+            for subscriber in self._subscribers:
+                with suppress(zenoh.ZError):  # Its session has closed.
+                    while subscriber.try_recv() is not None:
+                        pass
+            closing.join(0.01)
 
     def publish(self, port: Port[Message], message: Message) -> None:
         self.outbox.stamp(port, message, time.monotonic_ns())
