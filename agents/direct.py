@@ -14,7 +14,7 @@ import msgspec
 from agents.agent import Stage, Turn
 from agents.control.curtailment import curtailment_level
 from agents.control.forecast import forecast_impp
-from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
+from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp, stale
 from agents.control.request import residual_kw
 from agents.dispatch import own_request_kw
 from agents.plan import RunPlan
@@ -91,19 +91,16 @@ class DirectController:
         return DirectState(estimate, measured), outputs
 
     def _estimate_now(self, telemetry: Telemetry | None, last: Estimate) -> Estimate:
-        power_kw = alpha = available_kw = nan
-        limit_kw = self._rating_kw
-        if telemetry is not None:
-            power_kw, alpha, limit_kw = telemetry.power_kw, telemetry.alpha, telemetry.limit_kw
-            if telemetry.available_kw is not None:
-                available_kw = telemetry.available_kw
-        rating_kw = self._rating_kw
+        if telemetry is None:
+            return stale(last)
+        power_kw, alpha, rating_kw = telemetry.power_kw, telemetry.alpha, self._rating_kw
+        available_kw = nan if telemetry.available_kw is None else telemetry.available_kw
         if not self._predicts:
             return estimate_impp(power_kw, alpha, available_kw, rating_kw, last)
-        if self._limits and telemetry is not None:
+        if self._limits:
             alpha = 1.0  # It holds its limit, and gives all it has below it.
         return forecast_impp(
-            power_kw, alpha, available_kw, limit_kw, rating_kw, self._cycle_s, last
+            power_kw, alpha, available_kw, telemetry.limit_kw, rating_kw, self._cycle_s, last
         )
 
     def _actuate(self, state: DirectState, turn: Turn) -> list[Delivery]:

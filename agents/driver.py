@@ -1,8 +1,7 @@
 """The one driver: takes agents through a run over a bus and by a clock.
 
 The bus is Zenoh, memory or a recording; the clock is the wall's, a virtual one, or none at all in
-lockstep. Launch, simulate and `replay --live` are combinations of these. Verify needs no driver:
-the recording says which messages each stage used.
+lockstep. Launch, simulate, verify and `replay --live` are combinations of these.
 """
 
 from __future__ import annotations

@@ -63,14 +63,14 @@ class Finished(Event, frozen=True):
     """The agent has come to the end of the run.
 
     published: Messages of the run that it published, by signal.
-    dropped: Messages that it did not use, by port and cause.
+    dropped: Messages that it did not use: port, cause and number.
     skipped_cycles: Cycles that were over before the agent came to them.
     faults: What an imperfect network did to messages on their way to it.
     dismissed: Whether SIGTERM ended it before the run was over.
     """
 
     published: dict[str, int]
-    dropped: dict[str, dict[str, int]]
+    dropped: list[tuple[str, str, int]]
     skipped_cycles: int = 0
     faults: dict[str, int] = msgspec.field(default_factory=dict)
     dismissed: bool = False

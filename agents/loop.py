@@ -17,7 +17,8 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable
-from typing import Final, Generic, Literal, TypeAlias, TypeVar
+from copy import copy
+from typing import Final, Generic, Literal, Self, TypeAlias, TypeVar
 
 import msgspec
 
@@ -286,9 +287,12 @@ class AgentLoop(Generic[S]):
         )
         return now_ns
 
-    def use_instead(self, port: Port[Message], message: Message) -> None:
-        """Use another message of the same cycle than the one that came first."""
-        self._inputs[port].newest = message
+    def twin(self) -> Self:
+        """Return a loop in the same state, which goes its own way from here."""
+        twin = copy(self)
+        twin.dropped = self.dropped.copy()
+        twin._inputs = {port: copy(heard) for port, heard in self._inputs.items()}
+        return twin
 
     # Cycles ---------------------------------------------------------------------------------------
 

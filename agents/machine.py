@@ -31,11 +31,7 @@ _MAY_LOCK: Final = 14
 """CAP_IPC_LOCK of capabilities(7)."""
 
 _POLICIES: Final = {
-    os.SCHED_OTHER: "other",
-    os.SCHED_BATCH: "batch",
-    os.SCHED_IDLE: "idle",
-    os.SCHED_FIFO: "fifo",
-    os.SCHED_RR: "rr",
+    getattr(os, f"SCHED_{name.upper()}"): name for name in ("other", "batch", "idle", "fifo", "rr")
 }
 
 
@@ -62,19 +58,29 @@ def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tu
     To be called before the bus is opened, since that starts threads. Returns what the machine does
     not permit, and why: the process goes on without it.
     """
-    refused: list[str | None] = []
+    refused = []
     if cpus := settings.cpus_of.get(kind, settings.cpus):
-        refused.append(_run_on(cpus))
+        try:
+            os.sched_setaffinity(0, cpus)
+        except OSError as error:
+            refused.append(f"CPU {', '.join(map(str, cpus))}: not taken ({error.strerror})")
     if lockstep:
         # Do not interrupt the running process when woken: it may have more messages to send.
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     elif kind != "recorder":
         wake_precisely()
-        if settings.priority:
-            refused.append(_run_first(settings.priority))
+        priority = settings.priority
+        try:
+            if priority:
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except OSError as error:
+            refused.append(
+                f"priority {priority}: the kernel refuses SCHED_FIFO ({error.strerror}), so the "
+                f"run keeps the normal policy; it takes CAP_SYS_NICE, or `ulimit -r {priority}`"
+            )
         if settings.lock_memory:
-            refused.append(_lock_memory())
-    return tuple(refusal for refusal in refused if refusal is not None)
+            refused += _lock_refusal() or _lock_memory()
+    return tuple(refused)
 
 
 def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
@@ -87,8 +93,7 @@ def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
     in_a_thread = msgspec.structs.replace(settings, lock_memory=False)
     with ThreadPoolExecutor(1) as thread:
         found = thread.submit(take_machine, in_a_thread, "direct", lockstep=lockstep).result()
-    refusal = _lock_refusal() if settings.lock_memory and not lockstep else None
-    return found if refusal is None else (*found, refusal)
+    return (*found, *(_lock_refusal() if settings.lock_memory and not lockstep else ()))
 
 
 def wake_precisely() -> None:
@@ -96,49 +101,26 @@ def wake_precisely() -> None:
     ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, 1)
 
 
-def _run_on(cpus: tuple[int, ...]) -> str | None:
-    try:
-        os.sched_setaffinity(0, cpus)
-    except OSError as error:
-        return f"CPU {', '.join(map(str, cpus))}: not taken ({error.strerror})"
-    return None
-
-
 def stand_back() -> None:
     """Lower the priority of this thread, but not of the threads that receive messages."""
     os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)
 
 
-def _run_first(priority: int) -> str | None:
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError as error:
-        return (
-            f"priority {priority}: the kernel refuses SCHED_FIFO ({error.strerror}), so the run "
-            f"keeps the normal policy; it takes CAP_SYS_NICE, or `ulimit -r {priority}`"
-        )
-    return None
+def _lock_memory() -> list[str]:
+    failed = ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_ALL)
+    return [_not_locked(os.strerror(ctypes.get_errno()))] if failed else []
 
 
-def _lock_memory() -> str | None:
-    refusal = _lock_refusal()
-    if refusal is not None:
-        return refusal
-    if ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_ALL):
-        return _not_locked(os.strerror(ctypes.get_errno()))
-    return None
-
-
-def _lock_refusal() -> str | None:
-    """Say why this machine does not let a process lock all its memory, None if it does.
+def _lock_refusal() -> list[str]:
+    """Say why this machine does not let a process lock all its memory; nothing if it does.
 
     A limit that suffices at first is as good as none: what the process maps later, such as the
     stacks of its threads, would be refused beyond it.
     """
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit == resource.RLIM_INFINITY or _has_capability(_MAY_LOCK):
-        return None
-    return _not_locked(f"the limit is {limit // 1024:,} KiB")
+        return []
+    return [_not_locked(f"the limit is {limit // 1024:,} KiB")]
 
 
 def _not_locked(why: str) -> str:

@@ -18,9 +18,9 @@ from msgspec.structs import replace
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, total
 from agents.control.correction import corrected
-from agents.control.neighbours import HelpOrder, help_order
-from agents.control.request import residual_kw
-from agents.dispatch import own_request_kw, usable_kw
+from agents.control.neighbours import help_order
+from agents.control.request import residual_kw, usable_dispatch_kw
+from agents.dispatch import own_request_kw
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
@@ -64,19 +64,27 @@ class _Child:
     setpoint: Port[Setpoint]
 
 
-class Children:
-    """A parent's children: what they report, and how a target is divided among them."""
+class Parent:
+    """What all parents do: hear what their children report, and divide a target among them."""
+
+    may_skip = True
 
     def __init__(self, plan: RunPlan, node: str) -> None:
         tree = plan.tree
+        self.name = agent_name(node)
         self._children = tuple(
             _Child(path, tree.rating_kw(path), IMPP.of(path), RESIDUAL.of(path), SETPOINT.of(path))
             for path in tree.children(node)
         )
         self._ratings_kw = tuple(child.rating_kw for child in self._children)
-        self.rating_kw = tree.rating_kw(node)
+        self._rating_kw = tree.rating_kw(node)
         self._own = (IMPP.of(node), RESIDUAL.of(node), HELP.of(node))
         self._dispatch = DISPATCH.of(ROOT)
+        self._inputs: tuple[Port[Message], ...] = (
+            *(port for child in self._children for port in (child.impp, child.residual)),
+            self._dispatch,
+        )
+        self._periods = plan.periods
         self._hold_cycles = plan.hold_cycles
         self._floor = plan.alpha_floor
         self._tops_up_old = plan.scheme == "predictive"
@@ -85,9 +93,6 @@ class Children:
         self._from_times_ns = [hour.from_time_ns for hour in hours]
         alike = [[0.0] * len(self._children)] * len(self._children)
         self._orders = [help_order(hour.correlation) for hour in hours] or [help_order(alike)]
-        self.ports: tuple[Port[Message], ...] = tuple(
-            port for child in self._children for port in (child.impp, child.residual)
-        )
 
     def reports(self, turn: Turn) -> list[Report]:
         """Return what each child reports.
@@ -132,12 +137,13 @@ class Children:
         """
         tops_up = self._tops_up or (self._tops_up_old and any(r.is_old for r in reports))
         silent_kw = total([report.impp_kw for report in reports if report.is_silent])
-        power_kw, share_kw, donors, needy, given_kw, _ = allocate(
+        hour = max(bisect_right(self._from_times_ns, turn.sim_time_ns) - 1, 0)
+        power_kw, share_kw, donors, needy, given_kw = allocate(
             max(target_kw - silent_kw, 0.0),
             self._ratings_kw,
             [0.0 if report.is_silent else report.impp_kw for report in reports],
             self._floor,
-            self._order_at(turn.sim_time_ns),
+            self._orders[hour],
             tops_up,
         )
         help_given: list[tuple[HelpGiven, ...]] = [()] * len(self._children)
@@ -158,26 +164,16 @@ class Children:
             )
         ]
 
-    def _order_at(self, sim_time_ns: int) -> HelpOrder:
-        return self._orders[max(bisect_right(self._from_times_ns, sim_time_ns) - 1, 0)]
 
-
-class Supervisor:
+class Supervisor(Parent):
     """Balances need and headroom within its cluster, and asks its parent for the rest."""
 
-    may_skip = True
-
     def __init__(self, plan: RunPlan, node: str) -> None:
-        self.name = node
-        self._children = Children(plan, node)
-        self._periods = plan.periods
-        self._dispatch = DISPATCH.of(ROOT)
+        super().__init__(plan, node)
         self._setpoint = SETPOINT.of(node)
-        reports = self._children.ports
-        report = Stage("report", (*reports, self._dispatch))
-        solve_used = (*reports, self._dispatch)
-        self._with_parent = (report, Stage("solve", (self._setpoint,), solve_used))
-        self._alone = (report, Stage("solve", (), (self._setpoint, *solve_used)))
+        report = Stage("report", self._inputs)
+        self._with_parent = (report, Stage("solve", (self._setpoint,), self._inputs))
+        self._alone = (report, Stage("solve", (), (self._setpoint, *self._inputs)))
         self._between_turns = (report,)
 
     def initial_state(self) -> None:
@@ -191,15 +187,15 @@ class Supervisor:
         return self._with_parent if parent_acts else self._alone
 
     def step(self, state: None, turn: Turn) -> tuple[None, list[Delivery]]:
-        reports = self._children.reports(turn)
+        reports = self.reports(turn)
         if turn.stage == "report":
-            return None, self._children.report_up(turn, reports)
+            return None, self.report_up(turn, reports)
         setpoint = turn.get(self._setpoint)
-        request_kw = own_request_kw(turn.get(self._dispatch), self._children.rating_kw)
+        request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw)
         target_kw = request_kw if setpoint is None else setpoint.power_kw
         if target_kw is None:
             return None, []
-        return None, self._children.setpoints(turn, target_kw, reports)
+        return None, self.setpoints(turn, target_kw, reports)
 
 
 class CentralState(msgspec.Struct, frozen=True, gc=False):
@@ -220,22 +216,16 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     clamped: int = 0
 
 
-class CentralController:
+class CentralController(Parent):
     """Takes the operator's dispatch and moves power between clusters to meet it."""
 
-    may_skip = True
-
     def __init__(self, plan: RunPlan) -> None:
-        self.name = agent_name(ROOT)
-        self._children = Children(plan, ROOT)
-        self._periods = plan.periods
+        super().__init__(plan, ROOT)
         self._corrects = plan.correction
         self._cycle_s = plan.cycle_ns / 1e9
-        self._dispatch = DISPATCH.of(ROOT)
         self._meter = METER.of(ROOT)
         self._notice = NOTICE.of(ROOT)
-        inputs = (*self._children.ports, self._dispatch, self._meter)
-        self._stages = (Stage("solve", inputs),)
+        self._stages = (Stage("solve", (*self._inputs, self._meter)),)
 
     def initial_state(self) -> CentralState:
         return CentralState()
@@ -246,22 +236,26 @@ class CentralController:
 
     def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
         """Report for the plant as a whole, and divide the dispatch."""
-        reports = self._children.reports(turn)
-        outputs = self._children.report_up(turn, reports)
+        reports = self.reports(turn)
+        outputs = self.report_up(turn, reports)
         state = self._read_meter(state, turn.get(self._meter))
         dispatch = turn.get(self._dispatch)
         if dispatch is None:
             return state, outputs
-        if usable_kw(dispatch) != dispatch.power_kw and dispatch.cycle == turn.cycle:
+        usable_kw = usable_dispatch_kw(dispatch.power_kw, dispatch.plant_rating_kw)
+        if usable_kw != dispatch.power_kw and dispatch.cycle == turn.cycle:
+            # Regulation downwards may ask for more than there is to take back.
+            what = "0 kW" if usable_kw == 0.0 else f"the rating, {usable_kw:.10g} kW"
+            text = f"dispatch of {dispatch.power_kw:.10g} kW clamped to {what}"
             state = replace(state, clamped=state.clamped + 1)
-            outputs.append((self._notice, _clamped(turn, dispatch, state.clamped)))
+            outputs.append((self._notice, Notice(*turn.stamp, text=text, count=state.clamped)))
         if self._periods.is_turn(ROOT, turn.cycle):
             possible_kw = total([report.impp_kw for report in reports])
             # The way down to the inverters is taken to be as long as that of their reports up.
             delay = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
-            state = self._correct(state, usable_kw(dispatch), possible_kw, delay * self._cycle_s)
-            target_kw = min(state.wanted_kw + state.correction_kw, self._children.rating_kw)
-            outputs += self._children.setpoints(turn, target_kw, reports)
+            state = self._correct(state, usable_kw, possible_kw, delay * self._cycle_s)
+            target_kw = min(state.wanted_kw + state.correction_kw, self._rating_kw)
+            outputs += self.setpoints(turn, target_kw, reports)
         return state, outputs
 
     def _read_meter(self, state: CentralState, meter: Meter | None) -> CentralState:
@@ -286,18 +280,10 @@ class CentralController:
                 state.wanted_kw,
                 state.metered_kw / state.readings,
                 dispatch_kw >= possible_kw,
-                self._children.rating_kw,
+                self._rating_kw,
                 state.readings * self._cycle_s,
                 delay_s,
             )
         return replace(
             state, correction_kw=correction_kw, wanted_kw=dispatch_kw, metered_kw=0.0, readings=0
         )
-
-
-def _clamped(turn: Turn, dispatch: Dispatch, count: int) -> Notice:
-    # Regulation downwards may ask for more than there is to take back.
-    to_kw = usable_kw(dispatch)
-    what = "0 kW" if to_kw == 0.0 else f"the rating, {to_kw:.10g} kW"
-    text = f"dispatch of {dispatch.power_kw:.10g} kW clamped to {what}"
-    return Notice(*turn.stamp, text=text, count=count)

@@ -6,6 +6,7 @@ reading one takes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
@@ -15,13 +16,11 @@ import msgspec
 from msgspec.structs import asdict, replace
 
 from agents.control.forecast import HIDDEN_ALPHA_MIN
-from agents.cycle import Deadlines
+from agents.cycle import Deadlines, Periods
 from agents.machine import MachineSettings
-from agents.periods import Periods
 from agents.settings import Actuator, InverterSettings, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError
-from bus_schemas.fault_checks import check_rule
-from bus_schemas.faults import FaultRule
+from bus_schemas.faults import FaultRule, check_rule
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links, explicit_links
 from bus_schemas.messages import PROTOCOL, Message, Run
@@ -228,10 +227,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @cached_property
     def network_faults(self) -> NetworkFaults:
         """The faults of the network, at work."""
-        return self.faults_at_work()
-
-    def faults_at_work(self) -> NetworkFaults:
-        """Return the faults of the network, with nothing done yet."""
         return NetworkFaults(self.faults, self.faults_seed, self.tree, self.cycle_ns)
 
     @cached_property
@@ -324,26 +319,25 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
 def check_plan(plan: RunPlan) -> None:
     """Check what the types of the fields do not tell."""
     check_size(plan.cycles, len(plan.tree.leaves), "cycles")
-    if not 0 < plan.cycle_ns <= LONGEST_CYCLE_NS:
-        raise InputError(
-            f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, got {plan.cycle_ns:,}"
-        )
     for number, rule in enumerate(plan.faults):
         check_rule(rule, plan.tree, f"faults[{number}]", plan.external, plan.addresses)
+    for objection in _objections(plan):
+        raise InputError(objection)
+
+
+def _objections(plan: RunPlan) -> Iterator[str]:
+    leaves, height = plan.tree.leaves, plan.tree.height
+    if not 0 < plan.cycle_ns <= LONGEST_CYCLE_NS:
+        yield f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, got {plan.cycle_ns:,}"
     for number, entry in enumerate(plan.settings):
-        if not any(fnmatchcase(leaf, entry.nodes) for leaf in plan.tree.leaves):
-            raise InputError(
-                f"plant.settings[{number}].nodes: expected inverters "
-                f"({some_of(plan.tree.leaves)}) or a pattern such as c1/*, got {entry.nodes!r}"
-            )
-    height, periods = plan.tree.height, len(plan.periods.cycles)
-    if periods != height:
-        raise InputError(
-            f"period_cycles: expected an entry for each of the {height} tiers that have children, "
-            f"got {periods}"
-        )
-    if len(plan.tier_deadlines_ns) not in {0, height + 1}:
-        raise InputError(
-            f"tier_deadlines_ns: expected an entry for each of the {height + 1} tiers, or none, "
-            f"got {len(plan.tier_deadlines_ns)}"
-        )
+        if not any(fnmatchcase(leaf, entry.nodes) for leaf in leaves):
+            known = f"inverters ({some_of(leaves)}) or a pattern such as c1/*"
+            yield f"plant.settings[{number}].nodes: expected {known}, got {entry.nodes!r}"
+    entries = len(plan.periods.cycles)
+    if entries != height:
+        tiers = f"each of the {height} tiers that have children"
+        yield f"period_cycles: expected an entry for {tiers}, got {entries}"
+    entries = len(plan.tier_deadlines_ns)
+    if entries not in {0, height + 1}:
+        tiers = f"each of the {height + 1} tiers, or none"
+        yield f"tier_deadlines_ns: expected an entry for {tiers}, got {entries}"

@@ -6,9 +6,7 @@ import ctypes
 import gc
 import logging
 import signal
-import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from math import inf
 from typing import Any, Final
@@ -53,31 +51,25 @@ _STOP_PATIENCE_S: Final = 10.0
 
 
 def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
-    """Ask the kernel for a signal when the parent of this process dies, where it can (Linux)."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, int(death_signal))
+    """Ask the kernel for a signal when the parent of this process dies."""
+    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, int(death_signal))
 
 
 def run_controller(plan: RunPlan, name: str, link: LauncherLink, *, rejoins: bool = False) -> int:
     """Take a controller through a run; `rejoins`: that is under way. Returns the exit status."""
-    return run_guarded(
-        name, link, lambda: _run_controller(plan, name, link, rejoins), expected=(FailureError,)
-    )
+
+    def run() -> None:
+        while not _take_part(plan, name, link, rejoins):
+            log.info("%s forgets the run: the plant has gone", name)
+
+    return run_guarded(name, link, run)
 
 
-def run_guarded(
-    name: str,
-    link: LauncherLink,
-    run: Callable[[], None],
-    expected: tuple[type[Exception], ...] = (),
-) -> int:
-    """Run an agent; tell the launcher if it gives up. Returns the exit status.
-
-    The text of an `expected` error is enough for the user: no traceback is logged.
-    """
+def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
+    """Run an agent; tell the launcher if it gives up. Returns the exit status."""
     try:
         run()
-    except expected as error:
+    except FailureError as error:  # Its text is enough for the user.
         log.error("%s gives up: %s", name, error)
         link.tell(Failed(str(error)))
         return 1
@@ -86,11 +78,6 @@ def run_guarded(
         link.tell(Failed(f"{type(error).__name__}: {error}"))
         return 1
     return 0
-
-
-def _run_controller(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> None:
-    while not _take_part(plan, name, link, rejoins):
-        log.info("%s forgets the run: the plant has gone", name)
 
 
 def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> bool:
@@ -103,7 +90,7 @@ def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> b
             for _ in process.drive():
                 if link.dismissed:
                     break
-                if process.plant_is_gone():
+                if process.plant_is_gone() and not process.loop.finished:
                     if link.by_hand:
                         return False
                     raise FailureError("the plant is gone")
@@ -145,7 +132,6 @@ class AgentProcess:
     ) -> None:
         self.plan = plan
         self.link = link
-        self._drop_log = DropLog()
         set_up_process(plan, agent.name)
         self._is_away = is_away = (name or agent.name) in plan.addresses
         self._tell_at = 0.0
@@ -161,12 +147,12 @@ class AgentProcess:
         self._faults: FaultyBus | None = None
         if plan.network_faults.concern(agent.name):
             self._faults = FaultyBus(self._bus, agent.name, plan.network_faults)
-        self.loop = AgentLoop(agent, plan, self._drop_log, name)
+        self.loop = AgentLoop(agent, plan, DropLog(), name)
         self.driver: Driver = EagerDriver(self.loop, self._bus)
         if self._faults is not None or agent.name == PLANT:
             self.driver = Driver([self.loop], self._faults or self._bus, self._bus.now_ns)
-        self.watch_alive = self._bus.watch_alive
-        self._presence = self._bus.watch_presence() if is_away or link.by_hand else None
+        self.watch_tokens = self._bus.watch_tokens
+        self._tokens = self.watch_tokens() if is_away or link.by_hand else None
         self._plant_left_at = inf
         link.tell(Joined())
 
@@ -209,7 +195,7 @@ class AgentProcess:
 
         Nobody else ends an agent there, or one that was started by hand, if the launcher dies.
         """
-        for key, is_there in self._presence() if self._presence is not None else ():
+        for key, is_there in self._tokens.changes() if self._tokens is not None else ():
             if key == self.plan.keys.alive_key(PLANT):
                 self._plant_left_at = inf if is_there else time.monotonic()
                 if self.link.by_hand and not is_there:
@@ -220,9 +206,9 @@ class AgentProcess:
         """Join a run in lockstep, where the others wait: ask them for what they have said last."""
         heard = self.plan.wiring.heard[self.loop.agent.name]
         publishers = {self.plan.keys.alive_key(port.publisher) for port in heard}
-        alive = self.watch_alive()
+        tokens = self.watch_tokens()
         while self.loop.cycle < 0 and not self.link.dismissed:
-            if publishers <= alive():
+            if publishers <= tokens.alive():
                 for _, port, message, time_ns in self._bus.newest():
                     self.loop.hear(port, message, time_ns)
             time.sleep(_LOOK_S)
@@ -231,19 +217,13 @@ class AgentProcess:
         """Tell the launcher what went out and what was not used."""
         self.driver.stop()
         loop = self.loop
-        causes: dict[str, dict[str, int]] = {}
-        for (port, reason), number in loop.dropped.items():
-            causes.setdefault(port, {})[reason] = number
-        flooded = self._bus.flooded + (self._faults.flooded if self._faults else Counter())
-        for cause, counts in (("undecodable", self._bus.undecodable), ("flooded", flooded)):
-            for port, number in counts.items():
-                causes.setdefault(port, {})[cause] = number
+        dropped = (*loop.dropped.items(), *self._bus.dropped.items())
         self.link.tell(
             Finished(
                 published=dict(self._bus.outbox.published),
-                dropped=causes,
+                dropped=[(port, cause, number) for (port, cause), number in dropped],
                 skipped_cycles=loop.skipped_cycles,
-                faults=self._faults.tally.as_counts() if self._faults else {},
+                faults=dict(+self._faults.tally) if self._faults else {},
                 dismissed=self.link.dismissed and loop.cycle < self.plan.cycles,
             )
         )

@@ -1,21 +1,32 @@
-"""How an agent of a plan joins the bus: its links, its identity, and what it lets the others do."""
+"""How an agent of a plan joins the bus: its links, its identity, and what it lets the others do.
+
+Every agent enforces its own rules on each of its links. As each pair of agents has a link of its
+own and peers do not relay, the other end of a link is the publisher of what comes over it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 from agents.plan import RunPlan
-from bus_schemas.access import Subject, access_rules, common_name, password, session_id
 from bus_schemas.links import Links
-from bus_schemas.tree import agent_of
-from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
+from bus_schemas.tree import RECORDER, agent_of
+from bus_schemas.zenoh_bus import TAP_BATCH_BYTES, KeyFiles, SessionSettings
 
 _LARGEST_BYTES = 65_536
 _BYTES_PER_INVERTER = 64
 """A message is not larger than this: the plant's `production` has two numbers for each inverter,
 and `missing` names a few inputs of each child."""
+
+_LONGEST_COMMON_NAME = 64
+"""Characters, by RFC 5280."""
+
+Subjects: TypeAlias = dict[str, dict[str, list[str]]]
+"""By agent, how Zenoh recognises it at the other end of a link. An entry for the empty name stands
+for anybody: of them the recorder hears all, so that it can name who says what they may not."""
 
 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
@@ -26,12 +37,11 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     """
     if plan.keys_folder:
         keys = KeyFiles.of(Path(plan.keys_folder), agent_of(agent))
-        subjects: dict[str, Subject] = {
+        subjects: Subjects = {
             peer: {"cert_common_names": [common_name(agent_of(peer))]}
             for peer in plan.links.peers(agent)
         }
-        settings = _settings(plan, agent, plan.links, plan.tcp_ports, subjects)
-        return replace(settings, keys=keys)
+        return _settings(plan, agent, plan.links, plan.tcp_ports, subjects, keys.config())
     if not plan.secret:
         return _settings(plan, agent, plan.links, plan.tcp_ports)
     devices = None
@@ -44,40 +54,118 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     for top, below in links.pairs:
         if top == agent:
             subjects[below]["usernames"] = [below]
-    return replace(
-        _settings(plan, agent, links, plan.agent_ports or plan.tcp_ports, subjects | {"": {}}),
-        session_id=session_id(plan.secret, agent),
-        user=agent,
-        password=password(plan.secret, agent),
-        users_file=plan.users_file,
-        devices=devices,
-    )
+    own: dict[str, object] = {
+        "id": session_id(plan.secret, agent),
+        "transport/auth/usrpwd/user": agent,
+        "transport/auth/usrpwd/password": password(plan.secret, agent),
+        "transport/auth/usrpwd/dictionary_file": plan.users_file,
+    }
+    ports = plan.agent_ports or plan.tcp_ports
+    return replace(_settings(plan, agent, links, ports, subjects | {"": {}}, own), devices=devices)
 
 
 def _settings(
     plan: RunPlan,
     agent: str,
     links: Links,
-    tcp_ports: Mapping[str, int],
-    subjects: Mapping[str, Subject] | None = None,
+    tcp_ports: dict[str, int],
+    subjects: Subjects | None = None,
+    further: dict[str, object] | None = None,
 ) -> SessionSettings:
     listen, connect = links.endpoints(agent, tcp_ports, plan.host_of)
-    access = None
+    largest_bytes = _LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters)
+    further = {"transport/link/rx/max_message_size": largest_bytes, **(further or {})}
+    if plan.external:  # zenoh-pico closes a link that is idle for 10 s.
+        further["transport/link/tx/keep_alive"] = 12
+    if agent == RECORDER:
+        further["transport/link/tx/batch_size"] = TAP_BATCH_BYTES
     if subjects is not None:
-        access = access_rules(agent, plan.bus_namespace, plan.keys, plan.wiring, links, subjects)
+        further["access_control"] = _access_rules(plan, agent, links, subjects)
     return SessionSettings(
-        plan.bus_namespace,
-        listen,
-        connect,
-        lockstep=plan.lockstep,
-        largest_bytes=_LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters),
-        # zenoh-pico closes a link that is idle for 10 s.
-        signs_of_life=12 if plan.external else 4,
-        access=access,
-        peers=links.peers(agent),
+        plan.bus_namespace, listen, connect, plan.lockstep, further, links.peers(agent)
     )
+
+
+def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -> dict[str, object]:
+    """Return an agent's rules as Zenoh's configuration wants them: what is not allowed is refused.
+
+    They follow from who publishes and who hears what in the run.
+    """
+    keys, wiring = plan.keys, plan.wiring
+    rules: list[dict[str, object]] = []
+    policies: list[dict[str, object]] = []
+
+    def add(
+        rule: str, flows: list[str], messages: list[str], keys: list[str], permission: str = "allow"
+    ) -> str:
+        key_exprs = [f"{plan.bus_namespace}/{key}" for key in keys]
+        one = {"id": rule, "permission": permission, "flows": flows, "messages": messages}
+        rules.append({**one, "key_exprs": key_exprs})
+        return rule
+
+    def between(publisher: str, listener: str) -> list[str]:
+        """Keys of what one process may say to another: the recorder hears everything."""
+        return [
+            keys.key(port)
+            for port in wiring.published.get(agent_of(publisher), ())
+            if listener == RECORDER or listener in wiring.processes[port]
+        ]
+
+    listens = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"]
+    # In lockstep a process that replaces another asks for what it has missed.
+    listens += ["declare_queryable", "query"]
+    of_all = [
+        add("subscriptions", ["ingress", "egress"], listens, [f"{keys.plant}/**"]),
+        add("own token", ["egress"], ["liveliness_token"], [keys.alive_key(agent)]),
+    ]
+    for peer in links.peers(agent):
+        own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], [keys.alive_key(peer)])]
+        if heard := between(peer, agent):
+            own.append(add(f"from {peer}", ["ingress"], ["put", "reply"], heard))
+        if told := between(agent, peer):
+            own.append(add(f"to {peer}", ["egress"], ["put", "reply"], told))
+        policies.append({"rules": [*of_all, *own], "subjects": [peer]})
+    known = {peer: subjects[peer] for peer in links.peers(agent)}
+    if agent == RECORDER and "" in subjects:
+        known["anybody"] = subjects[""]
+        from_anybody = add("from anybody", ["ingress"], ["put"], ["**"])
+        # What a client says, peers pass on to whoever may hear it from them.
+        own_keys = [keys.key(port) for port in wiring.published[agent]]
+        not_own = add("not in its name", ["ingress"], ["put"], own_keys, "deny")
+        policies.append({"rules": [*of_all, from_anybody, not_own], "subjects": ["anybody"]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": name, **subject} for name, subject in known.items()],
+        "policies": policies,
+    }
+
+
+def session_id(secret: str, agent: str) -> str:
+    """Return the Zenoh id of an agent's session in a run with this secret.
+
+    Whoever links with the agent learns it.
+    """
+    return f"a{_digest(secret, f'id of {agent}')}"  # Zenoh accepts no leading zero.
+
+
+def password(secret: str, agent: str) -> str:
+    """Return what an agent proves itself with, in a run with this secret, where it connects to."""
+    return _digest(secret, f"password of {agent}")
 
 
 def users(plan: RunPlan) -> str:
     """Return the users and passwords of a run, as Zenoh reads them from a file."""
     return "".join(f"{agent}:{password(plan.secret, agent)}\n" for agent in plan.processes)
+
+
+def _digest(secret: str, text: str) -> str:
+    return hashlib.blake2b(text.encode(), key=secret.encode(), digest_size=15).hexdigest()
+
+
+def common_name(agent: str) -> str:
+    """Return the name that an agent's certificate is for."""
+    if len(agent) <= _LONGEST_COMMON_NAME:
+        return agent
+    return hashlib.blake2b(agent.encode(), digest_size=32).hexdigest()

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 import heliarch
 from agents.plan import RunPlan, load_plan
-from bus_schemas.access import password, session_id
+from agents.session import password, session_id
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Run
@@ -163,7 +163,8 @@ def ports_of(plan: RunPlan, attack: Attack) -> list[Port[Any]]:
 def sessions_of(attacker: Attacker, plan: RunPlan, keys: Path) -> Iterator[Sessions]:
     """Link an attacker with every agent that listens."""
     own = KeyFiles.of(keys / attacker.folder, attacker.agent) if attacker.agent else None
-    settings = SessionSettings(plan.bus_namespace, [], [], lockstep=False, keys=own)
+    further = own.config() if own else {}
+    settings = SessionSettings(plan.bus_namespace, [], [], lockstep=False, further=further)
     host = "tls/127.0.0.1" if own else "tcp/127.0.0.1"
     ports = (*plan.tcp_ports.values(), *plan.agent_ports.values())
 
@@ -172,11 +173,14 @@ def sessions_of(attacker: Attacker, plan: RunPlan, keys: Path) -> Iterator[Sessi
             yield "", settings, ("peer", "client")
             return
         for agent in plan.tree.agents():
-            forged = replace(settings, session_id=session_id(plan.secret, agent))
-            yield agent, forged, ("peer",)
+            forged: dict[str, object] = {"id": session_id(plan.secret, agent)}
+            yield agent, replace(settings, further=forged), ("peer",)
             if attacker.folder == "plan":
-                proof = password(plan.secret, agent)
-                yield agent, replace(forged, user=agent, password=proof), ("peer",)
+                proof = {
+                    "transport/auth/usrpwd/user": agent,
+                    "transport/auth/usrpwd/password": password(plan.secret, agent),
+                }
+                yield agent, replace(settings, further=forged | proof), ("peer",)
 
     configs = []
     for name, identity, modes in identities():

@@ -6,7 +6,6 @@ rules take from it or add to its time comes on top.
 
 from __future__ import annotations
 
-from collections import Counter
 from heapq import heappop, heappush
 from itertools import count
 from typing import Final
@@ -14,7 +13,7 @@ from typing import Final
 from bus_schemas.bus import Arrival
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import FaultTally, NetworkFaults
-from bus_schemas.signals import Occurrence, Port
+from bus_schemas.signals import Port
 from bus_schemas.zenoh_bus import ZenohBus
 
 _MOST_UNDER_WAY: Final = 100_000
@@ -25,13 +24,10 @@ class FaultyBus:
     """One agent's place on the bus, at the end of imperfect links.
 
     tally: What the faults did to messages.
-    flooded: Messages that found no room, by port.
     """
 
     def __init__(self, bus: ZenohBus, agent: str, faults: NetworkFaults) -> None:
         self.tally = FaultTally()
-        self.flooded: Counter[str] = Counter()
-        self.outbox = bus.outbox
         self._bus = bus
         self._agent = agent
         self._faults = faults
@@ -48,25 +44,16 @@ class FaultyBus:
         if self._under_way:
             due_ns = self._under_way[0][0]
             until_ns = due_ns if until_ns is None else min(until_ns, due_ns)
-        arrived = self._send_on(self._bus.receive(until_ns, wanted))
-        now_ns = self._bus.now_ns()
-        while self._under_way and self._under_way[0][0] <= now_ns:
-            arrived.append(heappop(self._under_way)[2])
-        return arrived
-
-    def _send_on(self, arrivals: list[Arrival]) -> list[Arrival]:
-        """Let messages go on to the end of their links; return those that no fault can touch."""
-        untouched = []
-        for arrival in arrivals:
-            if arrival.port.signal.occurrence is Occurrence.EVENT:
-                untouched.append(arrival)
-                continue
+        for arrival in self._bus.receive(until_ns, wanted):
             fate = self._faults.fates(arrival.port, self._agent, arrival.message)
             self.tally.count(fate)
             for delay_ns in fate:
-                if len(self._under_way) >= _MOST_UNDER_WAY:
-                    self.flooded[str(arrival.port)] += 1
+                if delay_ns and len(self._under_way) >= _MOST_UNDER_WAY:
+                    self._bus.dropped[str(arrival.port), "flooded"] += 1
                     continue
                 late = arrival._replace(time_ns=arrival.time_ns + delay_ns)
                 heappush(self._under_way, (late.time_ns, next(self._numbers), late))
-        return untouched
+        now_ns, arrived = self._bus.now_ns(), []
+        while self._under_way and self._under_way[0][0] <= now_ns:
+            arrived.append(heappop(self._under_way)[2])
+        return arrived

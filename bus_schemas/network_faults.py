@@ -8,10 +8,12 @@ memory, and when the run is repeated.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from collections import Counter
 from hashlib import blake2b
 from math import cos, log, pi, sqrt
 from typing import Final
+
+import msgspec
 
 from bus_schemas.faults import FaultRule, links
 from bus_schemas.messages import Message
@@ -24,29 +26,20 @@ UNHARMED: Final[tuple[int, ...]] = (0,)
 _LOST: Final[tuple[int, ...]] = ()
 
 
-@dataclass(slots=True)
-class FaultTally:
+class FaultTally(Counter[str]):
     """What faults did to messages: of a lost one no copy arrived."""
 
-    lost: int = 0
-    duplicated: int = 0
-    delayed: int = 0
-
     def count(self, fate: tuple[int, ...]) -> None:
-        self.lost += not fate
-        self.duplicated += len(fate) > 1
-        self.delayed += any(fate)
-
-    def as_counts(self) -> dict[str, int]:
-        """Return what was done to messages and how often, as far as it was done."""
-        counts = {"lost": self.lost, "duplicated": self.duplicated, "delayed": self.delayed}
-        return {name: count for name, count in counts.items() if count}
+        self.update(lost=not fate, duplicated=len(fate) > 1, delayed=any(fate))
 
 
-@dataclass(slots=True)
-class RuleActs:
-    """Messages to which a rule did something on the way to a listener, and in which cycles."""
+class FaultAct(msgspec.Struct):
+    """What a rule did: to how many messages, and in which cycles.
 
+    A message counts once for each listener that it was lost, delayed or doubled for.
+    """
+
+    rule: FaultRule
     messages: int = 0
     first_cycle: int | None = None
     last_cycle: int | None = None
@@ -73,14 +66,14 @@ class NetworkFaults:
     def __init__(
         self, rules: tuple[FaultRule, ...], seed: int, tree: ControlTree, cycle_ns: int
     ) -> None:
-        self.acts = tuple(RuleActs() for _ in rules)
+        self.acts = tuple(map(FaultAct, rules))
         self._cycle_s = cycle_ns / 1e9
         self._rules_on: dict[tuple[Port[Message], str], list[_RuleOnLink]] = {}
         for port, listener in links(tree):
             for number, rule in enumerate(rules):
                 if rule.acts_on(port, listener):
                     seed_text = f"{seed} {number} {port} {listener}"
-                    at_work = _RuleOnLink(rule, self.acts[number], seed_text)
+                    at_work = _RuleOnLink(self.acts[number], seed_text)
                     self._rules_on.setdefault((port, listener), []).append(at_work)
         self._listeners = {listener for _, listener in self._rules_on}
 
@@ -99,7 +92,7 @@ class NetworkFaults:
         time_s = cycle * self._cycle_s
         silent = [each for each in rules if each.rule.is_silent(time_s)]
         for each in silent:
-            each.acts.add(cycle)
+            each.act.add(cycle)
         if silent:
             return _LOST
         delays_ms = [0.0]
@@ -108,16 +101,16 @@ class NetworkFaults:
                 before_ms = delays_ms
                 delays_ms = each.pass_on(cycle, before_ms)
                 if delays_ms != before_ms:
-                    each.acts.add(cycle)
+                    each.act.add(cycle)
         return tuple(round(delay_ms * 1e6) for delay_ms in delays_ms)
 
 
 class _RuleOnLink:
     """One rule on one link. Its draws are words of a hash, so they need no memory of each other."""
 
-    def __init__(self, rule: FaultRule, acts: RuleActs, seed_text: str) -> None:
-        self.rule = rule
-        self.acts = acts
+    def __init__(self, act: FaultAct, seed_text: str) -> None:
+        self.rule = act.rule
+        self.act = act
         self._hash = blake2b(seed_text.encode())
 
     def pass_on(self, cycle: int, delays_ms: list[float]) -> list[float]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from math import fsum
 from typing import Final
 
@@ -69,38 +70,40 @@ class ControlTree:
     inverters: tuple[tuple[str, float], ...]
 
     def __post_init__(self) -> None:
-        if not 0 < len(self.inverters) <= MOST_INVERTERS:
-            raise InputError(
-                f"control tree: expected 1 to {MOST_INVERTERS:,} inverters, got "
-                f"{len(self.inverters):,}"
-            )
+        for objection in self._objections():
+            raise InputError(f"control tree{objection}")
+
+    def _objections(self) -> Iterator[str]:
+        count = len(self.inverters)
+        if not 0 < count <= MOST_INVERTERS:
+            yield f": expected 1 to {MOST_INVERTERS:,} inverters, got {count:,}"
         seen: set[str] = set()
         for path, rating_kw in self.inverters:
-            _check_leaf(path, rating_kw)
+            for part in path.split("/"):
+                check_name(part, f"control tree, node {path!r}")
+            if len(path) > LONGEST_PATH:
+                expected = f"a path of up to {LONGEST_PATH} characters"
+                yield f", node {path[:40]}...: expected {expected}, got {len(path):,}"
+            if not 0.0 < rating_kw <= LARGEST_RATING_KW:
+                expected = f"a number above 0 and up to {LARGEST_RATING_KW:g}"
+                yield f", node {path}: rating_kw: expected {expected}, got {rating_kw:g}"
             if path in seen:
-                raise InputError(f"control tree: two nodes are named {path}, names must differ")
+                yield f": two nodes are named {path}, names must differ"
             seen.add(path)
         for path, children in self._children_of.items():
             if path in seen:
-                raise InputError(
-                    f"control tree: {path} is an inverter and a cluster, it must be one"
-                )
+                yield f": {path} is an inverter and a cluster, it must be one"
             if len(children) > MOST_CHILDREN:
-                raise InputError(
-                    f"control tree: {agent_name(path)}: expected up to {MOST_CHILDREN:,} children, "
-                    f"got {len(children):,}: more need a tier between"
-                )
+                expected = f"up to {MOST_CHILDREN:,} children"
+                got = f"{len(children):,}: more need a tier between"
+                yield f": {agent_name(path)}: expected {expected}, got {got}"
 
     @cached_property
     def _children_of(self) -> dict[str, tuple[str, ...]]:
         children: dict[str, dict[str, None]] = {ROOT: {}}
         for leaf, _ in self.inverters:
-            parent = ROOT
-            parts = leaf.split("/")
-            for end in range(1, len(parts) + 1):
-                path = "/".join(parts[:end])
-                children.setdefault(parent, {})[path] = None
-                parent = path
+            for child, parent in pairwise((leaf, *ancestors(leaf))):
+                children.setdefault(parent, {})[child] = None
         return {path: tuple(kids) for path, kids in children.items()}
 
     @cached_property
@@ -191,23 +194,3 @@ def check_name(name: str, where: str) -> None:
         raise InputError(
             f"{where}: name: expected one that is not reserved ({reserved}), got {name!r}"
         )
-
-
-def _check_leaf(path: str, rating_kw: float) -> None:
-    for part in path.split("/"):
-        check_name(part, f"control tree, node {path!r}")
-    if len(path) > LONGEST_PATH:
-        raise InputError(
-            f"control tree, node {path[:40]}...: expected a path of up to {LONGEST_PATH} "
-            f"characters, got {len(path):,}"
-        )
-    if not 0.0 < rating_kw <= LARGEST_RATING_KW:
-        raise InputError(
-            f"control tree, node {path}: rating_kw: expected a number above 0 and up to "
-            f"{LARGEST_RATING_KW:g}, got {rating_kw:g}"
-        )
-
-
-def as_ratings(leaves: Sequence[str], ratings_kw: Sequence[float]) -> ControlTree:
-    """Make a tree from parallel sequences of paths and ratings [kW]."""
-    return ControlTree(tuple(zip(leaves, map(float, ratings_kw), strict=True)))

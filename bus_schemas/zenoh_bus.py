@@ -15,11 +15,11 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import msgspec
 import zenoh
@@ -28,7 +28,7 @@ from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.host_clock import HostClock
 from bus_schemas.keys import KeyTable
-from bus_schemas.messages import Message
+from bus_schemas.messages import LARGEST_PAYLOAD, Message
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal, Wiring
 from bus_schemas.tree import PLANT, RECORDER
 
@@ -49,7 +49,7 @@ still for less comes back to them. Among 1,000 inverters a short lease costs a p
 
 _NEVER: Final = 1 << 60
 _TAP_CAPACITY: Final = 24_576
-_TAP_BATCH_BYTES: Final = 16_384
+TAP_BATCH_BYTES: Final = 16_384
 """A message that waits keeps the buffer in memory that its batch came in, here some 21 kB: a full
 queue takes 512 MB. With Zenoh's own 64 kB it was 48 kB. The 16 batches of a link's queue still hold
 what a plant of 1,000 inverters sends at once."""
@@ -85,14 +85,17 @@ class KeyFiles:
     def config(self) -> dict[str, object]:
         """Return Zenoh's settings for links of TLS on which both ends show their certificate."""
         return {
-            "root_ca_certificate": str(self.authority),
-            "listen_certificate": str(self.certificate),
-            "listen_private_key": str(self.key),
-            "connect_certificate": str(self.certificate),
-            "connect_private_key": str(self.key),
-            "enable_mtls": True,
-            "verify_name_on_connect": True,
-            "close_link_on_expiration": True,
+            "transport/link/protocols": ["tls"],
+            "transport/link/tls": {
+                "root_ca_certificate": str(self.authority),
+                "listen_certificate": str(self.certificate),
+                "listen_private_key": str(self.key),
+                "connect_certificate": str(self.certificate),
+                "connect_private_key": str(self.key),
+                "enable_mtls": True,
+                "verify_name_on_connect": True,
+                "close_link_on_expiration": True,
+            },
         }
 
 
@@ -104,13 +107,7 @@ class SessionSettings:
     listen, connect: Endpoints, for instance `tcp/127.0.0.1:7447`.
     lockstep: In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In
         real time a message that cannot go out within 20 ms is dropped instead.
-    session_id: Zenoh's id of the session. Empty: any.
-    user, password: By which those whom the session connects to know it. Empty: by none.
-    users_file: Users and passwords of those who may connect to it. Empty: everybody may.
-    access: What the others may do, see `bus_schemas.access`. None: everything.
-    keys: For links of TLS. None: links of TCP.
-    largest_bytes: Larger messages are not received.
-    signs_of_life: On a link that is idle, in each lease.
+    further: More of Zenoh's own settings, by their names there.
     peers: Agents at the other ends of its links.
     devices: How the same agent joins those whom it does not ask for a password, in a second
         session. None: there is none of them.
@@ -120,14 +117,7 @@ class SessionSettings:
     listen: list[str]
     connect: list[str]
     lockstep: bool = True
-    session_id: str = ""
-    user: str = ""
-    password: str = ""
-    users_file: str = ""
-    access: dict[str, object] | None = None
-    keys: KeyFiles | None = None
-    largest_bytes: int = 1 << 20
-    signs_of_life: int = 4
+    further: dict[str, object] = field(default_factory=dict)
     peers: tuple[str, ...] = ()
     devices: SessionSettings | None = None
 
@@ -160,47 +150,28 @@ class SessionSettings:
             # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
             "transport/link/tx/queue/size/data": 16,
             "transport/link/tx/lease": LEASE_MS,
-            "transport/link/tx/keep_alive": self.signs_of_life,
-            "transport/link/rx/max_message_size": self.largest_bytes,
-            "transport/link/protocols": ["tcp" if self.keys is None else "tls"],
+            "transport/link/rx/max_message_size": LARGEST_PAYLOAD,
+            "transport/link/protocols": ["tcp"],
         }
         if self.lockstep:
             # By default a listener who stands still for 5 s is cut off, and lacks what is sent.
             settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = (
                 LEASE_MS * 1000
             )
-        if self.session_id:
-            settings["id"] = self.session_id
-        if self.user:
-            settings["transport/auth/usrpwd/user"] = self.user
-            settings["transport/auth/usrpwd/password"] = self.password
-        if self.users_file:
-            settings["transport/auth/usrpwd/dictionary_file"] = self.users_file
-        if self.access is not None:
-            settings["access_control"] = self.access
-        if self.keys is not None:
-            settings["transport/link/tls"] = self.keys.config()
-        for key, value in settings.items():
+        for key, value in (settings | self.further).items():
             config.insert_json5(key, json.dumps(value))
         return config
 
 
-def open_sessions(settings: SessionSettings, batch_bytes: int | None = None) -> list[zenoh.Session]:
+def open_sessions(settings: SessionSettings) -> list[zenoh.Session]:
     """Open an agent's session, and then that with devices if it has one."""
-    both = [settings] if settings.devices is None else [settings, settings.devices]
-    return [open_session(each, batch_bytes) for each in both]
+    return [open_session(each) for each in (settings, settings.devices) if each is not None]
 
 
-def open_session(settings: SessionSettings, batch_bytes: int | None = None) -> zenoh.Session:
-    """Open a session under the project's runtime settings, unless the user has set others.
-
-    `batch_bytes` limits the batches on all its links, in both directions.
-    """
+def open_session(settings: SessionSettings) -> zenoh.Session:
+    """Open a session under the project's runtime settings, unless the user has set others."""
     os.environ.setdefault("ZENOH_RUNTIME", ZENOH_RUNTIME)
-    config = settings.config()
-    if batch_bytes is not None:
-        config.insert_json5("transport/link/tx/batch_size", str(batch_bytes))
-    return zenoh.open(config)
+    return zenoh.open(settings.config())
 
 
 _this_thread = threading.local()
@@ -221,12 +192,12 @@ class Inbox:
 
     An agent that needs seventeen messages to go on is called once, not seventeen times.
 
-    flooded: Messages that found no room, by port.
+    dropped: Messages that found no room, by port and cause.
     on_enough: Called on Zenoh's thread. By default it wakes the agent's.
     """
 
     def __init__(self) -> None:
-        self.flooded: Counter[str] = Counter()
+        self.dropped: Counter[tuple[str, str]] = Counter()
         self.on_enough: Callable[[], None] = self.wake
         self._waiting: Counter[Port[Message]] = Counter()
         self._items: deque[tuple[Port[Message], zenoh.ZBytes, int]] = deque()
@@ -289,16 +260,71 @@ class Inbox:
         self._waiting[port] += 1
         if self._waiting[port] <= _MOST_OF_A_PORT:
             return True
-        self.flooded[str(port)] += 1
+        self.dropped[str(port), "flooded"] += 1
         return False
 
 
-class ZenohBus:
+class TokenWatch:
+    """The liveliness tokens of all agents that some sessions see."""
+
+    def __init__(self, sessions: Sequence[zenoh.Session], keys: KeyTable) -> None:
+        self._alive: set[str] = set()
+        self._subscribers = [
+            session.liveliness().declare_subscriber(
+                keys.alive_key("**"), zenoh.handlers.FifoChannel(_TAP_CAPACITY), history=True
+            )
+            for session in sessions
+        ]
+
+    def changes(self) -> Iterator[tuple[str, bool]]:
+        """Yield the key of each token that has come (True) or gone (False)."""
+        for subscriber in self._subscribers:
+            while (sample := subscriber.try_recv()) is not None:
+                yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+
+    def alive(self) -> set[str]:
+        """Return the keys of all tokens that are there."""
+        for key, is_there in self.changes():
+            (self._alive.add if is_there else self._alive.discard)(key)
+        return self._alive
+
+
+class _Place:
+    """An agent's sessions, open until the context is left."""
+
+    def __init__(self, keys: KeyTable, settings: SessionSettings) -> None:
+        self.outbox = Outbox()
+        self._keys = keys
+        self._sessions = open_sessions(settings)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close the sessions: an open one can hang the interpreter's exit."""
+        for session in self._sessions:
+            # With 1,000 links on a busy machine this takes longer than Zenoh waits. All has been
+            # said.
+            with suppress(zenoh.ZError):
+                session.close()
+
+    def watch_tokens(self) -> TokenWatch:
+        """Follow the liveliness tokens of all agents from now on."""
+        return TokenWatch(self._sessions, self._keys)
+
+    def _show_token(self, process: str) -> None:
+        key = self._keys.alive_key(process)
+        self._tokens = [session.liveliness().declare_token(key) for session in self._sessions]
+
+
+class ZenohBus(_Place):
     """One agent's place on the bus.
 
     patience_s: How long to wait for a message where the agent waits for no time of its own.
     process: Name of the process, where it is another one than the agent's.
     clock: Of the plant, where that is on another host.
+
+    dropped: Messages that could not be read or found no room, by port and cause.
     """
 
     def __init__(
@@ -311,70 +337,57 @@ class ZenohBus:
         process: str | None = None,
         clock: HostClock | None = None,
     ) -> None:
-        self.outbox = Outbox()
+        super().__init__(keys, settings)
         self.now_ns = time.monotonic_ns if clock is None else clock.now_ns
         self._clock = clock
-        self.undecodable: Counter[str] = Counter()
-        self._process = process or agent
-        self._keys = keys
-        self._patience_s = patience_s
         self.inbox = Inbox()
-        self._sessions = open_sessions(settings)
+        self.dropped = self.inbox.dropped
+        self._process = process or agent
+        self._patience_s = patience_s
         devices = set(() if settings.devices is None else settings.devices.peers)
         published, heard = wiring.published[agent], wiring.heard.get(agent, [])
         self._heard = frozenset(heard)
         many = _signals_of_many(published)
-        self._put = {
-            port: self._putter(
-                # What nobody hears there need not go there; the recorder hears all.
-                self._sessions[
-                    : 1 if devices.isdisjoint({RECORDER, *wiring.processes[port]}) else 2
-                ],
-                port,
-                settings.lockstep,
-                declared=port.signal not in many,
-            )
-            for port in published
-        }
+        self._puts: dict[Port[Message], list[Callable[[bytes], None]]] = {}
+        for port in published:
+            # What nobody hears there need not go there; the recorder hears all.
+            hears_there = not devices.isdisjoint({RECORDER, *wiring.processes[port]})
+            must_arrive = settings.lockstep or port.signal.occurrence is Occurrence.EVENT
+            self._puts[port] = [
+                _putter(session, keys.key(port), must_arrive, declared=port.signal not in many)
+                for session in self._sessions[: 2 if hears_there else 1]
+            ]
         many = _signals_of_many(heard)
         hear = self.inbox.callback
         by_key = {keys.key(port): hear(port) for port in heard if port.signal not in many}
         for signal in many:
             by_key[f"{keys.plant}/**/{signal.name}"] = _by_key(hear, heard, keys)
         self._subscribers = [
-            _subscribe(session, key, callback)
+            session.declare_subscriber(
+                key,
+                zenoh.handlers.Callback(callback, indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
             for session in self._sessions
             for key, callback in by_key.items()
         ]
-        self._newest: dict[Port[Message], bytes] | None = None
+        self._newest: dict[Port[Message], bytes] = {}
         if settings.lockstep:
-            self._newest = {}
             self._queryables = [
                 session.declare_queryable(
                     f"{keys.plant}/**", zenoh.handlers.Callback(self._answer, indirect=False)
                 )
                 for session in self._sessions
             ]
-        self._tokens = _tokens(self._sessions, keys.alive_key(self._process))
-
-    def __enter__(self) -> ZenohBus:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        _close(self._sessions)
-
-    @property
-    def flooded(self) -> Counter[str]:
-        """Messages that found no room, by port: more came than the agent could look at."""
-        return self.inbox.flooded
+        self._show_token(self._process)
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
         self.outbox.stamp(port, message, now_ns)
         payload = encode(message)
-        if self._newest is not None:
-            self._newest[port] = payload
-        self._put[port](payload)
+        self._newest[port] = payload
+        for put in self._puts[port]:
+            put(payload)
 
     def newest(self) -> list[Arrival]:
         """Return the newest messages of those that are heard in lockstep, the dispatch first."""
@@ -395,7 +408,7 @@ class ZenohBus:
 
     def _answer(self, query: zenoh.Query) -> None:
         with query:
-            for port, payload in list((self._newest or {}).items()):
+            for port, payload in list(self._newest.items()):
                 query.reply(self._keys.key(port), payload, encoding=ENCODING)
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> list[Arrival]:
@@ -423,7 +436,7 @@ class ZenohBus:
             try:
                 message = decode(port.signal, payload.to_bytes())
             except msgspec.DecodeError:
-                self.undecodable[str(port)] += 1
+                self.dropped[str(port), "undecodable"] += 1
             else:
                 came_ns = time_ns
                 if self._clock is not None:
@@ -433,63 +446,24 @@ class ZenohBus:
                 arrivals.append(Arrival(self._process, port, message, came_ns))
         return arrivals
 
-    def watch_alive(self) -> Callable[[], set[str]]:
-        """Follow the liveliness tokens of all agents; the result returns the keys seen now."""
-        return _TokenWatch(self._sessions, self._keys).alive
 
-    def watch_presence(self) -> Callable[[], Iterator[tuple[str, bool]]]:
-        """Follow them; the result yields the key of each that has come (True) or gone (False)."""
-        return _TokenWatch(self._sessions, self._keys).changes
-
-    def _putter(
-        self,
-        sessions: Sequence[zenoh.Session],
-        port: Port[Message],
-        lockstep: bool,
-        *,
-        declared: bool,
-    ) -> Callable[[bytes], None]:
-        """Return what puts the payloads of a port on the bus."""
-        puts = [self._putter_in(session, port, lockstep, declared=declared) for session in sessions]
-        if len(puts) == 1:
-            return puts[0]
-
-        def put(payload: bytes) -> None:
-            for each in puts:
-                each(payload)
-
-        return put
-
-    def _putter_in(
-        self, session: zenoh.Session, port: Port[Message], lockstep: bool, *, declared: bool
-    ) -> Callable[[bytes], None]:
-        must_arrive = lockstep or port.signal.occurrence is Occurrence.EVENT
-        control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
-        if not declared:
-            key = zenoh.KeyExpr(self._keys.key(port))
-            put: Callable[[bytes], None] = partial(
-                session.put, key, encoding=ENCODING, congestion_control=control
-            )
-            return put
-        publisher = session.declare_publisher(
-            self._keys.key(port),
-            encoding=ENCODING,
-            congestion_control=control,
-            reliability=zenoh.Reliability.RELIABLE,
+def _putter(
+    session: zenoh.Session, key: str, must_arrive: bool, *, declared: bool
+) -> Callable[[bytes], None]:
+    """Return what puts payloads on a key."""
+    control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
+    if not declared:
+        return partial(
+            session.put, zenoh.KeyExpr(key), encoding=ENCODING, congestion_control=control
         )
-        declared_put: Callable[[bytes], None] = publisher.put
-        return declared_put
-
-
-def _subscribe(
-    session: zenoh.Session, key: str, hear: Callable[[zenoh.Sample], None]
-) -> zenoh.Subscriber[None]:
-    callback = zenoh.handlers.Callback(hear, indirect=False)
-    return session.declare_subscriber(key, callback, allowed_origin=zenoh.Locality.REMOTE)
-
-
-def _tokens(sessions: Sequence[zenoh.Session], key: str) -> list[zenoh.LivelinessToken]:
-    return [session.liveliness().declare_token(key) for session in sessions]
+    publisher = session.declare_publisher(
+        key,
+        encoding=ENCODING,
+        congestion_control=control,
+        reliability=zenoh.Reliability.RELIABLE,
+    )
+    put: Callable[[bytes], None] = publisher.put
+    return put
 
 
 def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
@@ -514,40 +488,7 @@ def _by_key(
     return hear
 
 
-class _TokenWatch:
-    """The liveliness tokens that are seen."""
-
-    def __init__(self, sessions: Sequence[zenoh.Session], keys: KeyTable) -> None:
-        self._alive: set[str] = set()
-        self._subscribers = [
-            session.liveliness().declare_subscriber(
-                keys.alive_key("**"), zenoh.handlers.FifoChannel(_TAP_CAPACITY), history=True
-            )
-            for session in sessions
-        ]
-
-    def changes(self) -> Iterator[tuple[str, bool]]:
-        """Yield the key of each token that has come (True) or gone (False)."""
-        for subscriber in self._subscribers:
-            while (sample := subscriber.try_recv()) is not None:
-                yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
-
-    def alive(self) -> set[str]:
-        """Return the keys of all tokens that are there."""
-        for key, is_there in self.changes():
-            (self._alive.add if is_there else self._alive.discard)(key)
-        return self._alive
-
-
-def _close(sessions: Sequence[zenoh.Session]) -> None:
-    """Close sessions: an open one can hang the interpreter's exit."""
-    for session in sessions:
-        # With 1,000 links on a busy machine this takes longer than Zenoh waits. All has been said.
-        with suppress(zenoh.ZError):
-            session.close()
-
-
-class ZenohTap:
+class ZenohTap(_Place):
     """A listener's place on the bus: hears every message of the run, and can answer.
 
     Messages wait in a queue of Zenoh's own, without any Python in between, until they are drained
@@ -556,9 +497,7 @@ class ZenohTap:
     """
 
     def __init__(self, agent: str, keys: KeyTable, settings: SessionSettings) -> None:
-        self.outbox = Outbox()
-        self._keys = keys
-        self._sessions = open_sessions(settings, _TAP_BATCH_BYTES)
+        super().__init__(keys, settings)
         self._subscribers = [
             session.declare_subscriber(
                 f"{keys.plant}/**",
@@ -567,15 +506,11 @@ class ZenohTap:
             )
             for session in self._sessions
         ]
-        self._own_tokens = _tokens(self._sessions, keys.alive_key(agent))
-        self._tokens: _TokenWatch | None = None
-
-    def __enter__(self) -> ZenohTap:
-        return self
+        self._show_token(agent)
 
     def __exit__(self, *error: object) -> None:
         # A session does not close while Zenoh's thread waits for room in a queue.
-        closing = threading.Thread(target=_close, args=(self._sessions,))
+        closing = threading.Thread(target=super().__exit__, args=error)
         closing.start()
         while closing.is_alive():
             for subscriber in self._subscribers:
@@ -588,14 +523,6 @@ class ZenohTap:
         self.outbox.stamp(port, message, time.monotonic_ns())
         for session in self._sessions:
             session.put(self._keys.key(port), encode(message), encoding=ENCODING)
-
-    def watch_presence(self) -> None:
-        """Follow the liveliness tokens of all agents from now on, see `presence`."""
-        self._tokens = _TokenWatch(self._sessions, self._keys)
-
-    def presence(self) -> Iterator[tuple[str, bool]]:
-        """Yield the key of each liveliness token that has come (True) or gone (False)."""
-        return iter(()) if self._tokens is None else self._tokens.changes()
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """Yield key and payload of all that has arrived."""

@@ -17,6 +17,7 @@ from agents.events import Armed
 from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
 from agents.process import AgentProcess, run_guarded
+from bus_schemas.errors import FailureError
 from bus_schemas.messages import Message
 from bus_schemas.signals import READY, RUN, Port
 from bus_schemas.tree import PLANT, ROOT, some_of
@@ -47,10 +48,6 @@ _MOST_NAMED: Final = 3
 
 _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 everybody is told when it begins."""
-
-
-class ArmingError(Exception):
-    """The loop did not close."""
 
 
 def longest_round_s(number: int) -> float:
@@ -86,7 +83,7 @@ def run_plant(
         with AgentProcess(plan, Plant(plan, profile, devices), link) as process:
             PlantRun(process, patience_s).run()
 
-    return run_guarded(PLANT, link, run, expected=(ArmingError,))
+    return run_guarded(PLANT, link, run)
 
 
 class PlantRun:
@@ -121,11 +118,11 @@ class PlantRun:
     def _await_everybody(self, give_up_at: float) -> None:
         alive_key = self._plan.keys.alive_key
         others = {alive_key(agent): agent for agent in self._plan.processes if agent != PLANT}
-        alive = self._process.watch_alive()
-        while not others.keys() <= alive():
+        tokens = self._process.watch_tokens()
+        while not others.keys() <= tokens.alive():
             if time.monotonic() > give_up_at:
-                absent = [agent for key, agent in others.items() if key not in alive()]
-                raise ArmingError(f"no sign of life from {some_of(absent)}")
+                absent = [agent for key, agent in others.items() if key not in tokens.alive()]
+                raise FailureError(f"no sign of life from {some_of(absent)}")
             time.sleep(_LOOK_S)
 
     def _arm(self, give_up_at: float) -> int:
@@ -140,7 +137,7 @@ class PlantRun:
             if time.monotonic() > give_up_at:
                 break
         needs = needed_messages(self._loop.waiting, self._plan.elsewhere)
-        raise ArmingError(f"no arming round closed; the plant waits for {needs}")
+        raise FailureError(f"no arming round closed; the plant waits for {needs}")
 
     def _round_closes(self, cycle: int, until: float) -> bool:
         while time.monotonic() < until:

@@ -20,7 +20,7 @@ def allocate(
     alpha_min: float,
     order: Orders,
     tops_up: bool,
-) -> tuple[list[float], list[float], list[int], list[int], list[float], float]:
+) -> tuple[list[float], list[float], list[int], list[int], list[float]]:
     """Divide a target among n children (paper, section II-D).
 
     Each child's share is by rating, but not below its floor. A child that cannot meet its share
@@ -54,8 +54,6 @@ def allocate(
         Positions of the children between whom help goes, a pair for each help line.
     given_kw : list of float
         Power that each of those donors gives.
-    shortfall_kw : float
-        What the children together cannot meet.
     """
     count = len(ratings_kw)
     share_kw = _shares_kw(target_kw, ratings_kw, impp_kw, alpha_min)
@@ -63,19 +61,18 @@ def allocate(
     lacks_kw = [max(-headroom, 0.0) for headroom in headroom_kw]
     donors, needy, given_kw = _help_lines(lacks_kw, headroom_kw, order)
     impp_sum_kw = total(impp_kw)
-    shortfall_kw = max(target_kw - impp_sum_kw, 0.0)
     if target_kw >= impp_sum_kw:
         power_kw = [impp_kw[child] for child in range(count)]
         lacks_sum_kw = total(lacks_kw)
         if tops_up and lacks_sum_kw > 0.0:
             for child in range(count):
-                power_kw[child] += shortfall_kw * (lacks_kw[child] / lacks_sum_kw)
+                power_kw[child] += (target_kw - impp_sum_kw) * (lacks_kw[child] / lacks_sum_kw)
     else:
         power_kw = [min(share_kw[child], impp_kw[child]) for child in range(count)]
         for line in range(len(donors)):
             donor = donors[line]
             power_kw[donor] = min(power_kw[donor] + given_kw[line], impp_kw[donor])
-    return power_kw, share_kw, donors, needy, given_kw, shortfall_kw
+    return power_kw, share_kw, donors, needy, given_kw
 
 
 def total(values: Numbers) -> float:

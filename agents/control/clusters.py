@@ -46,11 +46,6 @@ class ClusterSearch:
         return sum(not value > best + _LEAST_GAIN for value in self.correlation_of_starts)
 
 
-def choose_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> Clusters:
-    """Return the clusters that `search_clusters` finds."""
-    return search_clusters(correlation, sizes).clusters
-
-
 def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> ClusterSearch:
     """Partition the inverters so that the correlation inside the clusters is least.
 
@@ -83,7 +78,7 @@ def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> C
 
 
 def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
-    """Partition the inverters at random, for comparison with `choose_clusters`.
+    """Partition the inverters at random, for comparison with `search_clusters`.
 
     Parameters
     ----------
@@ -100,7 +95,7 @@ def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
 def geographic_clusters(
     x_m: NDArray[np.float64], y_m: NDArray[np.float64], sizes: Sequence[int]
 ) -> Clusters:
-    """Partition the inverters into compact neighbourhoods, for comparison with `choose_clusters`.
+    """Partition the inverters into compact neighbourhoods, for comparison with `search_clusters`.
 
     The sum of the squared distances of all pairs inside the clusters is made least, with the same
     descent and a fixed seed, so that the result depends on the positions alone.
@@ -117,7 +112,7 @@ def geographic_clusters(
     squared = np.sum(difference**2, axis=2)
     # In units of the largest distance, so that the least gain means the same as for correlations.
     largest = float(squared.max(initial=0.0))
-    return choose_clusters(squared / largest if largest > 0.0 else squared, sizes)
+    return search_clusters(squared / largest if largest > 0.0 else squared, sizes).clusters
 
 
 def within_cluster_correlation(

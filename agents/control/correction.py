@@ -7,7 +7,6 @@ target until the reading is what was desired.
 
 from __future__ import annotations
 
-from math import isfinite
 from typing import Final
 
 GAIN_PER_S: Final = 0.5
@@ -40,7 +39,7 @@ def corrected(
         The last correction.
     desired_kw, metered_kw
         Power wanted of the plant, without a correction, in the interval that ended, and what its
-        meter read. NaN, where one of them is missing, leaves the correction as it is.
+        meter read.
     is_free
         Whether every inverter is asked for all it has. Then nothing can be added.
     rating_kw
@@ -54,8 +53,7 @@ def corrected(
     """
     if is_free:
         return 0.0
-    missing_kw = desired_kw - metered_kw
-    if not isfinite(missing_kw):
-        return correction_kw
     gain = min(GAIN_PER_S * cycle_s, HIGHEST_GAIN / (1.0 + delay_s / cycle_s) ** 2)
-    return min(max(correction_kw + gain * missing_kw, 0.0), HIGHEST_CORRECTION * rating_kw)
+    return min(
+        max(correction_kw + gain * (desired_kw - metered_kw), 0.0), HIGHEST_CORRECTION * rating_kw
+    )

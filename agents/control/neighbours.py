@@ -20,9 +20,7 @@ def help_order(correlation: Sequence[Sequence[float]]) -> HelpOrder:
     correlation
         Pearson correlation between the children's power, shape (n, n).
     """
-    return tuple(_siblings_of(child, row) for child, row in enumerate(correlation))
-
-
-def _siblings_of(child: int, row: Sequence[float]) -> tuple[int, ...]:
-    siblings = (sibling for sibling in range(len(row)) if sibling != child)
-    return tuple(sorted(siblings, key=lambda sibling: (row[sibling], sibling)))
+    return tuple(
+        tuple(sorted((place for place in range(len(row)) if place != child), key=row.__getitem__))
+        for child, row in enumerate(correlation)
+    )

@@ -2,23 +2,9 @@
 
 from __future__ import annotations
 
-from math import isfinite
 
-
-def usable_dispatch_kw(dispatch_kw: float, last_kw: float, plant_rating_kw: float) -> float:
-    """Return a dispatch held between 0 and the plant's rating, or the last one if it is no number.
-
-    Parameters
-    ----------
-    dispatch_kw
-        As it was received; NaN if there is none.
-    last_kw
-        The last usable dispatch.
-    plant_rating_kw
-        Sum of the ratings of all inverters.
-    """
-    if not isfinite(dispatch_kw):
-        return last_kw
+def usable_dispatch_kw(dispatch_kw: float, plant_rating_kw: float) -> float:
+    """Return a dispatch within what the plant can be asked for: 0 to its rating [kW]."""
     return min(max(dispatch_kw, 0.0), plant_rating_kw)
 
 

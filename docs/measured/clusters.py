@@ -12,7 +12,7 @@ from unittest.mock import patch
 
 from tables import WORKERS, Lines, Tables, header, heliarch, hope, plant, row
 
-from agents.periods import Periods
+from agents.cycle import Periods
 from heliarch import compare, load_scenario
 from launch_scripts.scenarios.scenario import ScenarioFile
 

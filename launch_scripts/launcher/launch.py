@@ -332,7 +332,7 @@ class _Launch:
             external=recorded.external,
             devices=self._gateway.end() if self._gateway is not None else (),
             wrong=wrong_messages(
-                plan, recorded.complaints, [account.dropped for account in accounts]
+                plan, recorded.complaints, [one for account in accounts for one in account.dropped]
             ),
         )
 

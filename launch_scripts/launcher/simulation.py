@@ -265,7 +265,7 @@ def simulate(
         messages=count_messages(run.bus.outbox.published, writer.recorded),
         dropped=dict(drops),
         missing_inputs=missed.all_missing,
-        faults=run.bus.tally.as_counts(),
+        faults=dict(+run.bus.tally),
         old_inputs=missed.all_old,
         memory=memory_use({"simulation": [memory_of(os.getpid())]}),
         hindsight_neighbours=preparation.hindsight,

@@ -247,7 +247,11 @@ def merge_counts(counts: list[dict[str, int]]) -> dict[str, int]:
 
 def dropped_by_cause(accounts: Sequence[Finished]) -> dict[str, int]:
     """Add up the messages that processes did not use."""
-    return merge_counts([causes for account in accounts for causes in account.dropped.values()])
+    counts: Counter[str] = Counter()
+    for account in accounts:
+        for _, cause, number in account.dropped:
+            counts[cause] += number
+    return dict(counts)
 
 
 def process_account(

@@ -7,7 +7,7 @@ knows what came too late. Both may have counted the same message: the larger cou
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Final
 
 import msgspec
@@ -45,21 +45,20 @@ class WrongMessages(msgspec.Struct, frozen=True):
 def wrong_messages(
     plan: RunPlan,
     complaints: Iterable[Complaint],
-    dropped_ports: Iterable[Mapping[str, Mapping[str, int]]],
+    dropped: Iterable[tuple[str, str, int]],
 ) -> tuple[WrongMessages, ...]:
     """Bring together what was complained of, those keys first of which it was most.
 
     The complaints are those of the recorder; the plant's name is left out of their keys. Of what
-    agents dropped, by port and cause, only ports of external agents count: what comes late from a
-    process is the machine's fault.
+    agents dropped (port, cause and number), only ports of external agents count: what comes late
+    from a process is the machine's fault.
     """
     publishers = {str(port): port.publisher for port in ports(plan.tree)}
     theirs = {port for port, publisher in publishers.items() if publisher in plan.external}
     counts: Counter[tuple[str, str]] = Counter()
-    for dropped in dropped_ports:
-        for port in theirs.intersection(dropped):
-            for cause, count in dropped[port].items():
-                counts[port, cause] += count
+    for port, cause, count in dropped:
+        if port in theirs:
+            counts[port, cause] += count
     examples = {place: _LISTENERS_CAUSES.get(place[1], "") for place in counts}
     for complaint in complaints:
         place = (complaint.key.removeprefix(f"{plan.plant}/"), complaint.cause)

@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.control.clusters import choose_clusters, geographic_clusters, random_clusters
+from agents.control.clusters import geographic_clusters, random_clusters, search_clusters
 from agents.control.correlation import HourlyMatrices, group_correlation
 from agents.plan import Neighbourhood, NodeNeighbourhoods
 from bus_schemas.errors import InputError
-from bus_schemas.tree import ControlTree, as_ratings
+from bus_schemas.tree import ControlTree
 from launch_scripts.scenarios.scenario import ControlTable
 from sim_plant.positions import east_north_m
 from sim_plant.sites import Sites
@@ -36,7 +36,7 @@ def control_tree(
             tuple(leaf for place in cluster for leaf in groups[place]) for cluster in clusters
         ]
     order = [leaf for group in groups for leaf in group]
-    return as_ratings([paths[leaf] for leaf in order], [sites.rating_kw[leaf] for leaf in order])
+    return ControlTree(tuple((paths[leaf], float(sites.rating_kw[leaf])) for leaf in order))
 
 
 def neighbourhoods(
@@ -100,9 +100,9 @@ def _choose(
 ) -> Sequence[Sequence[int]]:
     match control.clusters:
         case "correlation":
-            return choose_clusters(_mean_correlation(groups, covariance, hours), sizes)
+            return search_clusters(_mean_correlation(groups, covariance, hours), sizes).clusters
         case "most-alike":
-            return choose_clusters(-_mean_correlation(groups, covariance, hours), sizes)
+            return search_clusters(-_mean_correlation(groups, covariance, hours), sizes).clusters
         case "geographic":
             return geographic_clusters(*_positions_m(groups, sites), sizes)
         case "random":

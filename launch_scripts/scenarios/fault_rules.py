@@ -8,8 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from bus_schemas.errors import InputError
-from bus_schemas.fault_checks import check_rule
-from bus_schemas.faults import UNHEARD, FaultRule
+from bus_schemas.faults import UNHEARD, FaultRule, check_rule
 from bus_schemas.times import duration_s, split_range
 from bus_schemas.tree import ControlTree
 from launch_scripts.scenarios.fields import readable

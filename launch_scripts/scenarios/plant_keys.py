@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from agents.plan import RunPlan
-from bus_schemas.access import common_name
+from agents.session import common_name
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.zenoh_bus import KeyFiles
 from launch_scripts.scenarios.externals import own_address

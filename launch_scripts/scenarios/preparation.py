@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_covariance
-from agents.periods import Periods
+from agents.cycle import Periods
 from agents.plan import RunPlan, check_plan, check_size
 from agents.settings import Revert
 from bus_schemas.errors import InputError

@@ -16,7 +16,7 @@ import msgspec
 from agents.plan import RunPlan
 from bus_schemas.faults import UNHEARD, FaultRule
 from bus_schemas.messages import Message
-from bus_schemas.network_faults import FaultTally
+from bus_schemas.network_faults import FaultAct, FaultTally, NetworkFaults
 from bus_schemas.signals import TELEMETRY, Port
 from bus_schemas.tree import PLANT, RECORDER
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
@@ -63,18 +63,6 @@ class Misses(msgspec.Struct, frozen=True):
     first_cycle: int
     last_cycle: int
     external: bool
-
-
-class FaultAct(msgspec.Struct, frozen=True):
-    """What a rule did: to how many messages, and in which cycles.
-
-    A message counts once for each listener that it was lost, delayed or doubled for.
-    """
-
-    rule: FaultRule
-    messages: int
-    first_cycle: int | None
-    last_cycle: int | None
 
 
 class WrongMessages(msgspec.Struct, frozen=True):
@@ -132,7 +120,7 @@ class HealthWatch:
         self.gaps = RunGaps(plan, cycles.start)
         self._plan = plan
         # What became of a message follows from its link and cycle: it is worked out once more here.
-        self._faults = plan.faults_at_work()
+        self._faults = NetworkFaults(plan.faults, plan.faults_seed, plan.tree, plan.cycle_ns)
         self._tally = FaultTally()
         # The agents that publish in every turn, and after how many cycles.
         steps: dict[str, int] = {}
@@ -187,12 +175,10 @@ class HealthWatch:
         lost = Counter({str(port): found.lost for port, found in ports.items() if found.lost})
         return Health(
             fault_acts=tuple(
-                self._stop_act(rule, run)
-                if rule.stops
-                else FaultAct(rule, acts.messages, acts.first_cycle, acts.last_cycle)
-                for rule, acts in zip(self._plan.faults, self._faults.acts, strict=True)
+                self._stop_act(act.rule, run) if act.rule.stops else act
+                for act in self._faults.acts
             ),
-            faults=self._tally.as_counts(),
+            faults=dict(+self._tally),
             lost=dict(lost.most_common()),
             repeated=sum(found.repeated for found in ports.values()),
             misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
@@ -210,7 +196,7 @@ class HealthWatch:
             int(time_s * 1e9 / self._plan.cycle_ns) for time_s in (rule.at[0], rule.at[-1])
         )
         if first > run.last_cycle:
-            return FaultAct(rule, 0, None, None)
+            return FaultAct(rule)
         return FaultAct(rule, 0, first, min(last, run.last_cycle))
 
     def _see_faults(self, port: Port[Message], message: Message) -> None:

@@ -160,6 +160,7 @@ class Recorder:
         self._link = link
         self._end = end
         self._external = ExternalAgents(plan)
+        self._tokens = tap.watch_tokens() if plan.elsewhere else None
         self._newest_cycle = last_cycle
         now_ns = time.monotonic_ns()
         nodes = () if plan.lockstep else plan.tree.nodes
@@ -186,8 +187,6 @@ class Recorder:
 
     def run(self) -> None:
         """Record until told to end, then close the file and report."""
-        if self._plan.elsewhere:
-            self._tap.watch_presence()
         flush_at = status_at = time.monotonic()
         while not self._may_end():
             if not self._drain():
@@ -338,7 +337,7 @@ class Recorder:
 
     def _tell_presence(self) -> None:
         """Say which external agents have come or gone, until the run ends and all of them go."""
-        for key, alive in self._tap.presence():
+        for key, alive in self._tokens.changes() if self._tokens is not None else ():
             agent = self._external.named(key)
             if agent is not None and self._stop_cycle is None:
                 self._external.note_presence(agent, alive, self._newest_cycle)

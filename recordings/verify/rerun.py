@@ -15,11 +15,10 @@ cycles is not compared after that, until another process takes its place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from copy import copy
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import islice, product
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 from agents.agent import Agent, Stage
 from agents.cycle import stage_of
@@ -31,31 +30,11 @@ from bus_schemas.missing import parse_missing
 from bus_schemas.signals import Port
 from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Difference, Findings, by_key
+from recordings.verify.process import Messages, Process
 from recordings.verify.recorded_cycles import RecordedCycles
-
-Messages: TypeAlias = dict[Port[Message], Message]
 
 _MOST_CHOICES: Final = 256
 """Combinations of inputs that are tried at most, where standbys took over in a stage's cycle."""
-
-
-@dataclass(slots=True)
-class _Process:
-    """A process of an agent: an incarnation.
-
-    A standby took over in the cycle `began_in`, maybe after its first stage; others have -1. It is
-    over when what the agent knows is not certain any more. `unsent` are messages of its last cycle
-    that are not recorded, with stage and inputs: if it was killed there, nothing is wrong.
-    """
-
-    loop: AgentLoop[Any]
-    remembers: bool  # earlier cycles
-    began_in: int
-    is_over: bool
-    heard: dict[Port[Message], int]  # newest cycle of each input
-    sequence: dict[Port[Message], int] = field(default_factory=dict)  # number of the next message
-    spoke: dict[Port[Message], int] = field(default_factory=dict)  # cycle of the last recorded one
-    unsent: list[tuple[Port[Message], Message, str, Messages]] = field(default_factory=list)
 
 
 @dataclass(eq=False)
@@ -82,14 +61,14 @@ class AgentRerun:
             if port.signal.logged and port.signal.decided
         }
         self._period = {port: plan.period(port) for port in plan.wiring.heard.get(name, ())}
-        self._processes: dict[int, _Process] = {}
+        self._processes: dict[int, Process] = {}
         self._incarnation = 0
         self._lost: dict[Port[Message], int] = {}
         # Of the cycle under way, and of the process that is run in it:
         self._rivals: dict[Port[Message], list[Message]] = {}
         self._inputs: Messages = {}
         self._choices: dict[Port[Message], list[Message]] = {}
-        self._stage = ""
+        self._compared = ""
 
     def take(self, cycle: int) -> None:
         """Run a cycle again and compare what the agent publishes in it."""
@@ -97,13 +76,13 @@ class AgentRerun:
         if self.findings.failure is None:
             try:
                 for self._incarnation, of_stages in sorted(outputs.items()):
-                    self._inputs, self._choices, self._stage = {}, {}, ""
+                    self._inputs, self._compared = {}, ""
                     if self._incarnation not in self._processes:
                         self._processes[self._incarnation] = self._begin(self._incarnation)
                     self._run(cycle, of_stages, is_last=self._incarnation == max(outputs))
             except (Exception, SystemExit) as error:  # Every error of the tested code is a finding.
                 text = f"{type(error).__name__}: {error}"
-                self._add("fails", cycle, self._stage, inputs=self._inputs, text=text)
+                self._add("fails", *self._failed_in(cycle), inputs=self._inputs, text=text)
         left = sum(len(messages) for one in outputs.values() for messages in one.values())
         self.findings.leave_out(cycle, left)
 
@@ -113,8 +92,15 @@ class AgentRerun:
             self._incarnation = max(self._processes)
             self._compare_unsent()
 
+    def _failed_in(self, cycle: int) -> tuple[int, str]:
+        """Return the cycle and the stage in which the tested code failed."""
+        process = self._processes.get(self._incarnation)
+        if process is None or self._compared:
+            return cycle, self._compared
+        return process.loop.cycle, process.loop.stage
+
     @property
-    def _process(self) -> _Process:
+    def _process(self) -> Process:
         return self._processes[self._incarnation]
 
     def _outputs(self, cycle: int) -> dict[int, dict[str, Messages]]:
@@ -138,7 +124,7 @@ class AgentRerun:
                     self._add(kind, cycle, stage, port, message)
         return found or {self._incarnation: {}}
 
-    def _begin(self, cycle: int) -> _Process:
+    def _begin(self, cycle: int) -> Process:
         """Let a process of the agent join the run in a cycle."""
         agent = self.make()
         remembers = agent.initial_state() is not None
@@ -151,7 +137,9 @@ class AgentRerun:
         # A takeover may be what was not recorded.
         is_certain = takeover is not None or not cycle or not self._was_away(self.name, cycle)
         is_over = remembers and not is_certain
-        return _Process(loop, remembers, began_in, is_over, dict.fromkeys(self._period, -1))
+        return Process(
+            loop, self._stage_of, remembers, began_in, is_over, dict.fromkeys(self._period, -1)
+        )
 
     def _run(self, cycle: int, recorded: dict[str, Messages], *, is_last: bool) -> None:
         """Run a cycle of one process again; `is_last`: no newer process sent anything in it.
@@ -164,52 +152,60 @@ class AgentRerun:
             self._find_lost_outputs(cycle, recorded)
         if process.is_over:
             return
-        loop = process.loop
-        stages = list(loop.agent.stages(cycle))
+        stages = list(process.loop.agent.stages(cycle))
         unknown = recorded.keys() - {stage.name for stage in stages}
         if not (self.plan.lockstep and is_last):
             while stages and stages[-1].name not in recorded:
                 stages.pop()
-            if stages:
-                loop.catch_up(cycle * self.plan.cycle_wall_ns)
-        while stages and cycle == process.began_in and stages[0].name not in recorded:
-            loop.close_stage(0)
-            del stages[0]
-        for stage in stages:
-            self._run_stage(cycle, stage, recorded.get(stage.name, {}))
+        if stages:
+            process.go_to(cycle * self.plan.cycle_wall_ns)
+        for together in _closing_together(stages):
+            self._run_stages(cycle, together, recorded)
             if process.is_over:
                 return
         for name in unknown:
             self._compare(name, recorded[name], [])
 
-    def _run_stage(self, cycle: int, stage: Stage, recorded: Messages) -> None:
+    def _run_stages(
+        self, cycle: int, stages: Sequence[Stage], recorded: dict[str, Messages]
+    ) -> None:
+        """Run stages again that close together."""
         process = self._process
-        missing = next(iter(recorded.values())).missing if recorded else ()
-        self._stage = stage.name
-        lost = self._hear_inputs(stage, cycle, missing)
-        if recorded and self._choices:
-            self._choose_inputs(process.loop, recorded)
-        outputs = process.loop.close_stage(0)
-        if not lost and (recorded or self.plan.lockstep):
-            self._compare(stage.name, recorded, outputs)
-            return
-        # What the agent knows from here on is not certain.
-        for port, kind in lost.items():
-            if kind and self._lost.get(port) != cycle:  # Both stages of a cycle may use it.
-                self._lost[port] = cycle
-                self._add(kind, cycle, stage.name, port, inputs=self._inputs)
-        if not lost and not self._was_away(self.name, cycle):
-            self._add("not recorded", cycle, stage.name)
-        process.is_over = process.remembers
+        first = stages[0].name
+        if cycle == process.began_in:  # Before it took over, a standby said nothing.
+            stages = [stage for stage in stages if stage.name in recorded]
+        inputs: Messages = {}
+        self._choices = {}
+        lost = {
+            stage.name: self._find_inputs(cycle, stage, recorded.get(stage.name, {}), inputs)
+            for stage in stages
+        }
+        if self._choices and recorded:
+            self._choose_inputs(cycle, first, inputs, recorded)
+        self._inputs |= inputs
+        self._compared = ""
+        process.close(cycle, first, inputs)
+        for stage in stages:
+            outputs = process.sent(cycle, stage.name)
+            of_stage = recorded.get(stage.name, {})
+            if not lost[stage.name] and (of_stage or self.plan.lockstep):
+                self._compare(stage.name, of_stage, outputs)
+            else:
+                self._doubt(cycle, stage, lost[stage.name])
+            if process.is_over:
+                return
 
-    def _hear_inputs(
-        self, stage: Stage, cycle: int, missing: Sequence[str]
+    def _find_inputs(
+        self, cycle: int, stage: Stage, recorded: Messages, inputs: Messages
     ) -> dict[Port[Message], str]:
-        """Give the agent the messages that a stage used; return the ports where it is not known.
+        """Find the messages that a stage used; return the ports where that is not known.
 
         Each with what is wrong; empty: nothing, the recorder was away.
+
+        inputs: The messages are added here.
         """
         process = self._process
+        missing = next(iter(recorded.values())).missing if recorded else ()
         used_of = dict(map(parse_missing, missing))
         lost: dict[Port[Message], str] = {}
         for port in (*stage.awaits, *stage.uses):
@@ -230,27 +226,43 @@ class AgentRerun:
                 if others:
                     self._choices[port] = [first, *others]
             process.heard[port] = used
-            self._inputs[port] = first
-            process.loop.hear(port, first, 0)
+            inputs[port] = first
         return lost
 
-    def _choose_inputs(self, loop: AgentLoop[Any], recorded: Messages) -> None:
-        """Of inputs that two processes of an agent sent, use those that the outputs show."""
+    def _choose_inputs(
+        self, cycle: int, stage: str, inputs: Messages, recorded: dict[str, Messages]
+    ) -> None:
+        """Of inputs that two processes of an agent sent, take those that the outputs show."""
         for chosen in islice(product(*self._choices.values()), _MOST_CHOICES):
-            self._inputs |= dict(zip(self._choices, chosen, strict=True))
-            for port in self._choices:
-                loop.use_instead(port, self._inputs[port])
-            outputs = copy(loop).close_stage(0)
-            compared = [(port, recorded[port], new) for port, new in outputs if port in recorded]
-            if not any(self.comparison.differences(*pair) for pair in compared):
+            tried = inputs | dict(zip(self._choices, chosen, strict=True))
+            trial = self._process.twin()
+            trial.close(cycle, stage, tried)
+            if not any(
+                self.comparison.differences(port, messages[port], new)
+                for name, messages in recorded.items()
+                for port, new in trial.sent(cycle, name)
+                if port in messages
+            ):
+                inputs |= tried
                 return
-        for port, (first, *_) in self._choices.items():
-            self._inputs[port] = first
-            loop.use_instead(port, first)
+
+    def _doubt(self, cycle: int, stage: Stage, lost: dict[Port[Message], str]) -> None:
+        """Take in that a stage used, or sent, what is not recorded.
+
+        What the agent knows from here on is not certain.
+        """
+        for port, kind in lost.items():
+            if kind and self._lost.get(port) != cycle:  # Both stages of a cycle may use it.
+                self._lost[port] = cycle
+                self._add(kind, cycle, stage.name, port, inputs=self._inputs)
+        if not lost and not self._was_away(self.name, cycle):
+            self._add("not recorded", cycle, stage.name)
+        self._process.is_over = self._process.remembers
 
     def _compare(self, stage: str, recorded: Messages, outputs: Sequence[Delivery]) -> None:
         """Compare the outputs of a stage, and remove from `recorded` what has been compared."""
         process = self._process
+        self._compared = stage
         for port, new in outputs:
             old = recorded.pop(port, None)
             for rival in self._rivals.get(port, ()):
@@ -312,3 +324,15 @@ class AgentRerun:
         used = by_key(inputs or {})
         found = Difference(kind, cycle, stage, key, content=message, inputs=used, text=text)
         self.findings.add(found)
+
+
+def _closing_together(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
+    """Yield the stages of a cycle, those in one list that await nothing after the first."""
+    together: list[Stage] = []
+    for stage in stages:
+        if together and (stage.awaits or stage.timed):
+            yield together
+            together = []
+        together.append(stage)
+    if together:
+        yield together

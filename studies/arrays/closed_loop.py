@@ -137,11 +137,9 @@ def closed_loop(
     estimates = [NOTHING_KNOWN for _ in range(inverters)]
     node_impp_kw = np.zeros(len(tree.rating_kw))
     target_kw = tree.rating_kw.copy()
-    # The central controller: the last usable dispatch, before the first the plant's rating, so that
-    # nothing is curtailed; the dispatch of its last turn, and the correction added to it; the sum
+    # The central controller: the dispatch of its last turn, and the correction added to it; the sum
     # of the plant's meter since then, and over how many cycles.
-    heard_kw, wanted_kw, correction_kw = plant_rating_kw, 0.0, 0.0
-    metered_kw, metered_cycles = 0.0, 0
+    wanted_kw, correction_kw, metered_kw, metered_cycles = 0.0, 0.0, 0.0, 0
     for cycle in range(cycles):
         for i in range(inverters):
             node = tree.inverters[i]
@@ -156,7 +154,7 @@ def closed_loop(
             )
             node_impp_kw[node] = estimates[i].power_kw
         report_up(tree, node_impp_kw)
-        heard_kw = usable_dispatch_kw(dispatch_kw[cycle], heard_kw, plant_rating_kw)
+        heard_kw = usable_dispatch_kw(dispatch_kw[cycle], plant_rating_kw)
         if cycle > 0:
             metered_kw += total(last_kw)
             metered_cycles += 1
@@ -218,7 +216,7 @@ def solve_down(
     for row in range(len(tree.parents)):
         if cycle % tree.period[row] == 0:
             first, end = tree.first[row], tree.end[row]
-            setpoints_kw, _, _, _, _, _ = allocate(
+            setpoints_kw, _, _, _, _ = allocate(
                 target_kw[tree.parents[row]],
                 tree.rating_kw[first:end],
                 impp_kw[first:end],

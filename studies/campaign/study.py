@@ -183,7 +183,8 @@ def _bad_network(draw: random.Random, source: str, at: tuple[float, float]) -> F
 
 def _end_s(rule: FaultRule) -> float:
     """When a rule and what follows from it is over [s]."""
-    return rule.at[-1] + (RESTART_TAKES_S if rule.kill is not None else rule.longest_ms / 1e3)
+    longest_s = (rule.delay_ms + rule.jitter_ms) / 1e3  # Jitter is uniform, and none is reordered.
+    return rule.at[-1] + (RESTART_TAKES_S if rule.kill is not None else longest_s)
 
 
 def _is_above(plan: RunPlan, rule: FaultRule) -> bool:

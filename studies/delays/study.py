@@ -133,5 +133,5 @@ def run_under(plan: RunPlan, profile: Profile, condition: Condition) -> Outcome:
         figures=figures_json(metrics),
         missed_percent=100.0 * missed / awaited,
         old_inputs=sum(loop.old_inputs for loop in loops),
-        lost=run.bus.tally.lost,
+        lost=run.bus.tally["lost"],
     )

@@ -22,8 +22,7 @@ from msgspec.structs import replace
 from plans_by_hand import plan_of
 
 from agents.plan import RunPlan
-from agents.session import session_settings, users
-from bus_schemas.access import password, session_id
+from agents.session import password, session_id, session_settings, users
 from bus_schemas.signals import CLOCK
 from bus_schemas.tree import PLANT, RECORDER
 from bus_schemas.zenoh_bus import KeyFiles, SessionSettings, open_sessions
@@ -124,19 +123,19 @@ class Team:
         password: str = "",
     ) -> Heard:
         """Let a program speak that is none of the agents; return who hears what of it."""
+        further = {} if keys is None else keys.config()
+        if session_id:
+            further["id"] = session_id
+        if password:
+            further["transport/auth/usrpwd/user"] = PLANT
+            further["transport/auth/usrpwd/password"] = password
         with ExitStack() as stack:
             configs = []
             for port in (*self.plan.tcp_ports.values(), *self.plan.agent_ports.values()):
-                settings = SessionSettings(
-                    self.plan.bus_namespace,
-                    [],
-                    [f"{self.plan.host_of(PLANT)}:{port}"],
-                    keys=keys,
-                    session_id=session_id,
-                    user=PLANT if password else "",
-                    password=password,
-                )
-                config = settings.config()
+                endpoint = f"{self.plan.host_of(PLANT)}:{port}"
+                config = SessionSettings(
+                    self.plan.bus_namespace, [], [endpoint], further=further
+                ).config()
                 config.insert_json5("mode", f'"{mode}"')
                 config.insert_json5("connect/timeout_ms", "500")
                 configs.append(config)

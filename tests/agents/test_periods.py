@@ -7,7 +7,7 @@ from memory_runs import Sent
 from plans_by_hand import plan_of
 from plants_by_hand import hear
 
-from agents.periods import Periods
+from agents.cycle import Periods
 from bus_schemas.errors import InputError
 from bus_schemas.messages import HelpGiven
 from bus_schemas.signals import COMMAND, IMPP, RESIDUAL, SETPOINT

@@ -14,7 +14,6 @@ from bus_schemas.tree import (
     ROOT,
     ControlTree,
     agent_name,
-    as_ratings,
 )
 
 TREE = ControlTree(
@@ -77,6 +76,7 @@ def test_trees_that_cannot_be_are_refused(
     ids=["inverters", "children", "characters"],
 )
 def test_a_tree_that_is_too_large_to_be_spoken_of_is_refused(names: list[str], named: str) -> None:
-    assert len(as_ratings(names[:-1], [1.0] * (len(names) - 1)).leaves) == len(names) - 1
+    inverters = tuple((name, 1.0) for name in names)
+    assert len(ControlTree(inverters[:-1]).leaves) == len(names) - 1
     with pytest.raises(InputError, match=named):
-        as_ratings(names, [1.0] * len(names))
+        ControlTree(inverters)

@@ -1,7 +1,5 @@
 """The integral correction: what the plant's meter shows to be missing is asked for on top."""
 
-import math
-
 import pytest
 
 from agents.control.correction import HIGHEST_CORRECTION, corrected
@@ -46,8 +44,3 @@ def test_what_is_delivered_too_much_takes_a_correction_back_but_not_below_0() ->
 
 def test_it_never_exceeds_its_share_of_the_rating() -> None:
     assert settled(300.0, 1.0, 100.0)[-1] == 200.0 + HIGHEST_CORRECTION * RATING_KW
-
-
-@pytest.mark.parametrize(("desired_kw", "metered_kw"), [(math.nan, 1.0), (1.0, math.nan)])
-def test_it_stays_where_a_value_is_missing(desired_kw: float, metered_kw: float) -> None:
-    assert corrected(12.0, desired_kw, metered_kw, False, RATING_KW, 1.0, 0.0) == 12.0

@@ -15,6 +15,7 @@ from recordings_by_hand import PLAN, numbered, whole_run, write_messages, write_
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Message
+from bus_schemas.network_faults import FaultAct
 from bus_schemas.signals import HELP, TELEMETRY
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -23,7 +24,6 @@ from recordings.inspect.health import (
     FAILURE_NAME,
     SUMMARY_NAME,
     Absence,
-    FaultAct,
     Health,
     health_lines,
 )
@@ -178,7 +178,7 @@ def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: 
     counted = sum(loop.missing_inputs for loop in run.loops.values())
     assert counted > 10
     assert sum(found.inputs for found in health.misses) == counted
-    assert health.faults == run.bus.tally.as_counts()
+    assert health.faults == +run.bus.tally
     (act,) = health.fault_acts
     assert act.messages == health.faults["lost"]
     assert "1 rule" in text

@@ -97,7 +97,7 @@ def record(
 ) -> list[Event]:
     """Record what comes, at the time of a clock by hand. Returns what the launcher is told."""
     said: list[Event] = []
-    tap = Mock(drain=drain, presence=list)
+    tap = Mock(drain=drain)
     link = Mock(expected_messages=lambda: None, by_hand=False, tell=said.append)
     time = Mock(monotonic=lambda: clock.now_ns / 1e9, monotonic_ns=clock, sleep=clock.sleep)
     with patch("recordings.record.recorder.time", time):

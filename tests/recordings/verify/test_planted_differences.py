@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from recorded_runs import AGENTS, cloudy_profile, of_publisher, plan_of, published, record
 
 from agents.direct import DirectController
-from agents.parent import Children, Supervisor
+from agents.parent import Parent, Supervisor
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Help, Impp, Message, Setpoint
 from bus_schemas.signals import COMMAND, HELP, IMPP, SETPOINT, SIGNALS, TELEMETRY, Port, Signal
@@ -167,16 +167,16 @@ def test_a_message_of_no_cycle_of_the_run_is_found(verified: Verify) -> None:
 
 
 def test_a_wrong_allocation_is_found(verified: Verify, monkeypatch: pytest.MonkeyPatch) -> None:
-    right = Children.setpoints
+    right = Parent.setpoints
 
-    def halve_help(self: Children, *words: object) -> list[Delivery]:
+    def halve_help(self: Parent, *words: object) -> list[Delivery]:
         outputs = right(self, *words)  # type: ignore[arg-type]
         for _, message in outputs:
             assert isinstance(message, Setpoint)
             message.power_kw -= sum(given.power_kw for given in message.help_given) / 2.0
         return outputs
 
-    monkeypatch.setattr(Children, "setpoints", halve_help)
+    monkeypatch.setattr(Parent, "setpoints", halve_help)
     found = verified(PUBLISHED)
     parents = {name for name, findings in found.agents.items() if findings.first}
     assert parents == {"central", "c1", "c2"}, "its children did as they were told"

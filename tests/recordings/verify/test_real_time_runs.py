@@ -23,6 +23,7 @@ from agents.plan import RunPlan
 from agents.settings import Scheme
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
+from bus_schemas.messages import Takeover
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, RESIDUAL, SETPOINT
 from recordings.verify.comparison import Comparison
@@ -131,6 +132,15 @@ def test_a_message_that_came_after_the_successor_s_is_compared_all_the_same(
     messages.remove(late)
     messages.insert(messages.index(successor) + 1, late)
     assert verified(tmp_path / "run", plan, messages).equal
+
+
+def test_a_standby_that_took_over_between_its_parent_s_turns_is_compared(tmp_path: Path) -> None:
+    plan = faulty_plan(
+        FaultRule(kill="c1", at=(10.5,)), cycles=30, standby=("c1",), period_cycles=(5, 1)
+    )
+    messages = published(plan, cloudy_profile(plan, 0))
+    assert [message.cycle for _, message in messages if isinstance(message, Takeover)] == [11]
+    assert verified(tmp_path / "run", plan, messages, seed=0).equal
 
 
 # The recorder was away ----------------------------------------------------------------------------

@@ -73,7 +73,6 @@ def absurd_dispatch(preparation: Preparation) -> Preparation:
     regulation_kw = np.zeros(preparation.profile.cycles)
     regulation_kw[20:40] = -1e5
     regulation_kw[60:80] = 1e5
-    regulation_kw[100:102] = np.nan
     return with_profile(preparation, regulation_kw=regulation_kw)
 
 

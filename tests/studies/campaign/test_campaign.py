@@ -17,7 +17,7 @@ from agents.agent import Turn
 from agents.control import allocation
 from agents.direct import DirectController, DirectState
 from agents.loop import AgentLoop
-from agents.parent import Children, Report, Supervisor
+from agents.parent import Parent, Report, Supervisor
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Dispatch
@@ -64,13 +64,13 @@ def test_a_seed_draws_the_same_faults_of_all_kinds(oahu: Preparation) -> None:
 
 def silence_counts_as_zero(patch: Patch) -> None:
     """A parent gives the share of a silent child to others."""
-    right = Children._report
+    right = Parent._report
 
-    def wrong(self: Children, turn: Turn, child: object, dispatch: Dispatch | None) -> Report:
+    def wrong(self: Parent, turn: Turn, child: object, dispatch: Dispatch | None) -> Report:
         report = right(self, turn, child, dispatch)  # type: ignore[arg-type]
         return report._replace(impp_kw=0.0, is_silent=False) if report.is_silent else report
 
-    patch.setattr(Children, "_report", wrong)
+    patch.setattr(Parent, "_report", wrong)
 
 
 def inverters_never_revert(patch: Patch) -> None:

@@ -1,0 +1,94 @@
+"""A process of an agent, which the driver takes through the recorded stages once more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
+
+from agents.driver import Driver
+from agents.loop import AgentLoop
+from bus_schemas.bus import Arrival, Delivery
+from bus_schemas.memory_bus import VirtualClock
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+
+Messages: TypeAlias = dict[Port[Message], Message]
+
+
+class RecordedInputs:
+    """The bus of one process, from a recording: it brings what a stage used, and nothing else.
+
+    sent: What the agent publishes, by cycle and stage.
+    """
+
+    def __init__(self, stage_of: Mapping[Port[Message], str]) -> None:
+        self.coming: list[Arrival] = []
+        self.sent: dict[tuple[int, str], list[Delivery]] = {}
+        self._stage_of = stage_of
+
+    def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
+        place = message.cycle, self._stage_of[port]
+        self.sent.setdefault(place, []).append((port, message))
+
+    def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
+        arrivals, self.coming = self.coming, []
+        return arrivals
+
+
+@dataclass
+class Process:
+    """A process of an agent: an incarnation.
+
+    stage_of: The stage in which it publishes on each port.
+    remembers: Whether the agent remembers earlier cycles.
+    began_in: Cycle in which a standby took over, maybe after its first stage; others have -1.
+    is_over: Whether what the agent knows is not certain any more.
+    heard: Newest cycle of each input.
+    sequence: Number of the next message of each port.
+    spoke: Cycle of the last recorded message of each port.
+    unsent: Messages of its last cycle that are not recorded, with stage and inputs: if it was
+        killed there, nothing is wrong.
+    """
+
+    loop: AgentLoop[Any]
+    stage_of: Mapping[Port[Message], str]
+    remembers: bool
+    began_in: int
+    is_over: bool
+    heard: dict[Port[Message], int]
+    sequence: dict[Port[Message], int] = field(default_factory=dict)
+    spoke: dict[Port[Message], int] = field(default_factory=dict)
+    unsent: list[tuple[Port[Message], Message, str, Messages]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._clock = VirtualClock()
+        self._bus = RecordedInputs(self.stage_of)
+        self._driver = Driver([self.loop], self._bus, self._clock)
+
+    def go_to(self, begin_ns: int) -> None:
+        """Go to the cycle that begins at a time, unless it is under way."""
+        self._clock.now_ns = max(self._clock.now_ns, begin_ns)
+        self._driver.join(self.loop)
+
+    def close(self, cycle: int, stage: str, inputs: Messages) -> None:
+        """Let a stage of a cycle close on its inputs, and with it those that await nothing more."""
+        loop, place = self.loop, (cycle, stage)
+        if (loop.cycle, loop.stage) == place:
+            # What the stage awaits comes last, since that closes it.
+            ports = sorted(inputs, key=loop.waiting.__contains__)
+            self._bus.coming = [Arrival(loop.name, port, inputs[port], 0) for port in ports]
+            self._driver.turn()
+        if (loop.cycle, loop.stage) == place:  # Nothing else will come: its deadline is now.
+            self._clock.now_ns += 1
+            loop.deadline_ns = self._clock.now_ns
+            self._driver.go_on(loop)
+            self._driver.turn()
+
+    def sent(self, cycle: int, stage: str) -> list[Delivery]:
+        """Return, once, what the agent has published in a stage of a cycle."""
+        return self._bus.sent.pop((cycle, stage), [])
+
+    def twin(self) -> Process:
+        """Return a process in the same state, which goes its own way from here."""
+        return replace(self, loop=self.loop.twin())
