@@ -205,8 +205,8 @@ def _to_fields(rule: FaultRule) -> Iterator[str]:
         yield "distribution: expected uniform or normal with jitter, got fixed"
     if rule.reorder and not rule.held_back_ms:
         yield (
-            "reorder: expected a delay or reorder-by (in a scenario delay_ms or reorder_ms) above 0 "
-            "with it, got none"
+            "reorder: expected a delay or reorder-by above 0 with it (in a scenario delay_ms or "
+            "reorder_ms), got none"
         )
     for begin_s, end_s in rule.silent:
         if begin_s >= end_s:
