@@ -57,10 +57,10 @@ $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
 	@touch $@
 
 results: $(READY) ## every measured table of the documents; DATA=FOLDER for those of measurements, PAGES=delays.md for one page
-	PYTHONPATH=$(CURDIR):$(CURDIR)/tests/sim_plant $(BIN)/python docs/measured $(abspath $(DATA)) $(PAGES)
+	PYTHONPATH=$(CURDIR) $(BIN)/python docs/measured $(abspath $(DATA)) $(PAGES)
 
 fit-clouds: $(READY) ## fit the constants of the cloud model to some measured hours, judge them by the others; DATA=FOLDER
-	PYTHONPATH=$(CURDIR):$(CURDIR)/tests/sim_plant $(BIN)/python docs/measured/fit_clouds.py $(abspath $(DATA))
+	PYTHONPATH=$(CURDIR) $(BIN)/python docs/measured/fit_clouds.py $(abspath $(DATA))
 
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py

@@ -83,11 +83,10 @@ class Started(Event, frozen=True):
 
 
 class Exited(Event, frozen=True):
-    """A process has ended: its exit status (below 0: the signal), and what it took in all."""
+    """A process has ended: its exit status (below 0: the signal), and its processor time in all."""
 
     status: int
     cpu_s: float
-    voluntary_switches: int
 
 
 class Presence(Event, frozen=True):

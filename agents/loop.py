@@ -290,6 +290,7 @@ class AgentLoop(Generic[S]):
     def twin(self) -> Self:
         """Return a loop in the same state, which goes its own way from here."""
         twin = copy(self)
+        twin.waiting = self.waiting.copy()
         twin.dropped = self.dropped.copy()
         twin._inputs = {port: copy(heard) for port, heard in self._inputs.items()}
         return twin

@@ -336,7 +336,7 @@ def _objections(plan: RunPlan) -> Iterator[str]:
     entries = len(plan.periods.cycles)
     if entries != height:
         tiers = f"each of the {height} tiers that have children"
-        yield f"period_cycles: expected an entry for {tiers}, got {entries}"
+        yield f"control.period_cycles: expected an entry for {tiers}, got {entries}"
     entries = len(plan.tier_deadlines_ns)
     if entries not in {0, height + 1}:
         tiers = f"each of the {height + 1} tiers, or none"

@@ -8,8 +8,8 @@ from typing import Annotated, Final
 
 import typer
 
-from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
-from launch_scripts.commands.options import with_options
+from launch_scripts.commands.boundary import BAD_INPUT, CommandLine
+from launch_scripts.commands.options import add_command
 
 COMMANDS: Final = {
     "Run": ("launch", "node", "simulate", "timing", "conform", "inverters", "scenarios"),
@@ -47,9 +47,7 @@ app.callback(invoke_without_command=True)(heliarch)
 for _heading, _names in COMMANDS.items():
     for _name in _names:
         _module = import_module(f"launch_scripts.commands.{_name}")
-        _epilog = f"Example: {_module.EXAMPLE}"
-        _command = app.command(_name, cls=Command, rich_help_panel=_heading, epilog=_epilog)
-        _command(with_options(getattr(_module, _name)))
+        add_command(app, getattr(_module, _name), _heading)
 
 
 def main() -> None:

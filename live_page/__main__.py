@@ -21,7 +21,14 @@ _RELOAD_S: Final = 2.0
 """A browser that reloads the page is away for a moment."""
 
 
-async def _serve(settings: PageSettings, over: asyncio.StreamReader) -> None:
+async def _serve() -> None:
+    over = asyncio.StreamReader()
+    protocol = asyncio.StreamReaderProtocol(over)
+    await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, sys.stdin)
+    first = await over.readline()
+    if not first:
+        return
+    settings = msgspec.json.decode(first, type=PageSettings)
     place = Place(socket.socket(fileno=settings.socket), settings.token)
     server = PageServer(Path(settings.path), place, several=settings.several)
     serving = asyncio.create_task(server.serve())
@@ -39,19 +46,10 @@ async def _serve(settings: PageSettings, over: asyncio.StreamReader) -> None:
     await serving
 
 
-async def _main() -> None:
-    reader = asyncio.StreamReader()
-    protocol = asyncio.StreamReaderProtocol(reader)
-    await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, sys.stdin)
-    settings = await reader.readline()
-    if settings:
-        await _serve(msgspec.json.decode(settings, type=PageSettings), reader)
-
-
 def main() -> None:
     """Serve a page beside a run, behind the run's own processes."""
     get_behind_others()
-    asyncio.run(_main())
+    asyncio.run(_serve())
 
 
 if __name__ == "__main__":

@@ -117,9 +117,11 @@ class RunFollower:
         return "silent" if age_s > longest_s else "running"
 
     @property
-    def read_share(self) -> float:
-        """Share of the file's chunks that has been read."""
-        return len(self._firsts) / max(len(self.run.outline.chunks), 1)
+    def read_share(self) -> float | None:
+        """Share of the file's chunks that has been read; None: all of them."""
+        if self._next_chunk() is None:
+            return None
+        return round(len(self._firsts) / len(self.run.outline.chunks), 3)
 
     def chunks_with(self, cycle: int, before: int = 1) -> list[ChunkPlace]:
         """Return the chunks that can hold messages of a cycle and of some cycles before it."""
@@ -133,22 +135,21 @@ class RunFollower:
         """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
         begin, end = max(cycles.start, 0), min(cycles.stop, self.cycles)
         part = self._series.between(begin, end)
-        desired, possible, delivered = part.desired_kw, part.possible_kw, part.delivered_kw
-        rows = np.arange(len(desired))
-        if len(rows) > points:
-            buckets = max(points // 6, 1)
-            kept = [extremes(values, buckets) for values in (desired, possible, delivered)]
-            rows = np.unique(np.concatenate(kept))
-        unavoidable = np.maximum(desired - possible, 0.0)
+        unavoidable = np.maximum(part.desired_kw - part.possible_kw, 0.0)
         columns = {
-            "cycle": rows + begin,
-            "desired": desired[rows],
-            "possible": possible[rows],
-            "delivered": delivered[rows],
-            "unavoidable": unavoidable[rows],
-            "control_caused": np.maximum(part.support_kw - unavoidable, 0.0)[rows],
+            "desired": part.desired_kw,
+            "possible": part.possible_kw,
+            "delivered": part.delivered_kw,
+            "unavoidable": unavoidable,
+            "control_caused": np.maximum(part.support_kw - unavoidable, 0.0),
         }
-        return {name: values.round(2).tolist() for name, values in columns.items()}
+        rows = np.arange(part.cycles)
+        if len(rows) > points:
+            drawn = ("desired", "possible", "delivered")
+            kept = [extremes(columns[name], max(points // 6, 1)) for name in drawn]
+            rows = np.unique(np.concatenate(kept))
+        thinned = {name: values[rows].round(2).tolist() for name, values in columns.items()}
+        return {"cycle": (rows + begin).tolist()} | thinned
 
     def metrics(self) -> RunMetrics | None:
         """Return the figures of merit so far; None before the first cycle."""

@@ -67,15 +67,15 @@ class FoxgloveStream:
         states.follower.advance(0.0)
         goes_on = states.follower.state in {"waiting", "running"}
         sent = -1
-        async for moment in self._view.moments(None if goes_on else 0.0, _SPEED):
+        async for newest in self._view.cycles(None if goes_on else 0.0, _SPEED):
             wanted = self._wanted()
             if not wanted:
                 return
-            if moment is None:
+            if newest is None:
                 continue
-            for cycle in range(max(sent, moment.cycle - _MOST_CYCLES) + 1, moment.cycle + 1):
+            for cycle in range(max(sent, newest - _MOST_CYCLES) + 1, newest + 1):
                 await self._send(states.messages(cycle, wanted))
-            sent = moment.cycle
+            sent = newest
 
     def _wanted(self) -> set[Port[Message]]:
         return {port for port, channel in self._channels.items() if channel.has_sinks()}

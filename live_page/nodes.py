@@ -60,8 +60,7 @@ class NodeStates:
         wanted = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
         if node != ROOT:
             wanted.add(SETPOINT.of(node))
-        columns = self._powers(self.messages(cycle, wanted), [node])
-        return {name: values[0] for name, values in columns.items()}
+        return self._powers(self.messages(cycle, wanted), node)
 
     def messages(self, cycle: int, ports: Collection[Port[Message]]) -> Messages:
         """Return what was said on some ports in a cycle; of setpoints the newest."""
@@ -73,33 +72,34 @@ class NodeStates:
         devices = [node for node, _ in self._plan.devices]
         return {
             "cycle": cycle,
-            "nodes": self._powers(found, self._tree.nodes),
+            "nodes": columns([self._powers(found, node) for node in self._tree.nodes]),
             "help": self._help(found),
             "agents": self._agents(cycle, found, newest),
             "unread": [self._place[node] for node in devices if TELEMETRY.of(node) not in found],
             "timing": self._timing(cycle, found),
         }
 
-    def _powers(self, found: Messages, nodes: Collection[str]) -> dict[str, Column]:
-        """Return the powers of nodes [kW]; what no message says is None."""
+    def _powers(self, found: Messages, node: str) -> dict[str, float | None]:
+        """Return the powers of a node [kW]; what no message says is None.
+
+        `help` is what it gives beyond its share of its parent's target, and negative where it gets
+        some. The central controller's setpoint is the dispatch.
+        """
         dispatch, made = found.get(DISPATCH.of(ROOT)), found.get(PRODUCTION.of(ROOT))
         assert dispatch is None or isinstance(dispatch, Dispatch)
-        columns: dict[str, Column] = {name: [] for name in _POWERS}
-        for node in nodes:
-            impp = found.get(IMPP.of(node))
-            setpoint = found.get(SETPOINT.of(node)) if node != ROOT else dispatch
-            below = self._below[self._place[node]]
-            row = (
-                impp.power_kw if isinstance(impp, Impp) else None,
-                own_request_kw(dispatch, self._tree.rating_kw(node)),
-                setpoint.power_kw if isinstance(setpoint, Setpoint | Dispatch) else None,
-                setpoint.power_kw - setpoint.share_kw if isinstance(setpoint, Setpoint) else None,
-                _total(made, "inverter_power_kw", below),
-                _total(made, "inverter_mpp_kw", below),
-            )
-            for column, value in zip(columns.values(), row, strict=True):
-                column.append(None if value is None else round(value, 2))
-        return columns
+        impp = found.get(IMPP.of(node))
+        setpoint = found.get(SETPOINT.of(node)) if node != ROOT else dispatch
+        helped = setpoint.power_kw - setpoint.share_kw if isinstance(setpoint, Setpoint) else None
+        below = self._below[self._place[node]]
+        powers = {
+            "impp": impp.power_kw if isinstance(impp, Impp) else None,
+            "request": own_request_kw(dispatch, self._tree.rating_kw(node)),
+            "setpoint": setpoint.power_kw if isinstance(setpoint, Setpoint | Dispatch) else None,
+            "help": helped,
+            "power": _total(made, "inverter_power_kw", below),
+            "mpp": _total(made, "inverter_mpp_kw", below),
+        }
+        return {name: None if kw is None else round(kw, 2) for name, kw in powers.items()}
 
     def _help(self, found: Messages) -> list[tuple[int, int, float]]:
         """Return who helps whom by how much: places of donor and needy, kW."""
@@ -123,7 +123,7 @@ class NodeStates:
         for message in found.values():
             if message.cycle == cycle and message.source in said:
                 said[message.source].append(message)
-        rows = []
+        rows: list[dict[str, float | None]] = []
         for agent, messages in said.items():
             waits = [parse_missing(entry) for one in messages for entry in one.missing]
             older = [cycle - missing.cycle for missing in waits if missing.cycle is not None]
@@ -139,36 +139,29 @@ class NodeStates:
                     "restarts": self.follower.restarts[agent],
                 }
             )
-        return {name: [row[name] for row in rows] for name in rows[0]}
+        return columns(rows)
 
     def _timing(self, cycle: int, found: Messages) -> list[dict[str, object]]:
         """Return when the messages of each stage went out, after the beginning of the cycle [ms].
 
         In lockstep a cycle begins with its first message.
         """
-        out = [
-            (self._stages[port], message.publish_time_ns)
-            for port, message in found.items()
-            if port in self._stages
-            and message.cycle == cycle
-            and port.publisher not in self._plan.external  # Another host has another clock.
-        ]
-        if not out:
-            return []
-        begin_ns = min(time_ns for _, time_ns in out)
+        times_ns: dict[_Stage, list[int]] = {}
+        for port, message in found.items():
+            is_here = port.publisher not in self._plan.external  # Another host has another clock.
+            if port in self._stages and message.cycle == cycle and is_here:
+                times_ns.setdefault(self._stages[port], []).append(message.publish_time_ns)
+        begin_ns = min(chain.from_iterable(times_ns.values()), default=0)
         if not self._plan.lockstep and self.follower.start_time_ns is not None:
             begin_ns = self.follower.start_time_ns + cycle * self._plan.cycle_wall_ns
-        times: dict[_Stage, list[float]] = {}
-        for stage, time_ns in out:
-            times.setdefault(stage, []).append(round((time_ns - begin_ns) / 1e6, 3))
         return [
             {
                 "stage": stage.label,
                 "deadline_ms": stage.deadline_ms,
-                "first_ms": min(times[stage]),
-                "last_ms": max(times[stage]),
+                "first_ms": round((min(times_ns[stage]) - begin_ns) / 1e6, 3),
+                "last_ms": round((max(times_ns[stage]) - begin_ns) / 1e6, 3),
             }
-            for stage in sorted(times, key=lambda stage: stage.place)
+            for stage in sorted(times_ns, key=lambda stage: stage.place)
         ]
 
     def _stages_of(self, ports: Iterable[Port[Message]]) -> dict[Port[Message], _Stage]:
@@ -226,9 +219,9 @@ class NodeStates:
         return found
 
 
-_POWERS: Final = ("impp", "request", "setpoint", "help", "power", "mpp")
-"""Powers of a node. `help` is what it gives beyond its share of its parent's target, and negative
-where it gets some. The central controller's setpoint is the dispatch."""
+def columns(rows: list[dict[str, float | None]]) -> dict[str, Column]:
+    """Return a list for each name, from at least one row."""
+    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def _total(made: Message | None, field: str, below: tuple[int, ...]) -> float | None:

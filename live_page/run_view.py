@@ -5,17 +5,18 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from live_page.follower import RunFollower
-from live_page.nodes import NodeStates
+from live_page.nodes import NodeStates, columns
 from live_page.processes import RunProcesses
 from recordings.export.viewer_layout import viewer_layout
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
@@ -23,7 +24,7 @@ from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import shown_in
 from sunspec.process import read_accounts
 
-UPDATE_S: Final = 0.1
+_UPDATE_S: Final = 0.1
 """Time between two updates of a page."""
 
 _READING_S: Final = 0.03
@@ -54,14 +55,6 @@ class _Sent:
     slow_cycles: int = 0
 
 
-class Moment(NamedTuple):
-    """What to show of a run: a cycle, -1 before the first; and how much is read, if not all."""
-
-    states: NodeStates
-    cycle: int
-    read_share: float | None
-
-
 class RunView:
     """A run that pages look at. Nothing is read while nobody does.
 
@@ -80,15 +73,9 @@ class RunView:
 
     def open(self) -> NodeStates | None:
         """Return the recording; None while it has not begun."""
-        if self._states is None:
-            try:
+        if self._states is None and self.path.exists():
+            with suppress(NothingRecordedError):
                 self._states = NodeStates(RunFollower(self.path))
-            except NothingRecordedError:
-                return None
-            except InputError:
-                if self.path.exists():
-                    raise
-                return None
         return self._states
 
     def _begun(self) -> NodeStates:
@@ -146,13 +133,11 @@ class RunView:
         cycles = range(max(cycles.start, 0), min(cycles.stop, states.follower.cycles))
         most = max(_NODE_MESSAGES // (8 * len(nodes)), 20)
         step = max(ceil(len(cycles) / min(_NODE_POINTS, most)), 1)
-        columns: dict[str, list[float | None]] = {"cycle": []}
+        rows: list[dict[str, float | None]] = []
         for cycle in cycles[::step]:
-            columns["cycle"].append(cycle)
-            for name, value in states.series(node, cycle).items():
-                columns.setdefault(name, []).append(value)
+            rows.append({"cycle": cycle, **states.series(node, cycle)})
             await asyncio.sleep(0)  # Other pages have their turn.
-        return columns
+        return columns(rows) if rows else {"cycle": []}
 
     async def updates(self, position: float | None, speed: float) -> AsyncIterator[bytes]:
         """Yield the state of the run whenever there is news, as JSON.
@@ -160,20 +145,16 @@ class RunView:
         `position` is the cycle to begin with; None: follow the newest one. `speed` is in simulated
         seconds a second; 0: stay there.
         """
-        self.watched += 1
         sent = _Sent()
-        try:
-            async for moment in self.moments(position, speed):
-                news = {"state": "waiting"} if moment is None else self._news(moment, sent)
-                if news:
-                    yield msgspec.json.encode(news)
-        finally:
-            self.watched -= 1
+        async for cycle in self.cycles(position, speed):
+            news = {"state": "waiting"} if cycle is None else self._news(cycle, sent)
+            if news:
+                yield msgspec.json.encode(news)
 
-    async def moments(self, position: float | None, speed: float) -> AsyncIterator[Moment | None]:
-        """Yield what to show, at most ten times a second; None while the run has not begun.
+    async def cycles(self, position: float | None, speed: float) -> AsyncIterator[int | None]:
+        """Yield the cycle to show, at most ten times a second; -1 before the first one.
 
-        The parameters are those of `updates`.
+        None while the run has not begun. The parameters are those of `updates`.
         """
         shown = position
         now = time.monotonic()
@@ -193,15 +174,15 @@ class RunView:
                 shown += ceil((newest - shown) / _CATCH_UP)
             elif shown < newest:
                 shown = min(shown + speed * (now - before) * 1e9 / follower.plan.cycle_ns, newest)
-            read_share = None if up_to_date else round(follower.read_share, 3)
-            yield Moment(states, min(int(shown), newest), read_share)
-            await asyncio.sleep(UPDATE_S if up_to_date else _READING_S / 3)
+            yield min(int(shown), newest)
+            await asyncio.sleep(_UPDATE_S if up_to_date else _READING_S / 3)
 
-    def _news(self, moment: Moment, sent: _Sent) -> dict[str, Any]:
+    def _news(self, cycle: int, sent: _Sent) -> dict[str, Any]:
         """Return what a browser does not know yet; nothing if it was told all and recently."""
-        states, cycle, reading = moment
+        states = self._begun()
         follower = states.follower
         now, revision = time.monotonic(), follower.events.revision
+        reading = follower.read_share
         state = {"state": follower.state, "cycles": follower.cycles, "reading": reading}
         is_slow_due = now > sent.slow_at + _SLOW_S
         if not is_slow_due and (state, cycle, revision) == (sent.state, sent.cycle, sent.revision):
@@ -236,9 +217,8 @@ def _figures(metrics: RunMetrics | None) -> list[dict[str, str]]:
     """Return the figures that a summary shows, as texts."""
     if metrics is None:
         return []
-    values = [(figure, figure.read(metrics)) for figure in shown_in("summary")]
     return [
         {"title": figure.title, "unit": figure.unit, "value": f"{value:,.{figure.decimals}f}"}
-        for figure, value in values
-        if value is not None
+        for figure in shown_in("summary")
+        if (value := figure.read(metrics)) is not None
     ]

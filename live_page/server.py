@@ -91,6 +91,7 @@ class PageServer:
                 lifespan="off",
                 ws="none",
                 server_header=False,
+                headers=list(_HEADERS.items()),
                 timeout_graceful_shutdown=1,
             )
         )
@@ -104,7 +105,7 @@ class PageServer:
 
     def _app(self) -> ASGIApp:
         of_run = [
-            Route("/", _file("run.html")),
+            Route("/", self._file("run.html")),
             Route("/plan", self._plan),
             Route("/layout.json", self._layout),
             Route("/window", self._window),
@@ -116,7 +117,7 @@ class PageServer:
             routes += of_run
         else:
             routes += [
-                Route("/", _file("runs.html")),
+                Route("/", self._file("runs.html")),
                 Route("/runs", self._runs),
                 Mount("/run/{run}", routes=of_run),
             ]
@@ -127,6 +128,15 @@ class PageServer:
             middleware.insert(0, Middleware(TrustedHostMiddleware, allowed_hosts=hosts))
         errors: Any = {InputError: _bad_input}
         return Starlette(routes=routes, middleware=middleware, exception_handlers=errors)
+
+    def _file(self, name: str) -> Callable[[Request], Awaitable[Response]]:
+        async def answer(request: Request) -> Response:
+            page, token = FileResponse(_STATIC / name), self._place.token
+            if token:
+                page.set_cookie(_COOKIE, token, httponly=True, samesite="strict")
+            return page
+
+        return answer
 
     def _view(self, request: Request) -> RunView:
         """Return the run that a request is about. Of several runs a few stay open."""
@@ -166,23 +176,25 @@ class PageServer:
             return PlainTextResponse("too many browsers look on", 503)
         begin = _number(request, "from", -1.0)
         speed = min(max(_number(request, "speed", 0.0), 0.0), _FASTEST)
-        updates = self._view(request).updates(None if begin < 0 else begin, speed)
-        return EventStream(self._events(updates))
+        view = self._view(request)
+        return EventStream(self._events(view, view.updates(None if begin < 0 else begin, speed)))
 
-    async def _events(self, updates: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    async def _events(self, view: RunView, updates: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
         self.streams += 1
+        view.watched += 1
         try:
             async for update in updates:
                 yield b"data: " + update + b"\n\n"
                 if self._server.should_exit:
                     return
         finally:
+            view.watched -= 1
             self.streams -= 1
             self.left_at = asyncio.get_running_loop().time()
 
 
 class _Guard:
-    """Lets in who knows the token, and adds the headers of every answer."""
+    """Lets in who knows the token."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app
@@ -196,27 +208,8 @@ class _Guard:
         if self._token and not secrets.compare_digest(given.encode(), self._token.encode()):
             refusal = PlainTextResponse("the address needs the token that was printed\n", 403)
             await refusal(scope, receive, send)
-            return
-
-        async def with_headers(message: Any) -> None:  # noqa: ANN401 - the type is Starlette's
-            if message["type"] == "http.response.start":
-                headers = dict(_HEADERS)
-                if self._token:
-                    headers["Set-Cookie"] = f"{_COOKIE}={given}; HttpOnly; SameSite=Strict"
-                message["headers"] = [
-                    *message["headers"],
-                    *((name.lower().encode(), value.encode()) for name, value in headers.items()),
-                ]
-            await send(message)
-
-        await self._app(scope, receive, with_headers)
-
-
-def _file(name: str) -> Callable[[Request], Awaitable[Response]]:
-    async def answer(request: Request) -> Response:
-        return FileResponse(_STATIC / name)
-
-    return answer
+        else:
+            await self._app(scope, receive, send)
 
 
 def _json(document: object) -> Response:

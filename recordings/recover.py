@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, Final, TypeAlias
+from typing import Final
 
 import msgspec
 from mcap.writer import CompressionType, Writer
 
 from bus_schemas.codec import decode
 from bus_schemas.signals import PRODUCTION, RUN
-from recordings.read.chunks import (
-    ChunkPlace,
-    DamagedChunkError,
-    RawMessage,
-    messages_in,
-)
+from bus_schemas.tree import ROOT
+from recordings.read.chunks import ChunkPlace, DamagedChunkError, RawMessage, messages_in
 from recordings.read.gaps import RunGaps
 from recordings.read.outline import Outline
 from recordings.read.reader import Head, RunReader, end_of_run, head_of
@@ -68,18 +64,11 @@ class Recovery(msgspec.Struct, kw_only=True):
         return (self.closed or self.ended) and not missing
 
 
-_Follow: TypeAlias = Callable[[float], None]
-
-
-def is_sound(run: RunReader, follow: _Follow = lambda share: None) -> bool:
-    """Whether a recording was closed in order and all of it can be read.
-
-    `follow` is called now and then with the share that has been read, 0 to 1.
-    """
+def is_sound(run: RunReader) -> bool:
+    """Whether a recording was closed in order and all of it can be read."""
     if not run.whole or run.outline.damaged_attachments:
         return False
-    for number, place in enumerate(run.outline.chunks):
-        follow(number / len(run.outline.chunks))
+    for place in run.followed_chunks():
         try:
             run.unpack(place)
         except DamagedChunkError:
@@ -87,95 +76,87 @@ def is_sound(run: RunReader, follow: _Follow = lambda share: None) -> bool:
     return True
 
 
-def recover_run(run: RunReader, out: Path, follow: _Follow = lambda share: None) -> Recovery:
+def recover_run(run: RunReader, out: Path) -> Recovery:
     """Copy everything that can be read of a recording into a new one.
 
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
     with their times, sequence numbers and order. Metadata named `recovery` is added.
     """
+    outline, gaps, stops = run.outline, RunGaps(run.plan), set[int]()
+    found = Recovery(
+        source=str(run.path),
+        out=str(out),
+        closed=outline.closed,
+        planned_cycles=run.plan.cycles,
+        cut_bytes=0 if outline.closed else max(outline.size - outline.readable_end, 0),
+        damaged_attachments=outline.damaged_attachments,
+    )
     with new_path(out) as beside, beside.open("xb") as file:
-        copy = _Copy(run, out, file)
-        for number, place in enumerate(run.outline.chunks):
-            follow(number / len(run.outline.chunks))
-            copy.add_chunk(place)
-        copy.finish()
-        return copy.found
-
-
-class _Copy:
-    """A new recording that is being filled from an old one."""
-
-    def __init__(self, run: RunReader, out: Path, file: BinaryIO) -> None:
-        outline = run.outline
-        self.found = Recovery(
-            source=str(run.path),
-            out=str(out),
-            closed=outline.closed,
-            planned_cycles=run.plan.cycles,
-            cut_bytes=0 if outline.closed else outline.size - outline.readable_end,
-            damaged_attachments=outline.damaged_attachments,
-        )
-        self._run = run
-        self._stops: set[int] = set()
-        self._gaps = RunGaps(run.plan)
-        self._writer = Writer(file, compression=CompressionType.LZ4)
-        self._channel_of = _begin(self._writer, outline)
-
-    def add_chunk(self, place: ChunkPlace) -> None:
-        """Copy the messages of a chunk; note it if it cannot be read."""
-        try:
-            records = self._run.unpack(place)
-            for raw in messages_in(records, self._channel_of):
-                head = head_of(raw[4])
-                if place.cut and head.cycle > self._run.plan.cycles:
-                    return
-                self._add(raw, head)
-                self.found.cut_messages += place.cut
-        except (DamagedChunkError, msgspec.DecodeError) as error:
-            # A cut chunk has no checksum: it is read for as long as it decodes.
-            if not place.cut:
-                damage = DamagedChunk(place.offset, place.first_ns, place.last_ns, str(error))
-                self.found.damaged.append(damage)
-
-    def finish(self) -> None:
-        """Write where the file is from, and its index."""
-        run, recovery = self._run, self.found
-        end_cycle = end_of_run(self._stops, recovery.last_cycle)
-        recovery.ended = end_cycle == recovery.complete_cycles
-        recovery.lost = self._gaps.lost
+        writer = Writer(file, compression=CompressionType.LZ4)
+        channel_of = _begin(writer, outline)
+        for place in run.followed_chunks():
+            for raw, head in _readable(run, place, found):
+                channel, sequence, log_time_ns, publish_time_ns, payload = raw
+                writer.add_message(
+                    channel_of[channel], log_time_ns, payload, publish_time_ns, sequence
+                )
+                found.messages += 1
+                found.cut_messages += place.cut
+                found.last_ns = log_time_ns
+                port = run.channels.get(channel)
+                if port is not None:
+                    gaps.see(port, head.cycle, sequence, head.incarnation)
+                if port is None or port.signal is not RUN:
+                    found.last_cycle = max(found.last_cycle, head.cycle)
+                elif _is_stop(payload):
+                    stops.add(head.cycle)
+        found.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].messages
+        end_cycle = end_of_run(stops, found.last_cycle)
+        found.ended = end_cycle == found.complete_cycles
+        found.lost = gaps.lost
         if end_cycle is not None:
-            early = self._gaps.end(end_cycle)
-            recovery.early_ports = len(early)
-            recovery.early_messages = sum(map(len, early.values()))
-        metadata = {
-            "recovered_from": run.path.name,
-            "lossless": str(recovery.lossless).lower(),
-            "cut_bytes": str(recovery.cut_bytes),
-            "damaged_chunks": str(len(recovery.damaged)),
-        }
-        if recovery.damaged_attachments:
-            # Their new checksums will be right.
-            metadata["damaged_attachments"] = ", ".join(recovery.damaged_attachments)
-        self._writer.add_metadata(RECOVERY_METADATA, metadata)
-        self._writer.finish()
+            early = gaps.end(end_cycle)
+            found.early_ports, found.early_messages = len(early), sum(map(len, early.values()))
+        writer.add_metadata(RECOVERY_METADATA, _metadata(found, run.path))
+        writer.finish()
+    return found
 
-    def _add(self, raw: RawMessage, head: Head) -> None:
-        channel, sequence, log_time_ns, publish_time_ns, payload = raw
-        cycle, port, found = head.cycle, self._run.channels.get(channel), self.found
-        if port is not None and port.signal is RUN:
-            message = decode(RUN, payload)
-            if message.state == "stop":
-                self._stops.add(message.cycle)
-        else:
-            found.complete_cycles += port is not None and port.signal is PRODUCTION
-            found.last_cycle = max(found.last_cycle, cycle)
-        if port is not None:
-            self._gaps.see(port, cycle, sequence, head.incarnation)
-        self._writer.add_message(
-            self._channel_of[channel], log_time_ns, payload, publish_time_ns, sequence
-        )
-        found.messages += 1
-        found.last_ns = log_time_ns
+
+def _readable(
+    run: RunReader, place: ChunkPlace, found: Recovery
+) -> Iterator[tuple[RawMessage, Head]]:
+    """Yield the messages of a chunk; note it if it cannot be read."""
+    try:
+        for raw in messages_in(run.unpack(place), run.outline.channels):
+            head = head_of(raw[4])
+            if place.cut and head.cycle > run.plan.cycles:
+                return
+            yield raw, head
+    except (DamagedChunkError, msgspec.DecodeError) as error:
+        # A cut chunk has no checksum: it is read for as long as it decodes.
+        if not place.cut:
+            damage = DamagedChunk(place.offset, place.first_ns, place.last_ns, str(error))
+            found.damaged.append(damage)
+
+
+def _is_stop(payload: bytes) -> bool:
+    try:
+        return decode(RUN, payload).state == "stop"
+    except msgspec.DecodeError:
+        return False
+
+
+def _metadata(found: Recovery, source: Path) -> dict[str, str]:
+    metadata = {
+        "recovered_from": source.name,
+        "lossless": str(found.lossless).lower(),
+        "cut_bytes": str(found.cut_bytes),
+        "damaged_chunks": str(len(found.damaged)),
+    }
+    if found.damaged_attachments:
+        # Their new checksums will be right.
+        metadata["damaged_attachments"] = ", ".join(found.damaged_attachments)
+    return metadata
 
 
 def _begin(writer: Writer, outline: Outline) -> dict[int, int]:

@@ -7,18 +7,19 @@ bright it is. That current is a convention of the scenario, not a property of th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import check_name, some_of
 from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
+from sim_plant.positions import placed_on_the_equator
+from sim_plant.sites import Sites, equal_ratings_kw, inverter_name
+from sim_plant.sources import MeasuredPlant
 
 TIME_COLUMN: Final = "t_s"
 
@@ -31,37 +32,24 @@ _FAINT_SHARE: Final = 0.02
 _FURTHEST_M: Final = 1e6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InverterCurrents:
-    """Mean DC current of the combiners of n inverters at T time stamps.
-
-    `time_ns` is the time since the beginning of the measurement, with a constant step. `share` has
-    the shape (T, n): mean current over the current at full power, never negative. `x_m` and `y_m`
-    are the mean position of each inverter's combiners, east and north of an arbitrary point.
-    `listed` says how many inverters the positions name, those that are left out included, and
-    `report` what was missing.
-    """
-
-    time_ns: NDArray[np.int64]
-    share: Floats
-    inverters: tuple[str, ...]
-    x_m: Floats
-    y_m: Floats
-    listed: int
-    report: tuple[str, ...]
-
-
 def read_currents(
-    currents_csv: Path, positions_csv: Path, full_power_current: float, *, refuse_gaps: bool
-) -> InverterCurrents:
-    """Read the currents of combiners and take their mean for each inverter.
+    currents_csv: Path,
+    positions_csv: Path,
+    full_power_current: float,
+    begins: pd.Timestamp,
+    plant_rating_kw: float | None,
+    *,
+    refuse_gaps: bool,
+) -> MeasuredPlant:
+    """Read the currents of combiners; their mean, clipped at 1, is the power of each inverter.
 
-    `currents_csv` has the column `t_s`, seconds with a constant step, and one column for each
-    combiner; a field may be empty. `positions_csv` has the columns `combiner, inverter, x_m, y_m`.
+    `currents_csv` has the column `t_s`, seconds since `begins` with a constant step, and one column
+    for each combiner; a field may be empty. `positions_csv` has the columns `combiner, inverter,
+    x_m, y_m`, metres east and north of an arbitrary point.
 
     Where some combiners of an inverter are missing the mean is over those that are there. An
-    inverter of which all are missing throughout is left out. If `refuse_gaps`, a missing value is
-    an error instead.
+    inverter of which all are missing throughout is left out, with its rating. If `refuse_gaps`, a
+    missing value is an error instead.
     """
     table = read_csv(currents_csv)
     combiners = _read_combiners(positions_csv)
@@ -70,26 +58,18 @@ def read_currents(
     # Combiners of the positions file that the currents lack are missing throughout.
     share = pd.DataFrame(np.maximum(current / full_power_current, 0.0), columns=list(columns))
     share = share.reindex(columns=combiners.index)
-    inverters, report = _inverters(table.name, share, combiners["inverter"], refuse_gaps)
-    means = np.column_stack(
-        [share.loc[:, combiners["inverter"] == one].mean(axis=1) for one in inverters]
-    )
-    _check_never_silent(table, inverters, means)
+    means, report = _means(table.name, share, combiners["inverter"], refuse_gaps)
     positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()
-    return InverterCurrents(
-        table.seconds_ns(TIME_COLUMN),
-        means,
-        inverters,
-        positions["x_m"][list(inverters)].to_numpy(),
-        positions["y_m"][list(inverters)].to_numpy(),
-        len(positions),
-        report,
+    x_m, y_m = positions.loc[means.columns].to_numpy().T
+    rating_kw = equal_ratings_kw(plant_rating_kw, len(positions), "plant")[: len(x_m)]
+    names = tuple(inverter_name(str(inverter)) for inverter in means)
+    return MeasuredPlant(
+        Sites(names, *placed_on_the_equator(x_m, y_m), rating_kw),
+        begins + pd.to_timedelta(table.seconds_ns(TIME_COLUMN), unit="ns"),
+        np.minimum(np.ascontiguousarray(means), 1.0) * rating_kw,
+        str(currents_csv),
+        tuple(report),
     )
-
-
-def ac_power_kw(share: Floats, rating_kw: Floats) -> Floats:
-    """Return the AC power that the currents of inverters mean [kW], clipped at the rating."""
-    return np.minimum(share, 1.0) * rating_kw
 
 
 def _read_combiners(path: Path) -> pd.DataFrame:
@@ -138,37 +118,33 @@ def _currents(
     return current
 
 
-def _inverters(
+def _means(
     name: str, share: pd.DataFrame, inverter_of: pd.Series, refuse_gaps: bool
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the inverters of which there is any current, and a line on what was missing."""
-    used, report = [], []
-    for inverter in inverter_of.unique():
-        own = share.loc[:, inverter_of == inverter]
-        total, there, combiners = own.size, int(own.count().sum()), own.shape[1]
-        if there:
-            used.append(inverter)
-        if there == total:
+) -> tuple[pd.DataFrame, list[str]]:
+    """Return the mean of each inverter of which there is any, and a line on what was missing."""
+    own = {inverter: share.loc[:, inverter_of == inverter] for inverter in inverter_of.unique()}
+    report = []
+    for inverter, shares in own.items():
+        missing, total = int(shares.isna().to_numpy().sum()), shares.size
+        if not missing:
             continue
         what = (
-            f"{name}: inverter {inverter}: {total - there:,} of {total:,} currents of its "
-            f"{combiners} combiners missing"
+            f"{name}: inverter {inverter}: {missing:,} of {total:,} currents of its "
+            f"{shares.shape[1]} combiners missing"
         )
         if refuse_gaps:
             raise InputError(f"{what}, expected none, as irradiance.gaps is 'refuse'")
-        then = "the mean is over those that are there" if there else "left out, with its rating"
-        report.append(f"{what}: {then}")
-    if not used:
+        is_there = "the mean is over those that are there"
+        report.append(f"{what}: {is_there if missing < total else 'left out, with its rating'}")
+    means = pd.DataFrame({inverter: shares.mean(axis=1) for inverter, shares in own.items()})
+    means = means.dropna(axis="columns", how="all")
+    if means.empty:
         raise InputError(f"{name}: expected at least one inverter with a current, got none")
-    return tuple(used), tuple(report)
-
-
-def _check_never_silent(table: CsvTable, inverters: tuple[str, ...], means: Floats) -> None:
-    """Refuse an inverter that has currents at some times only: it cannot come and go."""
-    silent = np.argwhere(np.isnan(means))
+    silent = np.argwhere(means.isna())
     if silent.size:
-        row, inverter = silent[0]
+        row, place = silent[0]
         raise InputError(
-            f"{table.name}: line {row + 2}: expected some current of inverter "
-            f"{inverters[inverter]} in each line, or none at all, got {len(silent):,} lines without"
+            f"{name}: line {row + 2}: expected some current of inverter {means.columns[place]} in "
+            f"each line, or none at all, got {len(silent):,} lines without"
         )
+    return means, report

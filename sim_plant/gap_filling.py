@@ -39,21 +39,17 @@ _LONGEST_LINE: Final = 60
 _SAME_PLACE_M: Final = 1.0
 
 
-def fill_from_neighbours(irradiance: Irradiance, source: str) -> tuple[Irradiance, tuple[str, ...]]:
-    """Fill what is missing (NaN), and say of each sensor what was filled.
-
-    `source` is what the irradiance was read from, for the error that all sensors are silent
-    for too long, or at the beginning or end.
-    """
+def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
+    """Fill what is missing (NaN), and report of each sensor what was filled."""
     ghi_wm2 = irradiance.ghi_wm2
     missing = np.isnan(ghi_wm2)
     nobody = np.asarray(missing.all(axis=1), dtype=np.bool_)
-    _check_silences(nobody, source)
+    _check_silences(nobody, irradiance.source)
     east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
     distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
     distance_m = np.maximum(distance_m, _SAME_PLACE_M)
     filled = ghi_wm2.copy()
-    report = []
+    report = list(irradiance.report)
     for sensor in np.flatnonzero((missing & ~nobody[:, None]).any(axis=0)):
         gaps = missing[:, sensor] & ~nobody
         order = np.argsort(distance_m[sensor], kind="stable")
@@ -72,7 +68,7 @@ def fill_from_neighbours(irradiance: Irradiance, source: str) -> tuple[Irradianc
             f"all sensors: {int(nobody.sum()):,} of {len(nobody):,} values missing at the same"
             " time, interpolated from the values before and after"
         )
-    return replace(irradiance, ghi_wm2=filled), tuple(report)
+    return replace(irradiance, ghi_wm2=filled, report=tuple(report))
 
 
 def _weighted_mean(ghi_wm2: Floats, distance_m: Floats) -> tuple[Floats, NDArray[np.bool_]]:

@@ -24,7 +24,8 @@ class Irradiance:
     """GHI of N sensors at T time stamps.
 
     `times` are UTC with one constant step. `ghi_wm2` has the shape (T, N) and is never negative.
-    Coordinates [degree] have the shape (N,), north and east are positive.
+    Coordinates [degree] have the shape (N,), north and east are positive. `source` is the file that
+    it was read from; `report` has a line for each sensor that was filled or left out.
     """
 
     times: pd.DatetimeIndex
@@ -32,6 +33,8 @@ class Irradiance:
     sensors: tuple[str, ...]
     lat_deg: Floats
     lon_deg: Floats
+    source: str
+    report: tuple[str, ...] = ()
 
 
 def read_measured_ghi(
@@ -67,7 +70,7 @@ def read_measured_ghi(
     stamp = table.header[0]
     times = table.times(stamp)
     table.check_steady(stamp, times.asi8)
-    return Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
+    return Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg, str(ghi_csv))
 
 
 def read_positions(path: Path, stations: Sequence[str]) -> tuple[Floats, Floats]:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from datetime import date, timedelta, timezone
 from pathlib import Path
 from typing import Final
@@ -47,25 +47,13 @@ TIMEZONE: Final = timezone(-timedelta(hours=10), "HST")
 _ACCEPTED: Final = "YYYYMMDD.txt, or YYYYMM.zip that holds it"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GridDay:
-    """A day of the archive without missing values, the file it was read from, and what was filled.
-
-    `report` has a line for each sensor that was filled or left out.
-    """
-
-    irradiance: Irradiance
-    source: str
-    report: tuple[str, ...]
-
-
 def read_day(
     folder: Path,
     day: date,
     positions_csv: Path,
     stations: Sequence[str] | None = None,
     most_missing: float | None = None,
-) -> GridDay:
+) -> Irradiance:
     """Read one day, in Hawaii, and see to its missing values.
 
     Values from -10 to 0 W/m^2, which the sensors show at night, are set to 0. By default all 17
@@ -77,23 +65,26 @@ def read_day(
     check_stations(wanted, HORIZONTAL, "stations")
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
     source, content = _find(folder, day)
-    table = _table(source, content)
+    fields = text_fields(content.decode("latin-1"), source)
+    if fields.shape[1] != len(_FIELDS):
+        hint = ", as a file of AP2 has" if fields.shape[1] == 7 else ""
+        raise InputError(
+            f"{source}: line 1: expected {len(_FIELDS)} fields, got {fields.shape[1]}{hint}"
+        )
+    table = CsvTable(source, _FIELDS, fields)
     times = _times(table, day)
-    ghi_wm2 = table.numbers(wanted, f"a number, {MISSING:g} where it is missing")
+    expected, lowest = f"a number, {MISSING:g} where it is missing", -np.inf
+    if most_missing is None:
+        expected, lowest = "no missing value, as irradiance.gaps is 'refuse'", MISSING + 1.0
+    ghi_wm2 = table.numbers(wanted, expected, lowest)
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
     check_ghi(table, wanted, ghi_wm2)
-    found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
+    found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg, source)
     if most_missing is None:
-        missing = np.argwhere(np.isnan(ghi_wm2))
-        if missing.size:
-            row, column = missing[0]
-            expected = "no missing value, as irradiance.gaps is 'refuse'"
-            raise table.error(int(row), wanted[column], expected)
-        return GridDay(found, source, ())
-    used, left_out = _without_silent(found, source, most_missing)
-    complete, filled = fill_from_neighbours(used, source)
+        return found
+    complete = fill_from_neighbours(_without_silent(found, most_missing))
     name = source.rpartition("/")[2]
-    return GridDay(complete, source, tuple(f"{name}: {line}" for line in (*left_out, *filled)))
+    return replace(complete, report=tuple(f"{name}: {line}" for line in complete.report))
 
 
 def latest_day_before(folder: Path, day: date) -> date:
@@ -135,16 +126,6 @@ def _archive(month: Path) -> Iterator[ZipFile]:
         raise InputError(f"{month}: expected a ZIP archive of daily files, got: {error}") from None
 
 
-def _table(source: str, content: bytes) -> CsvTable:
-    fields = text_fields(content.decode("latin-1"), source)
-    if fields.shape[1] != len(_FIELDS):
-        hint = ", as a file of AP2 has" if fields.shape[1] == 7 else ""
-        raise InputError(
-            f"{source}: line 1: expected {len(_FIELDS)} fields, got {fields.shape[1]}{hint}"
-        )
-    return CsvTable(source, _FIELDS, fields)
-
-
 def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:
     """Time stamps of all lines in UTC."""
     table.check_length()
@@ -166,9 +147,7 @@ def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:
     return times
 
 
-def _without_silent(
-    found: Irradiance, source: str, most_missing: float
-) -> tuple[Irradiance, list[str]]:
+def _without_silent(found: Irradiance, most_missing: float) -> Irradiance:
     """Leave out the sensors of which too much is missing."""
     missing = np.isnan(found.ghi_wm2).sum(axis=0)
     total = len(found.times)
@@ -176,14 +155,19 @@ def _without_silent(
     limit = f"more than {100.0 * most_missing:g} % of the day"
     if not kept.size:
         raise InputError(
-            f"{source}: expected at least one sensor with less missing, got {limit} of each"
+            f"{found.source}: expected at least one sensor with less missing, got {limit} of each"
         )
     report = [
-        f"{found.sensors[sensor]}: {missing[sensor]:,} of {total:,} values missing, {limit}:"
-        " left out, with its inverter"
-        for sensor in range(len(found.sensors))
+        f"{name}: {missing[sensor]:,} of {total:,} values missing, {limit}: left out, with its"
+        " inverter"
+        for sensor, name in enumerate(found.sensors)
         if sensor not in kept
     ]
-    names = tuple(found.sensors[sensor] for sensor in kept)
-    place = found.lat_deg[kept], found.lon_deg[kept]
-    return Irradiance(found.times, found.ghi_wm2[:, kept], names, *place), report
+    return replace(
+        found,
+        ghi_wm2=found.ghi_wm2[:, kept],
+        sensors=tuple(found.sensors[sensor] for sensor in kept),
+        lat_deg=found.lat_deg[kept],
+        lon_deg=found.lon_deg[kept],
+        report=tuple(report),
+    )

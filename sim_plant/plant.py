@@ -172,7 +172,10 @@ class Plant:
         power_kw = np.minimum(share * mpp_kw, state.limit_kw)
         if self._devices is not None:
             mpp_kw = mpp_kw.copy()
-            self._command(self._devices, turn)
+            for place in self._devices.places:
+                command = turn.get(self._commands[place])
+                if command is not None and turn.cycle >= 0:
+                    self._devices.command(place, command)
             for place, reading in self._devices.newest.items():
                 # What states no possible power is taken to give all it has.
                 power_kw[place] = reading.power_kw
@@ -187,12 +190,6 @@ class Plant:
             inverter_power_kw=tuple(power_kw.tolist()),
         )
         return replace(state, power_kw=power_kw), [(self._production, production)]
-
-    def _command(self, devices: Devices, turn: Turn) -> None:
-        for place in devices.places:
-            command = turn.get(self._commands[place])
-            if command is not None and turn.cycle >= 0:
-                devices.command(place, command)
 
     def _obey(self, state: PlantState, turn: Turn) -> PlantState:
         """Obey the commands; an inverter that has heard none for its revert time reverts.

@@ -11,7 +11,7 @@ import logging
 import time
 from collections.abc import Collection, Iterable
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from agents.events import Armed
 from agents.launcher_link import LauncherLink
@@ -43,9 +43,6 @@ _ARMING_S: Final = 30.0
 _LOOK_S: Final = 0.005
 """Time between two looks at who is there."""
 
-_MOST_NAMED: Final = 3
-"""One agent that does not answer delays all others, so only so many names are listed."""
-
 _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 everybody is told when it begins."""
 
@@ -65,9 +62,8 @@ def needed_messages(waiting: Iterable[Port[Message]], external: Collection[str])
     ports = list(waiting)
     theirs = [port for port in ports if port.publisher in external]
     needs = sorted(map(str, theirs or ports)) or ["the recorder"]
-    others = len(needs) - _MOST_NAMED
-    rest = f" and {others} more" if others > 0 else ""
-    return ", ".join(needs[:_MOST_NAMED]) + rest
+    # One agent that does not answer delays all others, so only so many are named.
+    return some_of(needs, most=3)
 
 
 def run_plant(
@@ -81,73 +77,62 @@ def run_plant(
     def run() -> None:
         devices = Devices(plan, folder) if plan.devices else None
         with AgentProcess(plan, Plant(plan, profile, devices), link) as process:
-            PlantRun(process, patience_s).run()
+            _lead(process, patience_s)
 
     return run_guarded(PLANT, link, run)
 
 
-class PlantRun:
-    """Takes the plant, and with it everybody, through a run."""
+def _lead(process: AgentProcess, patience_s: float) -> None:
+    """Arm, start, run, stop."""
+    plan, loop = process.plan, process.loop
+    _await_everybody(process, time.monotonic() + patience_s)
+    # Who is there answers soon: an external agent may have been waited for much longer.
+    rounds = _arm(process, time.monotonic() + min(patience_s, _ARMING_S))
+    lead_s = 0.0 if plan.lockstep else _LEAD_S
+    start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
+    process.driver.publish(RUN.of(ROOT), plan.run_message("start", 0, start_time_ns))
+    process.link.tell(Armed(rounds, start_time_ns))
+    log.info("armed after %d rounds", rounds)
+    loop.begin(start_time_ns, time.monotonic_ns())
+    for _ in process.drive():
+        if process.link.dismissed:
+            loop.end_before(loop.cycle + 1)
+    process.driver.publish(RUN.of(ROOT), plan.run_message("stop", loop.cycle, start_time_ns))
+    process.report()
 
-    def __init__(self, process: AgentProcess, patience_s: float) -> None:
-        self._process = process
-        self._loop = process.loop
-        self._plan = process.plan
-        self._patience_s = patience_s
-        self._recorded_round = FIRST_ROUND - 1
 
-    def run(self) -> None:
-        """Arm, start, run, stop."""
-        process, loop = self._process, self._loop
-        give_up_at = time.monotonic() + self._patience_s
-        self._await_everybody(give_up_at)
-        # Who is there answers soon: an external agent may have been waited for much longer.
-        rounds = self._arm(time.monotonic() + min(self._patience_s, _ARMING_S))
-        lead_s = 0.0 if self._plan.lockstep else _LEAD_S
-        start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
-        self._publish_run("start", 0, start_time_ns)
-        process.link.tell(Armed(rounds, start_time_ns))
-        log.info("armed after %d rounds", rounds)
-        loop.begin(start_time_ns, time.monotonic_ns())
-        for _ in process.drive():
-            if process.link.dismissed:
-                loop.end_before(loop.cycle + 1)
-        self._publish_run("stop", loop.cycle, start_time_ns)
-        process.report()
+def _await_everybody(process: AgentProcess, give_up_at: float) -> None:
+    alive_key = process.plan.keys.alive_key
+    others = {alive_key(agent): agent for agent in process.plan.processes if agent != PLANT}
+    tokens = process.watch_tokens()
+    while not others.keys() <= tokens.alive():
+        if time.monotonic() > give_up_at:
+            absent = [agent for key, agent in others.items() if key not in tokens.alive()]
+            raise FailureError(f"no sign of life from {some_of(absent)}")
+        time.sleep(_LOOK_S)
 
-    def _await_everybody(self, give_up_at: float) -> None:
-        alive_key = self._plan.keys.alive_key
-        others = {alive_key(agent): agent for agent in self._plan.processes if agent != PLANT}
-        tokens = self._process.watch_tokens()
-        while not others.keys() <= tokens.alive():
-            if time.monotonic() > give_up_at:
-                absent = [agent for key, agent in others.items() if key not in tokens.alive()]
-                raise FailureError(f"no sign of life from {some_of(absent)}")
-            time.sleep(_LOOK_S)
 
-    def _arm(self, give_up_at: float) -> int:
-        """Send rounds through the loop until one closes and is recorded. Return their number."""
-        for number in range(1, -FIRST_ROUND):
-            cycle = FIRST_ROUND + number
-            self._loop.enter(cycle, time.monotonic_ns())
-            self._process.driver.go_on(self._loop)
-            longest_s = longest_round_s(number) + _ROUND_PER_AGENT_S * len(self._plan.tree.nodes)
-            if self._round_closes(cycle, time.monotonic() + longest_s):
-                return number
-            if time.monotonic() > give_up_at:
-                break
-        needs = needed_messages(self._loop.waiting, self._plan.elsewhere)
-        raise FailureError(f"no arming round closed; the plant waits for {needs}")
+def _arm(process: AgentProcess, give_up_at: float) -> int:
+    """Send rounds through the loop until one closes and is recorded. Return their number."""
+    plan, loop = process.plan, process.loop
+    for number in range(1, -FIRST_ROUND):
+        loop.enter(FIRST_ROUND + number, time.monotonic_ns())
+        process.driver.go_on(loop)
+        longest_s = longest_round_s(number) + _ROUND_PER_AGENT_S * len(plan.tree.nodes)
+        if _round_closes(process, FIRST_ROUND + number, time.monotonic() + longest_s):
+            return number
+        if time.monotonic() > give_up_at:
+            break
+    needs = needed_messages(loop.waiting, plan.elsewhere)
+    raise FailureError(f"no arming round closed; the plant waits for {needs}")
 
-    def _round_closes(self, cycle: int, until: float) -> bool:
-        while time.monotonic() < until:
-            for arrival in self._process.driver.turn(longest_ns=round(until * 1e9)):
-                if arrival.port is READY.of(ROOT):
-                    self._recorded_round = arrival.message.cycle
-            if not self._loop.stage and self._recorded_round == cycle:
-                return True
-        return False
 
-    def _publish_run(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> None:
-        message = self._plan.run_message(state, cycle, start_time_ns)
-        self._process.driver.publish(RUN.of(ROOT), message)
+def _round_closes(process: AgentProcess, cycle: int, until: float) -> bool:
+    is_recorded = False
+    while time.monotonic() < until:
+        for arrival in process.driver.turn(longest_ns=round(until * 1e9)):
+            if arrival.port is READY.of(ROOT) and arrival.message.cycle == cycle:
+                is_recorded = True
+        if is_recorded and not process.loop.stage:
+            return True
+    return False

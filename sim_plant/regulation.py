@@ -8,7 +8,6 @@ this module, handle a dispatch below 0 or above the plant's rating.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import time
 from pathlib import Path
 from typing import Annotated, Final
@@ -87,25 +86,8 @@ def regulation_kw(
         signal[offered] = values[clock_ns[offered] // (STEP_S * _NS) % SAMPLES]
     elif offered.any():
         midnight_ns = clock_ns[0] // _DAY_NS * _DAY_NS - round(settings.signal_midnight_s * _NS)
-        recorded = read_signal(find_file(settings.path))
-        signal[offered] = recorded.held(clock_ns[offered] - midnight_ns)
+        signal[offered] = _held(find_file(settings.path), clock_ns[offered] - midnight_ns)
     return settings.capacity_kw * signal
-
-
-def regulation_remarks(
-    settings: RegulationSettings, find_file: Callable[[str], Path]
-) -> tuple[str, ...]:
-    """Say what is unusual about a regulation signal: a step other than PJM's."""
-    if isinstance(settings, SyntheticRegulation):
-        return ()
-    recorded = read_signal(find_file(settings.path))
-    step_s = (recorded.time_ns[1] - recorded.time_ns[0]) / _NS
-    if step_s == STEP_S:
-        return ()
-    return (
-        f"{recorded.source}: a value every {step_s:g} s, PJM sends one every {STEP_S:g} s: each is"
-        " held until the next.",
-    )
 
 
 def _offered(settings: RegulationSettings, clock_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -128,43 +110,34 @@ def _of_day_ns(clock: time | None) -> int:
     return seconds * _NS + clock.microsecond * 1000
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RegulationSignal:
-    """A signal as a file has it: N values from -1 to +1, of a constant step, N at least 2.
+def _held(path: Path, time_ns: NDArray[np.int64]) -> Floats:
+    """Return the value of a file's signal that is in force at some times: the last one sent.
 
-    `time_ns` is the time since midnight of the signal's own clock.
+    The file's last value holds for one step.
     """
-
-    time_ns: NDArray[np.int64]
-    value: Floats
-    source: str
-
-    def held(self, time_ns: NDArray[np.int64]) -> Floats:
-        """Return the value that is in force at some times: the last one sent.
-
-        The file's last value holds for one step.
-        """
-        first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
-        begins_ns, ends_ns = int(self.time_ns[0]), int(2 * self.time_ns[-1] - self.time_ns[-2])
-        wanted = "where the run's regulation {}; regulation.signal_midnight_s shifts the signal"
-        if first_ns < begins_ns:
-            raise InputError(
-                f"{self.source}: line 2: expected second {first_ns / _NS:.15g} or before, "
-                f"{wanted.format('begins')}, got {begins_ns / _NS:.15g}"
-            )
-        if last_ns >= ends_ns:
-            raise InputError(
-                f"{self.source}: line {len(self.time_ns) + 1}: expected an end after second "
-                f"{last_ns / _NS:.15g}, {wanted.format('ends')}, got {ends_ns / _NS:.15g}"
-            )
-        return self.value[np.searchsorted(self.time_ns, time_ns, side="right") - 1]
+    sent_ns, value = read_signal(path)
+    first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
+    begins_ns, ends_ns = int(sent_ns[0]), int(2 * sent_ns[-1] - sent_ns[-2])
+    wanted = "where the run's regulation {}; regulation.signal_midnight_s shifts the signal"
+    if first_ns < begins_ns:
+        raise InputError(
+            f"{path.name}: line 2: expected second {first_ns / _NS:.15g} or before, "
+            f"{wanted.format('begins')}, got {begins_ns / _NS:.15g}"
+        )
+    if last_ns >= ends_ns:
+        raise InputError(
+            f"{path.name}: line {len(sent_ns) + 1}: expected an end after second "
+            f"{last_ns / _NS:.15g}, {wanted.format('ends')}, got {ends_ns / _NS:.15g}"
+        )
+    return value[np.searchsorted(sent_ns, time_ns, side="right") - 1]
 
 
-def read_signal(path: Path) -> RegulationSignal:
+def read_signal(path: Path) -> tuple[NDArray[np.int64], Floats]:
     """Read a regulation signal from a CSV of two columns with a header line.
 
     The first column, whatever its header, is the second of the signal's own clock, the other one
-    the signal in per unit.
+    the signal in per unit. Returns the times since midnight of that clock [ns], which keep one
+    step, and the values, two at least.
     """
     table = read_csv(path)
     is_number = pd.to_numeric(pd.Series(table.header), errors="coerce").notna()
@@ -175,4 +148,4 @@ def read_signal(path: Path) -> RegulationSignal:
         )
     seconds, signal = table.header
     value = table.numbers((signal,), "a number from -1 to 1", -1.0, 1.0)[:, 0]
-    return RegulationSignal(table.seconds_ns(seconds), value, path.name)
+    return table.seconds_ns(seconds), value

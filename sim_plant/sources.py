@@ -78,36 +78,27 @@ class CloudySky(PlantUnderSky):
         return self.power_kw(ghi_wm2, times)
 
 
-@dataclass(frozen=True, slots=True)
-class MeasuredSky(PlantUnderSky):
-    """Irradiance as it was measured, one inverter at each sensor.
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPlant:
+    """Power of a plant's inverters at their maximum, by measurements, shape (T, n).
 
-    `source` is where it was read from, `repairs` say what was missing and how it was filled.
-    `earlier` is the same plant on an earlier day, if that was measured, `earlier_by` before.
+    `source` is what was read, `repairs` say what was missing and how it was filled. `sky` is that
+    over the plant, None where nobody knows where the plant is. `earlier` is the same plant on an
+    earlier day, if that was measured, `earlier_by` before.
     """
 
-    irradiance: Irradiance
+    sites: Sites
+    measured_times: pd.DatetimeIndex
+    power_kw: Floats
     source: str
     repairs: tuple[str, ...] = ()
-    earlier: MeasuredSky | None = None
+    sky: PlantUnderSky | None = None
+    earlier: MeasuredPlant | None = None
     earlier_by: timedelta = timedelta(0)
 
-    @property
-    def measured_times(self) -> pd.DatetimeIndex:
-        """All time stamps of the measurement."""
-        return self.irradiance.times
-
     def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of each inverter at its maximum, shape (T, n).
-
-        It is worked out at the step of the measurement and brought to that of `times`.
-        """
-        data = self.irradiance
-
-        def measured_kw(rows: slice) -> Floats:
-            return self.power_kw(data.ghi_wm2[rows], data.times[rows])
-
-        return on_cycles(data.times, measured_kw, times, self.source)
+        """Return the AC power of each inverter at its maximum, at the step of `times`."""
+        return on_cycles(self.measured_times, self.power_kw, times, self.source)
 
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return what `possible_kw` was at the same times of an earlier day, shape (T, n)."""
@@ -119,44 +110,26 @@ class MeasuredSky(PlantUnderSky):
         return self.earlier.possible_kw(times - self.earlier_by)
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
-        return self.cloudless_kw(times, _CLEAN_AIR_TURBIDITY)
-
-    def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
-        """Say what was filled, and how the measurement came to the times of the run."""
-        history = self.earlier.repairs if self.earlier is not None else ()
-        return (*self.repairs, *history, *conversion(self.irradiance.times, times))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredPlant:
-    """Power of a real plant's inverters, from measurements of their own, shape (T, n)."""
-
-    sites: Sites
-    measured_times: pd.DatetimeIndex
-    power_kw: Floats
-    source: str
-    repairs: tuple[str, ...]
-
-    def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
-        return on_cycles(self.measured_times, lambda rows: self.power_kw[rows], times, self.source)
-
-    def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Refuse: there is no other day."""
-        raise InputError(
-            "neighbours.history: expected 'hindsight' with DC currents, got 'earlier-day'"
-        )
-
-    def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Refuse: nobody knows where the plant is."""
-        raise InputError(
-            "commitment.kind: expected 'constant', 'file', 'share-of-median' or 'below-possible' "
-            "with DC currents, which have no date and place, got 'share-of-clear-sky'"
-        )
+        if self.sky is None:
+            raise InputError(
+                "commitment.kind: expected 'constant', 'file', 'share-of-median' or "
+                "'below-possible' with DC currents, which have no date and place, got "
+                "'share-of-clear-sky'"
+            )
+        return self.sky.cloudless_kw(times, _CLEAN_AIR_TURBIDITY)
 
     def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
         """Say what was missing, and how the measurement came to the times of the run."""
-        return (*self.repairs, *conversion(self.measured_times, times))
+        history = self.earlier.repairs if self.earlier is not None else ()
+        return (*self.repairs, *history, *conversion(self.measured_times, times))
 
 
-PowerSource: TypeAlias = CloudySky | MeasuredSky | MeasuredPlant
+def measured_sky(sky: PlantUnderSky, irradiance: Irradiance) -> MeasuredPlant:
+    """Return a plant with one inverter at each sensor of measured irradiance."""
+    power_kw = sky.power_kw(irradiance.ghi_wm2, irradiance.times)
+    source, report = irradiance.source, irradiance.report
+    return MeasuredPlant(sky.sites, irradiance.times, power_kw, source, report, sky)
+
+
+PowerSource: TypeAlias = CloudySky | MeasuredPlant
 """The power that the sky allows a plant's inverters."""

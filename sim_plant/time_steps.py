@@ -8,7 +8,6 @@ next and holds for its step.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -30,14 +29,10 @@ def step_ns(times: pd.DatetimeIndex) -> int:
 
 
 def on_cycles(
-    times: pd.DatetimeIndex,
-    series: Callable[[slice], Floats],
-    cycles: pd.DatetimeIndex,
-    source: str,
+    times: pd.DatetimeIndex, values: Floats, cycles: pd.DatetimeIndex, source: str
 ) -> Floats:
     """Bring N measured series to the K cycles of a run, shape (K, N), as described above.
 
-    `series` returns some rows of the measurements, and is asked only for those that are needed.
     `cycles` are the beginnings of the cycles, ascending; hours between them may be left out. A
     cycle that begins between two time stamps and is not shorter than the step begins with the
     earlier. `source` is what the measurements were read from, for the error that they do not cover
@@ -49,8 +44,13 @@ def on_cycles(
             f"{source}: expected a time.cycle_s that is a multiple of its step, {step / _NS:g} s, "
             f"or shorter, got {cycle / _NS:g} s"
         )
-    rows = _covering_rows(times, cycles, source)
-    values, times = series(rows), times[rows]
+    start, end = cycles[0], cycles[-1] + pd.Timedelta(cycle, unit="ns")
+    covered_until = times[-1] + pd.Timedelta(step, unit="ns")
+    if start < times[0] or end > covered_until:
+        raise InputError(
+            f"{source}: expected measurements of {utc_text(start)} to {utc_text(end)}, got "
+            f"{utc_text(times[0])} to {utc_text(covered_until)}"
+        )
     if cycle < step:
         return _on_lines(times, values, cycles)
     first = times.searchsorted(cycles, side="right") - 1
@@ -73,22 +73,9 @@ def conversion(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex) -> tuple[str, 
     return ()
 
 
-def _covering_rows(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex, source: str) -> slice:
-    """Rows from that of the first cycle to the one that ends the line of the last."""
-    start, end = cycles[0], cycles[-1] + pd.Timedelta(step_ns(cycles), unit="ns")
-    covered_until = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
-    if start < times[0] or end > covered_until:
-        raise InputError(
-            f"{source}: expected measurements of {utc_text(start)} to {utc_text(end)}, got "
-            f"{utc_text(times[0])} to {utc_text(covered_until)}"
-        )
-    first = int(times.searchsorted(start, side="right")) - 1
-    return slice(first, int(times.searchsorted(end)) + 1)
-
-
 def _on_lines(times: pd.DatetimeIndex, values: Floats, cycles: pd.DatetimeIndex) -> Floats:
-    # From the first time stamp on: nanoseconds since 1970 have more digits than a float keeps.
-    origin = times[0]
+    # From the first cycle's value on: nanoseconds since 1970 have more digits than a float keeps.
+    origin = times[int(times.searchsorted(cycles[0], side="right")) - 1]
     known_s = (times - origin).total_seconds().to_numpy()
     wanted_s = (cycles - origin).total_seconds().to_numpy()
     return np.column_stack([np.interp(wanted_s, known_s, column) for column in values.T])

@@ -10,13 +10,13 @@ from pathlib import Path
 import msgspec
 
 from agents.plan import RunPlan
-from sunspec.process import Connected, Event, News, Refused, log_in
+from sunspec.process import log_in
 
 
-def _tell(event: Event) -> None:
-    if isinstance(event, News):
-        logging.info(event.text)
-    os.write(1, msgspec.json.encode(event) + b"\n")
+def _tell(text: str) -> None:
+    if text:
+        logging.info(text)
+    os.write(1, os.fsencode(" ".join(text.split())) + b"\n")
 
 
 def main() -> None:
@@ -26,14 +26,14 @@ def main() -> None:
         from sunspec.client import DeviceError  # noqa: PLC0415 - the extra may not be installed
         from sunspec.gateway import Gateway  # noqa: PLC0415
     except ModuleNotFoundError as error:
-        _tell(Refused(f"devices: {error.name} is not installed: pip install 'heliarch[modbus]'"))
+        _tell(f"devices: {error.name} is not installed: pip install 'heliarch[modbus]'")
         return
     try:
         gateway = Gateway(plan, _tell)
     except DeviceError as error:
-        _tell(Refused(str(error)))
+        _tell(str(error))
         return
-    _tell(Connected())
+    _tell("")
     if line := sys.stdin.buffer.readline():
         folder = Path(os.fsdecode(line.rstrip(b"\n")))
         with log_in(folder).open("ab") as log:

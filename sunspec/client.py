@@ -85,12 +85,12 @@ class SunSpecInverter:
         for name in self._points:
             if self._needs_revert or "Rvrt" not in name:
                 self._need(self._limited, name)
-        ratings = [
-            self._device.models[model][0].points[name].cvalue
+        ratings_kw = [
+            self._kw(self._device.models[model][0], name)
             for model, name in _RATINGS
             if model in self._device.models
         ]
-        self.rating_kw = next((watts / 1e3 for watts in ratings if watts), 0.0)
+        self.rating_kw = next(filter(None, ratings_kw), 0.0)
         if not self.rating_kw:
             raise DeviceError(
                 f"{self.address}: expected model 702, 121 or 120 with the power that 100 % stands "
@@ -111,7 +111,7 @@ class SunSpecInverter:
             self._limited.read()
             if self._extended is not None:
                 self._extended.read()
-            power_kw = self._watts(self._measured, "W")
+            power_kw = self._kw(self._measured, "W")
             if power_kw is None:
                 number = self._measured.model_id
                 raise DeviceRefusedError(f"{self.address}: model {number} states no power W")
@@ -134,35 +134,32 @@ class SunSpecInverter:
         """
         model, points = self._limited, self._limited.points
         with self._errors():
-            self._set(self._points[0], 1)
-            self._set(self._points[1], self._percent(kw))
+            enabled, percent, revert_time = (points[self._points[place]] for place in (0, 1, -1))
+            enabled.cvalue, percent.cvalue = 1, self._percent(kw)
             if self._needs_revert:
-                self._set(self._points[-1], min(max(round(revert_s), 1), _LONGEST_REVERT_S))
+                revert_time.cvalue = min(max(round(revert_s), 1), _LONGEST_REVERT_S)
                 if model.model_id == 704:
-                    self._set("WMaxLimPctEnaRvrt", 0 if revert_kw is None else 1)
                     reverts_to_kw = self.rating_kw if revert_kw is None else revert_kw
-                    self._set("WMaxLimPctRvrt", self._percent(reverts_to_kw))
-            elif points[self._points[-1]].value:
-                self._set(self._points[-1], 0)
+                    points["WMaxLimPctEnaRvrt"].cvalue = 0 if revert_kw is None else 1
+                    points["WMaxLimPctRvrt"].cvalue = self._percent(reverts_to_kw)
+            elif revert_time.value:
+                revert_time.cvalue = 0
             for name in _ALONG:
                 if name in points and points[name].value is not None:
                     points[name].dirty = True
             model.write()
 
-    def _set(self, name: str, value: float) -> None:
-        self._limited.points[name].cvalue = value
-
     def _percent(self, kw: float) -> float:
         return min(max(100.0 * kw / self.rating_kw, 0.0), 100.0)
 
-    def _watts(self, model: Model, name: str) -> float | None:
+    def _kw(self, model: Model, name: str) -> float | None:
         watts = model.points[name].cvalue
         return watts / 1e3 if watts is not None and isfinite(watts) else None
 
     def _available_kw(self, power_kw: float) -> float | None:
         """Return the power that there could be: what is not throttled gives all there is."""
         if self._extended is not None:
-            stated_kw = self._watts(self._extended, "WAval")
+            stated_kw = self._kw(self._extended, "WAval")
             if stated_kw is not None:
                 return stated_kw
         if "ThrotPct" in self._measured.points:

@@ -22,7 +22,7 @@ from hdrh.histogram import HdrHistogram
 from agents.plan import RunPlan
 from sim_plant.devices import Pipes, Reading
 from sunspec.client import DeviceError, DeviceRefusedError, SunSpecInverter
-from sunspec.process import Connected, DeviceAccount, Event, Latency, News, write_accounts
+from sunspec.process import DeviceAccount, Latency, write_accounts
 
 _READ_AT: Final = 0.75
 """When an inverter is read, as a share of the cycle after the command came."""
@@ -40,12 +40,12 @@ Limit: TypeAlias = tuple[float, float | None]
 class Gateway:
     """The real inverters of a run, connected.
 
-    tell: Takes events for the launcher, in any thread.
+    tell: Takes lines for the launcher, in any thread; an empty one when a run can begin.
 
     Raises DeviceError: One of them does not answer, or lacks what is needed.
     """
 
-    def __init__(self, plan: RunPlan, tell: Callable[[Event], None]) -> None:
+    def __init__(self, plan: RunPlan, tell: Callable[[str], None]) -> None:
         self._tell = tell
         links = [_Link(plan, node, address, tell) for node, address in plan.devices]
         with ThreadPoolExecutor(len(links)) as pool:
@@ -58,7 +58,7 @@ class Gateway:
         try:
             for link in self._links.values():
                 link.begin(pipes)
-            self._tell(Connected())
+            self._tell("")
             told_at = 0.0
             while until not in select.select([until, pipes.commands], [], [], _ACCOUNTS_S)[0]:
                 for place, limit_kw, revert_kw in pipes.take_commands():
@@ -81,9 +81,7 @@ class Gateway:
 class _Link:
     """The link to one inverter, with its thread."""
 
-    def __init__(
-        self, plan: RunPlan, node: str, address: str, tell: Callable[[Event], None]
-    ) -> None:
+    def __init__(self, plan: RunPlan, node: str, address: str, tell: Callable[[str], None]) -> None:
         self.place = plan.tree.leaves.index(node)
         revert = plan.settings_of(node).revert
         self._node, self._tell = node, tell
@@ -99,7 +97,6 @@ class _Link:
         self._wake, self._over = threading.Event(), threading.Event()
         self._written_kw: float | None = None
         self._written_at = 0.0
-        self._state = ""
         self._late = self._refused = self._breaks = 0
         self._gone_at: float | None = None
         self._said = ""
@@ -112,7 +109,6 @@ class _Link:
             self._reading = self._inverter.read()
         except DeviceError as error:
             raise DeviceError(f"device {self._node}: {error}") from None
-        self._state = self._inverter.state
 
     def begin(self, pipes: Pipes) -> None:
         self._pipes = pipes
@@ -162,14 +158,13 @@ class _Link:
                 self._reconnect(error)
 
     def _read(self) -> None:
+        before = self._inverter.state
         with self._timed("read"):
             reading = self._inverter.read()
         self._pipes.hand_reading(self.place, reading)
-        if self._inverter.state != self._state:
-            operating = {"MPPT", "RUNNING", "THROTTLED"}
-            if not {self._state, self._inverter.state} <= operating:
-                self._say(f"{self._state or '-'} -> {self._inverter.state or '-'}")
-            self._state = self._inverter.state
+        state = self._inverter.state
+        if state != before and not {before, state} <= {"MPPT", "RUNNING", "THROTTLED"}:
+            self._say(f"{before or '-'} -> {state or '-'}")
 
     def _write(self, limit: Limit) -> None:
         """Write a limit if it is new, or the inverter would revert before long."""
@@ -212,7 +207,7 @@ class _Link:
     def _say(self, text: str) -> None:
         if text != self._said:
             self._said = text
-            self._tell(News(f"{self._node}: {text}"))
+            self._tell(f"{self._node}: {text}")
 
 
 def _latency(took: HdrHistogram) -> Latency:

@@ -1,7 +1,8 @@
 """The gateway as a process of its own beside a run, and the launcher's hold on it.
 
 The launcher writes the plan to the gateway's standard input, and the run's folder when there is
-one. The gateway answers with events, one a line, and ends when its standard input does.
+one. The gateway answers each with an empty line when that is done, and otherwise writes what the
+user should know, one a line. It ends when its standard input does.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import subprocess
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final
 
 import msgspec
 
@@ -53,27 +54,6 @@ class DeviceAccount(msgspec.Struct, frozen=True):
         return any((self.late, self.refused, self.breaks))
 
 
-class Connected(msgspec.Struct, frozen=True, tag=True):
-    """All inverters answer."""
-
-
-class Refused(msgspec.Struct, frozen=True, tag=True):
-    """An inverter cannot be part of the run."""
-
-    text: str
-
-
-class News(msgspec.Struct, frozen=True, tag=True):
-    """Something that the user should know."""
-
-    text: str
-
-
-Event: TypeAlias = Connected | Refused | News
-
-_decoder = msgspec.json.Decoder(Event)
-
-
 def write_accounts(folder: Path, accounts: tuple[DeviceAccount, ...]) -> None:
     """Leave the accounts so far in a run's folder."""
     part = folder / ".devices.part"
@@ -98,51 +78,44 @@ class GatewayProcess(SideProcess):
 
     def __init__(self, plan: RunPlan) -> None:
         super().__init__("sunspec", stdout=subprocess.PIPE)
-        self._rest = b""
         self._folder: Path | None = None
         try:
             self.tell(msgspec.json.encode(plan))
-            first = self._events(wait=True)
+            if refusal := self._next_line():
+                raise InputError(refusal)
         except BaseException:
-            self.__exit__()
+            self.close()
             raise
-        if not isinstance(first[0], Connected):
-            self.__exit__()
-            text = first[0].text if isinstance(first[0], Refused) else "the gateway has failed"
-            raise InputError(text)
 
     def join(self, folder: Path) -> None:
         """Let the plant's process find the gateway in a run's folder."""
         self._folder = folder
         self.tell(str(folder.absolute()).encode())
-        self._events(wait=True)
+        self._next_line()
 
     def look(self, say: Callable[[str], None]) -> None:
         """Pass on what the gateway says.
 
         Raises FailureError: It has ended.
         """
-        for event in self._events():
-            if isinstance(event, News):
-                say(event.text)
+        assert self.process.stdout is not None
+        while select.select([self.process.stdout], [], [], 0.0)[0]:
+            if line := self._next_line():
+                say(line)
 
     def end(self) -> tuple[DeviceAccount, ...]:
         """End the gateway; return what it measured."""
         assert self._folder is not None
-        self.__exit__()
+        self.close()
         return read_accounts(self._folder)
 
-    def _events(self, *, wait: bool = False) -> list[Event]:
+    def _next_line(self) -> str:
+        """Return the next line, which is written as a whole."""
         assert self.process.stdout is not None
-        pipe = self.process.stdout.fileno()
-        events: list[Event] = []
-        while (wait and not events) or select.select([pipe], [], [], 0.0)[0]:
-            found = os.read(pipe, 1 << 16)
-            if not found:
-                raise FailureError(self._how_it_ended())
-            *lines, self._rest = (self._rest + found).split(b"\n")
-            events += map(_decoder.decode, lines)
-        return events
+        line = self.process.stdout.readline()
+        if not line:
+            raise FailureError(self._how_it_ended())
+        return os.fsdecode(line.rstrip(b"\n"))
 
     def _how_it_ended(self) -> str:
         code = self.process.wait()

@@ -7,7 +7,7 @@ what is written to the points of a limit, or to `Conn`, is what the inverter is 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from math import ceil, inf, log10, sqrt
 from typing import Any, Final, TypeAlias
 
@@ -18,13 +18,17 @@ from sunspec2.device import Model
 
 from sunspec.limited_inverter import LimitedInverter
 
-Points: TypeAlias = Mapping[str, float | str]
+Points: TypeAlias = dict[int, dict[str, float | str]]
+"""Points of each model of a unit, by the model's number; scale factors first."""
 
 FIRST_ADDRESS: Final = 40_000
 _SUNS: Final = b"SunS"
 _END: Final = b"\xff\xff\x00\x00"
 _VOLTS: Final = 480.0
 _UNSIGNED: Final = 65_535
+
+_OFF, _SLEEPING, _RUNNING, _THROTTLED = 1, 2, 4, 5
+"""States of model 103; those of 701 are one less."""
 
 _LIMIT_POINTS: Final = {
     123: {
@@ -49,7 +53,7 @@ _LIMIT_POINTS: Final = {
 _RANGES: Final = {
     "percent": (0.0, 100.0),
     "revert_percent": (0.0, 100.0),
-    "revert_s": (0.0, inf),
+    "revert_s": (0.0, 65_534.0),  # Model 704 could hold more, but 123 shows it too.
     "set_in_w": (1.0, 1.0),
     "set_w": (0.0, inf),
 }
@@ -62,24 +66,24 @@ _NO_REVERT: Final = {"revert_enabled": False, "revert_percent": 100.0}
 class Registers:
     """The registers of one Modbus unit.
 
-    models: Numbers of its models, the common model 1 first.
-    points: Gives the points of a model at a time, scale factors first.
+    points: Returns its points as they are now; the first model is the common one, 1.
+    tell: Takes the fields of `LimitSettings` that were written to a model, and its number. Units
+        without a model of `_LIMIT_POINTS` are told nothing.
     """
 
     def __init__(
         self,
         unit: int,
-        models: Iterable[int],
-        now: Callable[[], float],
-        points: Callable[[int, float], Points],
+        points: Callable[[], Points],
+        tell: Callable[[int, dict[str, Any]], None] | None = None,
     ) -> None:
-        self._now, self._points = now, points
-        self._models: dict[int, tuple[int, Model]] = {}
-        image, at = bytearray(_SUNS), now()
-        for number in models:
+        self._points, self._tell = points, tell
+        self._models: dict[int, Model] = {}
+        image = bytearray(_SUNS)
+        for number, values in points().items():
             model = Model(number)
-            self._models[number] = FIRST_ADDRESS + len(image) // 2, model
-            self._work_out(number, model, at)
+            self._models[FIRST_ADDRESS + len(image) // 2] = model
+            model.set_dict(values, computed=True)
             image += model.get_mb()
         registers = list(struct.unpack(f">{(len(image) + 4) // 2}H", image + _END))
         self.device = SimDevice(
@@ -98,54 +102,19 @@ class Registers:
         values: list[int] | list[bool] | None,
     ) -> ExcCodes | None:
         """Bring the registers up to date that are read, or take those that are written."""
-        at = self._now()
-        for number, (begin, model) in self._models.items():
+        points = self._points()
+        for begin, model in self._models.items():
             if begin < address + count and address < begin + model.len:
                 if values is not None:
-                    first = address - begin
-                    return self._write(number, model, first, [int(value) for value in values], at)
-                self._work_out(number, model, at)
+                    return self._write(model, address - begin, [int(value) for value in values])
+                model.set_dict(points[model.model_id], computed=True)
                 image = struct.unpack(f">{model.len}H", model.get_mb())
                 registers[begin - start : begin - start + model.len] = image
         return None if values is None else ExcCodes.ILLEGAL_ADDRESS
 
-    def _work_out(self, number: int, model: Model, at: float) -> None:
-        for name, value in self._points(number, at).items():
-            model.points[name].cvalue = value
-
-    def _write(
-        self, number: int, model: Model, first: int, values: list[int], at: float
-    ) -> ExcCodes | None:
-        return ExcCodes.ILLEGAL_ADDRESS
-
-
-class InverterRegisters(Registers):
-    """The registers of a simulated inverter.
-
-    inverter, name: The inverter, and its path in the control tree.
-    on_limit: Called when it is told a limit.
-    missing: Points that it has not.
-    """
-
-    def __init__(
-        self,
-        unit: int,
-        models: Iterable[int],
-        now: Callable[[], float],
-        inverter: LimitedInverter,
-        name: str,
-        on_limit: Callable[[], None],
-        missing: Collection[str] = (),
-    ) -> None:
-        self._inverter, self._name, self._unit, self._on_limit = inverter, name, unit, on_limit
-        self._missing = missing
-        super().__init__(unit, models, now, self._inverter_points)
-
-    def _write(
-        self, number: int, model: Model, first: int, values: list[int], at: float
-    ) -> ExcCodes | None:
+    def _write(self, model: Model, first: int, values: list[int]) -> ExcCodes | None:
         """Take points of a limit, all of them or none."""
-        known = _LIMIT_POINTS.get(number, {})
+        known = _LIMIT_POINTS.get(model.model_id, {})
         data = struct.pack(f">{len(values)}H", *values)
         told: dict[str, Any] = {}
         for name, point in model.points.items():
@@ -160,21 +129,9 @@ class InverterRegisters(Registers):
             low, high = _RANGES.get(field, (0.0, 1.0))
             if value is None or not low <= value <= high:
                 return ExcCodes.ILLEGAL_VALUE
-        renews = not told.keys() <= {"connected", "set_enabled", "set_in_w", "set_w"}
-        if renews and number == 123:
-            told |= _NO_REVERT
-        self._on_limit()
-        self._inverter.advance(at)  # It may have reverted meanwhile.
-        settings = msgspec.structs.replace(self._inverter.settings, **told)
-        self._inverter.told(settings, at, renews=renews)
+        assert self._tell is not None
+        self._tell(model.model_id, told)
         return None
-
-    def _inverter_points(self, number: int, at: float) -> Points:
-        self._inverter.advance(at)
-        if number == 1:
-            return common("simulated inverter", self._name, self._unit)
-        points = _POINTS[number](self._inverter, at)
-        return {name: value for name, value in points.items() if name not in self._missing}
 
 
 def no_unit() -> SimDevice:
@@ -187,145 +144,129 @@ def no_unit() -> SimDevice:
     return SimDevice(0, nothing, action=refuse)
 
 
+def inverter_registers(
+    unit: int,
+    name: str,
+    inverter: LimitedInverter,
+    now: Callable[[], float],
+    on_limit: Callable[[], None],
+    points: Callable[[LimitedInverter, float], Points],
+) -> Registers:
+    """Return the registers of a simulated inverter with a path in the control tree.
+
+    on_limit: Called when it is told a limit.
+    points: Returns its points at a time, such as `inverter_points`.
+    """
+
+    def current() -> Points:
+        at = now()
+        inverter.advance(at)
+        return _common("simulated inverter", name, unit) | points(inverter, at)
+
+    def tell(model: int, told: dict[str, Any]) -> None:
+        on_limit()
+        renews = not told.keys() <= {"connected", "set_enabled", "set_in_w", "set_w"}
+        if renews and model == 123:
+            told |= _NO_REVERT
+        at = now()
+        inverter.advance(at)  # It may have reverted meanwhile.
+        inverter.told(msgspec.structs.replace(inverter.settings, **told), at, renews=renews)
+
+    return Registers(unit, current, tell)
+
+
 def meter_registers(
-    unit: int, now: Callable[[], float], inverters: Iterable[LimitedInverter]
+    unit: int, inverters: Iterable[LimitedInverter], now: Callable[[], float]
 ) -> Registers:
     """Return the registers of the meter where a plant is connected: power fed in is positive."""
     inverters = list(inverters)
-    sf = scale(1e3 * sum(inverter.rating_kw for inverter in inverters))
+    sf = _scale(1e3 * sum(inverter.rating_kw for inverter in inverters))
 
-    def points(number: int, at: float) -> Points:
-        if number == 1:
-            return common("meter at the point of interconnection", "meter", unit)
+    def current() -> Points:
+        at = now()
         for inverter in inverters:
             inverter.advance(at)
         watts = 1e3 * sum(inverter.power_kw(at) for inverter in inverters)
         energy = sum(inverter.energy_kwh for inverter in inverters)
         amperes = _amperes(watts)
-        return {
+        measured: dict[str, float | str] = {
             "A_SF": 1, "V_SF": 0, "Hz_SF": -2, "W_SF": sf, "TotWh_SF": 3, "A": amperes,
             "AphA": amperes, "AphB": amperes, "AphC": amperes, "PhV": _VOLTS / sqrt(3.0),
             "PPV": _VOLTS, "Hz": 60, "W": watts, "TotWhExp": 1e3 * energy, "TotWhImp": 0, "Evt": 0,
         }  # fmt: skip
+        return _common("meter at the point of interconnection", "meter", unit) | {203: measured}
 
-    return Registers(unit, (1, 203), now, points)
-
-
-def common(what: str, name: str, unit: int) -> Points:
-    return {"Mn": "Heliarch", "Md": what[:32], "SN": name[-32:], "Vr": "1", "DA": unit}
+    return Registers(unit, current)
 
 
-def scale(watts: float, largest: int = 32_767) -> int:
+def inverter_points(inverter: LimitedInverter, at: float) -> Points:
+    """Return the points of all models of an inverter but the common one."""
+    rating_kw, ramp = inverter.rating_kw, inverter.ramp_percent_per_s
+    power_kw, possible_kw = inverter.power_kw(at), inverter.possible_kw(at)
+    connected = inverter.settings.connected
+    rating, watts, energy = 1e3 * rating_kw, 1e3 * power_kw, 1e3 * inverter.energy_kwh
+    signed, unsigned = _scale(rating), _scale(rating, _UNSIGNED)
+    amperes, phase_volts = _amperes(watts), _VOLTS / sqrt(3.0)
+    held_kw = possible_kw - power_kw
+    throttled = 100.0 * held_kw / rating_kw if held_kw > 1e-6 * rating_kw else 0.0
+    if not connected:
+        state = _OFF
+    elif possible_kw <= 0.0:
+        state = _SLEEPING
+    else:
+        state = _THROTTLED if throttled else _RUNNING
+    limits = {
+        number: {name: getattr(inverter.settings, field) for name, field in fields.items()}
+        for number, fields in _LIMIT_POINTS.items()
+    }
+    return {
+        103: {
+            "A_SF": 0, "V_SF": 0, "W_SF": signed, "Hz_SF": -2, "WH_SF": 0, "Tmp_SF": 0,
+            "A": amperes, "AphA": amperes, "AphB": amperes, "AphC": amperes,
+            "PhVphA": phase_volts, "PhVphB": phase_volts, "PhVphC": phase_volts, "W": watts,
+            "Hz": 60, "WH": energy, "TmpCab": 40, "Evt1": 0, "Evt2": 0, "St": state,
+        },
+        120: {
+            "WRtg_SF": unsigned, "VARtg_SF": unsigned, "VArRtg_SF": 0, "ARtg_SF": 0,
+            "PFRtg_SF": -2, "DERTyp": 4, "WRtg": rating, "VARtg": rating, "VArRtgQ1": 0,
+            "VArRtgQ2": 0, "VArRtgQ3": 0, "VArRtgQ4": 0, "ARtg": _amperes(rating), "PFRtgQ1": 1,
+            "PFRtgQ2": 1, "PFRtgQ3": 1, "PFRtgQ4": 1,
+        },
+        121: {
+            "WMax_SF": unsigned, "VRef_SF": 0, "VRefOfs_SF": 0, "WGra_SF": -1, "WMax": rating,
+            "VRef": _VOLTS, "VRefOfs": 0, **({} if ramp == inf else {"WGra": ramp}),
+        },
+        122: {
+            "WAval_SF": unsigned, "PVConn": 7, "StorConn": 0, "ECPConn": 2 if connected else 1,
+            "ActWh": round(energy), "WAval": 1e3 * possible_kw,
+            "StActCtl": inverter.settings.enabled,
+        },
+        123: {
+            "WMaxLimPct_SF": -2, "OutPFSet_SF": -2, "OutPFSet": 1, "OutPFSet_Ena": 0,
+            "VArPct_Ena": 0, **limits[123],
+        },
+        701: {
+            "W_SF": signed, "TotWh_SF": 0, "Hz_SF": -2, "V_SF": 0, "ACType": 2, "St": connected,
+            "ConnSt": connected, "Alrm": 0, "W": watts, "InvSt": state - 1, "Hz": 60,
+            "LLV": _VOLTS, "TotWhInj": energy, "ThrotPct": ceil(throttled),
+            "ThrotSrc": 1 if throttled else 0,
+        },
+        702: {"W_SF": unsigned, "WMaxRtg": rating, "WMax": rating},
+        704: {
+            "WMaxLimPct_SF": -2, "WSet_SF": 0, **limits[704],
+            "WMaxLimPctRvrtRem": ceil(inverter.revert_in_s(at)),
+            **({} if ramp == inf else {"WRmp": round(ramp), "WRmpRef": 1}),
+        },
+    }  # fmt: skip
+
+
+def _common(what: str, name: str, unit: int) -> Points:
+    return {1: {"Mn": "Heliarch", "Md": what[:32], "SN": name[-32:], "Vr": "1", "DA": unit}}
+
+
+def _scale(watts: float, largest: int = 32_767) -> int:
     """Return the scale factor with which a register that goes so far holds a power."""
     return max(ceil(log10(max(watts, 1.0) / largest)), 0)
-
-
-def _measurements(inverter: LimitedInverter, at: float) -> Points:
-    watts, volts = 1e3 * inverter.power_kw(at), _VOLTS / sqrt(3.0)
-    amperes = _amperes(watts)
-    return {
-        "A_SF": 0, "V_SF": 0, "W_SF": scale(1e3 * inverter.rating_kw), "Hz_SF": -2, "WH_SF": 0,
-        "Tmp_SF": 0, "A": amperes, "AphA": amperes, "AphB": amperes, "AphC": amperes,
-        "PhVphA": volts, "PhVphB": volts, "PhVphC": volts, "W": watts, "Hz": 60,
-        "WH": 1e3 * inverter.energy_kwh, "TmpCab": 40, "Evt1": 0, "Evt2": 0,
-        "St": _state(inverter, at, off=1, sleeping=2, running=4, throttled=5),
-    }  # fmt: skip
-
-
-def _der_measurements(inverter: LimitedInverter, at: float) -> Points:
-    throttled, connected = _throttled(inverter, at), inverter.settings.connected
-    return {
-        "W_SF": scale(1e3 * inverter.rating_kw), "TotWh_SF": 0, "Hz_SF": -2, "V_SF": 0,
-        "ACType": 2, "St": connected, "ConnSt": connected, "Alrm": 0,
-        "W": 1e3 * inverter.power_kw(at),
-        "InvSt": _state(inverter, at, off=0, sleeping=1, running=3, throttled=4),
-        "Hz": 60, "LLV": _VOLTS, "TotWhInj": 1e3 * inverter.energy_kwh,
-        "ThrotPct": ceil(throttled), "ThrotSrc": 1 if throttled else 0,
-    }  # fmt: skip
-
-
-def _nameplate(inverter: LimitedInverter, at: float) -> Points:
-    watts = 1e3 * inverter.rating_kw
-    sf = scale(watts, _UNSIGNED)
-    return {
-        "WRtg_SF": sf, "VARtg_SF": sf, "VArRtg_SF": 0, "ARtg_SF": 0, "PFRtg_SF": -2,
-        "DERTyp": 4, "WRtg": watts, "VARtg": watts, "VArRtgQ1": 0, "VArRtgQ2": 0, "VArRtgQ3": 0,
-        "VArRtgQ4": 0, "ARtg": _amperes(watts), "PFRtgQ1": 1, "PFRtgQ2": 1, "PFRtgQ3": 1,
-        "PFRtgQ4": 1,
-    }  # fmt: skip
-
-
-def _settings(inverter: LimitedInverter, at: float) -> Points:
-    watts = 1e3 * inverter.rating_kw
-    ramp = {} if inverter.ramp_percent_per_s == inf else {"WGra": inverter.ramp_percent_per_s}
-    return {
-        "WMax_SF": scale(watts, _UNSIGNED), "VRef_SF": 0, "VRefOfs_SF": 0, "WGra_SF": -1,
-        "WMax": watts, "VRef": _VOLTS, "VRefOfs": 0, **ramp,
-    }  # fmt: skip
-
-
-def _status(inverter: LimitedInverter, at: float) -> Points:
-    return {
-        "WAval_SF": scale(1e3 * inverter.rating_kw, _UNSIGNED), "PVConn": 7, "StorConn": 0,
-        "ECPConn": 2 if inverter.settings.connected else 1,
-        "ActWh": round(1e3 * inverter.energy_kwh),
-        "WAval": 1e3 * inverter.possible_kw(at), "StActCtl": inverter.settings.enabled,
-    }  # fmt: skip
-
-
-def _controls(inverter: LimitedInverter, at: float) -> Points:
-    return {
-        "WMaxLimPct_SF": -2, "OutPFSet_SF": -2, "OutPFSet": 1, "OutPFSet_Ena": 0,
-        "VArPct_Ena": 0, **_limit_points(123, inverter),
-    }  # fmt: skip
-
-
-def _capacity(inverter: LimitedInverter, at: float) -> Points:
-    watts = 1e3 * inverter.rating_kw
-    return {"W_SF": scale(watts, _UNSIGNED), "WMaxRtg": watts, "WMax": watts}
-
-
-def _der_controls(inverter: LimitedInverter, at: float) -> Points:
-    ramp = inverter.ramp_percent_per_s
-    return {
-        "WMaxLimPct_SF": -2, "WSet_SF": 0, **_limit_points(704, inverter),
-        "WMaxLimPctRvrtRem": ceil(inverter.revert_in_s(at)),
-        **({} if ramp == inf else {"WRmp": round(ramp), "WRmpRef": 1}),
-    }  # fmt: skip
-
-
-_POINTS: Final[dict[int, Callable[[LimitedInverter, float], Points]]] = {
-    103: _measurements,
-    120: _nameplate,
-    121: _settings,
-    122: _status,
-    123: _controls,
-    701: _der_measurements,
-    702: _capacity,
-    704: _der_controls,
-}
-INVERTER_MODELS: Final = (1, *_POINTS)
-
-
-def _limit_points(number: int, inverter: LimitedInverter) -> Points:
-    settings = inverter.settings
-    return {name: getattr(settings, field) for name, field in _LIMIT_POINTS[number].items()}
-
-
-def _state(
-    inverter: LimitedInverter, at: float, *, off: int, sleeping: int, running: int, throttled: int
-) -> int:
-    if not inverter.settings.connected:
-        return off
-    if inverter.possible_kw(at) <= 0.0:
-        return sleeping
-    return throttled if _throttled(inverter, at) else running
-
-
-def _throttled(inverter: LimitedInverter, at: float) -> float:
-    """Return what a limit holds back, in per cent of the rating."""
-    held_kw = inverter.possible_kw(at) - inverter.power_kw(at)
-    return 100.0 * held_kw / inverter.rating_kw if held_kw > 1e-6 * inverter.rating_kw else 0.0
 
 
 def _amperes(watts: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -16,9 +16,10 @@ from pymodbus.server import ModbusTcpServer
 from bus_schemas.errors import InputError
 from sunspec.limited_inverter import LimitedInverter
 from sunspec.registers import (
-    INVERTER_MODELS,
-    InverterRegisters,
+    Points,
     Registers,
+    inverter_points,
+    inverter_registers,
     meter_registers,
     no_unit,
 )
@@ -61,7 +62,7 @@ class ServedPlant:
     sky: Begins with the first limit, if it has not begun.
     host, port: Where to listen. Port 0: any that is free.
     a_port_each: Whether each inverter has a port of its own, in place of a unit of its own.
-    models, missing: Which models they have, and points in them that they have not.
+    points: Returns the points of an inverter's models at a time.
     """
 
     inverters: Mapping[str, LimitedInverter]
@@ -70,8 +71,7 @@ class ServedPlant:
     host: str = "127.0.0.1"
     port: int = 0
     a_port_each: bool = False
-    models: Sequence[int] = INVERTER_MODELS
-    missing: Collection[str] = ()
+    points: Callable[[LimitedInverter, float], Points] = inverter_points
 
     def units(self) -> dict[str, Registers]:
         """Return the inverters by path, and the `meter`."""
@@ -80,17 +80,16 @@ class ServedPlant:
                 f"inverters: expected up to {_MOST_UNITS - 1} at one port, got "
                 f"{len(self.inverters)}; --base-port gives each a port of its own"
             )
+
+        def begin() -> None:
+            self.sky.begin(self.now())
+
         found: dict[str, Registers] = {}
         for place, (name, inverter) in enumerate(self.inverters.items()):
             unit = 1 if self.a_port_each else place + 1
-            found[name] = InverterRegisters(
-                unit, self.models, self.now, inverter, name, self._told, self.missing
-            )
+            found[name] = inverter_registers(unit, name, inverter, self.now, begin, self.points)
         unit = 1 if self.a_port_each else len(self.inverters) + 1
-        return found | {"meter": meter_registers(unit, self.now, self.inverters.values())}
-
-    def _told(self) -> None:
-        self.sky.begin(self.now())
+        return found | {"meter": meter_registers(unit, self.inverters.values(), self.now)}
 
 
 @contextmanager
@@ -101,10 +100,10 @@ def served(plant: ServedPlant) -> Iterator[dict[str, str]]:
     thread.start()
     servers: list[ModbusTcpServer] = []
     try:
-        found = asyncio.run_coroutine_threadsafe(_serve(plant, servers), loop).result()
-        yield found
+        yield asyncio.run_coroutine_threadsafe(_serve(plant, servers), loop).result()
     finally:
-        asyncio.run_coroutine_threadsafe(_shut(servers), loop).result()
+        for server in servers:
+            asyncio.run_coroutine_threadsafe(server.shutdown(), loop).result()
         loop.call_soon_threadsafe(loop.stop)
         thread.join()
         loop.close()
@@ -131,8 +130,3 @@ async def _serve(plant: ServedPlant, servers: list[ModbusTcpServer]) -> dict[str
         for name, device in zip(names, devices, strict=True):
             addresses[name] = f"modbus://{plant.host}:{port}/{device.id}"
     return addresses
-
-
-async def _shut(servers: list[ModbusTcpServer]) -> None:
-    for server in servers:
-        await server.shutdown()

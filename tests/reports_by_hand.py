@@ -50,7 +50,6 @@ def summary_of(
         cycle_s=0.1,
         wall_s=10.0,
         startup_s=0.0,
-        arming_rounds=1,
         metrics=None,
         messages=(MessageCount("impp", 10 + lost, 10),),
         dropped={},

@@ -25,6 +25,7 @@ from sky_statistics import (
     index_by_quantile,
     pair_correlations,
     peak_lags,
+    real_plant,
     rotated,
     sky_shares,
 )
@@ -149,14 +150,8 @@ def _livermore(folder: Path) -> Sky:
 
 def _plant(folder: Path, hour: str) -> Sky:
     """Read an hour of the 20 MW plant: the mean of each inverter's combiner currents."""
-    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s").dropna(axis="columns")
-    places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")
-    places = places.loc[currents.columns]
-    east_m, north_m = places["x_m"].to_numpy(float), places["y_m"].to_numpy(float)
-    inverters, which = np.unique(places["inverter"], return_inverse=True)
-    averaging = (which[:, None] == np.arange(inverters.size)).astype(float)
-    averaging /= averaging.sum(axis=0)
-    index = index_by_quantile(currents.to_numpy(float) @ averaging)
+    currents, east_m, north_m, averaging = real_plant(folder, hour)
+    index = index_by_quantile(currents @ averaging)
     motion = cloud_motion(index, east_m @ averaging, north_m @ averaging, 10.0)
     speed_ms, from_deg = motion.speed_ms, motion.from_deg
     name = f"plant, hour {hour}"
@@ -306,12 +301,8 @@ def legend(figure: Figure, axes: Axes) -> None:
 
 def numbers(sky: Sky, index: Array) -> dict[str, float]:
     """Return the key figures of a sky."""
-    shares = sky_shares(index)
     found = {
-        "share cloudy": shares.cloudy,
-        "share partly": shares.partly,
-        "share clear": shares.clear,
-        "share enhanced": shares.enhanced,
+        **{f"share {kind}": share for kind, share in sky_shares(index).items()},
         "index, 5 % quantile": float(np.quantile(index, 0.05)),
         "index, median": float(np.median(index)),
     }

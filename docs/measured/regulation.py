@@ -38,7 +38,7 @@ Measure = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 @cache
 def real_day(data: Path, date: str) -> dict[str, float]:
     """Return the statistics of a day of the real signal."""
-    return statistics(read_signal(data / "pjm-regd-2s" / f"regd_{date}.csv").value[:DAY])
+    return statistics(read_signal(data / "pjm-regd-2s" / f"regd_{date}.csv")[1][:DAY])
 
 
 def synthetic_days(seed: int) -> Days:
@@ -101,7 +101,7 @@ def parts(data: Path) -> Lines:
         equal_days = synthetic_regd.synthetic_regd(0).reshape(-1, DAY)
     finally:
         synthetic_regd._DAY_STDS = alike
-    real = read_signal(data / "pjm-regd-2s" / f"regd_{DAYS[0]}.csv").value[:DAY]
+    real = read_signal(data / "pjm-regd-2s" / f"regd_{DAYS[0]}.csv")[1][:DAY]
     differing = synthetic_regd.synthetic_regd(0).reshape(-1, DAY)
     yield from header(
         ["standard deviation of", "parts of 2 h", "3 h", "4 h", "whole synthetic days"]

@@ -3,45 +3,30 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
-
-import typer
+from typing import Final
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.options import (
-    ResultOptions,
-    ScenarioArgument,
-    SettingsOption,
-    WorkersOption,
-    changed_scenario,
-)
+from launch_scripts.commands.boundary import FAILED, OK
+from launch_scripts.commands.options import ResultOptions, changed_scenario
 from launch_scripts.commands.output import say, shared, written
 from launch_scripts.scenarios.run_options import RunOptions
 from studies.tables import print_table
 
-if TYPE_CHECKING:
-    from launch_scripts.scenarios.preparation import Preparation
-    from studies.campaign.study import Campaign, Outcome
-
-EXAMPLE: Final = "heliarch campaign oahu --seeds 1..200 --workers 2"
-PAGE: Final = Path("campaign.html")
 _LISTED: Final = 10
 
 
 def campaign(
-    scenario: ScenarioArgument = "oahu",
+    scenario: str = "oahu",
     *,
     seeds: str = "1..100",
     start: str | None = None,
     duration: str = "150s",
-    settings: SettingsOption = None,
-    workers: WorkersOption = 1,
+    settings: list[str] | None = None,
+    workers: int = 1,
     curves: bool = False,
     files: ResultOptions,
-) -> None:
+) -> int:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
 
     Each seed is one simulated run. If it breaks an invariant (docs/resilience.md),
@@ -53,65 +38,45 @@ def campaign(
     --from TIME (start): Local time of the first cycle: 12:30, or 2010-04-01T12:30.
     --duration TIME: Length of each run: 150s, 10m.
     --curves: Instead, measure what failures cost, by rate and repair time.
+    Example: heliarch campaign oahu --seeds 1..200 --workers 2
     """
     from launch_scripts.scenarios.preparation import prepare
     from studies.campaign import results, study
+    from studies.campaign.curves import conditions, run_under
     from studies.compare.cases import parse_seeds
 
     changed = changed_scenario(scenario, files.data, settings)
     preparation = prepare(changed, RunOptions(start, duration), "campaign")
-    length_s = preparation.plan.cycles * preparation.plan.cycle_ns / 1e9
-    least_s = study.least_length_s(preparation.plan)
+    plan = preparation.plan
+    length_s, least_s = plan.cycles * plan.cycle_ns / 1e9, study.least_length_s(plan)
     if length_s < least_s:
         raise InputError(f"--duration: expected {least_s:g} s or more, got {length_s:g} s")
     chosen = parse_seeds(seeds)
     found = study.campaign(preparation)
     if curves:
-        _measure_curves(preparation, found, chosen, workers, files)
-        return
+        points = shared(partial(run_under, found), conditions(chosen), workers, "runs")
+        title = f"{plan.plant}, {plan.cycles} cycles from {preparation.local_start()}"
+        title += f", mean of {len(chosen)} seeds"
+        page = partial(results.curve_page, title, points)
+        with written(points, files, page, "campaign.html") as console:
+            for table in results.curve_tables(title, points):
+                print_table(console, table)
+        return OK
     outcomes = shared(partial(study.run_seed, found), chosen, workers, "runs")
     page = partial(results.campaign_page, preparation, found, outcomes)
     broken = [outcome for outcome in outcomes if outcome.violations]
-    with written(outcomes, files, page, PAGE) as console:
+    # The command that repeats a run, but for its faults.
+    words = ["heliarch", "simulate", scenario, "--duration", duration]
+    words += ["--from", start] if start else []
+    words += [word for setting in settings or () for word in ("--set", setting)]
+    with written(outcomes, files, page, "campaign.html") as console:
         print_table(console, results.campaign_table(preparation, outcomes))
         for outcome in broken[:_LISTED]:
             first = outcome.violations[0]
             where = f"{first.invariant}, cycle {first.cycle}"
             say(console, f"seed {outcome.seed}: {where}: {first.text}")
-            say(console, f"  {_command(scenario, start, duration, settings or (), outcome)}")
+            faults = [word for rule in outcome.rules for word in ("--fault", rule)]
+            say(console, f"  {shlex.join([*words, *faults])}")
         if len(broken) > _LISTED:
             say(console, f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
-    if broken:
-        raise typer.Exit(1)
-
-
-def _measure_curves(
-    preparation: Preparation,
-    campaign: Campaign,
-    seeds: Sequence[int],
-    workers: int,
-    files: ResultOptions,
-) -> None:
-    from studies.campaign import curves, results
-
-    points = shared(partial(curves.run_under, campaign), curves.conditions(seeds), workers, "runs")
-    plan = preparation.plan
-    title = f"{plan.plant}, {plan.cycles} cycles from {preparation.local_start()}"
-    title += f", mean of {len(seeds)} seeds"
-    page = partial(results.curve_page, title, points)
-    with written(points, files, page, PAGE) as console:
-        for table in results.curve_tables(title, points):
-            print_table(console, table)
-
-
-def _command(
-    scenario: str, start: str | None, duration: str, settings: Sequence[str], outcome: Outcome
-) -> str:
-    """Return the command that repeats a run."""
-    words = ["heliarch", "simulate", scenario, "--duration", duration]
-    words += ["--from", start] if start else []
-    for setting in settings:
-        words += ["--set", setting]
-    for rule in outcome.rules:
-        words += ["--fault", rule]
-    return shlex.join(words)
+    return FAILED if broken else OK

@@ -3,41 +3,25 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
-from typing import Annotated, Final
 
-import typer
-
-from launch_scripts.commands.options import (
-    ResultOptions,
-    ScenarioArgument,
-    SchemeOption,
-    SeedOption,
-    SettingsOption,
-    WorkersOption,
-    changed_scenario,
-)
+from agents.settings import Scheme
+from launch_scripts.commands.options import ResultOptions, changed_scenario
 from launch_scripts.commands.output import shared, written
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 from studies.tables import print_lines, print_table
 
-EXAMPLE: Final = "heliarch clusters oahu --random 50 --periods 1,30 --report"
-PAGE: Final = Path("clusters.html")
-
 
 def clusters(
-    scenario: ScenarioArgument = "oahu",
+    scenario: str = "oahu",
     *,
     span: TimeOptions,
     periods: str | None = None,
-    random: Annotated[
-        int, typer.Option(min=1, max=1000, help="How many random choices of clusters to try.")
-    ] = 20,
-    seed: SeedOption = None,
-    scheme: SchemeOption = None,
+    random: int = 20,
+    seed: int | None = None,
+    scheme: Scheme | None = None,
     learn: str | None = None,
-    settings: SettingsOption = None,
-    workers: WorkersOption = 1,
+    settings: list[str] | None = None,
+    workers: int = 1,
     files: ResultOptions,
 ) -> None:
     """Compare virtual neighbours with geographic and random clusters.
@@ -46,7 +30,9 @@ def clusters(
 
     --periods SECONDS: How often the central controller acts, seconds; default 1,10,60 as the cycle
         allows.
+    --random 1..1000: How many random choices of clusters to try.
     --learn TIME: Choose clusters from the first part of the run, this long; run the rest.
+    Example: heliarch clusters oahu --random 50 --periods 1,30 --report
     """
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import prepare
@@ -80,7 +66,7 @@ def clusters(
         partial(shared, workers=workers, description="clusters"),
     )
     page = partial(results.study_page, study, remarks)
-    with written(results.study_json(study, remarks), files, page, PAGE) as console:
+    with written(results.study_json(study, remarks), files, page, "clusters.html") as console:
         print_lines(console, remarks)
         for table in (results.clusters_table, results.orders_table, results.members_table):
             print_table(console, table(study))

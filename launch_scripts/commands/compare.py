@@ -5,19 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, cast, get_args
+from typing import TYPE_CHECKING, cast, get_args
 
 import typer
 
 from agents.settings import Actuator
 from bus_schemas.errors import InputError
-from launch_scripts.commands.options import (
-    ResultOptions,
-    WorkersOption,
-    file_in_folder,
-    refuse_others,
-)
-from launch_scripts.commands.output import counted, say, shared, write_json, written
+from launch_scripts.commands.options import ResultOptions, refuse_others
+from launch_scripts.commands.output import counted, say, write_json, written
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 from studies.tables import Table, console_for, print_table
 
@@ -28,24 +23,11 @@ if TYPE_CHECKING:
     from studies.compare.cases import Case
     from studies.compare.study import CaseResult, Comparison
 
-EXAMPLE: Final = "heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10"
-PAGE: Final = Path("compare.html")
-
 
 def compare(
     context: typer.Context,
-    scenario: Annotated[
-        str,
-        typer.Argument(
-            help="A shipped scenario (see `heliarch scenarios`) or a TOML file; or a recorded run, "
-            "its folder or run.mcap.",
-            metavar="SCENARIO",
-        ),
-    ] = "oahu-day",
-    other: Annotated[
-        Path | None,
-        typer.Argument(help="A second run, to compare the first with.", metavar="RUN"),
-    ] = None,
+    scenario: str = "oahu-day",
+    other: Path | None = None,
     *,
     span: TimeOptions,
     days: str | None = None,
@@ -55,23 +37,18 @@ def compare(
     actuator: str | None = None,
     reference: str | None = None,
     show: str = "control-caused,over-delivered",
-    workers: WorkersOption = 1,
+    workers: int = 1,
     scheduler: str | None = None,
     files: ResultOptions,
-    csv: Annotated[
-        str | None,
-        typer.Option(
-            "--csv",
-            help="Write the summary of the cases as CSV.",
-            metavar="FILE",
-            callback=file_in_folder,
-        ),
-    ] = None,
+    csv: str | None = None,
 ) -> None:
     """Compare control schemes under the same sky, for one day or many; or two recorded runs.
 
     For a single case or two runs, --report writes a page, compare.html by default.
 
+    SCENARIO: A shipped scenario (see `heliarch scenarios`) or a TOML file; or a recorded run, its
+        folder or run.mcap.
+    RUN (other): A second run, to compare the first with.
     --days DATES: Dates, such as 2010-04-01..2010-04-30.
     --seeds SEEDS: Seeds of synthetic clouds, such as 1..5,9.
     --set FIELD=VALUES (settings): A field of the scenario and its values; each combination is a
@@ -90,6 +67,8 @@ def compare(
         capacity, offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible,
         accuracy, delay, precision, score, score-unclipped.
     --scheduler ADDRESS: Dask scheduler that shares the cases.
+    --csv FILE: Write the summary of the cases as CSV.
+    Example: heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10
     """
     if other is not None:
         allowed = ("scenario", "other", "report", "json")
@@ -125,8 +104,7 @@ def compare(
     if len(found) == 1:
         _one(found[0], comparison, files, csv)
     else:
-        results = _many(found, comparison, workers, scheduler)
-        _tell_many(results, shown, files.json, csv)
+        _many(found, comparison, workers, scheduler, shown, files.json, csv)
 
 
 def _is_run(path: Path) -> bool:
@@ -180,7 +158,7 @@ def _one(case: Case, comparison: Comparison, files: ResultOptions, csv: str | No
         return report_page(title, series, [*tables, frontier(schemes), *merits], notes)
 
     _write_summary(results, csv)
-    with written(json_rows(results), files, page, PAGE) as console:
+    with written(json_rows(results), files, page, "compare.html") as console:
         _print(console, remarks, tables)
 
 
@@ -203,7 +181,7 @@ def _two_runs(paths: tuple[Path, Path], files: ResultOptions) -> None:
     document = {"runs": runs, "figures": figures, "differences": differences}
     title = f"{paths[0].name} and {paths[1].name}"
     page = partial(report_page, title, series, tables, lines[1:], lead=lines[0])
-    with written(document, files, page, PAGE) as console:
+    with written(document, files, page, "compare.html") as console:
         _print(console, lines, tables)
 
 
@@ -214,25 +192,26 @@ def _print(console: Console, lines: Sequence[str], tables: Sequence[Table]) -> N
 
 
 def _many(
-    found: Sequence[Case], comparison: Comparison, workers: int, scheduler: str | None
-) -> list[CaseResult]:
-    """Run many cases with a progress bar; return their results in order."""
+    found: Sequence[Case],
+    comparison: Comparison,
+    workers: int,
+    scheduler: str | None,
+    shown: Sequence[str],
+    json: str | None,
+    csv: str | None,
+) -> None:
+    """Run many cases with a progress bar; print them and their summary, and write files of them."""
+    from studies.compare.results import cases_tables, json_rows
     from studies.compare.study import run_case
-    from studies.workers import share_over_cluster
+    from studies.workers import share_over_cluster, share_work
 
     run = partial(run_case, comparison)
-    if scheduler is None:
-        return shared(run, found, workers, "cases")
-    results = dict(counted(share_over_cluster(run, found, scheduler), "cases", len(found)))
-    return [results[number] for number in sorted(results)]
-
-
-def _tell_many(
-    results: Sequence[CaseResult], shown: Sequence[str], json: str | None, csv: str | None
-) -> None:
-    """Print the cases and their summary; write files of them if asked for."""
-    from studies.compare.results import cases_tables, json_rows
-
+    numbered = (
+        share_work(run, found, workers)
+        if scheduler is None
+        else share_over_cluster(run, found, scheduler)
+    )
+    results = counted(numbered, "cases", len(found))
     # The files first: whoever reads the table may leave before its end.
     write_json(json_rows(results), json)
     _write_summary(results, csv)

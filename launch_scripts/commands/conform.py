@@ -4,44 +4,29 @@ from __future__ import annotations
 
 from math import inf
 from pathlib import Path
-from typing import Annotated, Final
 
-import typer
-
+from agents.settings import Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
 from launch_scripts.commands.boundary import FAILED, OK
-from launch_scripts.commands.options import JsonOption, SchemeOption
 from launch_scripts.commands.output import say, write_json
 from launch_scripts.scenarios.run_options import RunOptions
 from studies.tables import console_for, json_rows, print_table
 
-EXAMPLE: Final = (
-    "heliarch conform c2/inv07 --command 'python examples/direct_controller.py --plan {plan} "
-    "--node {node}'"
-)
-
 
 def conform(
-    agent: Annotated[
-        str,
-        typer.Argument(
-            help="The agent that the device replaces: c2/inv07, c2, central or plant.",
-            metavar="AGENT",
-            show_default=False,
-        ),
-    ],
+    agent: str,
     *,
     scenario: str = "oahu",
     command: str | None = None,
     pace: str = "1",
-    scheme: SchemeOption = "paper",
+    scheme: Scheme | None = "paper",
     seed: int | None = None,
     tolerance: float = 0.0,
     wait_s: float = 60.0,
     base_port: int | None = None,
     out: Path | None = None,
-    json: JsonOption = None,
+    json: str | None = None,
 ) -> int:
     """Test your own device against each requirement of the wire document.
 
@@ -50,6 +35,7 @@ def conform(
     faults, links that close, a restart. Compares each answer with that of
     Heliarch's own agent. Exit status 1: a requirement is not met.
 
+    AGENT: The agent that the device replaces: c2/inv07, c2, central or plant.
     --scenario SCENARIO: The plant around it, as for launch.
     --command COMMAND: Command that starts the device; {plan} becomes the path of the plan, {node}
         the agent. Without it, start the device yourself for each plan that is printed; restarts are
@@ -60,6 +46,8 @@ def conform(
     --external-timeout SECONDS (wait_s): How long to wait for the device.
     --base-port PORT: Listen on this port and those after it, with the plant's name as namespace.
     --out DIR: Folder of the recorded tests; default runs/NAME-TIME.
+    Example: heliarch conform c2/inv07 --command 'python examples/direct_controller.py --plan {plan}
+        --node {node}'
     """
     from launch_scripts.launcher.run_folder import RunRequest, prepare_run
     from launch_scripts.scenarios.scenario import load_scenario

@@ -3,28 +3,12 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
-
-import typer
+from typing import Any, Final
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.options import (
-    ResultOptions,
-    SeedOption,
-    SettingsOption,
-    WorkersOption,
-    changed_scenario,
-)
+from launch_scripts.commands.options import ResultOptions, changed_scenario
 from launch_scripts.commands.output import shared, written
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
-
-if TYPE_CHECKING:
-    from launch_scripts.scenarios.preparation import Preparation
-    from launch_scripts.scenarios.scenario import ScenarioFile
-
-EXAMPLE: Final = "heliarch delays oahu --from 12:30 --duration 20m --report"
-PAGE: Final = Path("delays.html")
 
 DEFAULT_SCENARIO: Final = "oahu-day"
 DEFAULT_START: Final = "11:58"
@@ -34,29 +18,27 @@ DEFAULT_SETTINGS: Final = ("commitment.share=0.6",)
 
 
 def delays(
-    scenario: Annotated[
-        str | None,
-        typer.Argument(
-            help="A shipped scenario or a TOML file; default the hour from noon of oahu-day, with "
-            "a commitment of 0.6 of what is possible.",
-            show_default=False,
-        ),
-    ] = None,
+    scenario: str | None = None,
     *,
     span: TimeOptions,
-    seed: SeedOption = None,
-    settings: SettingsOption = None,
-    workers: WorkersOption = 2,
+    seed: int | None = None,
+    settings: list[str] | None = None,
+    workers: int = 2,
     files: ResultOptions,
 ) -> None:
     """Measure what delays, losses and a slow central controller cost.
 
     Everything runs in memory: each scheme with each delay, share of losses and central period.
     --report writes delays.html by default.
+
+    SCENARIO: A shipped scenario or a TOML file; default the hour from noon of oahu-day, with a
+        commitment of 0.6 of what is possible.
+    Example: heliarch delays oahu --from 12:30 --duration 20m --report
     """
+    from launch_scripts.scenarios.preparation import prepare
     from studies.compare.study import remarks_of
     from studies.delays.results import print_study, study_page
-    from studies.delays.study import conditions, counted_s, run_under
+    from studies.delays.study import WARM_UP_S, conditions, counted_s, run_under
 
     changes, start, duration = tuple(settings or ()), span.start, span.duration
     if scenario is None:
@@ -65,9 +47,16 @@ def delays(
         if span.end is None:
             duration = duration or DEFAULT_DURATION
     changed = changed_scenario(scenario, files.data, changes)
-    preparation = _prepared(changed, RunOptions(start, duration, seed=seed, end=span.end))
+    preparation = prepare(changed, RunOptions(start, duration, seed=seed, end=span.end), "delays")
     plan = preparation.plan
     cycle_s, correction = plan.cycle_ns / 1e9, changed.scenario.control.correction
+    if plan.faults:
+        raise InputError(f"{changed.path} faults: expected none, this study has its own")
+    if plan.cycles * cycle_s <= WARM_UP_S:
+        raise InputError(
+            f"--duration: expected more than the {WARM_UP_S:g} s at the beginning of each run "
+            f"that do not count, got {plan.cycles * cycle_s:g} s"
+        )
     chosen = conditions(cycle_s, counted_s(plan), correction)
     run = partial(run_under, plan, preparation.profile)
     outcomes = shared(run, chosen, workers, "runs")
@@ -81,22 +70,5 @@ def delays(
         "outcomes": outcomes,
     }
     page = partial(study_page, preparation, outcomes)
-    with written(document, files, page, PAGE) as console:
+    with written(document, files, page, "delays.html") as console:
         print_study(preparation, outcomes, console)
-
-
-def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:
-    """Work out the run; refuse one of which nothing would count."""
-    from launch_scripts.scenarios.preparation import prepare
-    from studies.delays.study import WARM_UP_S
-
-    preparation = prepare(scenario, options, "delays")
-    if preparation.plan.faults:
-        raise InputError(f"{scenario.path} faults: expected none, this study has its own")
-    length_s = preparation.plan.cycles * preparation.plan.cycle_ns / 1e9
-    if length_s <= WARM_UP_S:
-        raise InputError(
-            f"--duration: expected more than the {WARM_UP_S:g} s at the beginning of each run "
-            f"that do not count, got {length_s:g} s"
-        )
-    return preparation

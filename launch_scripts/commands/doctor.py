@@ -12,16 +12,12 @@ import time
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from textwrap import wrap
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, OK
-from launch_scripts.commands.options import JsonOption
 from launch_scripts.commands.output import write_json
 from studies.tables import console_for
-
-EXAMPLE: Final = "heliarch doctor"
 
 _PACKAGES: Final = ("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap")
 _OPTIONAL: Final = {
@@ -31,8 +27,6 @@ _OPTIONAL: Final = {
 
 _CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
-_INDENT: Final = 19
-
 
 Verdict: TypeAlias = Literal["ok", "slow", "wrong"]
 
@@ -58,14 +52,16 @@ def _judged(
 
 def doctor(
     out: Path = Path(),
-    json: JsonOption = None,
+    json: str | None = None,
 ) -> int:
     """Check whether a run will work on this machine, what will slow it down, and what to do.
 
     Exit status 1: something is wrong, and a run would not work.
 
     --out DIR: Folder in which runs will be recorded.
+    Example: heliarch doctor
     """
+    from rich.table import Table
     from rich.text import Text
 
     if not out.is_dir():
@@ -83,15 +79,14 @@ def doctor(
         _disk(out),
     ]
     write_json([finding._asdict() for finding in found], json)
-    console = console_for(json)
-    width = min(console.width, 100)
+    rows = Table.grid(padding=(0, 1))
     for finding in found:
         style = {"ok": "green", "slow": "yellow", "wrong": "bold red"}[finding.verdict]
-        head = Text.assemble(f"{finding.about:12} ", (f"{finding.verdict:6}", style))
-        text = wrap(finding.found, width - _INDENT) or [""]
-        console.print(head + Text(f"\n{'':{_INDENT}}".join(text)), width=width)
-        for line in wrap(finding.advice, width - _INDENT):
-            console.print(Text(f"{'':{_INDENT}}{line}", "dim"), width=width)
+        rows.add_row(finding.about, Text(finding.verdict, style), Text(finding.found))
+        if finding.advice:
+            rows.add_row("", "", Text(finding.advice, "dim"))
+    console = console_for(json)
+    console.print(rows, width=min(console.width, 100))
     return FAILED if any(finding.verdict == "wrong" for finding in found) else OK
 
 

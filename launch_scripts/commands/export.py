@@ -3,20 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal
-
-import typer
+from typing import TYPE_CHECKING, Literal
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import OK, complain
-from launch_scripts.commands.options import (
-    FirstOption,
-    JsonOption,
-    LastOption,
-    NodesOption,
-    RunArgument,
-    SignalsOption,
-)
 from launch_scripts.commands.output import progress_bar, say, write_json
 from studies.tables import Column, Table, console_for, key_column, print_table
 
@@ -25,28 +15,25 @@ if TYPE_CHECKING:
 
     from recordings.export.exporting import ExportSummary
 
-EXAMPLE: Final = "heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*"
-
 
 def export(
-    run: RunArgument,
-    form: Annotated[
-        Literal["json-mcap", "parquet", "csv"],
-        typer.Option("--format", help="json-mcap is for Foxglove and Lichtblick."),
-    ],
-    start: FirstOption = None,
-    end: LastOption = None,
-    nodes: NodesOption = None,
-    signals: SignalsOption = None,
+    run: Path,
+    form: Literal["json-mcap", "parquet", "csv"],
+    start: str | None = None,
+    end: str | None = None,
+    nodes: str | None = None,
+    signals: str | None = None,
     clock: Literal["wall", "sim"] | None = None,
     out: Path | None = None,
-    json: JsonOption = None,
+    json: str | None = None,
 ) -> int:
     """Make a file for viewers, or tidy tables, from a recording.
 
+    --format (form): json-mcap is for Foxglove and Lichtblick.
     --clock: Times that a viewer of json-mcap shows: wall, as recorded (the default), or sim, those
         of the plant.
     --out PATH: The new file, or folder of tables; default beside the recording.
+    Example: heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*
     """
     from bus_schemas.signals import SIGNALS
     from recordings.export.exporting import default_path
@@ -63,10 +50,8 @@ def export(
         wanted = find_signals(signals or "")
         rows = tuple(row for row in SIGNALS if row.logged and (not wanted or row in wanted))
         cycles = None if start is None and end is None else reader.clock.span(start, end)
-        with progress_bar(f"{form} {path.name}") as follow:
-            summary = export_run(
-                reader, form, path, rows, nodes or "", cycles, clock or "wall", follow
-            )
+        with progress_bar(f"{form} {path.name}") as reader.follow:
+            summary = export_run(reader, form, path, rows, nodes or "", cycles, clock or "wall")
         damage = reader.damage_text()
     _print(summary, console_for(json))
     write_json(summary, json)

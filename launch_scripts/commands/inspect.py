@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from rich.text import Text
@@ -11,7 +12,6 @@ from bus_schemas.errors import InputError
 from bus_schemas.printable import printable
 from bus_schemas.tree import agent_name
 from launch_scripts.commands.boundary import OK, complain
-from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, RunArgument
 from launch_scripts.commands.output import json_rows, progress_bar, write_json
 from studies.tables import (
     Column,
@@ -32,17 +32,16 @@ if TYPE_CHECKING:
     from recordings.read.reader import RunReader
     from recordings.read.run_clock import RunClock
 
-EXAMPLE: Final = "heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:50:30"
 _SHOWN_GAPS: Final = 10
 
 
 def inspect(
-    run: RunArgument,
+    run: Path,
     nodes: str | None = None,
-    start: FirstOption = None,
-    end: LastOption = None,
+    start: str | None = None,
+    end: str | None = None,
     cycle: str | None = None,
-    json: JsonOption = None,
+    json: str | None = None,
 ) -> int:
     """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
 
@@ -51,6 +50,7 @@ def inspect(
 
     --nodes NODES: Show these nodes cycle by cycle: c2/inv07,c1/*,central (c1/*: c1 and all below).
     --cycle TIME: Show the whole plant in this cycle; same forms as --from.
+    Example: heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:50:30
     """
     from recordings.read.reader import RunReader
     from recordings.read.selection import find_nodes
@@ -148,8 +148,8 @@ def _show_overview(
 ) -> None:
     from recordings.inspect.overview import read_overview
 
-    with progress_bar("reading") as follow:
-        overview = read_overview(run, cycles, follow)
+    with progress_bar("reading") as run.follow:
+        overview = read_overview(run, cycles)
     for table in _overview_tables(overview, run.clock):
         print_table(console, table)
     _warn_if_cut(run, console)

@@ -6,46 +6,26 @@ import sys
 import time
 from contextlib import suppress
 from math import inf
-from typing import Annotated, Final
+from pathlib import Path
 
 import typer
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.options import (
-    DataOption,
-    ScenarioArgument,
-    SeedOption,
-    SettingsOption,
-    changed_scenario,
-)
+from launch_scripts.commands.options import changed_scenario
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
-
-EXAMPLE: Final = "heliarch inverters oahu --port 5020 --set plant.delay_s=1"
 
 
 def inverters(
-    scenario: ScenarioArgument = "oahu",
+    scenario: str = "oahu",
     *,
     address: str = "127.0.0.1",
-    port: Annotated[
-        int | None,
-        typer.Option(
-            min=0, max=65535, help="One port, with a unit for each inverter; default 5020."
-        ),
-    ] = None,
-    base_port: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=65535,
-            help="Instead, a port for each inverter, from this port on; all are unit 1.",
-        ),
-    ] = None,
+    port: int | None = None,
+    base_port: int | None = None,
     wait: bool = False,
     span: TimeOptions,
-    seed: SeedOption = None,
-    settings: SettingsOption = None,
-    data: DataOption = None,
+    seed: int | None = None,
+    settings: list[str] | None = None,
+    data: Path | None = None,
 ) -> None:
     """Serve a plant's simulated inverters over Modbus TCP, in real time.
 
@@ -54,7 +34,10 @@ def inverters(
     plant's connection. Ends with the scenario, or with Ctrl-C.
 
     --address ADDRESS: Address at which to listen; 0.0.0.0 is for other hosts too.
+    --port 0..65535: One port, with a unit for each inverter; default 5020.
+    --base-port 1..65535: Instead, a port for each inverter, from this port on; all are unit 1.
     --wait: Let the clouds stand still until the first limit is written.
+    Example: heliarch inverters oahu --port 5020 --set plant.delay_s=1
     """
     if port is not None and base_port is not None:
         raise InputError("--port: expected no --base-port with it")

@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final
-
-import typer
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.options import DataOption, JsonOption, ScenarioArgument
 from launch_scripts.commands.output import say, write_json
 from launch_scripts.scenarios.run_options import RunOptions
 from studies.tables import console_for
 
-EXAMPLE: Final = "heliarch keys oahu && heliarch launch oahu --secure --duration 30"
-
 
 def keys(
-    scenario: ScenarioArgument = "oahu",
+    scenario: str = "oahu",
     out: Path | None = None,
-    days: Annotated[
-        float, typer.Option(max=3650.0, help="Days for which the certificates are valid.")
-    ] = 365.0,
+    days: float = 365.0,
     address: list[str] | None = None,
-    data: DataOption = None,
-    json: JsonOption = None,
+    data: Path | None = None,
+    json: str | None = None,
 ) -> None:
     """Make a certificate authority for a plant, and a certificate for each of its agents.
 
@@ -33,8 +25,10 @@ def keys(
     ca.pem. Keep ca.key secret: it can sign certificates.
 
     --out DIR: Folder of the keys; default keys/PLANT.
+    --days ..3650: Days for which the certificates are valid.
     --address ADDRESS: An address at which agents listen, besides 127.0.0.1. May be given several
         times.
+    Example: heliarch keys oahu && heliarch launch oahu --secure --duration 30
     """
     from launch_scripts.scenarios.plant_keys import make_keys
     from launch_scripts.scenarios.preparation import prepare

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final
-
-from launch_scripts.commands.options import (
-    FileOptions,
-    PageOptions,
-    ScenarioArgument,
-    SettingsOption,
-    SpanOptions,
-)
+from launch_scripts.commands.options import FileOptions, PageOptions, SpanOptions
 from launch_scripts.scenarios.run_options import PlantOptions, ProcessOptions
-
-EXAMPLE: Final = "heliarch launch oahu --from 12:30 --duration 15m --pace 1"
 
 
 def launch(
-    scenario: ScenarioArgument = "oahu",
+    scenario: str = "oahu",
     *,
     span: SpanOptions,
     plant: PlantOptions,
-    settings: SettingsOption = None,
+    settings: list[str] | None = None,
     processes: ProcessOptions,
     page: PageOptions,
     files: FileOptions,
@@ -31,6 +21,8 @@ def launch(
     Starts the plant simulator, a direct controller for each inverter, the
     supervisors, the central controller and the recorder, each as a process
     of its own. At the end it stops them all and prints the result.
+
+    Example: heliarch launch oahu --from 12:30 --duration 15m --pace 1
     """
     from launch_scripts.launcher.supervision import ForkServerProcess
 

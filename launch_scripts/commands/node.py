@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final
 
 import typer
 from msgspec.structs import replace
@@ -12,21 +11,11 @@ from bus_schemas.errors import InputError
 from launch_scripts.commands.output import say
 from studies.tables import console_for
 
-EXAMPLE: Final = "heliarch node --plan plan.json --host 10.0.0.2"
-
 
 def node(
     *,
-    plan: Annotated[
-        Path,
-        typer.Option(help="The plan.json of the run, or a copy of it.", show_default=False),
-    ],
-    host: Annotated[
-        str,
-        typer.Option(
-            help="This host's address, as in launch --on.", metavar="ADDRESS", show_default=False
-        ),
-    ],
+    plan: Path,
+    host: str,
     keys: Path | None = None,
     out: Path | None = None,
     systemd: bool = False,
@@ -36,9 +25,12 @@ def node(
     Waits for the plant, takes part in the run, and ends with it. Exit
     status 1: a controller ended before the run, or the plant disappeared.
 
+    --plan: The plan.json of the run, or a copy of it.
+    --host ADDRESS: This host's address, as in launch --on.
     --keys DIR: Folder of the keys; default keys/PLANT.
     --out DIR: Folder of the logs; default runs/PLANT-TIME.
     --systemd: Only print a systemd unit that starts this command again whenever it ends.
+    Example: heliarch node --plan plan.json --host 10.0.0.2
     """
     from agents.plan import load_plan
     from launch_scripts.launcher.node import run_share, share_of, systemd_unit

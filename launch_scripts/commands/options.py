@@ -7,12 +7,12 @@ import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from agents.settings import Scheme
 from bus_schemas.errors import InputError
+from launch_scripts.commands.boundary import Command
 from launch_scripts.scenarios.run_options import TimeOptions
 
 if TYPE_CHECKING:
@@ -29,102 +29,31 @@ def file_in_folder(option: typer.CallbackParam, value: str | None) -> str | None
     return value
 
 
-RunArgument: TypeAlias = Annotated[
-    Path,
-    typer.Argument(help="Folder of a run, or its run.mcap.", metavar="RUN", show_default=False),
-]
-ScenarioArgument: TypeAlias = Annotated[
-    str,
-    typer.Argument(
-        help="A shipped scenario (see `heliarch scenarios`) or a TOML file.", metavar="SCENARIO"
-    ),
-]
+_SHARED: Final = """
+RUN: Folder of a run, or its run.mcap.
+SCENARIO: A shipped scenario (see `heliarch scenarios`) or a TOML file.
+--seed: Seed of the synthetic clouds.
+--scheme: How maximum powers are estimated.
+--set FIELD=VALUE (settings): Change a field of the scenario: commitment.share=0.5. May be given
+    several times.
+--data DIR: Folder of the data files that the scenario names.
+--workers 1..256: Processes that share the work.
+--from TIME (start): First cycle: 13:49:00, 90s, or its number.
+--to TIME (end): Last cycle, in the same forms.
+--nodes NODES: Only these nodes: c2/inv07,c1/*,central (c1/*: c1 and all below it).
+--signals NAMES: Only these signals, separated by commas: impp,residual.
+--page-port PORT 0..65535: Port of the page; default: any that is free.
+--page-address ADDRESS: Address of the page; default 127.0.0.1, for this machine only. 0.0.0.0 is
+    for other hosts too, with the token that is printed.
+--report [FILE.html]: Write an HTML page to a file whose name ends in .html, or to a default path,
+    which is printed.
+--json FILE: Write the result as JSON; - is standard output.
+"""
+"""What these are in every command that does not describe them itself. Of `--report`, None is no
+page, and an empty value the default file."""
 
-# What is run -------------------------------------------------------------------------------------
-
-SeedOption: TypeAlias = Annotated[int | None, typer.Option(help="Seed of the synthetic clouds.")]
-SchemeOption: TypeAlias = Annotated[
-    Scheme | None, typer.Option(help="How maximum powers are estimated.")
-]
-SettingsOption: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        help="Change a field of the scenario: commitment.share=0.5. May be given several times.",
-        metavar="FIELD=VALUE",
-    ),
-]
-DataOption: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(help="Folder of the data files that the scenario names.", metavar="DIR"),
-]
-WorkersOption: TypeAlias = Annotated[
-    int, typer.Option(min=1, max=256, help="Processes that share the work.")
-]
-
-# Which part of a recording -----------------------------------------------------------------------
-
-FirstOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="TIME"),
-]
-LastOption: TypeAlias = Annotated[
-    str | None, typer.Option("--to", help="Last cycle, in the same forms.", metavar="TIME")
-]
-NodesOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--nodes",
-        help="Only these nodes: c2/inv07,c1/*,central (c1/*: c1 and all below it).",
-        metavar="NODES",
-    ),
-]
-SignalsOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(help="Only these signals, separated by commas: impp,residual.", metavar="NAMES"),
-]
-
-# The page of a run -------------------------------------------------------------------------------
-
-PagePortOption: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        min=0, max=65535, help="Port of the page; default: any that is free.", metavar="PORT"
-    ),
-]
-PageAddressOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        help="Address of the page; default 127.0.0.1, for this machine only. 0.0.0.0 is for other "
-        "hosts too, with the token that is printed.",
-        metavar="ADDRESS",
-    ),
-]
-
-# What comes out of it ----------------------------------------------------------------------------
-
-ReportOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--report",
-        help="Write an HTML page to a file whose name ends in .html, or to a default path, which "
-        "is printed.",
-        metavar="[FILE.html]",
-        callback=file_in_folder,
-        show_default=False,
-    ),
-]
-"""None: no page; empty: the default file."""
-
-JsonOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--json",
-        help="Write the result as JSON; - is standard output.",
-        metavar="FILE",
-        callback=file_in_folder,
-    ),
-]
+_WRITTEN: Final = {"report", "json", "csv"}
+"""Options that name a file to write, with `-` for standard output."""
 
 # Groups, for the commands that run a plant -------------------------------------------------------
 
@@ -147,17 +76,17 @@ class PageOptions:
     """
 
     page: bool = False
-    page_port: PagePortOption = None
-    page_address: PageAddressOption = None
+    page_port: int | None = None
+    page_address: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ResultOptions:
     """Where data come from and results go."""
 
-    data: DataOption = None
-    report: ReportOption = None
-    json: JsonOption = None
+    data: Path | None = None
+    report: str | None = None
+    json: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,12 +118,13 @@ def changed_scenario(
     return with_settings(load_scenario(scenario, data), settings or ())
 
 
-def with_options(command: Callable[..., int | None]) -> Callable[..., int | None]:
-    """Return a command as typer takes it, whose options docstrings describe.
+def add_command(app: typer.Typer, command: Callable[..., int | None], heading: str) -> None:
+    """Add a command whose options and arguments docstrings describe, and its example last of all.
 
-    `--option METAVAR (parameter): help` describes a parameter of the command, or a field of a
-    dataclass that it takes; the name is left out where it is that of the option. Each field of such
-    a dataclass is an option of its own.
+    `--option METAVAR 1..9 (parameter): help` describes a parameter of the command, or a field of a
+    dataclass that it takes. The name is left out where it is that of the option; a number may have
+    a range. `ARGUMENT (parameter): help` describes an argument. Each field of such a dataclass is
+    an option of its own.
     """
     taken = inspect.signature(command, eval_str=True).parameters.values()
     groups: dict[str, Any] = {
@@ -206,34 +136,53 @@ def with_options(command: Callable[..., int | None]) -> Callable[..., int | None
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         return command(**given)
 
-    expanded.__doc__, described = _described(command)
+    text, _, example = (inspect.getdoc(command) or "").rpartition("\nExample: ")
+    expanded.__doc__, described = _described(text)
     options: list[inspect.Parameter] = []
     for taker in taken:
         if group := groups.get(taker.name):
             options += inspect.signature(group, eval_str=True).parameters.values()
             for owner in group.__mro__[:-1]:
-                described |= _described(owner)[1]
+                described |= _described(inspect.getdoc(owner) or "")[1]
         else:
             options.append(taker)
-    keyword = []
+    shared, keyword = _described(_SHARED)[1], []
     for option in options:
-        kind, described_as = option.annotation, described.pop(option.name, None)
-        kind = kind if described_as is None else Annotated[kind, described_as]
+        kind = option.annotation
+        if words := described.pop(option.name, None) or shared.get(option.name):
+            kind = Annotated[kind, words]
         keyword.append(option.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
     assert not described, f"{command.__name__} takes no {', '.join(described)}"
     expanded.__signature__ = inspect.Signature(keyword)  # type: ignore[attr-defined]
     expanded.__annotations__ = {option.name: option.annotation for option in keyword}
-    return expanded
+    epilog = f"Example: {' '.join(example.split())}"
+    name = command.__name__
+    app.command(name, cls=Command, rich_help_panel=heading, epilog=epilog)(expanded)
 
 
-def _described(owner: Callable[..., object]) -> tuple[str, dict[str, Any]]:
-    """Take the options out of a docstring; return the rest, and them by parameter."""
-    text, *entries = re.split(r"\n(?=--[\w-]+.*: )", inspect.getdoc(owner) or "")
-    found = {}
+_ENTRY: Final = re.compile(r"\n(?=(?:--[\w-]+|[A-Z]{3}).*: )")
+_HEAD: Final = re.compile(r"(--[\w-]+)? ?(\S*[A-Z]\S*)? ?(?:(\d*)\.\.(\d+))? ?(?:\((\w+)\))?")
+
+
+def _described(text: str) -> tuple[str, dict[str, Any]]:
+    """Take the options and arguments out of a docstring; return the rest, and them by parameter."""
+    rest, *entries = _ENTRY.split(text)
+    found: dict[str, Any] = {}
     for entry in entries:
         head, _, words = entry.partition(": ")
-        option, *rest = head.split()
-        named = {word[:1] == "(": word.strip("()") for word in rest}
-        name = named.get(True, option[2:].replace("-", "_"))
-        found[name] = typer.Option(option, help=" ".join(words.split()), metavar=named.get(False))
-    return text.rstrip(), found
+        parts = _HEAD.fullmatch(head)
+        assert parts, head
+        option, metavar, least, most, name = parts.groups()
+        shown: dict[str, Any] = {"help": " ".join(words.split()), "metavar": metavar}
+        if option is None:
+            found[name or metavar.lower()] = typer.Argument(**shown)
+            continue
+        name = name or option[2:].replace("-", "_")
+        found[name] = typer.Option(
+            option,
+            **shown,
+            min=int(least) if least else None,
+            max=int(most) if most else None,
+            callback=file_in_folder if name in _WRITTEN else None,
+        )
+    return rest.rstrip(), found

@@ -40,18 +40,18 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
-def counted(
-    numbered: Generator[tuple[int, Result]], description: str, total: int
-) -> Iterator[tuple[int, Result]]:
-    """Yield numbered results as they are done; show in a terminal how many are.
+def counted(numbered: Generator[tuple[int, Result]], description: str, total: int) -> list[Result]:
+    """Return numbered results in order; show in a terminal how many are done.
 
     Whatever ends it ends those who work on the results.
     """
+    found: dict[int, Result] = {}
     with closing(numbered), _progress(description, MofNCompleteColumn()) as progress:
         task = progress.add_task(description, total=total)
-        for one in numbered:
-            yield one
+        for number, one in numbered:
+            found[number] = one
             progress.advance(task)
+    return [found[number] for number in sorted(found)]
 
 
 def shared(
@@ -60,8 +60,7 @@ def shared(
     """Apply a function to each item in a pool of processes; return the results in their order."""
     from studies.workers import share_work
 
-    found = dict(counted(share_work(function, items, workers), description, len(items)))
-    return [found[place] for place in range(len(items))]
+    return counted(share_work(function, items, workers), description, len(items))
 
 
 def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
@@ -76,7 +75,7 @@ def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
 
 @contextmanager
 def written(
-    document: object, files: ResultOptions, page: Callable[[], str], default: Path
+    document: object, files: ResultOptions, page: Callable[[], str], default: Path | str
 ) -> Iterator[Console]:
     """Write a result as JSON and as a page, where they are wanted; give the console to print it on.
 

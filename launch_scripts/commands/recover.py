@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from launch_scripts.commands.boundary import FAILED, OK, complain
-from launch_scripts.commands.options import JsonOption, RunArgument
 from launch_scripts.commands.output import progress_bar, say, write_json
 from studies.tables import console_for
 
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from recordings.read.reader import RunReader
     from recordings.recover import Recovery
 
-EXAMPLE: Final = "heliarch recover runs/oahu-20261121-120000-4711 --out whole.mcap"
 LOSSY: Final = 3
 
 _WIDTH: Final = 100
@@ -25,9 +23,9 @@ _SUFFIX: Final = ".recovered.mcap"
 
 
 def recover(
-    run: RunArgument,
+    run: Path,
     out: Path | None = None,
-    json: JsonOption = None,
+    json: str | None = None,
 ) -> int:
     """Repair a recording that a crash or a full disk cut short.
 
@@ -35,6 +33,7 @@ def recover(
     1 if there is nothing to recover.
 
     --out FILE: The new file; default run.recovered.mcap beside the recording.
+    Example: heliarch recover runs/oahu-20261121-120000-4711 --out whole.mcap
     """
     import msgspec
 
@@ -48,15 +47,15 @@ def recover(
     except NothingRecordedError as error:
         return complain(f"{error}: there is nothing to recover", FAILED)
     with reader:
-        with progress_bar("checking") as follow:
-            sound = is_sound(reader, follow)
+        with progress_bar("checking") as reader.follow:
+            sound = is_sound(reader)
         if sound:
             say(console, f"{reader.path}: it is whole, there is nothing to recover")
             write_json({"source": str(reader.path), "out": None, "lossless": True}, json)
             return OK
         out = out or reader.path.with_suffix(_SUFFIX)
-        with progress_bar("copying") as follow:
-            recovery = recover_run(reader, out, follow)
+        with progress_bar("copying") as reader.follow:
+            recovery = recover_run(reader, out)
         if not recovery.messages:
             out.unlink()
             nothing = "no message can be read, there is nothing to recover"

@@ -11,39 +11,29 @@ import typer
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
-from launch_scripts.commands.options import (
-    FirstOption,
-    JsonOption,
-    LastOption,
-    NodesOption,
-    RunArgument,
-    SignalsOption,
-    refuse_others,
-)
+from launch_scripts.commands.options import refuse_others
 from launch_scripts.commands.output import write_json
-
-EXAMPLE: Final = "heliarch replay runs/oahu-4711 --from 13:49:00 --pace 0.5"
 
 _ENDPOINT: Final = re.compile(r"tcp/[^/\s#?]+:\d{1,5}")
 
 
 def replay(
     context: typer.Context,
-    run: RunArgument,
-    start: FirstOption = None,
-    end: LastOption = None,
+    run: Path,
+    start: str | None = None,
+    end: str | None = None,
     pace: str = "1",
     clock: Literal["sim", "wall"] | None = None,
     start_paused: bool = False,
     loop: bool = False,
-    nodes: NodesOption = None,
-    signals: SignalsOption = None,
+    nodes: str | None = None,
+    signals: str | None = None,
     exclude: str | None = None,
     wait: bool = False,
     listen: str | None = None,
     live: str | None = None,
     plan: Path | None = None,
-    json: JsonOption = None,
+    json: str | None = None,
 ) -> int:
     """Put a recording back onto the bus, or let some agents of it run live.
 
@@ -61,6 +51,7 @@ def replay(
     --listen ENDPOINT: Where subscribers connect: tcp/127.0.0.1:7447; default a free port.
     --live NODES: Controllers to run live and to compare: c1/inv01,c2.
     --plan FILE: Plan of the live controllers; default the run's.
+    Example: heliarch replay runs/oahu-4711 --from 13:49:00 --pace 0.5
     """
     from launch_scripts.scenarios.real_time import parse_pace
     from recordings.read.reader import RunReader
@@ -90,7 +81,7 @@ def replay(
         figures = replay_recording(
             reader,
             out,
-            selected_ports(reader.plan, signals, exclude, nodes),
+            selected_ports(reader, signals, exclude, nodes),
             start=start,
             end=end,
             rate=speed if isinstance(speed, float) else 0.0,

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final
-
-from launch_scripts.commands.options import JsonOption
 from launch_scripts.commands.output import say, write_json
 from studies.tables import console_for
 
-EXAMPLE: Final = "heliarch scenarios"
 
+def scenarios(json: str | None = None) -> None:
+    """List the scenarios that come with Heliarch.
 
-def scenarios(json: JsonOption = None) -> None:
-    """List the scenarios that come with Heliarch."""
+    Example: heliarch scenarios
+    """
     from launch_scripts.scenarios.scenario import load_scenario, shipped_scenarios
 
     titles = {name: load_scenario(name).scenario.title for name in shipped_scenarios()}

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Final
-
-from launch_scripts.commands.options import (
-    FileOptions,
-    PageOptions,
-    ScenarioArgument,
-    SettingsOption,
-    SpanOptions,
-)
+from launch_scripts.commands.options import FileOptions, PageOptions, SpanOptions
 from launch_scripts.scenarios.run_options import PlantOptions
-
-EXAMPLE: Final = "heliarch simulate valley --seed 8 --set commitment.share=0.4 --report"
 
 
 def simulate(
-    scenario: ScenarioArgument = "oahu",
+    scenario: str = "oahu",
     *,
     span: SpanOptions,
     plant: PlantOptions,
-    settings: SettingsOption = None,
+    settings: list[str] | None = None,
     page: PageOptions,
     files: FileOptions,
 ) -> int:
-    """Run the same agents in one process, with the same messages and recording."""
+    """Run the same agents in one process, with the same messages and recording.
+
+    Example: heliarch simulate valley --seed 8 --set commitment.share=0.4 --report
+    """
     from launch_scripts.commands.run import run_and_print, run_request
 
     request = run_request(scenario, settings, files, **vars(span), **vars(plant))

@@ -6,17 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
 import typer
 
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
-from launch_scripts.commands.options import (
-    FileOptions,
-    PageOptions,
-    SettingsOption,
-    refuse_others,
-)
+from launch_scripts.commands.options import FileOptions, PageOptions, refuse_others
 from launch_scripts.commands.output import say, written
 from launch_scripts.scenarios.run_options import PlantOptions, ProcessOptions, TimeOptions
 from studies.tables import console_for
@@ -29,26 +24,18 @@ if TYPE_CHECKING:
     from studies.timing.report import Reported, TimingReport
     from studies.timing.sweep import Rates
 
-EXAMPLE: Final = "heliarch timing oahu --rate 20 --duration 60s --report"
-
 _DURATION: Final = "60s"
 _SWEEP_DURATION: Final = "15s"
 
 
 def timing(
     context: typer.Context,
-    scenario: Annotated[
-        str,
-        typer.Argument(
-            help="A shipped scenario or a TOML file; or the folder or run.mcap of a real-time "
-            "run, to report on it without a new run."
-        ),
-    ] = "oahu",
+    scenario: str = "oahu",
     *,
     rate: str = "1",
     span: TimeOptions,
     plant: PlantOptions,
-    settings: SettingsOption = None,
+    settings: list[str] | None = None,
     machine: ProcessOptions,
     processes: bool = False,
     page: PageOptions,
@@ -62,10 +49,13 @@ def timing(
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.
 
+    SCENARIO: A shipped scenario or a TOML file; or the folder or run.mcap of a real-time run, to
+        report on it without a new run.
     --rate RATES: Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the
         highest rate that the plant keeps up with. Without --to and --duration a run
         takes 60 s, 15 s for each of several rates.
     --processes: Show each process as well as the tiers.
+    Example: heliarch timing oahu --rate 20 --duration 60s --report
     """
     from launch_scripts.commands.run import page_beside, run_request
     from studies.timing.measured_run import measured_run, prepare_at, run_length_s

@@ -7,13 +7,10 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from bus_schemas.errors import FailureError, InputError
 from launch_scripts.commands.boundary import FAILED, OK
-from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, NodesOption
 from launch_scripts.commands.output import progress_bar, say, write_json
 from studies.tables import console_for
 
@@ -23,23 +20,16 @@ if TYPE_CHECKING:
     from recordings.verify.comparison import Comparison
     from recordings.verify.verification import Verification
 
-EXAMPLE: Final = "heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'"
-
 
 def verify(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Folders of runs, or their run.mcap.", metavar="RUN...", show_default=False
-        ),
-    ],
-    nodes: NodesOption = None,
-    start: FirstOption = None,
-    end: LastOption = None,
+    runs: list[Path],
+    nodes: str | None = None,
+    start: str | None = None,
+    end: str | None = None,
     tolerance: float = 0.0,
     ignored: str | None = None,
     accept: bool = False,
-    json: JsonOption = None,
+    json: str | None = None,
 ) -> int:
     """Run the agents of a recording again on the inputs that they used, and compare the outputs.
 
@@ -47,9 +37,11 @@ def verify(
     with its inputs. Agents run from cycle 0 on; --from and --to say which
     cycles are compared.
 
+    RUN... (runs): Folders of runs, or their run.mcap.
     --tolerance X: Largest difference between numbers that count as equal.
     --ignore FIELDS (ignored): Fields that may differ, with commas.
     --accept: Replace the recording by what the agents do now.
+    Example: heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'
     """
     from recordings.verify.report import json_ready
 

@@ -5,42 +5,32 @@ from __future__ import annotations
 import asyncio
 import signal
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING
 
 import typer
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import OK
-from launch_scripts.commands.options import PageAddressOption, PagePortOption
 
 if TYPE_CHECKING:
     from live_page.foxglove_stream import FoxgloveStream
     from live_page.server import PageServer
 
-EXAMPLE: Final = "heliarch view runs/oahu-20261121-120000-4711"
-
 
 def view(
-    path: Annotated[
-        Path,
-        typer.Argument(help="Folder of a run, its run.mcap, or a folder of runs."),
-    ] = Path("runs"),
-    page_port: PagePortOption = None,
-    page_address: PageAddressOption = None,
-    foxglove: Annotated[
-        int | None,
-        typer.Option(
-            help="Also stream the run to Foxglove or Lichtblick, which connect to this port; "
-            "their default is 8765. Needs the extra `foxglove`.",
-            metavar="PORT",
-            min=1,
-            max=65535,
-        ),
-    ] = None,
+    path: Path = Path("runs"),
+    page_port: int | None = None,
+    page_address: str | None = None,
+    foxglove: int | None = None,
 ) -> int:
     """Show a run in a browser, with play, pause and seek, also while it is being recorded.
 
     For a folder of runs, lists the runs with their figures. Ends with Ctrl-C.
+
+    PATH: Folder of a run, its run.mcap, or a folder of runs.
+    --foxglove PORT 1..65535: Also stream the run to Foxglove or Lichtblick, which connect to this
+        port; their default is 8765. Needs the extra `foxglove`.
+    Example: heliarch view runs/oahu-20261121-120000-4711
     """
     from live_page.place import open_place
     from live_page.process import get_behind_others

@@ -165,8 +165,7 @@ class ForkServer:
             pid, status, usage = os.wait4(-1, os.WNOHANG)
             if pid == 0:
                 return
-            cpu_s = usage.ru_utime + usage.ru_stime
-            exited = Exited(os.waitstatus_to_exitcode(status), cpu_s, usage.ru_nvcsw)
+            exited = Exited(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime)
             self._tell(self._pids.pop(pid), exited)
 
     def _tell(self, agent: str, event: Event) -> None:

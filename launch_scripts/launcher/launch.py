@@ -16,7 +16,6 @@ from agents.events import (
     Recorded,
     RecordingEnded,
     Status,
-    Waiting,
 )
 from agents.machine import refusals
 from agents.plan import RunPlan
@@ -30,9 +29,8 @@ from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.run_watch import HEARTBEAT_S, RunWatch
 from launch_scripts.launcher.summary import (
     RunSummary,
-    count_lost,
     count_messages,
-    count_missed,
+    count_missing,
     dropped_by_cause,
     memory_use,
     merge_counts,
@@ -97,10 +95,8 @@ class _Launch:
         self._armed_at = began_at
         self._watch = RunWatch(plan, view.say)
         self._stalled_at: float | None = None
-        self._stalled_in: int | None = None
         self._asked_at: float | None = None
         self._rounds = 0
-        self._cpu_at_start_s: dict[str, float | None] = {}
         self._started_at = began_at
         self._over = self._ended_early = False
         self._external = ExternalWatch(plan, folder.plan, self._patience_s, time.monotonic())
@@ -151,10 +147,8 @@ class _Launch:
         """Show the run until the plant says that it is over."""
         while not self._is_over(children):
             for child, event in children.events(0.1):
-                self._hear(event)
+                self._hear(event, children)
                 self._restarts.hear(child, event)
-                if isinstance(event, Armed):
-                    self._cpu_at_start_s = {child.agent: child.cpu_s() for child in children}
             if self._gateway is not None:
                 self._gateway.look(self._view.say)
             self._restarts.look(self._watch.recorder_silent_s(time.monotonic()))
@@ -170,11 +164,13 @@ class _Launch:
         left = [child for child in children.controllers() if child.finished is None]
         return self._over or (self._asked_at is not None and not left)
 
-    def _hear(self, event: Event) -> None:
+    def _hear(self, event: Event, children: Children) -> None:
         now = time.monotonic()
         match event:
             case Armed():
                 self._armed_at = now
+                for child in children:
+                    child.cpu_at_start_s = child.cpu_s()
                 self._watch.begin(now)
                 self._restarts.begin(event.start_time_ns / 1e9)
                 self._rounds = event.rounds
@@ -184,13 +180,11 @@ class _Launch:
                 )
             case Status():
                 self._watch.hear(event.cycle, now)
-                if self._stalled_in is not None and event.cycle > self._stalled_in:
-                    self._stalled_at = self._stalled_in = None  # It has gone on meanwhile.
+                for child in children:
+                    if child.waiting is not None and event.cycle > child.waiting.cycle:
+                        child.waiting = None  # It has gone on meanwhile.
                 self._external.note(event)
                 self._view.show(event)
-            case Waiting():
-                self._stalled_at = self._stalled_at or now
-                self._stalled_in = event.cycle if self._stalled_in is None else self._stalled_in
             case Presence():
                 self._view.say(self._external.hear(event, now, running=bool(self._rounds)))
             case Over():
@@ -206,14 +200,15 @@ class _Launch:
         now = time.monotonic()
         if not self._rounds:
             self._check_arming(children, now)
+        waiting = [child for child in children if child.waiting is not None]
+        self._stalled_at = (self._stalled_at or now) if waiting else None
         if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
             line, to_blame = stall(children)
             # While the recorder stands still, everybody waits for it.
             is_silent = self._watch.recorder_silent_s(now) > HEARTBEAT_S
             if not is_silent and not self._restarts.mends(to_blame):
                 raise children.failure(to_blame[0], line)
-            self._stalled_at = self._stalled_in = None
-            for child in children:
+            for child in waiting:
                 child.waiting = None
         if self._rounds and (trouble := self._watch.check(now)) is not None:
             raise children.failure(*trouble)
@@ -255,6 +250,10 @@ class _Launch:
             # A controller that hears of an early end waits whether the plant goes on after all.
             children.ask_to_end([child.agent for child in children.controllers()])
         late = children.await_exit(children.controllers(), longest_s)
+        silent_s = time.monotonic() - children[RECORDER].heard_at
+        if late and silent_s > HEARTBEAT_S:
+            # In lockstep all wait for a recorder that stands still.
+            raise children.failure(RECORDER, f"recorder has not been heard of for {silent_s:.0f} s")
         if late:
             names = some_of([child.agent for child in late])
             raise children.failure(late[0].agent, f"{names} did not end with the run")
@@ -288,12 +287,11 @@ class _Launch:
         for child in children:
             if child.memory.resident_mb:  # A short run may be over before all were looked at.
                 memory.setdefault(child.kind, []).append(child.memory)
-        missed = count_missed(self._folder.recording, plan)
+        missed, lost = count_missing(self._folder.recording, plan)
         published = self._published(children)
         heard = without_external(recorded)
         if self._restarts.lost_processes:
             # Nobody knows what processes published that died: the numbers of messages tell.
-            lost = count_lost(self._folder.recording, plan.elsewhere)
             published |= {
                 name: max(published.get(name, 0), heard.get(name, 0) + lost[name])
                 for name in {*heard, *lost}
@@ -309,7 +307,6 @@ class _Launch:
             # In real time the last cycle lasts to its end, though all have done their part before.
             wall_s=max(ended_at - self._armed_at, cycles * plan.cycle_wall_ns / 1e9),
             startup_s=self._armed_at - self._began_at,
-            arming_rounds=self._rounds,
             metrics=recorded_metrics(self._folder.recording),
             messages=count_messages(published, heard),
             restarts=dict(self._restarts.counts),
@@ -324,11 +321,7 @@ class _Launch:
             faults=merge_counts([account.faults for account in accounts]),
             old_inputs=missed.all_old,
             skipped_cycles=sum(account.skipped_cycles for account in accounts),
-            processes_startup_s=self._armed_at - self._started_at,
-            processes=tuple(
-                process_account(child, self._cpu_at_start_s.get(child.agent), missed)
-                for child in children
-            ),
+            processes=tuple(map(process_account, children)),
             external=recorded.external,
             devices=self._gateway.end() if self._gateway is not None else (),
             wrong=wrong_messages(

@@ -11,7 +11,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from agents.events import Joined, Standing
+from agents.events import Joined
 from agents.plan import RunPlan
 from agents.process import STANDING_S
 from bus_schemas.errors import InputError
@@ -76,11 +76,9 @@ def run_share(
         restarts = Restarts(replace(plan, faults=()), children, start, say)
         start(*agents, again=False)
         restarts.begin(time.monotonic())
-        waiting, heard_at = set(agents), dict.fromkeys(agents, 0.0)
+        waiting = set(agents)
         while not all(child.finished and child.exited for child in children):
             for child, event in children.events(0.1):
-                if isinstance(event, Joined | Standing):
-                    heard_at[child.agent] = time.monotonic()
                 if isinstance(event, Joined) and child.agent in waiting:
                     waiting.discard(child.agent)
                     if not waiting:
@@ -92,7 +90,7 @@ def run_share(
                 silent = [
                     child.agent
                     for child in children
-                    if child.ready and not child.finished and heard_at[child.agent] < silent_since
+                    if child.ready and not child.finished and child.heard_at < silent_since
                 ]
                 restarts.note_silence(silent, _SILENT_S)
 

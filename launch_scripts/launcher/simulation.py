@@ -35,7 +35,7 @@ from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.summary import (
     RunSummary,
     count_messages,
-    count_missed,
+    count_missing,
     memory_use,
     recorded_metrics,
 )
@@ -245,7 +245,7 @@ def simulate(
     finally:
         writer.close()
     wall_s = time.monotonic() - started_at
-    missed = count_missed(folder.recording, plan)
+    missed, _ = count_missing(folder.recording, plan)
     drops: Counter[str] = Counter()
     for loop in run.loops.values():
         for (_, cause), number in loop.dropped.items():
@@ -260,7 +260,6 @@ def simulate(
         cycle_s=plan.cycle_ns / 1e9,
         wall_s=wall_s,
         startup_s=started_at - began_at,
-        arming_rounds=0,
         metrics=recorded_metrics(folder.recording),
         messages=count_messages(run.bus.outbox.published, writer.recorded),
         dropped=dict(drops),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -54,22 +54,16 @@ class ProcessAccount(msgspec.Struct, frozen=True):
     agent, kind: Its name, and `recorder`, `plant`, `central`, `supervisor` or `direct`.
     dropped: Messages that it could not use, by cause.
     resident_mb: Most memory that was seen resident [MB].
-    missing_inputs, old_inputs: Inputs that its agent missed at deadlines, and older ones that it
-        used in place of them.
     skipped_cycles: Cycles that were over before it came to them.
     cpu_s: Processor time from cycle 0 to its end [s].
-    voluntary_switches: How often it waited for something, over its whole life.
     """
 
     agent: str
     kind: str
     dropped: dict[str, int]
     resident_mb: float
-    missing_inputs: int = 0
-    old_inputs: int = 0
     skipped_cycles: int = 0
     cpu_s: float | None = None
-    voluntary_switches: int = 0
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,7 +86,6 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     cycle_s: float
     wall_s: float
     startup_s: float
-    arming_rounds: int
     metrics: RunMetrics | None
     messages: tuple[MessageCount, ...]
     dropped: dict[str, int]
@@ -105,7 +98,6 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     faults: dict[str, int] = msgspec.field(default_factory=dict)
     old_inputs: int = 0
     skipped_cycles: int = 0
-    processes_startup_s: float = 0.0
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
     devices: tuple[DeviceAccount, ...] = ()
@@ -178,26 +170,22 @@ def recorded_metrics(recording: Path) -> RunMetrics | None:
         return None
 
 
-def count_lost(recording: Path, external: Collection[str]) -> Counter[str]:
-    """Count by signal what the numbers of messages in a recording leave out, devices' set aside."""
-    with RunReader(recording) as run:
-        gaps = RunGaps(run.plan)
-        for record in run.records():
+def count_missing(recording: Path, plan: RunPlan) -> tuple[MissedInputs, Counter[str]]:
+    """Go through a recording, and count what is missing.
+
+    Returns the inputs that were missing at deadlines, and by signal the messages that their numbers
+    leave out, those of devices and other hosts set aside.
+    """
+    missed, gaps = MissedInputs(plan), RunGaps(plan)
+    with suppress(InputError), RunReader(recording) as run:
+        # In lockstep nothing is, unless a process was replaced.
+        for record in run.records() if plan.restarts or not plan.lockstep else ():
+            missed.see(record)
             gaps.see(record.port, record.cycle, record.sequence, record.incarnation)
     lost: Counter[str] = Counter()
     for port, found in gaps.ports.items():
-        lost[port.signal.name] += found.lost * (port.publisher not in external)
-    return lost
-
-
-def count_missed(recording: Path, plan: RunPlan) -> MissedInputs:
-    """Count the inputs that were missing at deadlines; in lockstep there are none."""
-    found = MissedInputs(plan)
-    if not plan.lockstep:
-        with suppress(InputError), RunReader(recording) as run:
-            for record in run.records():
-                found.see(record)
-    return found
+        lost[port.signal.name] += found.lost * (port.publisher not in plan.elsewhere)
+    return missed, lost
 
 
 def count_messages(
@@ -254,22 +242,14 @@ def dropped_by_cause(accounts: Sequence[Finished]) -> dict[str, int]:
     return dict(counts)
 
 
-def process_account(
-    child: Child, cpu_at_start_s: float | None, missed: MissedInputs
-) -> ProcessAccount:
-    """Return the account of a process that has ended.
-
-    `cpu_at_start_s` is its processor time when cycle 0 began [s].
-    """
-    finished, cpu_s = child.finished, child.cpu_s()
+def process_account(child: Child) -> ProcessAccount:
+    """Return the account of a process that has ended."""
+    finished, cpu_s, before_s = child.finished, child.cpu_s(), child.cpu_at_start_s
     return ProcessAccount(
         child.agent,
         child.kind,
         dropped=dropped_by_cause([finished]) if finished else {},
         resident_mb=child.memory.resident_mb,
-        missing_inputs=missed.missing.get(child.agent, Counter()).total(),
-        old_inputs=missed.old[child.agent],
         skipped_cycles=finished.skipped_cycles if finished else 0,
-        cpu_s=None if cpu_at_start_s is None or cpu_s is None else cpu_s - cpu_at_start_s,
-        voluntary_switches=child.exited.voluntary_switches if child.exited else 0,
+        cpu_s=None if before_s is None or cpu_s is None else cpu_s - before_s,
     )

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -57,6 +57,9 @@ class Memory(NamedTuple):
 
     resident_mb: float
     own_mb: float
+
+
+NOTHING_SEEN: Final = Memory(0.0, 0.0)
 
 
 def memory_of(pid: int) -> Memory:
@@ -127,14 +130,19 @@ class Child:
     waiting: Waiting | None = None
     failed: Failed | None = None
     exited: Exited | None = None
-    memory: Memory = field(default_factory=lambda: Memory(0.0, 0.0))
+    memory: Memory = NOTHING_SEEN
+    cpu_at_start_s: float | None = None
+    """Its processor time when cycle 0 began [s]."""
+    heard_at: float = 0.0
+    """When it said something last, monotonic [s]."""
 
     def begin_again(self) -> None:
         """Forget all that its process, which has ended, has said."""
-        self.pid, self.ready = 0, False
+        self.pid, self.ready, self.cpu_at_start_s = 0, False, 0.0
         self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 
     def note(self, event: Event) -> None:
+        self.heard_at = time.monotonic()
         match event:
             case Started():
                 self.pid = event.pid

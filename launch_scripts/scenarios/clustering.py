@@ -26,15 +26,24 @@ def control_tree(
     control: ControlTable, sites: Sites, covariance: HourlyMatrices, hours: Sequence[int]
 ) -> ControlTree:
     """Cluster inverters, then clusters, and so on, by their mean correlation in these hours."""
+    if (control.cluster_sizes is None) == (control.cluster_count is None):
+        raise InputError(
+            "control.cluster_sizes, cluster_count: expected one of the two, got "
+            f"{'neither' if control.cluster_count is None else 'both'}"
+        )
     groups: list[tuple[int, ...]] = [(index,) for index in range(len(sites.names))]
     paths = list(sites.names)
-    for tier in range(_tiers_of_clusters(control)):
-        sizes = _sizes(control, tier, len(groups))
+    tiers: Sequence[Sequence[int] | int] = control.cluster_sizes or control.cluster_count or ()
+    for tier, given in enumerate(tiers):
+        sizes = _sizes(given, tier, len(groups))
         clusters = _choose(control, sizes, groups, sites, covariance, hours)
-        paths = _with_prefix(paths, groups, clusters, tier)
         groups = [
             tuple(leaf for place in cluster for leaf in groups[place]) for cluster in clusters
         ]
+        letter = _TIER_LETTERS[tier] if tier < len(_TIER_LETTERS) else f"t{tier}_"
+        for number, group in enumerate(groups, start=1):
+            for leaf in group:
+                paths[leaf] = f"{letter}{number}/{paths[leaf]}"
     order = [leaf for group in groups for leaf in group]
     return ControlTree(tuple((paths[leaf], float(sites.rating_kw[leaf])) for leaf in order))
 
@@ -43,16 +52,15 @@ def neighbourhoods(
     tree: ControlTree, covariance: HourlyMatrices, began_ns: dict[int, int]
 ) -> tuple[NodeNeighbourhoods, ...]:
     """Return the correlation between each parent's children, from the beginning of each hour on."""
-    return tuple(
-        NodeNeighbourhoods(
-            parent,
-            tuple(
-                Neighbourhood(time_ns, _child_correlation(tree, parent, covariance[hour]))
-                for hour, time_ns in sorted(began_ns.items())
-            ),
-        )
-        for parent in tree.parents
-    )
+    found = []
+    for parent in tree.parents:
+        groups = [tree.leaves_below(child) for child in tree.children(parent)]
+        hours = []
+        for hour, time_ns in sorted(began_ns.items()):
+            rows = group_correlation(covariance[hour], groups).tolist()
+            hours.append(Neighbourhood(time_ns, tuple(map(tuple, rows))))
+        found.append(NodeNeighbourhoods(parent, tuple(hours)))
+    return tuple(found)
 
 
 def in_order(covariance: HourlyMatrices, order: Sequence[int]) -> HourlyMatrices:
@@ -60,34 +68,21 @@ def in_order(covariance: HourlyMatrices, order: Sequence[int]) -> HourlyMatrices
     return {hour: matrix[order][:, order] for hour, matrix in covariance.items()}
 
 
-def _tiers_of_clusters(control: ControlTable) -> int:
-    """Refuse a control table that says twice what the clusters are, or not at all."""
-    given = [value for value in (control.cluster_sizes, control.cluster_count) if value is not None]
-    if len(given) != 1:
-        raise InputError(
-            "control.cluster_sizes, cluster_count: expected one of the two, got "
-            f"{'both' if given else 'neither'}"
-        )
-    return len(given[0])
-
-
-def _sizes(control: ControlTable, tier: int, members: int) -> tuple[int, ...]:
+def _sizes(given: Sequence[int] | int, tier: int, members: int) -> Sequence[int]:
     """Sizes of the clusters of a tier, largest first where only their count is given."""
-    if control.cluster_sizes is not None:
-        sizes = control.cluster_sizes[tier]
-        if sum(sizes) != members:
+    if isinstance(given, int):
+        if given > members:
             raise InputError(
-                f"control.cluster_sizes[{tier}]: expected sizes that add up to {members}, got "
-                f"{sum(sizes)}"
+                f"control.cluster_count[{tier}]: expected 1 to {members} clusters, got {given}"
             )
-        return sizes
-    count = (control.cluster_count or ())[tier]
-    if count > members:
+        smaller, larger = divmod(members, given)
+        return (smaller + 1,) * larger + (smaller,) * (given - larger)
+    if sum(given) != members:
         raise InputError(
-            f"control.cluster_count[{tier}]: expected 1 to {members} clusters, got {count}"
+            f"control.cluster_sizes[{tier}]: expected sizes that add up to {members}, got "
+            f"{sum(given)}"
         )
-    smaller, larger = divmod(members, count)
-    return (smaller + 1,) * larger + (smaller,) * (count - larger)
+    return given
 
 
 def _choose(
@@ -128,22 +123,3 @@ def _positions_m(
         np.array([east_m[list(group)].mean() for group in groups]),
         np.array([north_m[list(group)].mean() for group in groups]),
     )
-
-
-def _with_prefix(
-    paths: list[str], groups: list[tuple[int, ...]], clusters: Sequence[Sequence[int]], tier: int
-) -> list[str]:
-    letter = _TIER_LETTERS[tier] if tier < len(_TIER_LETTERS) else f"t{tier}_"
-    prefixed = list(paths)
-    for number, cluster in enumerate(clusters, start=1):
-        for place in cluster:
-            for leaf in groups[place]:
-                prefixed[leaf] = f"{letter}{number}/{paths[leaf]}"
-    return prefixed
-
-
-def _child_correlation(
-    tree: ControlTree, parent: str, covariance: NDArray[np.float64]
-) -> tuple[tuple[float, ...], ...]:
-    groups = [tree.leaves_below(child) for child in tree.children(parent)]
-    return tuple(tuple(row) for row in group_correlation(covariance, groups).tolist())

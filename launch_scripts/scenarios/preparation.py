@@ -15,12 +15,11 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_covariance
-from agents.cycle import Periods
 from agents.plan import RunPlan, check_plan, check_size
 from agents.settings import Revert
 from bus_schemas.errors import InputError
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
-from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
+from bus_schemas.tree import ROOT, ControlTree, agent_name
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.devices import devices
 from launch_scripts.scenarios.externals import (
@@ -46,7 +45,7 @@ from launch_scripts.scenarios.scenario import (
 from sim_plant.commitment import commitment_kw, hindsight
 from sim_plant.positions import east_north_m
 from sim_plant.profile import Profile
-from sim_plant.regulation import regulation_kw, regulation_remarks
+from sim_plant.regulation import regulation_kw
 from sim_plant.sources import PowerSource
 
 __all__ = ["Preparation", "RunOptions", "prepare"]
@@ -134,8 +133,6 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         remarks.append(f"inverters revert after {plan.revert.after_s:g} s, which is three cycles")
     if of_commitment := hindsight(scenario.commitment):
         remarks.append(of_commitment)
-    if offer is not None:
-        remarks += regulation_remarks(offer, scenario_file.data_path)
     meter = np.random.default_rng(scenario.plant.meter_seed)  # The same errors in each run.
     profile = Profile(
         np.ascontiguousarray(day.possible_kw[:, day.order]),
@@ -199,7 +196,6 @@ def _plan(
 ) -> RunPlan:
     """Return what all agents of the run agree on."""
     control, pace = scenario.control, parse_pace(options.pace) or scenario.pace
-    periods = _periods(scenario, day.tree)
     wall_ns = cycle_wall_ns(scenario.time.cycle_s, pace, "--pace" if options.pace else "pace")
     deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
     external = check_externals(options.external or (), options.external_timeout_s, day.tree)
@@ -221,7 +217,7 @@ def _plan(
         timezone=scenario.time.timezone,
         regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
         cycle_wall_ns=wall_ns,
-        period_cycles=periods.cycles,
+        period_cycles=control.period_cycles or (1,) * day.tree.height,
         scheme=scheme,
         actuator=options.actuator or scenario.plant.actuator,
         alpha_min=control.alpha_min,
@@ -383,17 +379,6 @@ def _beginnings_ns(times: pd.DatetimeIndex, scenario: Scenario) -> dict[int, int
     """For each hour of the run the simulated time at which it begins [ns]."""
     hours, first = np.unique(_local_hours(times, scenario.time.timezone), return_index=True)
     return {int(hour): times[int(row)].value for hour, row in zip(hours, first, strict=True)}
-
-
-def _periods(scenario: Scenario, tree: ControlTree) -> Periods:
-    tiers = 1 + max(depth(parent) for parent in tree.parents)
-    cycles = scenario.control.period_cycles or (1,) * tiers
-    if len(cycles) != tiers:
-        raise InputError(
-            f"control.period_cycles: expected one entry for each of the {tiers} tiers that have "
-            f"children, got {len(cycles)}"
-        )
-    return Periods(tuple(cycles))
 
 
 def _with_file(scenario_file: ScenarioFile, text: str) -> str:

@@ -1,6 +1,6 @@
 """What the command line says of a run: which part of a scenario, what is different, and how.
 
-None leaves it as the scenario has it. `with_options` reads the docstrings.
+None leaves it as the scenario has it. `add_command` reads the docstrings.
 """
 
 from __future__ import annotations
@@ -29,8 +29,6 @@ class TimeOptions:
 class PlantOptions:
     """What is different from the scenario.
 
-    --seed: Seed of the synthetic clouds.
-    --scheme: How maximum powers are estimated.
     --actuator: Whether a command is a fraction of the maximum or a power limit.
     --fault RULE (faults): Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source,
         listener, signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by,

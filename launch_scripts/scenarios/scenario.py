@@ -35,21 +35,9 @@ from sim_plant.regulation import RegulationSettings
 
 LARGEST_SEED: Final = 2**32
 
-Rating: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e7)]
-Altitude: TypeAlias = Annotated[float, Meta(ge=-500.0, le=9000.0)]
-Duration: TypeAlias = Annotated[float, Meta(gt=0.0, le=LONGEST_S)]
-Cycle: TypeAlias = Annotated[float, Meta(ge=0.001, le=3600.0)]
-Pace: TypeAlias = Annotated[float, Meta(ge=SLOWEST_PACE, le=FASTEST_PACE)]
-Patience: TypeAlias = Annotated[float, Meta(gt=0.0, le=600.0)]
 Seed: TypeAlias = Annotated[int, Meta(ge=0, le=LARGEST_SEED)]
 Positive: TypeAlias = Annotated[int, Meta(ge=1, le=10**6)]
 NotNegative: TypeAlias = Annotated[int, Meta(ge=0)]
-MeterNoise: TypeAlias = Annotated[float, Meta(ge=0.0, le=0.05)]
-Bias: TypeAlias = Annotated[float, Meta(ge=-0.5, le=0.5)]
-RampLimit: TypeAlias = Annotated[float, Meta(gt=0.0, le=6000.0)]
-MissingShare: TypeAlias = Annotated[float, Meta(ge=0.0, lt=1.0)]
-Current: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e9)]
-AlphaMin: TypeAlias = Annotated[float, Meta(gt=0.0, le=1.0)]
 Deadline: TypeAlias = Annotated[float, Meta(ge=SHORTEST_DEADLINE_MS, le=LONGEST_DEADLINE_MS)]
 Limit: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e12)]
 Amount: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
@@ -75,8 +63,8 @@ class TimeTable(_Table, frozen=True):
 
     start: datetime
     timezone: str
-    duration_s: Duration
-    cycle_s: Cycle = 1.0
+    duration_s: Annotated[float, Meta(gt=0.0, le=LONGEST_S)]
+    cycle_s: Annotated[float, Meta(ge=0.001, le=3600.0)] = 1.0
 
 
 class PlantTable(_Table, frozen=True):
@@ -97,17 +85,17 @@ class PlantTable(_Table, frozen=True):
     """
 
     inverters: str | None = None
-    rating_kw: Rating | None = None
-    altitude_m: Altitude = 0.0
+    rating_kw: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
+    altitude_m: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 0.0
     actuator: Actuator = "fraction"
-    meter_noise: MeterNoise = 0.0
-    available_bias: Bias | None = None
+    meter_noise: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
+    available_bias: Annotated[float, Meta(ge=-0.5, le=0.5)] | None = None
     revert: Revert | None = Revert()
     ramp_percent_per_s: Ramp | None = None
     delay_s: Delay = 0.0
     settings: tuple[InverterSettings, ...] = ()
     meter_seed: Seed = 0
-    ramp_limit_percent_per_min: RampLimit | None = None
+    ramp_limit_percent_per_min: Annotated[float, Meta(gt=0.0, le=6000.0)] | None = None
 
 
 class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
@@ -148,7 +136,7 @@ class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind")
     folder: str | None = None
     stations: tuple[str, ...] | None = None
     gaps: Literal["neighbours", "refuse"] = "neighbours"
-    most_missing: MissingShare = 0.1
+    most_missing: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.1
 
 
 class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
@@ -162,7 +150,7 @@ class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
 
     currents: str
     positions: str
-    full_power_current: Current = 100.0
+    full_power_current: Annotated[float, Meta(gt=0.0, le=1e9)] = 100.0
     gaps: Literal["leave-out", "refuse"] = "leave-out"
 
 
@@ -191,9 +179,9 @@ class ControlTable(_Table, frozen=True):
     clusters: Literal["correlation", "geographic", "listed", "random", "most-alike"] = "correlation"
     clusters_seed: Seed = 0
     period_cycles: tuple[Positive, ...] | None = None
-    alpha_min: AlphaMin = 0.05
+    alpha_min: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.05
     hold_cycles: NotNegative = 10
-    stall_timeout_s: Patience = 3.0
+    stall_timeout_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 3.0
     correction: bool | None = None
     deadlines_ms: tuple[Deadline, ...] | None = None
 
@@ -273,7 +261,7 @@ class Scenario(_Table, frozen=True):
     commitment: CommitmentSettings
     regulation: RegulationSettings | None = None
     pv: PvSettings = PvSettings()
-    pace: Pace | Literal["max"] = "max"
+    pace: Annotated[float, Meta(ge=SLOWEST_PACE, le=FASTEST_PACE)] | Literal["max"] = "max"
     faults: tuple[FaultRule, ...] = ()
     faults_seed: Seed = 0
     restart: RestartPolicy = RestartPolicy()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
@@ -23,8 +22,6 @@ Form: TypeAlias = Literal["json-mcap", "parquet", "csv"]
 """A file for viewers of MCAP, or a folder with a file for each table."""
 
 _ENDING: Final[dict[Form, str]] = {"json-mcap": ".json.mcap", "parquet": "-parquet", "csv": "-csv"}
-_FOLLOW_EVERY: Final = 4096
-"""Messages between two calls of `progress`."""
 
 
 class Part(msgspec.Struct, frozen=True):
@@ -64,7 +61,6 @@ def export(
     nodes: str,
     cycles: range | None,
     clock: Clock,
-    progress: Callable[[float], None],
 ) -> ExportSummary:
     """Export some signals, nodes and cycles of a recording; no nodes or cycles given means all."""
     began_at = time.monotonic()
@@ -79,9 +75,7 @@ def export(
             anchor = ClockAnchor.of(reader.metadata)
             out = TableFolder(beside, reader.plan, signals, anchor, form)
         with out:
-            for number, record in enumerate(reader.records(ports, cycles)):
-                if number % _FOLLOW_EVERY == 0:
-                    progress(reader.read_share)
+            for record in reader.records(ports, cycles):
                 try:
                     out.add(record, record.message())
                 except InputError as error:

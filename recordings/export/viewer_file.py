@@ -13,7 +13,6 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port, Signal
 from recordings.export.json_messages import JsonEncoder, object_schema
 from recordings.read.reader import RecordedMessage, RunReader
-from recordings.record.writer import ClockAnchor
 
 Clock: TypeAlias = Literal["wall", "sim"]
 """Which time a viewer shows: the wall clock, or the simulated time of the cycle."""
@@ -81,12 +80,10 @@ class ViewerFile:
         return channel
 
     def _write_origin(self, reader: RunReader, clock: Clock) -> None:
-        created_ns = ClockAnchor.of(reader.metadata).wall_ns
-        for name, media_type, data in (
-            ("scenario.toml", "application/toml", reader.scenario.encode()),
-            ("plan.json", "application/json", reader.plan.as_json()),
-        ):
-            self._writer.add_attachment(created_ns, created_ns, name, media_type, data)
+        for entry in reader.outline.attachments:
+            self._writer.add_attachment(
+                entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data
+            )
         origin = {
             f"{name}.{key}": value
             for name, entries in reader.metadata.items()

@@ -7,7 +7,7 @@ Most of it follows from the recording itself. What only the launcher and the age
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -18,7 +18,7 @@ from bus_schemas.faults import UNHEARD, FaultRule
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import FaultAct, FaultTally, NetworkFaults
 from bus_schemas.signals import TELEMETRY, Port
-from bus_schemas.tree import PLANT, RECORDER
+from bus_schemas.tree import PLANT, RECORDER, some_of
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
 from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RecordedMessage, RunReader
@@ -135,7 +135,6 @@ class HealthWatch:
         self._last_cycle = dict.fromkeys(steps, cycles.start - 1)
         # The cycle in which the process that speaks for each agent joined.
         self._joined = dict.fromkeys(steps, max(cycles.start - 1, 0))
-        self._numbered_anew: dict[str, int] = {}
         self._absences: list[Absence] = []
         self._more_absences = 0
         self._missed = MissedInputs(plan)
@@ -143,13 +142,14 @@ class HealthWatch:
     def see(self, record: RecordedMessage) -> None:
         port, cycle = record.port, record.cycle
         found = self.gaps.ports[port]
-        restarts, lost = found.restarts, found.lost
+        lost = found.lost
         self.gaps.see(port, cycle, record.sequence, record.incarnation)
-        agent = port.publisher
+        agent, joined = port.publisher, None
         if agent in self._last_cycle:
             if found.lost > lost:  # It was there: its messages are not.
                 self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
-            joined = self._newly_joined(record, numbered_anew=found.restarts > restarts)
+            if record.incarnation > self._joined[agent]:
+                joined = self._joined[agent] = record.incarnation
             self._see_agent(agent, cycle, joined)
         if port in self._devices:
             self._see_agent(self._devices[port], cycle, None)
@@ -205,21 +205,8 @@ class HealthWatch:
             if listener not in self._plan.external:
                 self._tally.count(self._faults.fates(port, listener, message))
 
-    def _newly_joined(self, record: RecordedMessage, *, numbered_anew: bool) -> int | None:
-        """Return in which cycle another process of an agent joined, with its first message."""
-        agent, cycle, joined = record.port.publisher, record.cycle, record.incarnation
-        if joined > self._joined[agent]:
-            self._joined[agent] = joined
-            return joined
-        # A device that does not say when it joined: its regular messages show it, within a period.
-        if joined or not numbered_anew or not due_step(self._plan, record.port):
-            return None
-        if cycle <= self._numbered_anew.get(agent, -1):
-            return None
-        self._numbered_anew[agent] = cycle + self._plan.periods.longest
-        return cycle
-
     def _see_agent(self, agent: str, cycle: int, joined: int | None) -> None:
+        """Note if an agent was absent, or if another process of it joined in some cycle."""
         last = self._last_cycle[agent]
         if cycle > last:
             self._last_cycle[agent] = cycle
@@ -251,10 +238,8 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
             yield "fault", f"{act.rule}: {_act_text(act, clock)}"
     else:
         yield "faults", "none injected"
-    worst = ", ".join(f"{port} {count:,}" for port, count in list(health.lost.items())[:_NAMED])
-    rest = f" and {len(health.lost) - _NAMED:,} more keys" if len(health.lost) > _NAMED else ""
-    lost = f"{health.messages_lost:,} messages not recorded{': ' if worst else ''}{worst}{rest}"
-    yield "missing", lost
+    lost = f"{health.messages_lost:,} messages not recorded"
+    yield "missing", f"{lost}: {_named(health.lost)}" if health.lost else lost
     if health.repeated:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", unknown if launcher is None else _dropped(launcher)
@@ -292,10 +277,10 @@ def _act_text(act: FaultAct, clock: RunClock) -> str:
 def _dropped(launcher: LauncherAccount) -> str:
     dropped = f"{sum(launcher.dropped.values()):,} messages that agents could not use"
     causes = _counts(launcher.dropped)
-    wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in launcher.wrong[:_NAMED]]
+    wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in launcher.wrong]
     skipped = f"{launcher.skipped_cycles:,} cycles skipped" if launcher.skipped_cycles else ""
     parts = [dropped + (f" ({causes})" if causes else ""), skipped]
-    parts += [f"wrong: {', '.join(wrong)}"] if wrong else []
+    parts += [f"wrong: {some_of(wrong, _NAMED)}"] if wrong else []
     return "; ".join(part for part in parts if part)
 
 
@@ -303,12 +288,17 @@ def _counts(counts: dict[str, int]) -> str:
     return ", ".join(f"{count:,} {name}" for name, count in counts.items())
 
 
+def _named(counts: Mapping[str, int]) -> str:
+    """Name the first of some counts."""
+    return some_of([f"{name} {count:,}" for name, count in counts.items()], _NAMED)
+
+
 def _missed_text(misses: tuple[Misses, ...], clock: RunClock) -> str:
     if not misses:
         return "none missed at a deadline"
     first = min(found.first_cycle for found in misses)
     last = max(found.last_cycle for found in misses)
-    worst = ", ".join(f"{found.agent} {found.inputs:,}" for found in misses[:_NAMED])
+    worst = _named({found.agent: found.inputs for found in misses})
     own = [found for found in misses if not found.external]
     missed, old = sum(found.inputs for found in own), sum(found.old for found in own)
     devices = "".join(f"; {m.agent} (external) {m.inputs:,}" for m in misses if m.external)
@@ -334,8 +324,7 @@ def _devices_texts(devices: tuple[DeviceAccount, ...]) -> Iterator[str]:
     fields = {"breaks": "lost connections", "late": "late readings", "refused": "refused requests"}
     for field, what in fields.items():
         if counts := +Counter({device.node: getattr(device, field) for device in devices}):
-            worst = ", ".join(f"{node} {count:,}" for node, count in counts.most_common(_NAMED))
-            yield f"{counts.total():,} {what}, most at {worst}"
+            yield f"{counts.total():,} {what}, most at {_named(dict(counts.most_common()))}"
 
 
 def _launcher_account(run: RunReader) -> LauncherAccount | None:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Callable, Iterator
-from typing import Final
+from collections.abc import Iterator
 
 import msgspec
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, SIGNALS, Signal
+from bus_schemas.tree import ROOT
 from recordings.inspect.health import Health, HealthWatch
 from recordings.read.gaps import Gap, RunGaps
 from recordings.read.reader import RunReader
 from recordings.recover import RECOVERY_METADATA
-
-_FOLLOW_EVERY: Final = 10_000
-"""Messages between two calls of `follow`."""
 
 
 class SignalCount(msgspec.Struct, frozen=True):
@@ -72,27 +69,18 @@ class Overview(msgspec.Struct, frozen=True):
     health: Health
 
 
-def read_overview(
-    run: RunReader,
-    cycles: range | None = None,
-    follow: Callable[[float], None] = lambda share: None,
-) -> Overview:
+def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     """Go through a recording, message by message but without decoding them, and count."""
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
     watch = HealthWatch(run.plan, wanted)
-    first_ns = last_ns = complete_cycles = 0
-    last_production = wanted.start - 1
-    for number, record in enumerate(run.records(cycles=cycles)):
+    first_ns = last_ns = 0
+    for record in run.records(cycles=cycles):
         watch.see(record)
         first_ns = first_ns or record.log_time_ns
         last_ns = record.log_time_ns
-        if record.port.signal is PRODUCTION:
-            complete_cycles += 1
-            last_production = max(last_production, record.cycle)
-        if number % _FOLLOW_EVERY == 0:
-            follow(run.read_share)
+    production = watch.gaps.ports[PRODUCTION.of(ROOT)]
     # If the run's end was not recorded, the cycles up to the last production were due.
-    end = last_production + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
+    end = production.newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
     watch.end(end)
     plan, origin, gaps = run.plan, run.metadata["run"], watch.gaps
     wall_s = (last_ns - first_ns) / 1e9
@@ -112,7 +100,7 @@ def read_overview(
         first_cycle=wanted.start,
         last_cycle=wanted.stop - 1,
         planned_cycles=plan.cycles,
-        complete_cycles=complete_cycles,
+        complete_cycles=production.messages,
         cycle_s=plan.cycle_ns / 1e9,
         simulated_s=len(wanted) * plan.cycle_ns / 1e9,
         wall_s=wall_s,

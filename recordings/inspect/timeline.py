@@ -128,47 +128,43 @@ def _add(
     cycle: dict[str, NodeCycle], tree: ControlTree, port: Port[Message], message: Message
 ) -> None:
     """Enter what a message says of its node, its sender, and the node's parent and siblings."""
-    if isinstance(message, Dispatch):
-        for path, node in cycle.items():
-            node.request_kw = own_request_kw(message, tree.rating_kw(path))
     own = cycle.get(port.node)
+    parent = None if port.node == ROOT else cycle.get(parent_of(port.node))
+    sender = cycle.get(ROOT if message.source == CENTRAL else message.source)
     if own is not None:
-        _enter(own, message)
-    if port.node != ROOT:
-        _enter_relatives(cycle, port, message)
-    sender = cycle.get(ROOT if message.source == agent_name(ROOT) else message.source)
+        for field, name in _FIELDS.get(type(message), {}).items():
+            setattr(own, name, getattr(message, field))
     if sender is not None:
         sender.missing = list(dict.fromkeys([*sender.missing, *message.missing]))
+    match message:
+        case Dispatch():
+            for path, node in cycle.items():
+                node.request_kw = own_request_kw(message, tree.rating_kw(path))
+        case Help() if parent is not None:
+            parent.needy.append(port.node)
+        case Notice() if own is not None:
+            own.notices.append(message.text)
+        case Setpoint():
+            _add_help(cycle, port.node, message)
+
+
+def _add_help(cycle: dict[str, NodeCycle], node: str, setpoint: Setpoint) -> None:
+    """Enter for which siblings a node had to produce more than its share."""
+    given = [HelpLine(line.needy, line.power_kw) for line in setpoint.help_given]
+    if node in cycle:
+        cycle[node].help_for = given
+    parent = cycle.get(parent_of(node))
+    if parent is not None:
+        parent.moved_kw = (parent.moved_kw or 0.0) + sum(line.power_kw for line in given)
+    for line in given:
+        if line.node in cycle:
+            cycle[line.node].help_from.append(HelpLine(node, line.power_kw))
 
 
 def _pop_before(cycle: int, opened: dict[int, dict[str, NodeCycle]]) -> Iterator[list[NodeCycle]]:
     """Yield the cycles before one of which no message is expected any more."""
     for number in sorted(number for number in opened if number < cycle):
         yield list(opened.pop(number).values())
-
-
-def _enter(node: NodeCycle, message: Message) -> None:
-    for field, name in _FIELDS.get(type(message), {}).items():
-        setattr(node, name, getattr(message, field))
-    if isinstance(message, Setpoint):
-        node.help_for = [HelpLine(line.needy, line.power_kw) for line in message.help_given]
-    elif isinstance(message, Notice):
-        node.notices.append(message.text)
-
-
-def _enter_relatives(cycle: dict[str, NodeCycle], port: Port[Message], message: Message) -> None:
-    parent = cycle.get(parent_of(port.node))
-    if isinstance(message, Help) and parent is not None:
-        parent.needy.append(port.node)
-    if not isinstance(message, Setpoint):
-        return
-    if parent is not None:
-        given_kw = sum(line.power_kw for line in message.help_given)
-        parent.moved_kw = (parent.moved_kw or 0.0) + given_kw
-    for line in message.help_given:
-        needy = cycle.get(line.needy)
-        if needy is not None:
-            needy.help_from.append(HelpLine(port.node, line.power_kw))
 
 
 # As text, in columns of fixed width ---------------------------------------------------------------

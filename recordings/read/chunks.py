@@ -138,14 +138,3 @@ def messages_in(records: bytes, channels: Container[int]) -> Iterator[RawMessage
             payload = records[begin + head.size : next_record]
             yield channel, sequence, log_time_ns, publish_time_ns, payload
         begin = next_record
-
-
-def others_in(records: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and body of the records in a chunk that are no messages: schemas, channels."""
-    begin = 0
-    while begin + RECORD_HEAD.size <= len(records):
-        opcode, length = RECORD_HEAD.unpack_from(records, begin)
-        body = begin + RECORD_HEAD.size
-        begin = body + length
-        if opcode != Opcode.MESSAGE and begin <= len(records):
-            yield opcode, records[body:begin]

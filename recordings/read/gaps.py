@@ -47,21 +47,22 @@ class PortGaps:
     step: In every how many cycles a message is due; 0: it comes when it is needed.
     first_cycle: Messages of earlier cycles are not missing.
 
-    messages, lost, repeated, restarts: Messages that came, those that the numbers leave out, those
-        that came again, and how often the numbers began anew.
+    messages, lost, repeated: Messages that came, those that the numbers leave out, and those that
+        came again.
     missing: Cycles in which a message was due and none came.
+    newest: The newest cycle of a message; the one before the first, if there is none.
     """
 
     __slots__ = (
-        *("_due", "_expected", "_incarnation", "_newest", "_step"),
-        *("lost", "messages", "missing", "repeated", "restarts"),
+        *("_due", "_expected", "_incarnation", "_step"),
+        *("lost", "messages", "missing", "newest", "repeated"),
     )
 
     def __init__(self, step: int = 0, first_cycle: int = 0) -> None:
-        self.messages = self.missing = self.lost = self.repeated = self.restarts = 0
+        self.messages = self.missing = self.lost = self.repeated = 0
         self._step = step
         self._due = -(-first_cycle // step) * step - step if step else 0
-        self._newest = -1
+        self.newest = first_cycle - 1
         self._incarnation = 0
         self._expected: int | None = None if first_cycle else 0
 
@@ -73,14 +74,13 @@ class PortGaps:
         if incarnation < self._incarnation:
             return self.end(cycle)
         if incarnation > self._incarnation or sequence < self._expected:
-            if incarnation == self._incarnation and cycle <= self._newest:
+            if incarnation == self._incarnation and cycle <= self.newest:
                 self.repeated += 1
                 return range(0)
-            self.restarts += 1
             self._expected = 0
         self.lost += sequence - self._expected
         self._expected, self._incarnation = sequence + 1, incarnation
-        self._newest = max(cycle, self._newest)
+        self.newest = max(cycle, self.newest)
         return self.end(cycle)
 
     def end(self, cycle: int) -> range:

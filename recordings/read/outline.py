@@ -7,41 +7,30 @@ a cut recording is read like a whole one, up to the cut.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from os import SEEK_END
 from struct import Struct
-from typing import BinaryIO, Final, NamedTuple, TypeVar
+from typing import BinaryIO, Final, NamedTuple
 
 from mcap import records
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
+from mcap.stream_reader import StreamReader
 
-from recordings.read.chunks import (
-    BROKEN,
-    RECORD_HEAD,
-    ChunkPlace,
-    chunk_at,
-    others_in,
-    unpack_chunk,
-)
+from bus_schemas.errors import InputError
+from recordings.read.chunks import BROKEN, RECORD_HEAD, ChunkPlace, chunk_at, unpack_chunk
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-_FOOTER_SIZE: Final = RECORD_HEAD.size + 20
-_CHECKSUM: Final = Struct("<I")
+_FOOTER: Final = Struct("<BQQQI")
+"""At the end: opcode, length, where the index begins and its offsets, checksum of the index."""
+
 _CHUNK_INDEX: Final = Struct("<QQQQ")
 """Of the index of a chunk: first and last log time, where it begins, length of its record."""
 
 _OPCODES: Final = frozenset(Opcode)
 _BLOCK: Final = 1 << 20
-
-R = TypeVar("R", bound=records.McapRecord)
-
-
-class NoMcapError(ValueError):
-    """The file is no MCAP file at all; says how it begins instead."""
 
 
 class _Place(NamedTuple):
@@ -106,44 +95,38 @@ def read_outline(file: BinaryIO) -> Outline:
     file.seek(0)
     magic = file.read(len(MAGIC))
     if not MAGIC.startswith(magic):
-        raise NoMcapError(f"it begins with {magic!r}")
-    try:
-        outline = _by_index(file, size)
-    except BROKEN:
-        outline = None  # The file was cut, or its index is damaged.
-    if outline is None:
-        outline = Outline(size=0)
-        walk_on(outline, file)
+        raise InputError(f"{file.name}: not an MCAP file, it begins with {magic!r}")
+    with suppress(*BROKEN):  # The file was cut, or its index is damaged.
+        return _by_index(file, size)
+    outline = Outline(size=0)
+    walk_on(outline, file)
     return outline
 
 
-def _by_index(file: BinaryIO, size: int) -> Outline | None:
-    """Read the index at the end of a file; None if it has no sound one."""
-    end = size - _FOOTER_SIZE - len(MAGIC)
+def _by_index(file: BinaryIO, size: int) -> Outline:
+    """Read the index at the end of a file, if it has a sound one."""
+    end = size - _FOOTER.size - len(MAGIC)
     file.seek(max(end, 0))
     tail = file.read()
-    if not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
-        return None
-    footer = _parse(records.Footer.read, tail[RECORD_HEAD.size :])
-    begin = footer.summary_start
-    if not begin or _checksum(file, begin, size - len(MAGIC) - 4) != footer.summary_crc:
-        return None
+    opcode, _, begin, _, checksum = _FOOTER.unpack_from(tail)
+    if not tail.endswith(MAGIC) or opcode != Opcode.FOOTER or not begin:
+        raise ValueError("no index")
+    if _checksum(file, begin, size - len(MAGIC) - 4) != checksum:
+        raise ValueError("a damaged index")
     outline = Outline(size, closed=True, indexed=True, readable_end=begin)
     elsewhere = [len(MAGIC)]  # Where the header, attachments and metadata lie.
     for place in _walk(file, begin, end):
-        body = _body(file, place, size)
-        match place.opcode:
-            case Opcode.SCHEMA | Opcode.CHANNEL:
-                _declare(outline, place.opcode, body)
-            case Opcode.CHUNK_INDEX:
-                # The library would make a dictionary of channels for each of 170,000 chunks a day.
-                first_ns, last_ns, offset, length = _CHUNK_INDEX.unpack_from(body)
-                chunk = ChunkPlace(offset, length - RECORD_HEAD.size, first_ns, last_ns)
-                outline.chunks.append(chunk)
-            case Opcode.ATTACHMENT_INDEX:
-                elsewhere.append(_parse(records.AttachmentIndex.read, body).offset)
-            case Opcode.METADATA_INDEX:
-                elsewhere.append(_parse(records.MetadataIndex.read, body).offset)
+        content = _content(file, place, size)
+        if place.opcode == Opcode.CHUNK_INDEX:
+            # The library would make a dictionary of channels for each of 170,000 chunks a day.
+            first_ns, last_ns, offset, length = _CHUNK_INDEX.unpack_from(content, RECORD_HEAD.size)
+            chunk = ChunkPlace(offset, length - RECORD_HEAD.size, first_ns, last_ns)
+            outline.chunks.append(chunk)
+            continue
+        for record in _records_in(content):
+            if isinstance(record, records.AttachmentIndex | records.MetadataIndex):
+                elsewhere.append(record.offset)
+            _enter(outline, record)
     for offset in elsewhere:
         _take(outline, file, _place_at(file, offset))
     return outline
@@ -180,45 +163,45 @@ def walk_on(outline: Outline, file: BinaryIO) -> None:
 
 
 def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
-    """Enter a record into the outline."""
+    """Enter a record of the data section into the outline."""
     if place.opcode == Opcode.CHUNK:
-        chunk = chunk_at(file, place.offset, place.length, outline.size)
-        chunk = chunk._replace(file=outline.file)
+        chunk = chunk_at(file, place.offset, place.length, outline.size)._replace(file=outline.file)
         outline.chunks.append(chunk)
         if len(outline.chunks) == 1:
             # A recording declares all its channels before its first message.
-            for opcode, body in others_in(unpack_chunk(file, chunk)):
-                _declare(outline, opcode, body)
-        return
-    match place.opcode:
-        case Opcode.HEADER:
-            outline.header = _parse(records.Header.read, _body(file, place, outline.size))
-        case Opcode.ATTACHMENT:
-            _take_attachment(outline, place.offset, _body(file, place, outline.size))
-        case Opcode.METADATA:
-            found = _parse(records.Metadata.read, _body(file, place, outline.size))
-            outline.metadata[found.name] = found.metadata
+            for record in _records_in(unpack_chunk(file, chunk)):
+                _enter(outline, record)
+    elif place.opcode in {Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA}:
+        content = _content(file, place, outline.size)
+        found = list(_records_in(content))
+        for record in found:
+            _enter(outline, record)
+        body, checksum = content[RECORD_HEAD.size : -4], int.from_bytes(content[-4:], "little")
+        if place.opcode == Opcode.ATTACHMENT and zlib.crc32(body) != checksum:
+            named = [record.name for record in found if isinstance(record, records.Attachment)]
+            outline.damaged_attachments += named or [f"at byte {place.offset:,}"]
+        elif not found:
+            raise ValueError(f"the record at byte {place.offset} is damaged")
 
 
-def _take_attachment(outline: Outline, offset: int, body: bytes) -> None:
-    try:
-        attachment = _parse(records.Attachment.read, body)
-        (checksum,) = _CHECKSUM.unpack(body[-_CHECKSUM.size :])
-    except BROKEN:
-        outline.damaged_attachments.append(f"at byte {offset:,}")
-        return
-    if zlib.crc32(body[: -_CHECKSUM.size]) != checksum:
-        outline.damaged_attachments.append(attachment.name)
-    outline.attachments.append(attachment)
+def _enter(outline: Outline, record: records.McapRecord) -> None:
+    match record:
+        case records.Header():
+            outline.header = record
+        case records.Attachment():
+            outline.attachments.append(record)
+        case records.Metadata():
+            outline.metadata[record.name] = record.metadata
+        case records.Schema():
+            outline.schemas[record.id] = record
+        case records.Channel():
+            outline.channels[record.id] = record
 
 
-def _declare(outline: Outline, opcode: int, body: bytes) -> None:
-    if opcode == Opcode.SCHEMA:
-        schema = _parse(records.Schema.read, body)
-        outline.schemas[schema.id] = schema
-    elif opcode == Opcode.CHANNEL:
-        channel = _parse(records.Channel.read, body)
-        outline.channels[channel.id] = channel
+def _records_in(content: bytes) -> Iterator[records.McapRecord]:
+    """Yield the records that some bytes hold, up to a damaged one."""
+    with suppress(*BROKEN):  # So says the library that they are over, too.
+        yield from StreamReader(BytesIO(content), skip_magic=True).records
 
 
 def _walk(file: BinaryIO, begin: int, end: int) -> Iterator[_Place]:
@@ -238,12 +221,9 @@ def _place_at(file: BinaryIO, offset: int) -> _Place:
     return _Place(opcode, offset, length)
 
 
-def _body(file: BinaryIO, place: _Place, size: int) -> bytes:
+def _content(file: BinaryIO, place: _Place, size: int) -> bytes:
+    """Return a record as it is in the file."""
     if place.end > size:
         raise ValueError(f"the record at byte {place.offset} reaches beyond the end of the file")
-    file.seek(place.offset + RECORD_HEAD.size)
-    return file.read(place.length)
-
-
-def _parse(read: Callable[[ReadDataStream], R], body: bytes) -> R:
-    return read(ReadDataStream(BytesIO(body)))
+    file.seek(place.offset)
+    return file.read(place.end - place.offset)

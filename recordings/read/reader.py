@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Collection, Container, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import msgspec
 
@@ -24,14 +24,9 @@ from recordings.read.chunks import (
     messages_in,
     unpack_chunk,
 )
-from recordings.read.outline import NoMcapError, Outline, read_outline
+from recordings.read.outline import read_outline
 from recordings.read.run_clock import RunClock
-from recordings.read.run_file import (
-    RECORDING_NAME,
-    declare,
-    further_file,
-    read_origin,
-)
+from recordings.read.run_file import RECORDING_NAME, declare, further_file, read_origin
 from recordings.read.selection import find_nodes, find_signals
 
 if TYPE_CHECKING:
@@ -106,7 +101,7 @@ class RunReader:
 
     It is `whole` if each file was closed in order and has its index. `damage` are the damaged
     chunks that were skipped so far, `read_share` is how far the reading has come, 0 to 1, and
-    `file_number` in which of the `files`.
+    `file_number` in which of the `files`. `follow` is called with it now and then.
 
     Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
     """
@@ -122,10 +117,11 @@ class RunReader:
         self.damage: set[ChunkPlace] = set()
         self.file_number = 0
         self.read_share = 0.0
+        self.follow: Callable[[float], None] = lambda share: None
         self._skip_damaged = skip_damaged
         self._first_cycles: dict[ChunkPlace, int | None] = {}
         try:
-            self.outline = _outline_of(self.path, self.files[0])
+            self.outline = read_outline(self.files[0])
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
@@ -140,8 +136,11 @@ class RunReader:
         """Take in the files of recorders that were started again."""
         while (path := further_file(self.path, len(self.files) + 1)).exists():
             file = path.open("rb")
-            outline = _outline_of(path, file)
-            if outline.metadata.get("run", {}).get("run_id") != self.plan.run_id:
+            outline = read_outline(file)
+            run_id = outline.metadata.get("run", {}).get("run_id")
+            # One that is empty, or cut that early, was of a recorder that was killed at once.
+            is_next = outline.cut_early if run_id is None else run_id == self.plan.run_id
+            if not is_next:
                 file.close()
                 break
             self.outline.go_on(outline)
@@ -263,6 +262,15 @@ class RunReader:
         stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
         return end_of_run(stops, self.last_cycle)
 
+    def followed_chunks(self, begin: int = 0) -> Iterator[ChunkPlace]:
+        """Yield the chunks from one on, and say now and then how far that is."""
+        count = len(self.outline.chunks)
+        for number, place in enumerate(self.outline.chunks[begin:], start=begin):
+            self.read_share = number / count
+            if number % (count // 100 + 1) == 0:
+                self.follow(self.read_share)
+            yield place
+
     def unpack(self, place: ChunkPlace) -> bytes:
         """Return the records in a chunk; DamagedChunkError if it is damaged."""
         return unpack_chunk(self.files[place.file], place)
@@ -271,7 +279,7 @@ class RunReader:
         """Return the messages of some channels in a chunk, none if it is damaged and skipped."""
         self.file_number = place.file
         try:
-            records = self.unpack(place)
+            return messages_in(self.unpack(place), channels)
         except DamagedChunkError as error:
             if self._skip_damaged:
                 self.damage.add(place)
@@ -280,7 +288,6 @@ class RunReader:
                 f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
                 "what is sound"
             ) from None
-        return messages_in(records, channels)
 
     def cycles_in(self, place: ChunkPlace) -> range:
         """Return the cycles that a chunk has messages of; empty if none can be read."""
@@ -328,8 +335,7 @@ class RunReader:
     ) -> Iterator[RawMessage]:
         """Yield the messages of the chunks that can hold some cycles."""
         begin = 0 if cycles is None else self._search(cycles.start)
-        for number, place in enumerate(self.outline.chunks[begin:], start=begin):
-            self.read_share = number / len(self.outline.chunks)
+        for place in self.followed_chunks(begin):
             if cycles is not None:
                 first = self._first_cycle(place)
                 if first is not None and first >= cycles.stop + self._slack:
@@ -381,13 +387,6 @@ class RunReader:
         if self.plan.lockstep:
             return _FURTHEST_CYCLES
         return max(round(_LATEST_S * 1e9 / self.plan.cycle_wall_ns), self.plan.periods.longest) + 1
-
-
-def _outline_of(path: Path, file: BinaryIO) -> Outline:
-    try:
-        return read_outline(file)
-    except NoMcapError as error:
-        raise InputError(f"{path}: not an MCAP file, {error}") from None
 
 
 def end_of_run(stops: Collection[int], last_cycle: int) -> int | None:

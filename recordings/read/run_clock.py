@@ -7,7 +7,8 @@ cycle that has begun by then. Every command uses this rule.
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime, time, timedelta
+from collections.abc import Iterator
+from datetime import datetime, time, timedelta
 from typing import Final
 from zoneinfo import ZoneInfo
 
@@ -90,39 +91,34 @@ class RunClock:
         )
 
     def _cycle_at(self, text: str) -> int:
-        """Return the cycle of a time that is no number; InputError says what was expected."""
+        """Return the cycle of a time that is no number, -1 if the run has none; may refuse it."""
         since_start_s = duration_s(text)
         if since_start_s is not None:
             return round(min(since_start_s, 2 * LONGEST_S) * _SECOND_NS) // self._plan.cycle_ns
         found = read_time(text)
         if found is None:
             raise InputError(_FORMS)
-        if isinstance(found, datetime):
-            return self._cycle_of(found)
-        return self._cycle_at_time_of_day(found)
+        moments = [found] if isinstance(found, datetime) else self._on_each_day(found)
+        cycles = {cycle for moment in moments for cycle in self._cycles_of(moment)}
+        inside = [cycle for cycle in sorted(cycles) if 0 <= cycle <= self._last_cycle]
+        if len(inside) > 1:
+            dated = " or ".join(self.local(cycle).isoformat() for cycle in inside[:2])
+            raise InputError(f"{dated}, as the run has {len(inside)} of them")
+        return inside[0] if inside else -1
 
-    def _cycle_at_time_of_day(self, clock: time) -> int:
-        """Return the cycle at a time of day: of the one day of the run on which there is one."""
+    def _on_each_day(self, clock: time) -> list[datetime]:
+        """Return a time of day on all days of the run."""
         first, last = self.local(0).date(), self.local(max(self._last_cycle, 0)).date()
-        days = [first + timedelta(days=n) for n in range((last - first).days + 1)]
-        cycles = [self._cycle_of(datetime.combine(day, clock)) for day in days]
-        found = [cycle for cycle in cycles if 0 <= cycle <= self._last_cycle]
-        if len(found) > 1:
-            dated = f"{self.local(found[0]):%Y-%m-%dT%H:%M:%S}"
-            raise InputError(f"its date too ({dated}), as the run has {len(found)} of them")
-        return (found or cycles)[0]
+        days = range((last - first).days + 1)
+        return [datetime.combine(first + timedelta(days=n), clock) for n in days]
 
-    def _cycle_of(self, local: datetime) -> int:
-        if local.tzinfo is None:
-            first = local.replace(tzinfo=self._zone)
-            second = first.replace(fold=1)
-            if first.utcoffset() != second.utcoffset():
-                # Clocks are put back or forward: the time of day comes twice, or not at all.
-                if first.astimezone(UTC).astimezone(self._zone).replace(tzinfo=None) != local:
-                    raise InputError(f"another time: clocks are put forward over {local:%F %T}")
-                both = f"{first.isoformat()} or {second.isoformat()}"
-                raise InputError(f"{both}: the time comes twice")
-            local = first
-        seconds = int(local.replace(microsecond=0).timestamp())
-        instant_ns = seconds * _SECOND_NS + local.microsecond * 1000
-        return (instant_ns - self._plan.start_time_ns) // self._plan.cycle_ns
+    def _cycles_of(self, moment: datetime) -> Iterator[int]:
+        """Yield the cycle of a local time, or both where clocks are put back over it."""
+        first = moment if moment.tzinfo else moment.replace(tzinfo=self._zone)
+        second = first.replace(fold=1)
+        if first.timestamp() > second.timestamp():
+            raise InputError(f"another time: clocks are put forward over {moment:%F %T}")
+        for instant in (first, second):
+            seconds = int(instant.replace(microsecond=0).timestamp())
+            instant_ns = seconds * _SECOND_NS + instant.microsecond * 1000
+            yield (instant_ns - self._plan.start_time_ns) // self._plan.cycle_ns

@@ -77,27 +77,20 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
     """Return the scenario and the plan of the recording at a path."""
     _check_version(outline, path)
     attachments = {entry.name: entry.data for entry in outline.attachments}
-    damaged = outline.damaged_attachments
-    if "plan.json" in damaged:
+    found = attachments.get("plan.json")
+    if found is None or "plan.json" in outline.damaged_attachments:
         raise InputError(
-            f"{path}: its attachment plan.json is damaged, its checksum is not that of its "
-            "content; nothing can be read without it"
+            f"{path}: its attachment plan.json is {'missing' if found is None else 'damaged'}; "
+            "nothing can be read without it"
         )
     try:
-        # Nothing depends on the scenario, which may be damaged: the plan has what the run was.
-        scenario = attachments["scenario.toml"].decode(errors="replace")
-        plan = msgspec.json.decode(attachments["plan.json"], type=RunPlan)
-    except KeyError as error:
-        note = f"; damaged are {', '.join(damaged)}" if damaged else ""
-        raise InputError(f"{path}: recording without its attachment {error}{note}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: its attachments do not decode: {error}") from None
-    try:
+        plan = msgspec.json.decode(found, type=RunPlan)
         check_plan(plan)
         _check_times(plan)
-    except InputError as error:
-        raise InputError(f"{path} plan.json: {error}") from None
-    return scenario, plan
+    except (InputError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: plan.json: {error}") from None
+    # Nothing depends on the scenario, which may be damaged: the plan has what the run was.
+    return attachments.get("scenario.toml", b"").decode(errors="replace"), plan
 
 
 def _check_version(outline: Outline, path: Path) -> None:

@@ -189,7 +189,14 @@ class Recorder:
         """Record until told to end, then close the file and report."""
         flush_at = status_at = time.monotonic()
         while not self._may_end():
-            if not self._drain():
+            # Flush and status must have their turn, however much comes.
+            heard = list(islice(self._tap.drain(), _MOST_AT_ONCE))
+            own_before = self._own_heard
+            for key, payload in heard:
+                self._hear(key, payload)
+            if self._end.asked_at is not None:
+                self._others_left -= len(heard) - (self._own_heard - own_before)
+            if not heard:
                 self._heed_launcher()
                 time.sleep(_NAP_S)
                 if self._end.asked_at is not None:
@@ -231,16 +238,6 @@ class Recorder:
     def _own_heard(self) -> int:
         """Messages of the launcher's processes that have come."""
         return self._writer.heard - self._external.heard - self._extra.total()
-
-    def _drain(self) -> bool:
-        # Flush and status must have their turn, however much comes.
-        waiting = list(islice(self._tap.drain(), _MOST_AT_ONCE))
-        own_before = self._own_heard
-        for key, payload in waiting:
-            self._hear(key, payload)
-        if self._end.asked_at is not None:
-            self._others_left -= len(waiting) - (self._own_heard - own_before)
-        return bool(waiting)
 
     def _hear(self, key: str, payload: bytes) -> None:
         port = self._port_of.get(key)
@@ -293,14 +290,10 @@ class Recorder:
                 self._extra[port.signal.name] += 1
         elif message is None:
             self.monitor.see_head(port, head.cycle)
-        elif not is_external or self._is_right(port, message, heard_ns):
-            self._follow(port, message)
-
-    def _is_right(self, port: Port[Message], message: Message, heard_ns: int) -> bool:
-        """Complain of a message of an external agent that is absurd."""
-        if absurd := absurdity(self._plan, port, message, heard_ns):
+        elif is_external and (absurd := absurdity(self._plan, port, message, heard_ns)):
             self.complaints.add(self._plan.keys.key(port), ABSURD, absurd)
-        return not absurd
+        else:
+            self._follow(port, message)
 
     def _follow(self, port: Port[Message], message: Message) -> None:
         if isinstance(message, Run):

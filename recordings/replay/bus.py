@@ -14,13 +14,13 @@ from bus_schemas.bus import Outbox
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Clock, Message
-from bus_schemas.signals import CLOCK, SIGNALS, Port
+from bus_schemas.signals import CLOCK, Port
 from bus_schemas.tree import REPLAYER, ROOT
 from bus_schemas.zenoh_bus import ENCODING, SessionSettings, open_session
 from launch_scripts.launcher.interruption import Interruption
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.reader import RunReader
-from recordings.read.selection import find_nodes, find_signals
+from recordings.read.selection import find_signals
 
 
 class ReplayBus:
@@ -78,21 +78,19 @@ class ReplayBus:
 
 
 def selected_ports(
-    plan: RunPlan, signals: str | None = None, exclude: str | None = None, nodes: str | None = None
-) -> tuple[Port[Message], ...]:
+    reader: RunReader,
+    signals: str | None = None,
+    exclude: str | None = None,
+    nodes: str | None = None,
+) -> list[Port[Message]]:
     """Return the ports that are replayed: by default the recorded ones, and the replay's clock."""
     excluded = [name.strip() for name in (exclude or "").split(",") if name.strip()]
-    left_out = {*find_signals(name for name in excluded if name != CLOCK.name)}
-    kept = find_signals(signals or "") or tuple(signal for signal in SIGNALS if signal.logged)
-    kept_nodes = find_nodes(plan.tree, nodes or "") or plan.tree.nodes
-    ports = [
-        port
-        for port in plan.keys.ports
-        if port.signal in kept and port.signal not in left_out and port.node in kept_nodes
-    ]
+    left_out = find_signals(name for name in excluded if name != CLOCK.name)
+    recorded = reader.ports(*find_signals(signals or ""), nodes=nodes or "")
+    ports = [port for port in recorded if port.signal not in left_out]
     if not ports:
         raise InputError("--signals, --exclude, --nodes: expected some message, got none")
-    return tuple(ports) if CLOCK.name in excluded else (*ports, CLOCK.of(ROOT))
+    return ports if CLOCK.name in excluded else [*ports, CLOCK.of(ROOT)]
 
 
 @contextmanager

@@ -12,48 +12,23 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import Enum
 from typing import Final, TypeAlias
-
-
-class Key(Enum):
-    """What a key does."""
-
-    PAUSE = "pause or go on"
-    STEP = "one cycle"
-    FASTER = "twice the pace"
-    SLOWER = "half the pace"
-    FORWARD = "10 s forward"
-    BACK = "10 s back"
-    FAR_FORWARD = "1 min forward"
-    FAR_BACK = "1 min back"
-    QUIT = "end"
-
 
 KEYS_IN_WORDS: Final = "space pauses, s steps a cycle, + - pace, arrows seek (10 s, 1 min), q ends"
 
-_KEY_OF: Final = {
-    b" ": Key.PAUSE,
-    b"s": Key.STEP,
-    b"+": Key.FASTER,
-    b"=": Key.FASTER,  # the same key, without shift
-    b"-": Key.SLOWER,
-    b"q": Key.QUIT,
-    b"A": Key.FAR_FORWARD,
-    b"B": Key.FAR_BACK,
-    b"C": Key.FORWARD,
-    b"D": Key.BACK,
-}
+UP, DOWN, RIGHT, LEFT = "A", "B", "C", "D"
+"""Arrow keys, as a terminal names them; the other keys are their characters."""
+
 _KEYS: Final = re.compile(rb"\x1b[\[O]([A-D])|([ s+=q-])")
 _UNFINISHED: Final = re.compile(rb"\x1b[\[O]?$")
 """The beginning of an arrow key, whose other bytes come with the next read."""
 
 
-Keyboard: TypeAlias = Callable[[float], list[Key]]
+Keyboard: TypeAlias = Callable[[float], list[str]]
 """Returns all keys that were pressed, at once if there are any, else after a time [s]."""
 
 
-def no_keyboard(seconds: float) -> list[Key]:
+def no_keyboard(seconds: float) -> list[str]:
     """Wait for the time: standard input is no terminal."""
     time.sleep(max(seconds, 0.0))
     return []
@@ -66,7 +41,7 @@ class TerminalKeyboard:
         self._descriptor = descriptor
         self._typed = b""
 
-    def wait(self, seconds: float) -> list[Key]:
+    def wait(self, seconds: float) -> list[str]:
         """Return all keys that were pressed, at once if there are any, else after a time."""
         while select.select([self._descriptor], [], [], max(seconds, 0.0))[0]:
             typed = os.read(self._descriptor, 1024)
@@ -74,7 +49,7 @@ class TerminalKeyboard:
                 break
             self._typed += typed
             seconds = 0.0
-        keys = [_KEY_OF[found[1] or found[2]] for found in _KEYS.finditer(self._typed)]
+        keys = [(found[1] or found[2]).decode() for found in _KEYS.finditer(self._typed)]
         rest = _UNFINISHED.search(self._typed)
         self._typed = rest[0] if rest else b""
         return keys

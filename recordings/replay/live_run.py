@@ -17,7 +17,6 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import agent_name
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import interruptible
-from launch_scripts.launcher.live_view import StatusLine
 from launch_scripts.launcher.supervision import Children, ForkServerProcess, RunFailure
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.reader import RunReader
@@ -68,7 +67,7 @@ def replay_live(
         its_plan = live_plan(plan, live, tcp_ports, tcp_ports[_OTHERS])
         path.write_bytes(its_plan.as_json())
         with (
-            replay_bus(reader, selected_ports(plan), listen, out) as observers,
+            replay_bus(reader, selected_ports(reader), listen, out) as observers,
             LiveBus(its_plan, live, tcp_ports[_OTHERS], observers, children, interruption) as bus,
         ):
             say(out, f"live: {', '.join(live)}; all others as recorded")
@@ -83,7 +82,7 @@ def replay_live(
                 "wall",
                 no_keyboard,
                 interruption,
-                StatusLine(out, in_place=out.isatty()),
+                out,
                 bus.listen,
             )
             bus.arm(reader)
@@ -92,7 +91,7 @@ def replay_live(
             playback.play()
             bus.finish()
     wall_s = time.monotonic() - began_at
-    findings, timing = bus.comparison.findings, playback.timing.figures()
+    findings = bus.comparison.findings
     compared = sum(found.compared for found in findings.values())
     differing = {name: one.differences.total() for name, one in findings.items() if one.first}
     say(
@@ -100,8 +99,7 @@ def replay_live(
         f"compared {compared:,} messages of {len(live)} live controllers over "
         f"{bus.cycles:,} cycles in {wall_s:.1f} s",
     )
-    if timing is not None:
-        say(out, timing.text())
+    timing = playback.timing_error()
     lines = finding_lines(findings, RunClock(plan, bus.cycles - 1))
     for text in wrapped(lines, shutil.get_terminal_size((100, 0)).columns):
         say(out, text)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, Final, TextIO
+
+from hdrh.histogram import HdrHistogram
 
 from agents.machine import wake_precisely
 from bus_schemas.messages import Message
@@ -15,8 +17,17 @@ from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
-from recordings.replay.clock import CLOCKS, ClockKind, PlaybackClock, Positions, TimingErrors
-from recordings.replay.keyboard import KEYS_IN_WORDS, Key, Keyboard, has_keyboard, keyboard
+from recordings.replay.clock import CLOCKS, ClockKind, PlaybackClock, positions
+from recordings.replay.keyboard import (
+    DOWN,
+    KEYS_IN_WORDS,
+    LEFT,
+    RIGHT,
+    UP,
+    Keyboard,
+    has_keyboard,
+    keyboard,
+)
 from recordings.replay.publish_order import in_publish_order
 
 _LOOK_S: Final = 0.02
@@ -25,8 +36,11 @@ _LOOK_S: Final = 0.02
 _FASTEST: Final = 1024.0
 _SLOWEST: Final = 1.0 / 1024.0
 
-_SEEK_S: Final = {Key.BACK: -10.0, Key.FORWARD: 10.0, Key.FAR_BACK: -60.0, Key.FAR_FORWARD: 60.0}
+_SEEK_S: Final = {LEFT: -10.0, RIGHT: 10.0, DOWN: -60.0, UP: 60.0}
 """How far a key seeks, in simulated time."""
+
+_LATEST_NS: Final = 3_600_000_000_000
+"""Lateness beyond it counts as this."""
 
 
 def replay_recording(
@@ -62,20 +76,16 @@ def replay_recording(
             say(out, KEYS_IN_WORDS)
         before = None if end is None else span.stop
         playing = PlaybackClock(rate, paused=start_paused)
-        line = StatusLine(out, in_place=out.isatty())
         playback = Playback(
-            reader, span.start, before, ports, bus, playing, kind, keys, interruption, line
+            reader, span.start, before, ports, bus, playing, kind, keys, interruption, out
         )
         if wait:
             await_subscriber(bus, interruption, out)
         began_at = time.monotonic()
         playback.play(loop=loop)
         wall_s = time.monotonic() - began_at
-    timing = playback.timing.figures()
     messages, cycles = playback.messages, playback.cycles
     say(out, f"replayed {messages:,} messages of {cycles:,} cycles in {wall_s:.1f} s")
-    if timing is not None:
-        say(out, timing.text())
     return {
         "run_id": reader.plan.run_id,
         "recording": str(reader.path),
@@ -84,7 +94,7 @@ def replay_recording(
         "wall_s": wall_s,
         "pace": rate or "max",
         "clock": kind,
-        "timing_error": timing,
+        "timing_error": playback.timing_error(),
         "interrupted": bool(interruption),
     }
 
@@ -93,8 +103,8 @@ def replay_recording(
 class Playback:
     """Plays the cycles from one to just before another (None: to the end) onto the bus.
 
-    It counts the messages that were published and the cycles that were begun. `timing` says how
-    late messages were sent: not those of steps, nor any at rate 0.
+    It counts the messages that were published and the cycles that were begun, and keeps how late
+    messages were sent: not those of steps, nor any at rate 0.
     """
 
     reader: RunReader
@@ -106,15 +116,16 @@ class Playback:
     kind: ClockKind
     keyboard: Keyboard
     interruption: Interruption
-    line: StatusLine
+    out: TextIO
     sleep: Callable[[float], None] = time.sleep
 
     def __post_init__(self) -> None:
         self.messages = self.cycles = 0
-        self.timing = TimingErrors()
+        self._line = StatusLine(self.out, in_place=self.out.isatty())
+        self._late = HdrHistogram(1, _LATEST_NS, 3)
         self._quit = False
-        self._look_at_ns = 0
-        self._keys: deque[Key] = deque()
+        self._look_at_ns = self._position_ns = 0
+        self._keys: deque[str] = deque()
         self._seek(self.first_cycle)
 
     def play(self, *, loop: bool = False) -> None:
@@ -127,18 +138,44 @@ class Playback:
                 if not loop or self._cycle < 0:
                     break
                 self._seek(self.first_cycle)
-            elif self._next is not None and self._is_due():
+            elif self._next is not None and self._is_due(self._next):
                 self._send(self._next)
                 self._turn_to_next()
             self._obey_keys()
         self._show(self._cycle)
-        self.line.end()
+        self._line.end()
 
-    def _is_due(self) -> bool:
+    def timing_error(self) -> dict[str, float] | None:
+        """Print how much later than due messages were sent; return it for JSON, None: none was."""
+        late, count = self._late, self._late.get_total_count()
+        if not count:
+            return None
+        p50_us, p99_us, p99_9_us = (
+            late.get_value_at_percentile(percent) / 1e3 for percent in (50.0, 99.0, 99.9)
+        )
+        max_us = late.get_max_value() / 1e3
+        say(
+            self.out,
+            f"sent later than due: p50 {p50_us:,.0f} µs, p99 {p99_us:,.0f} µs, "
+            f"p99.9 {p99_9_us:,.0f} µs, max {max_us:,.0f} µs",
+        )
+        return {
+            "count": count,
+            "p50_us": p50_us,
+            "p99_us": p99_us,
+            "p99_9_us": p99_9_us,
+            "max_us": max_us,
+        }
+
+    @property
+    def _here(self) -> int:
+        """The cycle of the next message; behind the last one, its own."""
+        return self._cycle if self._next is None else self._next.cycle
+
+    def _is_due(self, record: RecordedMessage) -> bool:
         """Whether the next message is due; if not, wait for a little."""
-        assert self._next is not None
         if self.clock.paused:
-            return self._next.cycle <= self._step_to
+            return record.cycle <= self._step_to
         left_s = (self.clock.due_ns(self._position_ns) - self.clock.now_ns()) / 1e9
         if left_s > 0.0:
             self.sleep(min(left_s, _LOOK_S))
@@ -146,19 +183,15 @@ class Playback:
 
     def _seek(self, cycle: int) -> None:
         """Let the first message of a cycle be the next one, and be due now."""
-        self._records: Iterator[RecordedMessage] = in_publish_order(
-            self.reader, self.ports, cycle, self.before_cycle
-        )
-        self._positions = Positions(self.reader.plan, self.kind)
+        records = in_publish_order(self.reader, self.ports, cycle, self.before_cycle)
+        self._messages = positions(records, self.reader.plan, self.kind)
         self._cycle = self._step_to = -1
-        self._position_ns = 0
         self._turn_to_next()
         self.clock.move_to(self._position_ns)
 
     def _turn_to_next(self) -> None:
-        self._next = next(self._records, None)
-        if self._next is not None:
-            self._position_ns = self._positions.next(self._next)
+        self._next: RecordedMessage | None
+        self._position_ns, self._next = next(self._messages, (self._position_ns, None))
 
     def _send(self, record: RecordedMessage) -> None:
         if record.cycle > self._cycle:
@@ -172,7 +205,7 @@ class Playback:
             self.clock.move_to(self._position_ns)
         elif self.clock.rate and was_sent:
             late_ns = self.clock.now_ns() - self.clock.due_ns(self._position_ns)
-            self.timing.add(late_ns)
+            self._late.record_value(min(max(late_ns, 1), _LATEST_NS))
 
     def _announce(self) -> None:
         if self._next is not None:
@@ -189,42 +222,39 @@ class Playback:
         elif now_ns >= self._look_at_ns:
             self._look_at_ns = now_ns + round(_LOOK_S * 1e9)
             self._keys.extend(self.keyboard(0.0))
-            if self.line.is_due():
+            if self._line.is_due():
                 self._show(self._cycle)
         while self._keys and not self._is_stepping():
             self._do(self._keys.popleft())
             self._announce()
-            if self.line.is_due(now=True):
-                self._show(self._next.cycle if self._next is not None else self._cycle)
+            if self._line.is_due(now=True):
+                self._show(self._here)
 
     def _is_stepping(self) -> bool:
         """Whether a step is under way: it ends at the first message of a later cycle."""
         return self._next is not None and self._next.cycle <= self._step_to
 
-    def _do(self, key: Key) -> None:
+    def _do(self, key: str) -> None:
         match key:
-            case Key.PAUSE:
+            case "s" if self.clock.paused:
+                self._step_to = self._here
+            case " " | "s":
                 self.clock.toggle_pause()
-            case Key.STEP if self.clock.paused:
-                self._step_to = self._next.cycle if self._next is not None else -1
-            case Key.STEP:
-                self.clock.toggle_pause()
-            case Key.FASTER:
+            case "+" | "=":  # The same key, with and without shift.
                 self.clock.set_rate(min(self.clock.rate * 2.0, _FASTEST))
-            case Key.SLOWER if self.clock.rate:  # Rate 0, as fast as possible, stays.
+            case "-" if self.clock.rate:  # Rate 0, as fast as possible, stays.
                 self.clock.set_rate(max(self.clock.rate / 2.0, _SLOWEST))
-            case Key.QUIT:
+            case "q":
                 self._quit = True
-            case key if key in _SEEK_S:
-                self._seek_by(_SEEK_S[key])
+            case arrow if arrow in _SEEK_S:
+                self._seek_by(_SEEK_S[arrow])
 
     def _seek_by(self, seconds: float) -> None:
         """Go forward or back by a simulated time, at least a cycle, within the span."""
         cycles = round(seconds * 1e9 / self.reader.plan.cycle_ns)
         cycles = cycles or (1 if seconds > 0.0 else -1)
-        here = self._next.cycle if self._next is not None else self._cycle
         last = (self.before_cycle or self.reader.last_cycle + 1) - 1
-        self._seek(min(max(here + cycles, self.first_cycle), last))
+        self._seek(min(max(self._here + cycles, self.first_cycle), last))
 
     def _show(self, cycle: int) -> None:
         if cycle >= 0:
@@ -233,4 +263,4 @@ class Playback:
             last = self.reader.last_cycle  # The message that ends a run names the cycle after it.
             cycle = min(cycle, last)
             place = f"{self.reader.clock.text(cycle)} cycle {cycle} of 0 to {last}"
-            self.line.show(f"{place}, {rate}{paused}")
+            self._line.show(f"{place}, {rate}{paused}")

@@ -8,7 +8,7 @@ from agents.events import Complaint, Exited, Recorded
 from agents.launcher_link import EventReader, packets, server_packet
 
 LONG = Recorded({"impp": 1}, 0, 5, complaints=(Complaint("k", "absurd", 1, "x" * 200_000),))
-EXITED = Exited(-9, 1.0, 2)
+EXITED = Exited(-9, 1.0)
 
 
 def test_an_event_of_many_packets_comes_whole_between_those_of_others() -> None:

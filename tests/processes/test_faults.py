@@ -139,6 +139,17 @@ def test_in_lockstep_a_frozen_recorder_ends_the_run_and_is_named(
 FIRST, LAST, CYCLES = 13, 33, 48
 
 
+def test_a_recorder_that_stands_still_as_a_short_run_ends_is_named_and_not_who_waits_for_it(
+    heliarch: Start, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--duration", "100")
+    run.until_shown("armed")
+    run.process_of("recorder").send_signal(signal.SIGSTOP)
+    assert run.wait() == 1
+    assert "recorder" in run.error_text().splitlines()[0]
+    assert_none_left(run.folder)
+
+
 def test_by_the_clock_a_supervisor_that_stood_still_goes_to_the_cycle_under_way_and_verifies(
     heliarch: Start, tmp_path: Path
 ) -> None:

@@ -142,7 +142,7 @@ def test_a_file_that_was_cut_before_its_plan_holds_nothing(tmp_path: Path, conte
 
 @pytest.mark.parametrize(
     ("attached", "named"),
-    [("", "scenario.toml"), ("scenario.toml", "plan.json"), ("scenario.toml plan.json", "run_id")],
+    [("", "plan.json"), ("scenario.toml", "plan.json"), ("plan.json", "run_id")],
 )
 def test_a_recording_without_its_plan_is_refused(tmp_path: Path, attached: str, named: str) -> None:
     path = mcap_file(tmp_path / "run.mcap", *attached.split(), schema_version=SCHEMA_VERSION)

@@ -227,7 +227,7 @@ def test_changes_and_correlations_are_those_of_measurements(hope: tuple[Floats, 
 
 @pytest.mark.parametrize("hour", ["a", "c"])
 def test_changes_are_those_of_a_real_plant(data_folder: Path, hour: str) -> None:
-    current, east_m, north_m, averaging = real_plant(data_folder, hour)
+    current, east_m, north_m, averaging = real_plant(data_folder / "plant20mw-combiners-10s", hour)
     measured = index_by_quantile(current @ averaging)
     motion = cloud_motion(measured, east_m @ averaging, north_m @ averaging, 10.0)
     settings = CloudSettings(

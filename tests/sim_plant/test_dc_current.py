@@ -4,10 +4,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from complaints import complaint_of
 
-from sim_plant.dc_current import InverterCurrents, read_currents
+from sim_plant.dc_current import read_currents
+from sim_plant.positions import east_north_m
+from sim_plant.sources import MeasuredPlant
 
 CURRENTS = """\
 t_s,A-1,A-2,B-1,B-2,B-3
@@ -25,7 +28,9 @@ B-2,02,110,30
 B-3,02,120,60
 """
 
-Read = Callable[..., InverterCurrents]
+BEGINS = pd.Timestamp("2000-06-21T19:00:00Z")
+
+Read = Callable[..., MeasuredPlant]
 
 
 @pytest.fixture
@@ -35,13 +40,15 @@ def read(tmp_path: Path) -> Read:
         positions: str = POSITIONS,
         full_power_current: float = 100.0,
         refuse_gaps: bool = False,
-    ) -> InverterCurrents:
+    ) -> MeasuredPlant:
         (tmp_path / "hour.csv").write_text(currents)
         (tmp_path / "positions.csv").write_text(positions)
         return read_currents(
             tmp_path / "hour.csv",
             tmp_path / "positions.csv",
             full_power_current,
+            BEGINS,
+            plant_rating_kw=200.0,
             refuse_gaps=refuse_gaps,
         )
 
@@ -53,21 +60,24 @@ def read(tmp_path: Path) -> Read:
 
 def test_the_mean_of_the_combiners_is_the_inverters(read: Read) -> None:
     found = read()
-    assert found.inverters == ("01", "02")
-    np.testing.assert_allclose(found.share[:3], [[0.6, 0.2], [0.7, 0.3], [1.1, 0.4]])
-    np.testing.assert_array_equal(found.time_ns, [0, 10e9, 20e9, 30e9])
-    assert found.listed == 2
-    assert found.report == ()
-    assert found.share[3, 0] == 0.0, "a small negative current"
-    np.testing.assert_allclose(found.x_m, [10.0, 110.0])
-    np.testing.assert_allclose(found.y_m, [-5.0, 30.0])
+    assert found.sites.names == ("inv01", "inv02")
+    np.testing.assert_array_equal(found.sites.rating_kw, [100.0, 100.0])
+    np.testing.assert_allclose(found.power_kw[:2], [[60.0, 20.0], [70.0, 30.0]])
+    assert found.power_kw[2, 0] == 100.0, "more than its rating"
+    assert found.power_kw[3, 0] == 0.0, "a small negative current"
+    assert found.measured_times.equals(BEGINS + pd.to_timedelta([0, 10, 20, 30], unit="s"))
+    assert found.repairs == ()
+    east_m, north_m = east_north_m(found.sites.lat_deg, found.sites.lon_deg)
+    np.testing.assert_allclose(np.diff(east_m), 110.0 - 10.0)
+    np.testing.assert_allclose(np.diff(north_m), 30.0 + 5.0)
 
 
 def test_fractions_of_a_second_keep_their_step(read: Read) -> None:
     faster = CURRENTS
     for second, text in [(30, "0.3"), (20, "0.2"), (10, "0.1")]:
         faster = faster.replace(f"\n{second},", f"\n{text},")
-    np.testing.assert_array_equal(read(currents=faster).time_ns, [0, 100e6, 200e6, 300e6])
+    expected = BEGINS + pd.to_timedelta([0, 100, 200, 300], unit="ms")
+    assert read(currents=faster).measured_times.equals(expected)
 
 
 # Gaps ---------------------------------------------------------------------------------------------
@@ -75,8 +85,8 @@ def test_fractions_of_a_second_keep_their_step(read: Read) -> None:
 
 def test_the_mean_is_over_the_combiners_that_are_there(read: Read) -> None:
     found = read(currents=CURRENTS.replace("10,60,80,20,30,40", "10,60,80,20,,40"))
-    np.testing.assert_allclose(found.share[1], [0.7, 0.3])
-    assert found.report == (
+    np.testing.assert_allclose(found.power_kw[1], [70.0, 30.0])
+    assert found.repairs == (
         "hour.csv: inverter 02: 1 of 12 currents of its 3 combiners missing: the mean is over"
         " those that are there",
     )
@@ -85,8 +95,8 @@ def test_the_mean_is_over_the_combiners_that_are_there(read: Read) -> None:
 def test_a_combiner_without_a_column_is_missing_throughout(read: Read) -> None:
     without = "\n".join(line.rpartition(",")[0] for line in CURRENTS.splitlines()) + "\n"
     found = read(currents=without)
-    np.testing.assert_allclose(found.share[0], [0.6, 0.15])
-    (told,) = found.report
+    np.testing.assert_allclose(found.power_kw[0], [60.0, 15.0])
+    (told,) = found.repairs
     assert told.startswith("hour.csv: inverter 02: 4 of 12 currents of its 3 combiners missing")
     assert "inverter 02" in complaint_of(read, currents=without, refuse_gaps=True)
 

@@ -1,5 +1,6 @@
 """Missing values of a sensor, filled from the sensors around it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ def line_of_sensors(ghi_wm2: Floats, north_m: list[float]) -> Irradiance:
         tuple("ABCDEFGH"[:count]),
         21.3 + np.array(north_m) / 111_200.0,
         np.full(count, -158.0),
+        "day.txt",
     )
 
 
@@ -32,9 +34,9 @@ def test_weights_are_inverse_squares_of_distances_and_the_sensors_own_level_is_k
         np.array([[90.0, 100.0, 100.0], [NAN, 500.0, 1000.0], [270.0, 300.0, 300.0]]),
         [0.0, 100.0, -200.0],
     )
-    found, report = fill_from_neighbours(given, "day.txt")
+    found = fill_from_neighbours(given)
     np.testing.assert_allclose(found.ghi_wm2[1, 0], 0.9 * (4 * 500.0 + 1000.0) / 5, rtol=1e-9)
-    assert report == ("A: 1 of 3 values missing, filled from B and C times 0.900",)
+    assert found.report == ("A: 1 of 3 values missing, filled from B and C times 0.900",)
 
 
 def test_values_that_are_there_stay_to_the_last_bit() -> None:
@@ -43,7 +45,7 @@ def test_values_that_are_there_stay_to_the_last_bit() -> None:
     ghi_wm2[rng.random(ghi_wm2.shape) < 0.2] = NAN
     ghi_wm2[:, 3] = 400.0
     given = line_of_sensors(ghi_wm2, [0.0, 50.0, 120.0, 300.0])
-    found, _ = fill_from_neighbours(given, "day.txt")
+    found = fill_from_neighbours(given)
     there = ~np.isnan(ghi_wm2)
     np.testing.assert_array_equal(found.ghi_wm2[there], ghi_wm2[there])
     assert np.isfinite(found.ghi_wm2).all()
@@ -57,29 +59,30 @@ def test_the_three_nearest_that_have_a_value_serve_and_farther_ones_in_their_ste
     ghi_wm2[:, 5] = 9.0  # F is the farthest: it serves only where a nearer one is missing too.
     ghi_wm2[2, 1] = NAN
     given = line_of_sensors(ghi_wm2, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
-    found, report = fill_from_neighbours(given, "day.txt")
+    found = fill_from_neighbours(given)
     np.testing.assert_allclose(found.ghi_wm2[1:, 0], [500.0, 500.0])
-    assert report[0] == "A: 2 of 3 values missing, filled from B, C, D and 1 farther times 1.000"
+    assert (
+        found.report[0] == "A: 2 of 3 values missing, filled from B, C, D and 1 farther times 1.000"
+    )
 
 
 def test_a_sensor_that_was_never_there_takes_the_level_of_its_neighbours() -> None:
     given = line_of_sensors(np.array([[NAN, 100.0], [NAN, 300.0]]), [0.0, 100.0])
-    found, report = fill_from_neighbours(given, "day.txt")
+    found = fill_from_neighbours(given)
     np.testing.assert_allclose(found.ghi_wm2[:, 0], [100.0, 300.0])
-    assert report == ("A: 2 of 2 values missing, filled from B times 1.000",)
+    assert found.report == ("A: 2 of 2 values missing, filled from B times 1.000",)
 
 
 def test_two_sensors_at_one_place_do_no_harm() -> None:
     given = line_of_sensors(np.array([[NAN, 200.0], [100.0, 100.0]]), [0.0, 0.0])
-    found, _ = fill_from_neighbours(given, "day.txt")
-    assert found.ghi_wm2[0, 0] == 200.0
+    assert fill_from_neighbours(given).ghi_wm2[0, 0] == 200.0
 
 
 def test_where_no_sensor_has_a_value_each_draws_a_line_in_time() -> None:
     ghi_wm2 = np.array([[100.0, 10.0], [NAN, NAN], [NAN, NAN], [400.0, 40.0]])
-    found, report = fill_from_neighbours(line_of_sensors(ghi_wm2, [0.0, 1.0]), "day.txt")
+    found = fill_from_neighbours(line_of_sensors(ghi_wm2, [0.0, 1.0]))
     np.testing.assert_allclose(found.ghi_wm2, [[100, 10], [200, 20], [300, 30], [400, 40]])
-    assert report == (
+    assert found.report == (
         "all sensors: 2 of 4 values missing at the same time, interpolated from the values before"
         " and after",
     )
@@ -91,9 +94,9 @@ def test_where_no_sensor_has_a_value_each_draws_a_line_in_time() -> None:
 def test_a_silence_too_long_or_at_an_end_is_refused(first: int, after: int, lines: str) -> None:
     ghi_wm2 = np.full((100, 2), 500.0)
     ghi_wm2[10:70] = NAN  # Sixty values are not too long.
-    assert fill_from_neighbours(line_of_sensors(ghi_wm2, [0.0, 100.0]), "day.txt")
+    assert fill_from_neighbours(line_of_sensors(ghi_wm2, [0.0, 100.0]))
     ghi_wm2[first:after] = NAN
-    found = complaint_of(fill_from_neighbours, line_of_sensors(ghi_wm2, [0.0, 100.0]), "day.txt")
+    found = complaint_of(fill_from_neighbours, line_of_sensors(ghi_wm2, [0.0, 100.0]))
     assert found.startswith(f"day.txt: lines {lines}: expected at most 60 lines")
 
 
@@ -111,8 +114,7 @@ def test_twenty_minutes_of_broken_clouds_come_back_well(data_folder: Path) -> No
         truth = whole.ghi_wm2[gap, sensor]
         ghi_wm2 = whole.ghi_wm2.copy()
         ghi_wm2[gap, sensor] = NAN
-        given = Irradiance(whole.times, ghi_wm2, whole.sensors, whole.lat_deg, whole.lon_deg)
-        filled = fill_from_neighbours(given, "hope")[0].ghi_wm2[gap, sensor]
+        filled = fill_from_neighbours(replace(whole, ghi_wm2=ghi_wm2)).ghi_wm2[gap, sensor]
         line = np.interp(np.arange(600, 1800), [599, 1800], whole.ghi_wm2[[599, 1800], sensor])
         rmse_wm2.append(np.sqrt(np.mean((filled - truth) ** 2)))
         of_a_line_wm2.append(np.sqrt(np.mean((line - truth) ** 2)))

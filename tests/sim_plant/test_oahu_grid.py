@@ -12,7 +12,8 @@ from complaints import complaint_of
 from oahu_days import day_text
 
 from sim_plant import Floats
-from sim_plant.oahu_grid import HORIZONTAL, GridDay, latest_day_before, read_day
+from sim_plant.irradiance import Irradiance
+from sim_plant.oahu_grid import HORIZONTAL, latest_day_before, read_day
 
 DAY = date(2010, 4, 1)
 FIELDS = (
@@ -21,7 +22,7 @@ FIELDS = (
 )
 POSITIONS = Path(__file__).resolve().parents[2] / "launch_scripts" / "scenarios" / "oahu.csv"
 
-Read = Callable[..., GridDay]
+Read = Callable[..., Irradiance]
 
 
 def some_minutes() -> Floats:
@@ -35,7 +36,7 @@ def column(sensor: str) -> int:
 
 @pytest.fixture
 def read(tmp_path: Path) -> Read:
-    def read_text(text: str, **options: object) -> GridDay:
+    def read_text(text: str, **options: object) -> Irradiance:
         (tmp_path / "20100401.txt").write_text(text)
         options = {"most_missing": 0.2} | options
         return read_day(tmp_path, DAY, POSITIONS, **options)  # type: ignore[arg-type]
@@ -53,23 +54,23 @@ def message_of(read: Read, text: str, **options: object) -> str:
 
 def test_each_sensor_has_its_own_field_and_the_tilted_have_none(read: Read) -> None:
     found = read(day_text(DAY, some_minutes()), stations=None)
-    assert found.irradiance.sensors == HORIZONTAL
+    assert found.sensors == HORIZONTAL
     assert len(HORIZONTAL) == 17
     assert not {"DH1T", "AP6T", "AP2"} & set(HORIZONTAL)
-    for sensor, value in zip(HORIZONTAL, found.irradiance.ghi_wm2[7], strict=True):
+    for sensor, value in zip(HORIZONTAL, found.ghi_wm2[7], strict=True):
         assert value == 10.0 * (5 + column(sensor)) + 7.0
     assert found.report == ()
 
 
 def test_stamps_are_hawaii_standard_time(read: Read) -> None:
-    times = read(day_text(DAY, some_minutes(), begin="05:00")).irradiance.times
+    times = read(day_text(DAY, some_minutes(), begin="05:00")).times
     assert times[0] == pd.Timestamp("2010-04-01T05:00:00-10:00")
     assert times[-1] == pd.Timestamp("2010-04-01T15:02:29Z")
     assert str(times.tz) == "UTC"
 
 
 def test_stations_and_their_positions_are_in_the_order_asked_for(read: Read) -> None:
-    found = read(day_text(DAY, some_minutes()), stations=["AP7", "DH1"]).irradiance
+    found = read(day_text(DAY, some_minutes()), stations=["AP7", "DH1"])
     assert found.sensors == ("AP7", "DH1")
     np.testing.assert_array_equal(found.ghi_wm2[0], [200.0, 120.0])
     np.testing.assert_array_equal(found.lat_deg, [21.31478, 21.31533])
@@ -80,7 +81,7 @@ def test_the_small_negatives_of_the_night_are_zero(read: Read) -> None:
     ghi_wm2 = some_minutes()
     ghi_wm2[3, column("DH4")] = -0.7
     found = read(day_text(DAY, ghi_wm2))
-    assert found.irradiance.ghi_wm2[3, HORIZONTAL.index("DH4")] == 0.0
+    assert found.ghi_wm2[3, HORIZONTAL.index("DH4")] == 0.0
     assert found.report == ()
 
 
@@ -90,7 +91,7 @@ def test_a_day_is_found_in_the_archive_of_its_month(tmp_path: Path, inside: str)
         archive.writestr("readme.txt", "about the month")
         archive.writestr(inside, day_text(DAY, some_minutes()))
     found = read_day(tmp_path, DAY, POSITIONS, most_missing=0.2)
-    assert found.irradiance.ghi_wm2.shape == (150, 17)
+    assert found.ghi_wm2.shape == (150, 17)
     assert found.source == f"{tmp_path / '201004.zip'}/{inside}"
 
 
@@ -109,12 +110,12 @@ def test_a_gap_is_filled_and_told(read: Read) -> None:
         "20100401.txt: DH8: 20 of 150 values missing, filled from DH6 times 1.069",
     )
     truth = some_minutes()[40:60, column("DH8")]
-    np.testing.assert_allclose(found.irradiance.ghi_wm2[40:60, 1], truth, rtol=0.02)
+    np.testing.assert_allclose(found.ghi_wm2[40:60, 1], truth, rtol=0.02)
 
 
 def test_a_sensor_of_which_just_not_too_much_is_missing_is_kept(read: Read) -> None:
     found = read(day_text(DAY, with_gap("AP3", slice(0, 30))))
-    assert "AP3" in found.irradiance.sensors
+    assert "AP3" in found.sensors
 
 
 def test_a_day_without_any_sensor_is_refused(read: Read) -> None:

@@ -40,7 +40,7 @@ def test_the_motion_of_a_drifting_pattern_is_found(speed_ms: float, from_deg: fl
 def test_the_motion_over_a_real_plant_is_the_one_that_its_publisher_found(
     data_folder: Path, hour: str, speed_ms: float, angle_rad: float
 ) -> None:
-    current, east_m, north_m, averaging = real_plant(data_folder, hour)
+    current, east_m, north_m, averaging = real_plant(data_folder / "plant20mw-combiners-10s", hour)
     motion = cloud_motion(current @ averaging, east_m @ averaging, north_m @ averaging, 10.0)
     # The angle is that of the velocity, counter-clockwise from east.
     from_deg = (270.0 - np.rad2deg(angle_rad)) % 360.0

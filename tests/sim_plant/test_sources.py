@@ -1,5 +1,6 @@
 """Where possible power comes from, measured at another step or on another day than the run."""
 
+from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
@@ -12,7 +13,7 @@ from sim_plant.clouds import CloudSettings
 from sim_plant.irradiance import Irradiance
 from sim_plant.pv import PvSettings, ac_power_kw
 from sim_plant.sites import Sites
-from sim_plant.sources import CloudySky, MeasuredPlant, MeasuredSky
+from sim_plant.sources import CloudySky, MeasuredPlant, PlantUnderSky, measured_sky
 
 SITES = Sites(
     ("a", "b"), np.array([21.31, 21.32]), np.array([-158.08, -158.07]), np.array([100.0, 300.0])
@@ -20,11 +21,22 @@ SITES = Sites(
 NOON = pd.Timestamp("2010-04-01T22:00:00Z")
 
 
-def sky(begin: pd.Timestamp = NOON, base_wm2: float = 300.0, **options: object) -> MeasuredSky:
+def irradiance(
+    begin: pd.Timestamp = NOON, base_wm2: float = 300.0, report: tuple[str, ...] = ()
+) -> Irradiance:
     times = pd.date_range(begin, periods=60, freq="1s")
     ghi_wm2 = base_wm2 + np.column_stack([np.arange(60.0), 3.0 * np.arange(60.0)])
-    irradiance = Irradiance(times, ghi_wm2, SITES.names, SITES.lat_deg, SITES.lon_deg)
-    return MeasuredSky(SITES, 11.0, PvSettings(), irradiance, "ghi.csv", **options)  # type: ignore[arg-type]
+    return Irradiance(times, ghi_wm2, SITES.names, SITES.lat_deg, SITES.lon_deg, "ghi.csv", report)
+
+
+def sky(
+    given: Irradiance | None = None,
+    earlier: MeasuredPlant | None = None,
+    earlier_by: timedelta = timedelta(0),
+) -> MeasuredPlant:
+    under = PlantUnderSky(SITES, 11.0, PvSettings())
+    found = measured_sky(under, irradiance() if given is None else given)
+    return replace(found, earlier=earlier, earlier_by=earlier_by)
 
 
 def plant() -> MeasuredPlant:
@@ -38,10 +50,11 @@ def cycles(count: int, freq: str, begin: pd.Timestamp = NOON) -> pd.DatetimeInde
 
 
 def test_a_measured_sky_at_its_own_step_is_the_model_itself() -> None:
-    given = sky()
+    measured = irradiance()
+    given = sky(measured)
     expected = ac_power_kw(
-        given.irradiance.ghi_wm2,
-        given.irradiance.times,
+        measured.ghi_wm2,
+        measured.times,
         SITES.lat_deg,
         SITES.lon_deg,
         SITES.rating_kw,
@@ -54,7 +67,7 @@ def test_a_measured_sky_at_its_own_step_is_the_model_itself() -> None:
 
 
 def test_an_earlier_day_is_at_the_same_time_of_day() -> None:
-    before = sky(NOON - pd.Timedelta(3, unit="D"), base_wm2=100.0)
+    before = sky(irradiance(NOON - pd.Timedelta(3, unit="D"), base_wm2=100.0))
     given = sky(earlier=before, earlier_by=timedelta(days=3))
     times = cycles(4, "1s", NOON + pd.Timedelta(20, unit="s"))
     np.testing.assert_array_equal(
@@ -64,27 +77,22 @@ def test_an_earlier_day_is_at_the_same_time_of_day() -> None:
 
 
 def test_an_earlier_day_must_cover_the_times() -> None:
-    given = sky(earlier=sky(NOON - pd.Timedelta(1, unit="D")), earlier_by=timedelta(days=1))
+    before = sky(irradiance(NOON - pd.Timedelta(1, unit="D")))
+    given = sky(earlier=before, earlier_by=timedelta(days=1))
     assert "2010-03-31T22:01:01Z" in complaint_of(given.earlier_day_kw, cycles(61, "1s"))
 
 
 @pytest.mark.parametrize("source", [sky(), plant()])
-def test_measurements_of_one_day_have_no_earlier_one(source: MeasuredSky | MeasuredPlant) -> None:
+def test_measurements_of_one_day_have_no_earlier_one(source: MeasuredPlant) -> None:
     found = complaint_of(source.earlier_day_kw, cycles(2, "10s"))
     assert found.startswith("neighbours.history: expected")
-
-
-def test_a_plant_without_a_place_has_no_clear_sky() -> None:
-    found = complaint_of(plant().clear_sky_kw, cycles(2, "10s"))
-    assert found.startswith("commitment.kind: expected")
 
 
 def test_what_a_reader_must_know_of_the_data_is_told() -> None:
     mean = "a cycle of 20 s is the mean of 2 measured values"
     assert plant().remarks(cycles(2, "20s")) == ("hour.csv: a remark", mean)
-    both = sky(
-        repairs=("today",), earlier=sky(repairs=("yesterday",)), earlier_by=timedelta(days=1)
-    )
+    before = sky(irradiance(report=("yesterday",)))
+    both = sky(irradiance(report=("today",)), earlier=before, earlier_by=timedelta(days=1))
     assert both.remarks(cycles(2, "1s")) == ("today", "yesterday")
     assert sky().remarks(cycles(2, "1s")) == ()
 

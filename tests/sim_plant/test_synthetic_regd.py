@@ -77,7 +77,7 @@ def test_the_signal_is_energy_neutral(signal: Floats) -> None:
 def real_days(data_folder: Path) -> list[dict[str, float]]:
     folder = data_folder / "pjm-regd-2s"
     return [
-        statistics(read_signal(folder / f"regd_2020-07-{day}.csv").value[:DAY]) for day in (16, 22)
+        statistics(read_signal(folder / f"regd_2020-07-{day}.csv")[1][:DAY]) for day in (16, 22)
     ]
 
 

@@ -26,7 +26,7 @@ from studies.report.tables import devices_tables
 from sunspec.client import DeviceError
 from sunspec.gateway import Gateway
 from sunspec.limited_inverter import LimitedInverter, LimitSettings
-from sunspec.process import Connected, Event, News, read_accounts
+from sunspec.process import read_accounts
 from sunspec.server import ServedPlant, Sky, served
 
 PLAN = plan_of({"c1/a": 100.0}, actuator="limit", cycle_ns=50_000_000, cycle_wall_ns=50_000_000)
@@ -43,16 +43,16 @@ def with_device(address: str, revert: Revert | None = None) -> RunPlan:
 
 
 @contextmanager
-def gateway(plan: RunPlan, folder: Path) -> Iterator[tuple[Devices, list[Event]]]:
-    """Run a gateway; gives the plant's end, and the gateway's events, all of them at its end."""
-    events: list[Event] = []
+def gateway(plan: RunPlan, folder: Path) -> Iterator[tuple[Devices, list[str]]]:
+    """Run a gateway; gives the plant's end, and what the gateway tells, all of it at its end."""
+    told: list[str] = []
     until, end = os.pipe()
-    found = Gateway(plan, events.append)
+    found = Gateway(plan, told.append)
     thread = threading.Thread(target=found.serve, args=(folder, until))
     thread.start()
     try:
-        eventually(lambda: Connected() in events)
-        yield Devices(plan, folder), events
+        eventually(lambda: bool(told))
+        yield Devices(plan, folder), told
     finally:
         os.close(end)
         thread.join()
@@ -118,10 +118,10 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
         address = addresses["c1/a"]
         port = parse_address(address, "")[1]
         running = gateway(with_device(address), tmp_path)
-        devices, events = running.__enter__()
+        devices, told = running.__enter__()
         devices.command(0, command(0, 30.0))
         eventually(lambda: newest(devices).power_kw == 30.0)
-    eventually(lambda: any(isinstance(event, News) for event in events))
+    eventually(lambda: any(told))
     eventually(lambda: devices.silent(1) == {0})
     with served(one_inverter(port)):  # It comes back without its limit.
         eventually(lambda: newest(devices).power_kw == 80.0 and not devices.silent(1))
@@ -135,8 +135,8 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
 def test_an_inverter_that_never_comes_back_is_gone_at_the_end(tmp_path: Path) -> None:
     with served(one_inverter()) as addresses:
         running = gateway(with_device(addresses["c1/a"]), tmp_path)
-        _, events = running.__enter__()
-    eventually(lambda: any(isinstance(event, News) for event in events))
+        _, told = running.__enter__()
+    eventually(lambda: any(told))
     eventually(lambda: any(account.gone_s for account in read_accounts(tmp_path)))
     running.__exit__(None, None, None)
     (account,) = read_accounts(tmp_path)
@@ -164,10 +164,10 @@ def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path
     plant = ServedPlant(inverters=inverters, sky=sky, now=time.monotonic)
     with (
         served(plant) as addresses,
-        gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, events),
+        gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, told),
     ):
         devices.command(0, command(0, 30.0))
-        eventually(lambda: any(isinstance(event, News) for event in events))
+        eventually(lambda: any(told))
         devices.command(0, command(1, 30.0))
         eventually(lambda: newest(devices).power_kw == 30.0)
     (account,) = read_accounts(tmp_path)
@@ -178,4 +178,4 @@ def test_an_inverter_that_is_not_there_is_refused_by_name() -> None:
     with served(one_inverter()) as addresses:
         gone = addresses["c1/a"]
     with pytest.raises(DeviceError, match="c1/a"):
-        Gateway(with_device(gone), lambda event: None)
+        Gateway(with_device(gone), lambda line: None)

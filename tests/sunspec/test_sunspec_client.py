@@ -15,10 +15,11 @@ from clock_by_hand import ClockByHand
 
 from sunspec.client import DeviceError, SunSpecInverter
 from sunspec.limited_inverter import LimitedInverter
+from sunspec.registers import Points, inverter_points
 from sunspec.server import ServedPlant, Sky, served
 
-OLD = (1, 103, 120, 121, 122, 123)
-NEW = (1, 701, 702, 704)
+OLD = (103, 120, 121, 122, 123)
+NEW = (701, 702, 704)
 
 Serve = Callable[..., tuple[SunSpecInverter, Sky]]
 
@@ -34,14 +35,20 @@ def serve(clock: ClockByHand) -> Iterator[Serve]:
     contexts = []
 
     def start(models: Sequence[int], missing: Sequence[str] = ()) -> tuple[SunSpecInverter, Sky]:
+        def points(inverter: LimitedInverter, at: float) -> Points:
+            return {
+                model: {name: value for name, value in found.items() if name not in missing}
+                for model, found in inverter_points(inverter, at).items()
+                if model in models
+            }
+
         sky = Sky(np.array([[80.0]]), 1.0, None)
         context = served(
             ServedPlant(
                 inverters={"c1/a": LimitedInverter(100.0, sky.possible_kw(0))},
                 sky=sky,
                 now=lambda: clock() / 1e9,
-                models=models,
-                missing=missing,
+                points=points,
             )
         )
         contexts.append(context)
@@ -86,7 +93,7 @@ def test_connecting_and_reading_leaves_a_limit_alone(serve: Serve, models: Seque
 
 @pytest.mark.parametrize(
     ("models", "missing"),
-    [((1, 103, 121), "704 or 123"), ((1, 704, 702), "701 or 103"), ((1, 103, 123), "702")],
+    [((103, 121), "704 or 123"), ((704, 702), "701 or 103"), ((103, 123), "702")],
 )
 def test_a_model_that_is_missing_is_named(
     serve: Serve, models: Sequence[int], missing: str

@@ -239,6 +239,14 @@ def test_an_empty_value_is_refused(words: str, folder: Path) -> None:
     assert sorted(folder.rglob("*")) == before
 
 
+def test_no_name_of_a_run_does_not_mean_the_current_folder(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder / "run")
+    assert heliarch("inspect", ".").exit_code == 0
+    refusal("inspect", "")
+
+
 def test_without_a_command_the_help_is_shown() -> None:
     result = CliRunner().invoke(app, [])
     assert result.exit_code == 2

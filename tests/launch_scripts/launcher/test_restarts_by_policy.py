@@ -120,7 +120,7 @@ def test_after_a_takeover_the_other_process_is_the_one_that_must_be_there(run: W
 
 
 def dies(run: Watched, name: str) -> bool:
-    run[name].exited = Exited(-9, 0.0, 0)
+    run[name].exited = Exited(-9, 0.0)
     return run.restarts.replaces(run[name], f"{name} was killed by signal 9")
 
 

@@ -365,12 +365,3 @@ def test_a_file_beside_the_scenario_is_held_onto_its_cycles(folder: Folder) -> N
 def test_a_regulation_file_that_is_not_there_is_refused(folder: Folder) -> None:
     table = 'kind = "file"\npath = "regd.csv"\ncapacity_kw = 1'
     assert with_regulation(folder, table).complaint().startswith("regd.csv: expected")
-
-
-def test_a_signal_of_another_step_than_pjms_is_taken_and_told(folder: Folder) -> None:
-    rows = [f"{ONE_O_CLOCK_S + 4 * row},0.5" for row in range(10)]
-    folder.write("slow.csv", "\n".join(["t_s,regd", *rows]))
-    table = 'kind = "file"\npath = "slow.csv"\ncapacity_kw = 40'
-    assert with_regulation(folder, table).prepare().remarks == (
-        "slow.csv: a value every 4 s, PJM sends one every 2 s: each is held until the next.",
-    )

@@ -72,7 +72,9 @@ def test_a_device_that_left_and_came_back_is_named_and_repeats_nothing(tmp_path:
         for pair in whole_run(CYCLES)
         if pair[1].source != DEVICE or not 20 <= pair[1].cycle < 30
     )
-    anew = numbered(run, lambda pair: pair[1].source == DEVICE and pair[1].cycle >= 30)
+    anew = list(numbered(run, lambda pair: pair[1].source == DEVICE and pair[1].cycle >= 30))
+    for _, message in anew:
+        message.incarnation = 30 * (message.source == DEVICE and message.cycle >= 30)
     write_messages(tmp_path / "run.mcap", anew)
     health, text = health_of(tmp_path)
     assert health.absences == (Absence(DEVICE, 20, 29, 30, True),)

@@ -126,6 +126,18 @@ def test_a_cut_recording_is_read_up_to_the_cut(
         assert list(run.messages(start=last)) == ends
 
 
+def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one(
+    tmp_path: Path,
+) -> None:
+    write_run(tmp_path / "run.mcap", whole_run(10), is_kept=lambda pair: pair[1].cycle < 5)
+    (tmp_path / "run-2.mcap").touch()
+    write_run(tmp_path / "run-3.mcap", whole_run(10), is_kept=lambda pair: pair[1].cycle >= 7)
+    with open_run(tmp_path) as run:
+        cycles = [message.cycle for _, message in run.messages(PRODUCTION)]
+        assert cycles == [*range(5), *range(7, 10)]
+        assert not run.whole
+
+
 def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> None:
     frame = run.frame("setpoint", nodes=["c1/a", "c1/b"], start="12:00:10", end="12:00:12")
     assert frame.index.name == "time"

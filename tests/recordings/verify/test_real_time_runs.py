@@ -143,6 +143,18 @@ def test_a_standby_that_took_over_between_its_parent_s_turns_is_compared(tmp_pat
     assert verified(tmp_path / "run", plan, messages, seed=0).equal
 
 
+def test_who_hears_two_processes_of_an_agent_in_a_cycle_is_compared(tmp_path: Path) -> None:
+    plan = faulty_plan(FaultRule(kill="c1", at=(12.2,)), standby=("c1",))
+    messages = published(plan, cloudy_profile(plan))
+    own = [pair for pair in messages if pair[0] is IMPP.of("c1")]
+    port, successor = next(pair for pair in own if pair[1].incarnation)
+    messages.insert(
+        messages.index((port, successor)), (port, replace(successor, incarnation=0, sequence=12))
+    )
+    folder = record(tmp_path / "run", plan, messages)
+    assert verify(folder, "central", Comparison()).equal
+
+
 # The recorder was away ----------------------------------------------------------------------------
 
 

@@ -25,10 +25,10 @@ from scipy import fft
 
 from sim_plant import Floats
 
-# The clear-sky index at which the kinds of sky are parted.
-PARTLY_FROM = 0.5
 CLEAR_FROM = 0.9
-ENHANCED_FROM = 1.05
+
+# Kinds of sky, and the clear-sky index at which each begins.
+_KINDS = {"cloudy": -np.inf, "partly": 0.5, "clear": CLEAR_FROM, "enhanced": 1.05}
 
 # A pair stands along the motion if it lies within so many degrees of it, across if of its normal.
 _SECTOR_DEG = 30.0
@@ -91,16 +91,6 @@ class CloudMotion:
     pairs: int
 
 
-@dataclass(frozen=True, slots=True)
-class SkyShares:
-    """Shares of the time, which add up to 1: an index below 0.5, 0.9 and 1.05, and above."""
-
-    cloudy: float
-    partly: float
-    clear: float
-    enhanced: float
-
-
 def changes(index: Floats, step_s: float, interval_s: float) -> Floats:
     """Return the changes within an interval, at every time at which one begins."""
     steps = round(interval_s / step_s)
@@ -113,12 +103,10 @@ def exceedance(change: Floats, thresholds: Floats) -> Floats:
     return 1.0 - np.searchsorted(size, thresholds, side="right") / size.size
 
 
-def sky_shares(index: Floats) -> SkyShares:
-    """Return the shares of cloudy, partly cloudy, clear and enhanced time."""
-    limits = [-np.inf, PARTLY_FROM, CLEAR_FROM, ENHANCED_FROM, np.inf]
-    count, _ = np.histogram(index, bins=limits)
-    cloudy, partly, clear, enhanced = (count / index.size).tolist()
-    return SkyShares(cloudy, partly, clear, enhanced)
+def sky_shares(index: Floats) -> dict[str, float]:
+    """Return the shares of cloudy, partly cloudy, clear and enhanced time, which add up to 1."""
+    count, _ = np.histogram(index, bins=[*_KINDS.values(), np.inf])
+    return dict(zip(_KINDS, (count / index.size).tolist(), strict=True))
 
 
 def cloud_cover(index: Floats) -> float:
@@ -236,13 +224,12 @@ def _standardised(series: Floats) -> Floats:
     return np.asarray(centred / np.where(spread > 0.0, spread, np.nan))
 
 
-def real_plant(data_folder: Path, hour: str) -> tuple[Floats, Floats, Floats, Floats]:
+def real_plant(folder: Path, hour: str) -> tuple[Floats, Floats, Floats, Floats]:
     """Read an hour of a real plant: currents, shape (T, combiners), and where the combiners stand.
 
     The last array averages over the combiners of each inverter.
     """
-    folder = data_folder / "plant20mw-combiners-10s"
-    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s")
+    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s").dropna(axis="columns")
     places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")
     places = places.loc[currents.columns]
     east_m, north_m = places[["x_m", "y_m"]].to_numpy(dtype=np.float64).T
