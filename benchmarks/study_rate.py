@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from agents.settings import Scheme
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
-from studies.arrays.closed_loop import is_corrected
+from studies.arrays.control_arrays import is_corrected
 from studies.arrays.schemes import SCHEMES, ReferenceGroups, run_scheme
 from studies.delays.study import run_in_memory
 from studies.metrics import run_metrics

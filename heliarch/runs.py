@@ -132,8 +132,7 @@ def compare(
         tuple(days),
         tuple(seeds),
     )
-    results = dict(share_work(partial(run_case, comparison), found, workers))
-    table = pd.DataFrame(json_rows([results[number] for number in sorted(results)]))
+    table = pd.DataFrame(json_rows(share_work(partial(run_case, comparison), found, workers)))
     return table.drop(columns=["metrics", "remarks"])
 
 

@@ -168,12 +168,6 @@ def print_table(console: Console, table: Table) -> None:
     console.print()
 
 
-def print_lines(console: Console, lines: Iterable[str]) -> None:
-    """Print paragraphs of plain text, wrapped as tables are."""
-    for line in lines:
-        console.print(Text(printable(line)), width=min(console.width, WIDTH))
-
-
 def json_rows(table: Table) -> list[dict[str, str | float | bool | None]]:
     """Return a row of a table as a JSON object by column name; numbers keep all their digits."""
     return [dict(zip(table.names(), map(_json_cell, row), strict=True)) for row in table.rows]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib import import_module
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
 from multiprocessing.resource_tracker import ensure_running
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, TypeVar
 
 from agents.process import die_with_parent
 from bus_schemas.errors import FailureError, InputError
@@ -27,9 +27,12 @@ class WorkerLostError(FailureError):
 
 
 def share_work(
-    function: Callable[[Item], Result], items: Sequence[Item], workers: int
-) -> Generator[tuple[int, Result]]:
-    """Apply a function to each item; yield the item's place and the result as each is done.
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int,
+    done: Callable[[], object] = lambda: None,
+) -> list[Result]:
+    """Apply a function to each item; return the results in their order. `done` is called for each.
 
     With one worker everything runs in this process. With more, function and items must be
     picklable. Workers never outlive this process, however it ends: they ignore the signals that
@@ -38,56 +41,47 @@ def share_work(
     Raises WorkerLostError: A worker was killed.
     """
     if workers == 1 or len(items) <= 1:
-        yield from enumerate(map(function, items))
-        return
+        found = []
+        for item in items:
+            found.append(function(item))
+            done()
+        return found
+    others = set(multiprocessing.active_children())
+    ensure_running()  # Its start lifts a block of signals, so it must not fall within ours.
     context = multiprocessing.get_context("spawn")
-    started: list[SpawnProcess] = []
-    ours: list[Connection] = []
-    waiting = iter(enumerate(items))
+    pool = ProcessPoolExecutor(min(workers, len(items)), context, _begin, (function,))
     try:
-        ensure_running()  # Its start lifts a block of signals, so it must not fall within ours.
-        for _ in range(min(workers, len(items))):
-            end, theirs = context.Pipe()
-            ours.append(end)
-            worker = context.Process(target=_work, args=(theirs,))
-            with _signals_blocked(), theirs:
-                worker.start()
-                started.append(worker)
-        for end in ours:
-            end.send(function)
-            end.send(next(waiting))
-        for _ in items:
-            end = cast("Connection", wait(ours)[0])
-            place, result, error = end.recv()
-            if error is not None:
-                raise error
-            if (item := next(waiting, None)) is not None:
-                end.send(item)
-            yield place, result
-    except (EOFError, ConnectionError):
+        with _signals_blocked():
+            futures: list[Future[Any]] = [pool.submit(_apply, item) for item in items]
+        for future in as_completed(futures):
+            future.result()
+            done()
+        return [future.result() for future in futures]
+    except BrokenProcessPool:
         raise WorkerLostError(
             "a worker was killed, often because memory ran out: try fewer --workers"
         ) from None
     finally:
-        for worker in started:
+        for worker in set(multiprocessing.active_children()) - others:
             worker.kill()
-        for worker in started:
-            worker.join()
+        pool.shutdown(cancel_futures=True)
 
 
-def _work(study: Connection) -> None:
-    """Apply the function that the study sends to each of its items, until it kills this process."""
+_OF_WORKER: Final[dict[str, Callable[[Any], Any]]] = {}
+"""In a worker: the function that it applies. It may be large, so it is sent once."""
+
+
+def _begin(function: Callable[[Any], Any]) -> None:
+    """Prepare a worker."""
     die_with_parent()
     parent = multiprocessing.parent_process()
     if parent is None or os.getppid() != parent.pid:  # It died before the kernel was asked.
-        return
-    function = study.recv()
-    while True:
-        place, item = study.recv()
-        try:
-            study.send((place, function(item), None))
-        except Exception as error:
-            study.send((place, None, error))
+        os._exit(1)
+    _OF_WORKER["function"] = function
+
+
+def _apply(item: object) -> object:
+    return _OF_WORKER["function"](item)
 
 
 @contextmanager
@@ -104,8 +98,11 @@ def _signals_blocked() -> Iterator[None]:
 
 
 def share_over_cluster(
-    function: Callable[[Item], Result], items: Sequence[Item], scheduler: str
-) -> Generator[tuple[int, Result]]:
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    scheduler: str,
+    done: Callable[[], object] = lambda: None,
+) -> list[Result]:
     """As `share_work`, over the workers of a Dask scheduler.
 
     They must have Heliarch installed and see the data under the same paths.
@@ -126,16 +123,15 @@ def share_over_cluster(
             f"got {scheduler} ({type(error).__name__})"
         ) from None
     with client:
-        places = {
-            client.submit(function, item, pure=False): place for place, item in enumerate(items)
-        }
-        for future in distributed.as_completed(list(places)):
-            try:
-                result: Result = future.result()
-            except InputError:
-                raise
-            except Exception as error:  # Whatever is wrong with a cluster comes in many kinds.
-                raise WorkerLostError(
-                    f"--scheduler {scheduler} gave up ({type(error).__name__}: {error})"
-                ) from None
-            yield places[future], result
+        futures = [client.submit(function, item, pure=False) for item in items]
+        try:
+            for _ in distributed.as_completed(futures, raise_errors=True, with_results=True):
+                done()
+            results: list[Result] = client.gather(futures)
+        except InputError:
+            raise
+        except Exception as error:  # Whatever is wrong with a cluster comes in many kinds.
+            raise WorkerLostError(
+                f"--scheduler {scheduler} gave up ({type(error).__name__}: {error})"
+            ) from None
+        return results

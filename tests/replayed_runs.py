@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -56,7 +56,3 @@ def write(folder: Path, said: Iterable[Said], plan: RunPlan = PLAN) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     write_messages(folder / "run.mcap", said, plan=plan, messages_per_chunk=100)
     return folder
-
-
-def without(said: Iterable[Said], is_left_out: Callable[[Said], bool]) -> list[Said]:
-    return [entry for entry in said if not is_left_out(entry)]

@@ -12,7 +12,7 @@ from agents.cycle import kind_of
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from launch_scripts.launcher.summary import MessageCount, ProcessAccount, RunSummary
-from studies.timing.report import Reported, report_on
+from studies.timing.report import TimingReport, report_on
 
 LOAD = (0.5, 0.75)
 
@@ -70,7 +70,7 @@ def reported(
     dropped: int = 0,
     plan: RunPlan = PLAN,
     by_agent: bool = False,
-) -> Reported:
+) -> TimingReport:
     """A report on these cycles (default: two good ones) against the budgets of a TOML table."""
     folder.mkdir(exist_ok=True)
     scenario = f"{SCENARIO}[timing.budgets]\n{budgets}\n"

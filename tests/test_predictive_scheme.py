@@ -10,18 +10,14 @@ meters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
-from studies.arrays.schemes import ReferenceGroups, run_scheme
 from studies.compare.cases import cases, parse_setting
 from studies.compare.study import CaseResult, Comparison, run_case
-from studies.metrics import run_metrics
 
 COMPARISON = Comparison(("grouping", "paper", "predictive"))
 SETTINGS = ("plant.meter_noise=0,0.005", "plant.actuator=fraction,limit")
@@ -93,15 +89,3 @@ def test_under_synthetic_clouds(seed: int) -> None:
     options = RunOptions(duration="20m", seed=seed)
     shares = 'commitment={kind="share-of-median",share=0.5},{kind="share-of-median",share=0.8}'
     assert_predictive_wins(study(load_scenario("oahu"), shares, options=options))
-
-
-@pytest.mark.parametrize("error", ["noise", "low", "high"])
-def test_bad_meters_do_not_set_inverters_behind_limits_free(error: str) -> None:
-    options = RunOptions(actuator="limit", duration="20m")
-    day = prepare(load_scenario("oahu"), options, "meters")
-    noise = 0.05 * np.random.default_rng(1).standard_normal(day.profile.mpp_kw.shape)
-    errors = {"noise": noise, "low": noise * 0.0 - 0.03, "high": noise * 0.0 + 0.03}
-    profile = replace(day.profile, meter_error=errors[error])
-    (series,) = run_scheme("predictive", day.plan, profile, "limit", ReferenceGroups())
-    energy = run_metrics(series).commitment
-    assert 100.0 * energy.over_delivered_kwh / energy.desired_kwh < 0.6

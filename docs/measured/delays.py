@@ -110,8 +110,7 @@ def cells(one: Outcome) -> list[str]:
 
 def measured(runs: Sequence[tuple[str, Condition]]) -> list[Outcome]:
     """Run the hour of the study with other settings: each with its condition."""
-    found = dict(share_work(partial(_run, {s: _prepared(s) for s, _ in runs}), runs, WORKERS))
-    return [found[place] for place in sorted(found)]
+    return share_work(partial(_run, {s: _prepared(s) for s, _ in runs}), runs, WORKERS)
 
 
 def _run(prepared: dict[str, Preparation], run: tuple[str, Condition]) -> Outcome:
@@ -151,8 +150,9 @@ def without_correction(data: Path) -> Lines:
         ("delay", 10.0, "delay of 10 s per hop"),
         ("loss", 20.0, "20 % of all messages lost"),
     ]
+    setting = "control.correction=false"
     found = measured(
-        [("", Condition(trouble, value, "predictive", False)) for trouble, value, _ in conditions]
+        [(setting, Condition(trouble, value, "predictive")) for trouble, value, _ in conditions]
     )
     yield from header(["trouble", "correction", *TITLES])
     for (trouble, value, label), without in zip(conditions, found, strict=True):

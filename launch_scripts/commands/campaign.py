@@ -9,9 +9,8 @@ from typing import Final
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, OK
 from launch_scripts.commands.options import ResultOptions, changed_scenario
-from launch_scripts.commands.output import say, shared, written
+from launch_scripts.commands.output import publish, shared
 from launch_scripts.scenarios.run_options import RunOptions
-from studies.tables import print_table
 
 _LISTED: Final = 10
 
@@ -41,8 +40,8 @@ def campaign(
     Example: heliarch campaign oahu --seeds 1..200 --workers 2
     """
     from launch_scripts.scenarios.preparation import prepare
+    from studies.campaign import curves as failures
     from studies.campaign import results, study
-    from studies.campaign.curves import conditions, run_under
     from studies.compare.cases import parse_seeds
 
     changed = changed_scenario(scenario, files.data, settings)
@@ -54,29 +53,25 @@ def campaign(
     chosen = parse_seeds(seeds)
     found = study.campaign(preparation)
     if curves:
-        points = shared(partial(run_under, found), conditions(chosen), workers, "runs")
-        title = f"{plan.plant}, {plan.cycles} cycles from {preparation.local_start()}"
-        title += f", mean of {len(chosen)} seeds"
-        page = partial(results.curve_page, title, points)
-        with written(points, files, page, "campaign.html") as console:
-            for table in results.curve_tables(title, points):
-                print_table(console, table)
+        conditions = failures.conditions(chosen)
+        points = shared(partial(failures.run_under, found), conditions, workers, "runs")
+        publish(results.curves_result(preparation, points), files, "campaign.html")
         return OK
     outcomes = shared(partial(study.run_seed, found), chosen, workers, "runs")
-    page = partial(results.campaign_page, preparation, found, outcomes)
     broken = [outcome for outcome in outcomes if outcome.violations]
     # The command that repeats a run, but for its faults.
     words = ["heliarch", "simulate", scenario, "--duration", duration]
     words += ["--from", start] if start else []
     words += [word for setting in settings or () for word in ("--set", setting)]
-    with written(outcomes, files, page, "campaign.html") as console:
-        print_table(console, results.campaign_table(preparation, outcomes))
-        for outcome in broken[:_LISTED]:
-            first = outcome.violations[0]
-            where = f"{first.invariant}, cycle {first.cycle}"
-            say(console, f"seed {outcome.seed}: {where}: {first.text}")
-            faults = [word for rule in outcome.rules for word in ("--fault", rule)]
-            say(console, f"  {shlex.join([*words, *faults])}")
-        if len(broken) > _LISTED:
-            say(console, f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
+    more = []
+    for outcome in broken[:_LISTED]:
+        first = outcome.violations[0]
+        faults = [word for rule in outcome.rules for word in ("--fault", rule)]
+        more += [
+            f"seed {outcome.seed}: {first.invariant}, cycle {first.cycle}: {first.text}",
+            f"  {shlex.join([*words, *faults])}",
+        ]
+    if len(broken) > _LISTED:
+        more.append(f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
+    publish(results.campaign_result(preparation, found, outcomes), files, "campaign.html", *more)
     return FAILED if broken else OK

@@ -6,9 +6,8 @@ from functools import partial
 
 from agents.settings import Scheme
 from launch_scripts.commands.options import ResultOptions, changed_scenario
-from launch_scripts.commands.output import shared, written
+from launch_scripts.commands.output import publish, shared
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
-from studies.tables import print_lines, print_table
 
 
 def clusters(
@@ -36,7 +35,7 @@ def clusters(
     """
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import prepare
-    from studies.clusters import results
+    from studies.clusters.results import study_result
     from studies.clusters.study import (
         Arrange,
         by_first_part,
@@ -65,9 +64,4 @@ def clusters(
         random,
         partial(shared, workers=workers, description="clusters"),
     )
-    page = partial(results.study_page, study, remarks)
-    with written(results.study_json(study, remarks), files, page, "clusters.html") as console:
-        print_lines(console, remarks)
-        for table in (results.clusters_table, results.orders_table, results.members_table):
-            print_table(console, table(study))
-        print_lines(console, results.study_lines(study))
+    publish(study_result(study, remarks), files, "clusters.html")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
@@ -12,13 +13,11 @@ import typer
 from agents.settings import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import ResultOptions, refuse_others
-from launch_scripts.commands.output import counted, say, write_json, written
+from launch_scripts.commands.output import publish, shared
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
-from studies.tables import Table, console_for, print_table
+from studies.report.result import Result
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from studies.arrays.schemes import ReferenceGroups
     from studies.compare.cases import Case
     from studies.compare.study import CaseResult, Comparison
@@ -73,14 +72,14 @@ def compare(
     if other is not None:
         allowed = ("scenario", "other", "report", "json")
         refuse_others(context, allowed, "expected a scenario to go with it, got two runs")
-        _two_runs((Path(scenario), other), files)
+        publish(_two_runs((Path(scenario), other)), files, "compare.html")
         return
     if _is_run(Path(scenario)):
         raise InputError(f"{scenario}: expected a second run to compare it with, or a scenario")
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.arrays.schemes import SCHEMES
     from studies.compare.cases import cases, parse_days, parse_seeds, parse_setting
-    from studies.compare.study import Comparison
+    from studies.compare.study import Comparison, run_case
     from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
     shown = _names("--show", show, FIGURES_OF_MERIT)
@@ -102,9 +101,12 @@ def compare(
         cast(tuple[Actuator, ...], actuators),
     )
     if len(found) == 1:
-        _one(found[0], comparison, files, csv)
+        result, *results = _one(found[0], comparison)
     else:
-        _many(found, comparison, workers, scheduler, shown, files.json, csv)
+        results = shared(partial(run_case, comparison), found, workers, "cases", scheduler)
+        result = _cases_result(results, shown)
+    _write_summary(results, csv)
+    publish(result, files, "compare.html")
 
 
 def _is_run(path: Path) -> bool:
@@ -133,39 +135,34 @@ def _groups(text: str | None) -> ReferenceGroups:
     return ReferenceGroups(members=names)
 
 
-def _one(case: Case, comparison: Comparison, files: ResultOptions, csv: str | None) -> None:
-    """Run one case and print the paper's tables; write a page and files of it if asked for."""
+def _one(case: Case, comparison: Comparison) -> tuple[Result, CaseResult]:
+    """Run one case; return the paper's tables and figures."""
     from launch_scripts.scenarios.preparation import prepare
+    from studies.compare.frontier import frontier
     from studies.compare.results import case_tables, json_rows
     from studies.compare.study import CaseResult, remarks_of, results_of
+    from studies.report.run_report import runs_result
+    from studies.report.tables import metrics_tables
 
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
-    found = list(results_of(preparation, comparison))
-    schemes = tuple(result for result, _ in found)
+    schemes, series = zip(*results_of(preparation, comparison), strict=True)
+    found = CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)
     title = preparation.title()
-    results = [CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)]
-    tables = case_tables(title, schemes)
-
-    def page() -> str:
-        from studies.compare.frontier import frontier
-        from studies.report.run_report import report_page
-        from studies.report.tables import metrics_tables
-
-        notes = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
-        series = [one for _, one in found]
-        merits = metrics_tables(series)
-        return report_page(title, series, [*tables, frontier(schemes), *merits], notes)
-
-    _write_summary(results, csv)
-    with written(json_rows(results), files, page, "compare.html") as console:
-        _print(console, remarks, tables)
+    lines = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
+    tables, document = case_tables(title, schemes), json_rows([found])
+    result = runs_result(title, series, tables, lines, document)
+    return replace(
+        result,
+        figures=lambda: [frontier(schemes), *result.figures()],
+        details=metrics_tables(series),
+    ), found
 
 
-def _two_runs(paths: tuple[Path, Path], files: ResultOptions) -> None:
-    """Print two recordings side by side; write a page and JSON of them if asked for."""
+def _two_runs(paths: tuple[Path, Path]) -> Result:
+    """Put two recordings side by side."""
     from studies.compare.runs import read_two_runs, two_runs_tables
-    from studies.report.run_report import report_page
+    from studies.report.run_report import runs_result
     from studies.tables import json_rows
 
     for path in paths:
@@ -179,61 +176,31 @@ def _two_runs(paths: tuple[Path, Path], files: ResultOptions) -> None:
     figures, differences = map(json_rows, tables)
     runs = [str(path) for path in paths]
     document = {"runs": runs, "figures": figures, "differences": differences}
-    title = f"{paths[0].name} and {paths[1].name}"
-    page = partial(report_page, title, series, tables, lines[1:], lead=lines[0])
-    with written(document, files, page, "compare.html") as console:
-        _print(console, lines, tables)
+    return runs_result(f"{paths[0].name} and {paths[1].name}", series, tables, lines, document)
 
 
-def _print(console: Console, lines: Sequence[str], tables: Sequence[Table]) -> None:
-    say(console, *lines)
-    for table in tables:
-        print_table(console, table)
-
-
-def _many(
-    found: Sequence[Case],
-    comparison: Comparison,
-    workers: int,
-    scheduler: str | None,
-    shown: Sequence[str],
-    json: str | None,
-    csv: str | None,
-) -> None:
-    """Run many cases with a progress bar; print them and their summary, and write files of them."""
+def _cases_result(results: Sequence[CaseResult], shown: Sequence[str]) -> Result:
     from studies.compare.results import cases_tables, json_rows
-    from studies.compare.study import run_case
-    from studies.workers import share_over_cluster, share_work
 
-    run = partial(run_case, comparison)
-    numbered = (
-        share_work(run, found, workers)
-        if scheduler is None
-        else share_over_cluster(run, found, scheduler)
-    )
-    results = counted(numbered, "cases", len(found))
-    # The files first: whoever reads the table may leave before its end.
-    write_json(json_rows(results), json)
-    _write_summary(results, csv)
-    console = console_for(json)
-    remarks = dict.fromkeys(line for result in results for line in result.remarks)
-    _print(console, list(remarks), cases_tables(shown, results))
     prepare_s = sum(result.prepare_s for result in results)
     run_s = sum(result.run_s for result in results)
-    say(
-        console,
-        f"sky and market took {prepare_s:.1f} s, the schemes and their figures {run_s:.1f} s, "
-        "added up over all cases",
+    return Result(
+        f"{len(results):,} cases",
+        cases_tables(shown, results),
+        json_rows(results),
+        lines=list(dict.fromkeys(line for result in results for line in result.remarks)),
+        conclusions=[
+            f"sky and market took {prepare_s:.1f} s, the schemes and their figures {run_s:.1f} s, "
+            "added up over all cases"
+        ],
     )
 
 
 def _write_summary(results: Sequence[CaseResult], csv: str | None) -> None:
     """Write the summary of the cases as CSV, where it is asked for."""
     if csv is not None:
-        from pandas import DataFrame
-
         from recordings.read.whole_file import whole_file
         from studies.compare.results import summaries
 
         with whole_file(Path(csv)) as file:
-            DataFrame(summaries(results)).to_csv(file, index=False)
+            summaries(results).to_csv(file, index=False)

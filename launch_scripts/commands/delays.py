@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import ResultOptions, changed_scenario
-from launch_scripts.commands.output import shared, written
+from launch_scripts.commands.output import publish, shared
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 
 DEFAULT_SCENARIO: Final = "oahu-day"
@@ -36,8 +36,7 @@ def delays(
     Example: heliarch delays oahu --from 12:30 --duration 20m --report
     """
     from launch_scripts.scenarios.preparation import prepare
-    from studies.compare.study import remarks_of
-    from studies.delays.results import print_study, study_page
+    from studies.delays.results import study_result
     from studies.delays.study import WARM_UP_S, conditions, counted_s, run_under
 
     changes, start, duration = tuple(settings or ()), span.start, span.duration
@@ -49,7 +48,7 @@ def delays(
     changed = changed_scenario(scenario, files.data, changes)
     preparation = prepare(changed, RunOptions(start, duration, seed=seed, end=span.end), "delays")
     plan = preparation.plan
-    cycle_s, correction = plan.cycle_ns / 1e9, changed.scenario.control.correction
+    cycle_s = plan.cycle_ns / 1e9
     if plan.faults:
         raise InputError(f"{changed.path} faults: expected none, this study has its own")
     if plan.cycles * cycle_s <= WARM_UP_S:
@@ -57,18 +56,7 @@ def delays(
             f"--duration: expected more than the {WARM_UP_S:g} s at the beginning of each run "
             f"that do not count, got {plan.cycles * cycle_s:g} s"
         )
-    chosen = conditions(cycle_s, counted_s(plan), correction)
+    chosen = conditions(cycle_s, counted_s(plan))
     run = partial(run_under, plan, preparation.profile)
     outcomes = shared(run, chosen, workers, "runs")
-    document: dict[str, Any] = {
-        "scenario": plan.plant,
-        "start": preparation.local_start(),
-        "cycles": plan.cycles,
-        "cycle_s": cycle_s,
-        "settings": changes,
-        "remarks": remarks_of(preparation),
-        "outcomes": outcomes,
-    }
-    page = partial(study_page, preparation, outcomes)
-    with written(document, files, page, "delays.html") as console:
-        print_study(preparation, outcomes, console)
+    publish(study_result(preparation, changes, outcomes), files, "delays.html")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
@@ -20,10 +21,11 @@ from rich.progress import (
 
 from bus_schemas.printable import printable
 from launch_scripts.commands.options import ResultOptions
+from studies.report.result import Result, print_result
 from studies.tables import console_for
 
 Item = TypeVar("Item")
-Result = TypeVar("Result")
+Outcome = TypeVar("Outcome")
 
 
 def say(console: Console, *lines: str) -> None:
@@ -40,27 +42,25 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
         yield lambda share: progress.update(task, completed=share)
 
 
-def counted(numbered: Generator[tuple[int, Result]], description: str, total: int) -> list[Result]:
-    """Return numbered results in order; show in a terminal how many are done.
-
-    Whatever ends it ends those who work on the results.
-    """
-    found: dict[int, Result] = {}
-    with closing(numbered), _progress(description, MofNCompleteColumn()) as progress:
-        task = progress.add_task(description, total=total)
-        for number, one in numbered:
-            found[number] = one
-            progress.advance(task)
-    return [found[number] for number in sorted(found)]
-
-
 def shared(
-    function: Callable[[Item], Result], items: Sequence[Item], workers: int, description: str
-) -> list[Result]:
-    """Apply a function to each item in a pool of processes; return the results in their order."""
-    from studies.workers import share_work
+    function: Callable[[Item], Outcome],
+    items: Sequence[Item],
+    workers: int,
+    description: str,
+    scheduler: str | None = None,
+) -> list[Outcome]:
+    """Apply a function to each item in a pool of processes, or of a Dask scheduler.
 
-    return counted(share_work(function, items, workers), description, len(items))
+    Returns the results in their order; shows in a terminal how many are done.
+    """
+    from studies.workers import share_over_cluster, share_work
+
+    with _progress(description, MofNCompleteColumn()) as progress:
+        task = progress.add_task(description, total=len(items))
+        done = partial(progress.advance, task)
+        if scheduler is not None:
+            return share_over_cluster(function, items, scheduler, done)
+        return share_work(function, items, workers, done)
 
 
 def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
@@ -73,23 +73,22 @@ def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
     )
 
 
-@contextmanager
-def written(
-    document: object, files: ResultOptions, page: Callable[[], str], default: Path | str
-) -> Iterator[Console]:
-    """Write a result as JSON and as a page, where they are wanted; give the console to print it on.
+def publish(result: Result, files: ResultOptions, default: Path | str, *more: str) -> None:
+    """Write a result as JSON and as a page, where they are wanted; then print it, and more lines.
 
     The files come first: whoever reads the tables may leave before their end.
     """
-    write_json(document, files.json)
-    path = Path(files.report or default)
+    write_json(result.document, files.json)
     if files.report is not None:
+        from studies.report.page import html_page
+
+        path = Path(files.report or default)
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(page().encode(), path)
+        _write(html_page(result).encode(), path)
+        more += (f"report: {path}",)
     console = console_for(files.json)
-    yield console
-    if files.report is not None:
-        say(console, f"report: {path}")
+    print_result(console, result)
+    say(console, *more)
 
 
 def write_json(content: object, destination: str | None) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,7 +10,7 @@ import typer
 
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
 from launch_scripts.commands.options import FileOptions, PageOptions, refuse_others
-from launch_scripts.commands.output import say, written
+from launch_scripts.commands.output import publish, say
 from launch_scripts.scenarios.run_options import PlantOptions, ProcessOptions, TimeOptions
 from studies.tables import console_for
 
@@ -21,7 +19,7 @@ if TYPE_CHECKING:
 
     from launch_scripts.launcher.run_folder import RunRequest
     from live_page.process import PageProcess
-    from studies.timing.report import Reported, TimingReport
+    from studies.timing.report import TimingReport
     from studies.timing.sweep import Rates
 
 _DURATION: Final = "60s"
@@ -67,7 +65,7 @@ def timing(
         allowed = ("scenario", "processes", "report", "json")
         why = f"expected only --processes, --report or --json with {path}, which was run already"
         refuse_others(context, allowed, why)
-        return _print_one(report_on(path, by_agent=processes), path, files, processes=processes)
+        return _publish_one(report_on(path, by_agent=processes), path, files)
     rates = parse_rates(rate)
     options = {**vars(span), **vars(plant), **vars(machine)}
     request = run_request(scenario, settings, files, **options)
@@ -79,21 +77,17 @@ def timing(
         preparation, folder = prepare_at(rates.single_hz, length_s, request, request.out)
         if shown is not None:
             say(console, f"page: {shown.show(folder.path)}")
-        reported = measured_run(preparation, folder, console, by_agent=processes)
-        return _print_one(reported, folder.path, files, processes=processes)
+        report = measured_run(preparation, folder, console, by_agent=processes)
+        return _publish_one(report, folder.path, files)
 
 
-def _print_one(reported: Reported, run: Path, files: FileOptions, *, processes: bool) -> int:
+def _publish_one(report: TimingReport, run: Path, files: FileOptions) -> int:
     from recordings.read.run_file import RECORDING_NAME
-    from studies.timing.page import PAGE_NAME, run_page
-    from studies.timing.tables import print_report
+    from studies.timing.results import timing_result
 
-    report = reported.report
     recording = run / RECORDING_NAME if run.is_dir() else run
-    page, default = partial(run_page, reported), recording.with_name(PAGE_NAME)
-    with written(report.document(), files, page, default) as console:
-        print_report(report, console, processes=processes)
-        say(console, f"recording: {recording}")
+    page = recording.with_name("timing.html")
+    publish(timing_result(report), files, page, f"recording: {recording}")
     if report.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
@@ -109,13 +103,12 @@ def _time_several(
 ) -> int:
     from launch_scripts.launcher.run_folder import new_run_id, run_folder
     from studies.timing.measured_run import measured_run, prepare_at
-    from studies.timing.page import PAGE_NAME, sweep_page
-    from studies.timing.sweep import print_sweep, sweep
+    from studies.timing.results import sweep_result
+    from studies.timing.sweep import sweep
 
     folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
-    reports: list[TimingReport] = []
 
-    def prepared(rate_hz: float) -> Callable[[], Reported]:
+    def prepared(rate_hz: float) -> Callable[[], TimingReport]:
         name = f"rate-{rate_hz:g}"
         if (folder / name).exists():
             name = f"{name}-again"
@@ -129,16 +122,11 @@ def _time_several(
         say(console, f"page: {shown.show(folder, several=True)}")
 
     def timed(rate_hz: float) -> TimingReport:
-        run = listed.get(rate_hz) or prepared(rate_hz)
-        reports.append(run().report)
-        return reports[-1]
+        return (listed.get(rate_hz) or prepared(rate_hz))()
 
     found = sweep(rates, timed)
-    if not reports:
-        files = replace(files, report=None)
-    with written(found, files, lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME) as out:
-        print_sweep(found, out)
-        say(out, f"recordings: {folder}")
+    result = sweep_result(found, request.scenario.scenario.name)
+    publish(result, files, folder / "timing.html", f"recordings: {folder}")
     if found.interrupted:
         return INTERRUPTED
     return FAILED if found.highest_clean_hz is None else OK

@@ -59,8 +59,10 @@ class MissedInputs:
 
     def count(self, port: Port[Message], message: Message) -> None:
         """Count what a message says."""
+        if not message.missing:
+            return
         agent, cycle, stage = port.publisher, message.cycle, stage_of(port, self._tree)
-        if not message.missing or cycle <= self._counted.get((agent, stage), -1):
+        if cycle <= self._counted.get((agent, stage), -1):
             return  # All messages of a stage say the same.
         self._counted[agent, stage] = cycle
         awaited = self._awaited.get((agent, stage, cycle % self._turns), ())

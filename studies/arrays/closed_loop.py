@@ -25,7 +25,7 @@ from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from sim_plant.profile import Profile
 from studies.arrays.compiled import compiled
-from studies.arrays.control_arrays import ControlArrays, control_arrays
+from studies.arrays.control_arrays import ControlArrays, control_arrays, is_corrected
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -100,11 +100,6 @@ def loop_inputs(
         profile.meter_error,
         _available_kw(plan, profile),
     )
-
-
-def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:
-    """Whether a scheme corrects its target by the meter: as the plan says, else `predictive`."""
-    return plan.correction if scheme == plan.scheme else scheme == "predictive"
 
 
 def _available_kw(plan: RunPlan, profile: Profile) -> Floats:

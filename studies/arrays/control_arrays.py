@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from agents.control.neighbours import help_order
 from agents.plan import RunPlan
+from agents.settings import Scheme
 from bus_schemas.tree import ROOT, depth
 
 
@@ -68,6 +69,11 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
         order=_orders(plan, parents, max(children), times_ns),
         hour=hour.astype(np.int64),
     )
+
+
+def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:
+    """Whether a scheme corrects its target by the meter: as the plan says, else `predictive`."""
+    return plan.correction if scheme == plan.scheme else scheme == "predictive"
 
 
 def _orders(

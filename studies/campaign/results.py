@@ -1,22 +1,22 @@
-"""A campaign as a table and an HTML page with the worst seeds as plots; or as its curves."""
+"""The result of a campaign, with the worst seeds as figures; or its curves."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from math import inf
 from statistics import fmean
 from typing import Final, get_args
 
 import numpy as np
 import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from launch_scripts.scenarios.preparation import Preparation
 from studies.campaign.curves import RATES_PER_H, REPAIRS_S, Point, Protection
 from studies.campaign.study import Campaign, Outcome, rerun
 from studies.report import style
-from studies.report.page import html_page
+from studies.report.result import Result
 from studies.tables import Cell, Column, Table, key_column
 
 _COSTS: Final = (
@@ -32,46 +32,47 @@ _MEASURES: Final = {"over_percent": "Over-delivered", "short_percent": "Shortfal
 
 _DRAWN: Final = 3
 _HEIGHT_PX: Final = 320
-_PANEL_PX: Final = 260
 
 
-def campaign_table(preparation: Preparation, outcomes: Sequence[Outcome]) -> Table:
-    """Return what the faults of all seeds cost, and how many seeds broke which invariant."""
+def campaign_result(
+    preparation: Preparation, campaign: Campaign, outcomes: Sequence[Outcome]
+) -> Result:
+    """Return what the faults of all seeds cost, and how many seeds broke which invariant.
+
+    Drawn are seeds that broke an invariant, and the most expensive ones.
+    """
     rows: list[tuple[Cell, ...]] = []
     for name, unit, field in _COSTS:
         values = [getattr(outcome, field) for outcome in outcomes]
         rows.append((name, unit, fmean(values), *np.quantile(values, (0.5, 0.99, 1.0)).tolist()))
-    broken = Counter(one.violations[0].invariant for one in outcomes if one.violations)
-    listed = ", ".join(f"{name} {count:,}" for name, count in sorted(broken.items()))
-    plan = preparation.plan
-    return Table(
-        f"{plan.plant}: {len(outcomes):,} seeds of {plan.cycles} cycles from "
-        f"{preparation.local_start()}",
-        (
-            key_column("", "figure"),
-            key_column("", "unit"),
-            *(Column(name, "", 2) for name in ("mean", "median", "99 %", "most")),
-        ),
-        rows,
-        (
-            "All beside the same run without faults.",
-            f"Broken invariants, by seeds: {listed or 'none'}.",
-        ),
-    )
-
-
-def campaign_page(preparation: Preparation, campaign: Campaign, outcomes: Sequence[Outcome]) -> str:
-    """Return the page. Seeds that broke an invariant come first, then the most expensive ones."""
-    table = campaign_table(preparation, outcomes)
     broken = [outcome for outcome in outcomes if outcome.violations]
-    verdict = (not broken, f"{len(broken):,} of {len(outcomes):,} seeds broke an invariant")
+    counts = Counter(outcome.violations[0].invariant for outcome in broken)
+    listed = ", ".join(f"{name} {count:,}" for name, count in sorted(counts.items()))
+    plan = preparation.plan
+    title = (
+        f"{plan.plant}: {len(outcomes):,} seeds of {plan.cycles} cycles from "
+        f"{preparation.local_start()}"
+    )
+    columns = (
+        key_column("", "figure"),
+        key_column("", "unit"),
+        *(Column(name, "", 2) for name in ("mean", "median", "99 %", "most")),
+    )
+    notes = (
+        "All beside the same run without faults.",
+        f"Broken invariants, by seeds: {listed or 'none'}.",
+    )
     most_over = sorted(outcomes, key=lambda outcome: outcome.over_kwh, reverse=True)
     most_under = sorted(outcomes, key=lambda outcome: outcome.under_kwh, reverse=True)
     worst = (*broken[:_DRAWN], *most_over[:_DRAWN], *most_under[:_DRAWN])
     drawn = {outcome.seed: outcome for outcome in worst}
-    figures = [_seed_figure(campaign, outcome) for outcome in drawn.values()]
-    paragraphs = ["Drawn are seeds that broke an invariant, and those that cost most energy."]
-    return html_page(f"Campaign: {table.title}", paragraphs, [table, *figures], verdict=verdict)
+    return Result(
+        f"Campaign: {title}",
+        [Table(title, columns, rows, notes)],
+        outcomes,
+        verdict=(not broken, f"{len(broken):,} of {len(outcomes):,} seeds broke an invariant"),
+        figures=lambda: [_seed_figure(campaign, outcome) for outcome in drawn.values()],
+    )
 
 
 def _seed_figure(campaign: Campaign, outcome: Outcome) -> style.ReportFigure:
@@ -101,14 +102,17 @@ def _seed_figure(campaign: Campaign, outcome: Outcome) -> style.ReportFigure:
     return style.ReportFigure(f"seed-{outcome.seed}", f"Seed {outcome.seed}", caption, figure)
 
 
-def curve_tables(title: str, points: Sequence[Point]) -> list[Table]:
+def curves_result(preparation: Preparation, points: Sequence[Point]) -> Result:
     """Return a table of each measure: a row for each protection and repair time."""
+    plan, seeds = preparation.plan, len({point.seed for point in points})
+    title = f"{plan.plant}, {plan.cycles} cycles from {preparation.local_start()}"
+    title += f", mean of {seeds} seeds"
     columns = (
         key_column("Protection"),
         key_column("Back after"),
         *(Column(f"{rate:g} /h") for rate in RATES_PER_H),
     )
-    return [
+    tables = [
         Table(
             f"{name}, in % of the desired energy: {title}",
             columns,
@@ -121,38 +125,29 @@ def curve_tables(title: str, points: Sequence[Point]) -> list[Table]:
         )
         for measure, name in _MEASURES.items()
     ]
+    figures = partial(_curve_figures, points)
+    return Result(f"What failures cost: {title}", tables, points, figures=figures)
 
 
-def curve_page(title: str, points: Sequence[Point]) -> str:
-    return html_page(
-        f"What failures cost: {title}", [], [_curve_figure(points), *curve_tables(title, points)]
-    )
-
-
-def _curve_figure(points: Sequence[Point]) -> style.ReportFigure:
+def _curve_figures(points: Sequence[Point]) -> list[style.ReportFigure]:
     """Draw each measure against the failure rate, in a panel for each repair time."""
-    figure = make_subplots(2, len(REPAIRS_S), shared_yaxes=True, shared_xaxes=True)
-    for row, (measure, name) in enumerate(_MEASURES.items(), start=1):
-        for column, repair_s in enumerate(REPAIRS_S, start=1):
-            for colour, protection in zip(style.SCHEMES, get_args(Protection), strict=False):
-                means = _means(points, measure, protection, repair_s)
-                line = style.marked_line(
-                    RATES_PER_H, means, protection, colour, showlegend=row == column == 1
-                )
-                figure.add_trace(line, row, column)
-        figure.update_yaxes(row=row, col=1, title_text=f"{name} [%]")
+    figure = style.panels(
+        {measure: f"{name} [%]" for measure, name in _MEASURES.items()},
+        {repair_s: f"/h, back: {_repair_text(repair_s)}" for repair_s in REPAIRS_S},
+        get_args(Protection),
+        lambda measure, repair_s, protection: (
+            RATES_PER_H,
+            _means(points, measure, protection, repair_s),
+        ),
+    )
     figure.update_xaxes(type="log")
     figure.update_yaxes(type="log")
-    for column, repair_s in enumerate(REPAIRS_S, start=1):
-        title = f"/h, back: {_repair_text(repair_s)}"
-        figure.update_xaxes(row=len(_MEASURES), col=column, title_text=title)
     caption = (
         "Every controller dies at random, as often in an hour as the axis says, and is back after "
         "the time below it. Nothing, 0, is not drawn. Without the ladder a node obeys the last "
         "message for ever; without revert an inverter obeys its last command for ever."
     )
-    figure = style.dress(figure, 2 * _PANEL_PX)
-    return style.ReportFigure("curves", "What failures cost", caption, figure)
+    return [style.ReportFigure("curves", "What failures cost", caption, figure)]
 
 
 def _means(

@@ -1,9 +1,9 @@
-"""The study of clusters as tables, lines of text, JSON and an HTML page."""
+"""The result of the study of clusters."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from math import isnan
 from statistics import fmean, median
 from typing import Final
@@ -12,7 +12,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from studies.clusters.study import ClusterStudy, ClustersWorth
-from studies.report.page import html_page
+from studies.report.result import Result
 from studies.report.style import BLACK, SCHEMES, ReportFigure, dress
 from studies.tables import Cell, Column, Table, key_column, word_column
 
@@ -24,6 +24,17 @@ _LEGEND: Final = (
     "every so many seconds; begun lacking: the part of it in periods that began with the whole "
     "plant lacking power.",
 )
+
+
+def study_result(study: ClusterStudy, remarks: Sequence[str]) -> Result:
+    return Result(
+        "Virtual neighbours and other clusters",
+        [clusters_table(study), orders_table(study), members_table(study)],
+        _document(study, remarks),
+        lines=[f"{study.title}.", *remarks],
+        conclusions=_conclusions(study),
+        figures=lambda: [_shortfall_figure(study)],
+    )
 
 
 def clusters_table(study: ClusterStudy) -> Table:
@@ -49,7 +60,7 @@ def clusters_table(study: ClusterStudy) -> Table:
         ]
         for label, of_many in zip(labels, of_several, strict=False):
             rows.append((label, *(of_many(figure) if figure else None for figure in known)))
-    return Table(study.title, columns, rows, _LEGEND)
+    return Table("Ways to choose clusters", columns, rows, _LEGEND)
 
 
 def _figures(worth: ClustersWorth) -> tuple[float | None, ...]:
@@ -86,7 +97,7 @@ def members_table(study: ClusterStudy) -> Table:
     return Table("Members", (key_column("clusters"), word_column("inverters")), rows)
 
 
-def study_lines(study: ClusterStudy) -> list[str]:
+def _conclusions(study: ClusterStudy) -> list[str]:
     """Say what is the same however clusters are chosen, and how virtual ones were found."""
     (virtual,) = study.ways["virtual"]
     needy, cycles = virtual.help.plant.needy, virtual.help.cycles
@@ -102,7 +113,7 @@ def study_lines(study: ClusterStudy) -> list[str]:
     ]
 
 
-def study_json(study: ClusterStudy, remarks: Sequence[str]) -> dict[str, object]:
+def _document(study: ClusterStudy, remarks: Sequence[str]) -> dict[str, object]:
     return {
         "title": study.title,
         "remarks": remarks,
@@ -126,20 +137,6 @@ def _json_row(worth: ClustersWorth) -> dict[str, object]:
         "central_percent": worth.help.plant.central_percent,
         "central_percent_if_plant_sufficient": worth.help.plant_sufficient.central_percent,
     }
-
-
-def study_page(study: ClusterStudy, remarks: Sequence[str]) -> str:
-    paragraphs = [f"{study.title}.", *remarks, *study_lines(study)]
-    return html_page(
-        "Virtual neighbours and other clusters",
-        paragraphs,
-        [
-            _shortfall_figure(study),
-            replace(clusters_table(study), title="Ways to choose clusters"),
-            orders_table(study),
-            members_table(study),
-        ],
-    )
 
 
 def _shortfall_figure(study: ClusterStudy) -> ReportFigure:

@@ -14,7 +14,6 @@ from typing import Final, TypeAlias
 import numpy as np
 import pandas as pd
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from agents.control.clusters import ClusterSearch, search_clusters, within_cluster_correlation
 from agents.control.correlation import hourly_correlation, hourly_covariance
@@ -42,17 +41,6 @@ _LONGEST_PERIOD: Final = 1e6
 
 Arrange: TypeAlias = Callable[[ControlTable], Preparation]
 """Puts the inverters of one day into the clusters that a control table asks for."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Past:
-    """The past that clusters are chosen from.
-
-    `correlation` is the mean hourly correlation of the n inverters (paper, eq. 5), shape (n, n).
-    """
-
-    inverters: tuple[str, ...]
-    correlation: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +135,16 @@ def study_clusters(
         title=f"{run.title()}, scheme {scheme}, actuator {run.plan.actuator}",
         ways=ways,
         orders=orders,
-        search=search_clusters(past.correlation, [len(cluster) for cluster in virtual.members]),
+        search=search_clusters(past.to_numpy(), [len(cluster) for cluster in virtual.members]),
     )
 
 
 def _worth(
-    arrange: Arrange, past: Past, scheme: Scheme, periods: tuple[int, ...], control: ControlTable
+    arrange: Arrange,
+    past: pd.DataFrame,
+    scheme: Scheme,
+    periods: tuple[int, ...],
+    control: ControlTable,
 ) -> ClustersWorth:
     return worth_of(arrange(control), past, scheme, periods)
 
@@ -163,27 +155,19 @@ def central_periods(text: str | None, plan: RunPlan) -> tuple[int, ...]:
     By default those of the paper that are whole numbers of cycles.
     """
     cycle_s = plan.cycle_ns / 1e9
-    periods = []
-    for word in (_PAPER_PERIODS_S if text is None else text).split(","):
-        if cycles := _in_cycles(word, cycle_s):
-            periods.append(cycles)
-        elif text is not None:
-            raise InputError(
-                f"--periods: expected multiples of the cycle, {cycle_s:g} s, such as 10,60, "
-                f"got {word}"
-            )
-    return tuple(periods) or (1,)
-
-
-def _in_cycles(period: str, cycle_s: float) -> int:
-    """Return a period in cycles; 0 if it is no whole number of them."""
+    expected = f"--periods: expected multiples of the cycle, {cycle_s:g} s, such as 10,60"
     try:
-        cycles = float(period) / cycle_s
+        cycles = [float(word) / cycle_s for word in (text or _PAPER_PERIODS_S).split(",")]
     except ValueError:
-        return 0
-    if not 0.5 < cycles < _LONGEST_PERIOD or abs(cycles - round(cycles)) > 1e-6:
-        return 0
-    return round(cycles)
+        raise InputError(f"{expected}, got {text}") from None
+    whole = [
+        round(count)
+        for count in cycles
+        if 0.5 < count < _LONGEST_PERIOD and abs(count - round(count)) <= 1e-6
+    ]
+    if text is not None and len(whole) < len(cycles):
+        raise InputError(f"{expected}, got {text}")
+    return tuple(whole) or (1,)
 
 
 def by_scenario(scenario: ScenarioFile, options: RunOptions, control: ControlTable) -> Preparation:
@@ -238,9 +222,10 @@ def _by_first_part(
     return dataclasses.replace(preparation, plan=rest, profile=of_rest)
 
 
-def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> Past:
+def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> pd.DataFrame:
     """Return the past of a run of so many inverters, for the hours of the run alone.
 
+    That is the mean hourly correlation of every two inverters (paper, eq. 5), by their names.
     Clusters are chosen from the hours of the whole scenario: the same, unless a part of it is run.
     """
     # In one cluster of all inverters, everybody is a neighbour of everybody.
@@ -254,11 +239,12 @@ def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> Past:
     plan = arrange(one_cluster).plan
     (cluster,) = plan.tree.children("")
     hourly = [hood.correlation for hood in plan.neighbourhoods_of(cluster)]
-    return Past(_leaf_names(plan.tree), np.asarray(np.mean(hourly, axis=0)))
+    names = _leaf_names(plan.tree)
+    return pd.DataFrame(np.mean(hourly, axis=0), names, names)
 
 
 def worth_of(
-    preparation: Preparation, past: Past, scheme: Scheme, periods: Sequence[int]
+    preparation: Preparation, past: pd.DataFrame, scheme: Scheme, periods: Sequence[int]
 ) -> ClustersWorth:
     """Run a plant, once for each period of the central controller [cycles]."""
     plan, profile = preparation.plan, preparation.profile
@@ -268,11 +254,13 @@ def worth_of(
         runs += run_scheme(scheme, paced, profile, plan.actuator, ReferenceGroups())
     shared = list(clusters(runs[0]).values())
     names = _leaf_names(plan.tree)
-    in_past = [[past.inverters.index(names[leaf]) for leaf in cluster] for cluster in shared]
+    members = tuple(tuple(names[leaf] for leaf in cluster) for cluster in shared)
+    places = {name: place for place, name in enumerate(past.index)}
+    in_past = [[places[name] for name in cluster] for cluster in members]
     in_run = hourly_correlation(runs[0].mpp_kw, hours_from_first_midnight(runs[0]))
     return ClustersWorth(
-        members=tuple(tuple(names[leaf] for leaf in cluster) for cluster in shared),
-        past_correlation=within_cluster_correlation(past.correlation, in_past),
+        members=members,
+        past_correlation=within_cluster_correlation(past.to_numpy(), in_past),
         run_correlation=within_cluster_correlation(np.mean([*in_run.values()], axis=0), shared),
         help=help_metrics(runs[0].residual_kw, runs[0].inverters),
         shortfalls=tuple(

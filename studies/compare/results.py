@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from math import sqrt
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
@@ -18,7 +18,7 @@ from studies.metrics.figures_of_merit import (
     figures_json,
     shown_in,
 )
-from studies.tables import Cell, Column, Table, attributes, cell_text, key_column
+from studies.tables import Cell, Column, Table, cell_text, key_column
 
 QUANTILES: Final = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
 _UPPER: Final = 0.975
@@ -116,19 +116,23 @@ def _together(figures: Sequence[FigureOfMerit], values: Sequence[float]) -> str:
 
 def _summary_table(figure: FigureOfMerit, results: Sequence[CaseResult]) -> Table:
     found = summaries(results, [figure])
-    difference = f"less {found[0].baseline}" if found else "difference"
-    titles = ("mean", "± 95 %", *QUANTILES, difference, "± 95 %")
-    fields = ("mean", "mean_error", "low", "median", "high", "difference", "difference_error")
-    keys = ["settings"] if any(one.settings for one in found) else []
+    less = f"less {found.baseline.iloc[0]}" if len(found) else "difference"
+    titles = {
+        "mean": "mean",
+        "mean_error": "± 95 %",
+        "low": "5 %",
+        "median": "median",
+        "high": "95 %",
+        "difference": less,
+        "difference_error": "± 95 %",
+    }
+    keys = ["settings"] if found.settings.any() else []
     columns = [
         *map(key_column, (*keys, "scheme", "actuator")),
-        *(
-            Column(title, "", figure.decimals, name=field)
-            for title, field in zip(titles, fields, strict=True)
-        ),
+        *(Column(title, "", figure.decimals, name=name) for name, title in titles.items()),
     ]
-    title = f"{figure.heading}, {len(results):,} cases"
-    return Table(title, columns, attributes(found, columns))
+    rows = found[[column.name or column.title for column in columns]].to_numpy(dtype=object)
+    return Table(f"{figure.heading}, {len(results):,} cases", columns, rows.tolist())
 
 
 def json_rows(results: Sequence[CaseResult]) -> list[dict[str, object]]:
@@ -147,38 +151,16 @@ def json_rows(results: Sequence[CaseResult]) -> list[dict[str, object]]:
     ]
 
 
-class Summary(NamedTuple):
-    """One figure of merit of one scheme over cases with the same settings.
-
-    Errors are half the width of a 95 % interval by Student's t, None for one case; `low` and `high`
-    the quantiles at 5 and 95 %. `difference` is the mean of this scheme less the baseline, case by
-    case.
-    """
-
-    figure: str
-    unit: str
-    settings: str
-    scheme: str
-    actuator: Actuator | None
-    cases: int
-    mean: float | None
-    mean_error: float | None
-    low: float
-    median: float
-    high: float
-    baseline: str
-    difference: float | None
-    difference_error: float | None
-
-
 def summaries(
     results: Sequence[CaseResult],
     figures: Iterable[FigureOfMerit] = tuple(FIGURES_OF_MERIT.values()),
-) -> list[Summary]:
-    """Summarise each figure of each scheme, for each choice of settings.
+) -> pd.DataFrame:
+    """Summarise each figure of each scheme over the cases with the same settings.
 
-    Where the cases differ in nothing but settings, these are taken together. The baseline is
-    `predictive`, else the first scheme, with the same actuator.
+    Where the cases differ in nothing but settings, these are taken together. Errors are half the
+    width of a 95 % interval by Student's t, NaN for one case; `low` and `high` the quantiles at 5
+    and 95 %. `difference` is the mean of the scheme less the baseline, case by case: `predictive`,
+    else the first scheme, with the same actuator.
     """
     samples: dict[str, list[CaseResult]] = {}
     for result in results:
@@ -191,35 +173,32 @@ def summaries(
     baselines = {
         entry.actuator: place for place, entry in enumerate(entries) if entry.scheme == baseline
     }
+    beside = [baselines.get(entry.actuator, names.index(baseline)) for entry in entries]
     found = []
     for figure in figures:
         for settings, cases in samples.items():
-            values = values_of(figure, cases)
-            actuators = actuators_of(cases)
-            for place, entry in enumerate(entries):
-                beside = baselines.get(entry.actuator, names.index(baseline))
-                own = values[:, place]
-                less = own - values[:, beside]
-                if np.isnan(own).all():
-                    continue
-                low, median, high = np.nanquantile(own, list(QUANTILES.values())).tolist()
-                found.append(
-                    Summary(
-                        figure.name,
-                        figure.unit,
-                        settings,
-                        entry.scheme,
-                        actuators[place],
-                        int(np.isfinite(own).sum()),
-                        *_mean_and_error(own),
-                        low,
-                        median,
-                        high,
-                        baseline,
-                        *(_mean_and_error(less) if beside != place else (None, None)),
-                    )
-                )
-    return found
+            values = pd.DataFrame(values_of(figure, cases))
+            less = values - values[beside].to_numpy()
+            less[beside] = np.nan
+            low, median, high = (values.quantile(share) for share in QUANTILES.values())
+            columns = {
+                "figure": figure.name,
+                "unit": figure.unit,
+                "settings": settings,
+                "scheme": names,
+                "actuator": actuators_of(cases),
+                "cases": values.count(),
+                "mean": values.mean(),
+                "mean_error": _half_interval(values),
+                "low": low,
+                "median": median,
+                "high": high,
+                "baseline": baseline,
+                "difference": less.mean(),
+                "difference_error": _half_interval(less),
+            }
+            found.append(pd.DataFrame(columns).query("cases > 0"))
+    return pd.concat(found)
 
 
 def values_of(figure: FigureOfMerit, cases: Sequence[CaseResult]) -> NDArray[np.float64]:
@@ -234,10 +213,5 @@ def actuators_of(cases: Sequence[CaseResult]) -> list[Actuator | None]:
     return [found[0] if len(set(found)) == 1 else None for found in of_schemes]
 
 
-def _mean_and_error(values: NDArray[np.float64]) -> tuple[float | None, float | None]:
-    known = values[~np.isnan(values)]
-    count = len(known)
-    mean = float(known.mean()) if count else None
-    if count < 2:
-        return mean, None
-    return mean, float(stdtrit(count - 1, _UPPER) * known.std(ddof=1) / sqrt(count))
+def _half_interval(values: pd.DataFrame) -> pd.Series:
+    return values.sem() * stdtrit(values.count() - 1, _UPPER)

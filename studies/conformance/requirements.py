@@ -40,32 +40,30 @@ OF_PLANT: Final[dict[str, str]] = {
 
 
 class Findings:
-    """What was tried, and the first failure of each requirement."""
+    """What was tried of each requirement, and its first failure."""
 
     def __init__(self, requirements: dict[str, str]) -> None:
         self._requirements = requirements
-        self._tried: set[str] = set()
-        self._failures: dict[str, str] = {}
-        self._doubts: dict[str, str] = {}
+        self._found = {name: ("not tried", text) for name, text in requirements.items()}
         self.doubt = ""
         """Why nothing that fails from now on is the device's fault for certain; empty: it is."""
 
     def try_(self, requirement: str) -> None:
         """Note that something puts a requirement to the test."""
-        self._tried.add(requirement)
+        if self._found[requirement][0] == "not tried":
+            self._found[requirement] = "PASS", self._requirements[requirement]
 
     def fail(self, requirement: str, text: str) -> None:
         """Note a failure, or that it cannot be judged."""
-        self.try_(requirement)
-        if self.doubt:
-            self._doubts.setdefault(requirement, self.doubt)
-        else:
-            self._failures.setdefault(requirement, text)
+        result, _ = self._found[requirement]
+        if result == "FAIL" or (self.doubt and result == "too slow"):
+            return
+        self._found[requirement] = ("too slow", self.doubt) if self.doubt else ("FAIL", text)
 
     @property
     def passed(self) -> bool:
         """Whether nothing that was tried has failed, or could not be judged."""
-        return not self._failures and not self._doubts
+        return {result for result, _ in self._found.values()} <= {"not tried", "PASS"}
 
     def table(self, agent: str) -> Table:
         columns = (
@@ -73,12 +71,5 @@ class Findings:
             word_column("result"),
             word_column("what a device must do, or the first failure", "text"),
         )
-        results = (
-            dict.fromkeys(self._requirements, "not tried")
-            | dict.fromkeys(self._tried, "PASS")
-            | dict.fromkeys(self._doubts, "too slow")
-            | dict.fromkeys(self._failures, "FAIL")
-        )
-        texts = self._requirements | self._doubts | self._failures
-        rows = tuple((name, results[name], texts[name]) for name in self._requirements)
+        rows = [(name, *found) for name, found in self._found.items()]
         return Table(f"Conformance of {agent}", columns, rows)

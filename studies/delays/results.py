@@ -1,4 +1,4 @@
-"""The study of delay and loss as tables, lines of text and an HTML page."""
+"""The result of the study of delay and loss."""
 
 from __future__ import annotations
 
@@ -6,17 +6,14 @@ from collections.abc import Sequence
 from itertools import takewhile
 from typing import Final, get_args
 
-from plotly.subplots import make_subplots
-from rich.console import Console
-
 from agents.settings import Scheme
 from launch_scripts.scenarios.preparation import Preparation
 from studies.compare.study import remarks_of
 from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble, counted_s
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
-from studies.report.page import html_page
-from studies.report.style import SCHEMES, ReportFigure, dress, marked_line
-from studies.tables import Column, Table, key_column, print_lines, print_table
+from studies.report.result import Result
+from studies.report.style import ReportFigure, panels
+from studies.tables import Column, Table, key_column
 
 BEARABLE_PERCENT: Final = 1.0
 """Control-caused shortfall and over-delivery, in % of desired, below which it is survived."""
@@ -39,17 +36,30 @@ _CAPTION: Final = (
     "Along each panel one thing is worse than in the scenario, in even steps from nothing to very "
     "bad; everything else is perfect."
 )
-_ROW_PX: Final = 240
-_GAP_PX: Final = 60
-_FRAME_PX: Final = 120
 
 
-def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: Console) -> None:
-    """Print the tables, and how much of each trouble is survived."""
-    print_lines(console, [preparation.title(), *study_notes(preparation), ""])
-    for trouble in VALUES:
-        print_table(console, trouble_table(trouble, outcomes))
-    print_lines(console, survived(outcomes))
+def study_result(
+    preparation: Preparation, settings: Sequence[str], outcomes: Sequence[Outcome]
+) -> Result:
+    """Return the tables, and how much of each trouble is survived."""
+    plan, title = preparation.plan, preparation.title()
+    document = {
+        "scenario": plan.plant,
+        "start": preparation.local_start(),
+        "cycles": plan.cycles,
+        "cycle_s": plan.cycle_ns / 1e9,
+        "settings": settings,
+        "remarks": remarks_of(preparation),
+        "outcomes": outcomes,
+    }
+    return Result(
+        f"{title}: delay, loss and a slow central controller",
+        [trouble_table(trouble, outcomes) for trouble in VALUES],
+        document,
+        lines=[title, *study_notes(preparation)],
+        conclusions=survived(outcomes),
+        figures=lambda: [_study_figure(outcomes)],
+    )
 
 
 def study_notes(preparation: Preparation) -> tuple[str, ...]:
@@ -122,44 +132,17 @@ def _has_value(merit: str, outcomes: Sequence[Outcome]) -> bool:
     return any(one.figures[merit] is not None for one in outcomes)
 
 
-def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
-    title = f"{preparation.title()}: delay, loss and a slow central controller"
-    notes = [*study_notes(preparation), *survived(outcomes)]
-    tables = [trouble_table(trouble, outcomes) for trouble in VALUES]
-    return html_page(title, notes, [_study_figure(outcomes), *tables])
-
-
 def _study_figure(outcomes: Sequence[Outcome]) -> ReportFigure:
     """Draw a panel for each figure of merit and each trouble, in even steps of the trouble."""
-    drawn = [merit for merit in _DRAWN if _has_value(merit, outcomes)]
-    figure = make_subplots(
-        len(drawn),
-        len(TROUBLES),
-        shared_yaxes=True,
-        vertical_spacing=_GAP_PX / (_ROW_PX * len(drawn)),
-        horizontal_spacing=0.03,
-    )
-    for row, merit in enumerate(drawn, start=1):
-        for column, (trouble, (_, measure, unit)) in enumerate(TROUBLES.items(), start=1):
-            for colour, scheme in zip(SCHEMES, get_args(Scheme), strict=False):
-                found = column_of(outcomes, trouble, scheme)
-                line = marked_line(
-                    list(range(len(found))),
-                    [one.figures[merit] for one in found],
-                    scheme,
-                    colour,
-                    showlegend=row == column == 1,
-                    customdata=[one.value for one in found],
-                    hovertemplate="%{customdata:g}: %{y:.4g}<extra>" + scheme + "</extra>",
-                )
-                figure.add_trace(line, row, column)
-            figure.update_xaxes(
-                row=row,
-                col=column,
-                tickvals=list(range(len(found))),
-                ticktext=[f"{one.value:g}" for one in found],
-                title_text=f"{measure} [{unit}]" if row == len(drawn) else None,
-            )
-        figure.update_yaxes(row=row, col=1, title_text=FIGURES_OF_MERIT[merit].heading)
-    figure = dress(figure, _FRAME_PX + _ROW_PX * len(drawn))
+
+    def points(merit: str, trouble: Trouble, scheme: str) -> tuple[list[str], list[float | None]]:
+        found = column_of(outcomes, trouble, scheme)
+        return [f"{one.value:g}" for one in found], [one.figures[merit] for one in found]
+
+    rows = {
+        merit: FIGURES_OF_MERIT[merit].heading for merit in _DRAWN if _has_value(merit, outcomes)
+    }
+    columns = {name: f"{measure} [{unit}]" for name, (_, measure, unit) in TROUBLES.items()}
+    figure = panels(rows, columns, get_args(Scheme), points)
+    figure.update_xaxes(type="category")
     return ReportFigure("study", "What each trouble costs", _CAPTION, figure)

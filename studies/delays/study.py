@@ -20,6 +20,7 @@ from bus_schemas.faults import FaultRule
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from recordings.read.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
+from studies.arrays.control_arrays import is_corrected
 from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import figures_json
 
@@ -38,16 +39,11 @@ WARM_UP_S: Final = 120.0
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """One run of the study: what is worse than in the scenario, how much, and the scheme.
-
-    `correction` says whether the central controller corrects its target by the plant's meter;
-    None: with `predictive` alone.
-    """
+    """One run of the study: what is worse than in the scenario, how much, and the scheme."""
 
     trouble: Trouble
     value: float
     scheme: Scheme
-    correction: bool | None = None
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,14 +67,14 @@ def counted_s(plan: RunPlan) -> float:
     return plan.cycles * plan.cycle_ns / 1e9 - WARM_UP_S
 
 
-def conditions(cycle_s: float, counted_s: float, correction: bool | None = None) -> list[Condition]:
+def conditions(cycle_s: float, counted_s: float) -> list[Condition]:
     """List the runs of the study: each value with each scheme.
 
     Left out are central periods that are no whole number of cycles, and those of which the time
     that counts does not hold two.
     """
     return [
-        Condition(trouble, value, scheme, correction)
+        Condition(trouble, value, scheme)
         for trouble, values in VALUES.items()
         for value in values
         if trouble != "period" or ((value / cycle_s).is_integer() and 2.0 * value <= counted_s)
@@ -88,10 +84,8 @@ def conditions(cycle_s: float, counted_s: float, correction: bool | None = None)
 
 def plan_under(plan: RunPlan, condition: Condition) -> RunPlan:
     """Return a plan with the trouble of a condition, on the virtual clock."""
-    scheme, value, correction = condition.scheme, condition.value, condition.correction
-    if correction is None:
-        correction = scheme == "predictive"
-    timed = replace(on_the_clock(plan), scheme=scheme, correction=correction)
+    scheme, value = condition.scheme, condition.value
+    timed = replace(on_the_clock(plan), scheme=scheme, correction=is_corrected(plan, scheme))
     if condition.trouble == "period":
         cycles = round(value * 1e9) // plan.cycle_ns
         return replace(timed, period_cycles=(cycles, *(1 for _ in plan.period_cycles[1:])))

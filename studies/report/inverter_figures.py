@@ -219,6 +219,8 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
         return None
     order = inverters_by_cluster(series)
     names = [style.plain(series.inverters[position]) for position in order]
+    midnight = series.times[0].tz_localize(None).normalize()
+    hours = [midnight + pd.Timedelta(hours=hour) for hour in matrices]
     across = min(_ACROSS, len(matrices))
     rows = -(-len(matrices) // across)
     matrix_px = _MATRIX_PX.get(across, _SMALLEST_MATRIX_PX)
@@ -228,7 +230,7 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
         cols=across,
         horizontal_spacing=0.02,
         vertical_spacing=30.0 / height_px,
-        subplot_titles=_hour_titles(series, tuple(matrices)),
+        subplot_titles=[f"{hour.day} {hour:%b}, {hour.hour} h" for hour in hours],
     )
     for place, matrix in enumerate(matrices.values()):
         row, column = place // across + 1, place % across + 1
@@ -267,19 +269,6 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
         "itself, not in the history by which clusters and neighbours were chosen.",
         figure,
     )
-
-
-def _hour_titles(series: RunSeries, hours: Sequence[int]) -> list[str]:
-    """Return `13 to 14 h`, with the day in front where the run has more than one."""
-    midnight = series.times[0].tz_localize(None).normalize()
-    begins = [midnight + pd.Timedelta(hours=hour) for hour in hours]
-    several_days = series.times[0].date() != series.times[-1].date()
-    return [
-        f"{begin.day} {begin:%b}, {begin.hour} h"
-        if several_days
-        else f"{begin.hour} to {begin.hour + 1} h"
-        for begin in begins
-    ]
 
 
 def _mark_clusters(

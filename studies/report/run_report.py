@@ -20,37 +20,26 @@ from bus_schemas.tree import parent_of
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, read_series
 from recordings.read.whole_file import whole_file
-from studies.report.cloud_passage import clusters
 from studies.report.inverter_figures import (
     correlation_matrices,
     help_energy,
     residuals,
     virtual_neighbours,
 )
-from studies.report.page import Content, html_page
+from studies.report.page import html_page
 from studies.report.plant_figures import (
     delivered_and_support,
     possible_power,
     regulation,
     tracking_error,
 )
+from studies.report.result import Result
 from studies.report.style import ReportFigure
 from studies.report.tables import devices_tables, health_table, metrics_tables
-from studies.tables import counted
+from studies.tables import Table, counted
 from sunspec.process import read_accounts
 
 REPORT_NAME: Final = "report.html"
-
-_MOST_SIZES: Final = 6
-"""Clusters whose sizes the first line lists one by one."""
-
-_WHY_ABSENT: Final = {
-    "regulation": "No regulation was requested.",
-    "residuals": "No figure of residuals: no scheme here has any.",
-    "neighbours": "No figure of two virtual neighbours: among the least correlated pairs of each "
-    "cluster and hour, no inverter fell below its request while the other had headroom.",
-    "correlation": "No figure of correlations: the power of no inverter varies.",
-}
 
 
 def write_run_report(run: Path, out: Path | None = None) -> Path:
@@ -66,7 +55,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
             tables = [health_table(reader), *metrics_tables([series]), *devices]
     with console.status("drawing"):
         title = f"{plan.plant}: run {plan.run_id}"
-        page = report_page(title, [series], tables, notes, lead=run_line(plan))
+        page = html_page(runs_result(title, [series], tables, [run_line(plan), *notes]))
     with whole_file(path) as file:
         file.write(page.encode())
     return path
@@ -91,30 +80,23 @@ def _notes(reader: RunReader) -> list[str]:
     return notes
 
 
-def report_page(
+def runs_result(
     title: str,
     series: Sequence[RunSeries],
-    content: Sequence[Content] = (),
-    notes: Sequence[str] = (),
-    *,
-    lead: str = "",
-) -> str:
-    """Return a report as HTML, which opens without a network.
-
-    It shows one run, or several of the same plant in the same cycles, each with a label of its own.
-    `lead`, the notes, and tables and figures of `content` come before the figures of the runs.
-    """
-    figures = _figures(series)
-    there = {figure.anchor for figure in figures}
-    absent = " ".join(reason for anchor, reason in _WHY_ABSENT.items() if anchor not in there)
-    text = [lead or _plant_line(series), *_cycle_lines(series), *notes, absent]
-    return html_page(title, list(filter(None, text)), [*content, *figures])
+    tables: Sequence[Table],
+    lines: Sequence[str],
+    document: object = None,
+) -> Result:
+    """Return one run, or several of the same plant in the same cycles, each with its own label."""
+    lines = [*lines, *_cycle_lines(series)]
+    return Result(title, tables, document, lines=lines, figures=lambda: _figures(series))
 
 
 def run_line(plan: RunPlan) -> str:
     """Return the first line of a report: what was run, and how."""
-    sizes = list(Counter(parent_of(leaf) for leaf in plan.tree.leaves).values())
-    clustered = f" in {len(sizes)} clusters ({_sizes(sizes)})" if len(sizes) > 1 else ""
+    sizes = Counter(parent_of(leaf) for leaf in plan.tree.leaves).values()
+    listed = ", ".join(f"{count} with {size}" for size, count in Counter(sizes).items())
+    clustered = f" in {len(sizes)} clusters ({listed})" if len(sizes) > 1 else ""
     pace = f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}" if plan.cycle_wall_ns else "lockstep"
     parts = (
         f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')}{clustered}",
@@ -124,25 +106,6 @@ def run_line(plan: RunPlan) -> str:
         "measured irradiance" if plan.seed is None else f"seed {plan.seed}",
     )
     return ", ".join(parts) + "."
-
-
-def _sizes(sizes: Sequence[int]) -> str:
-    """Return the sizes of clusters: `6, 6 and 5`, `5 each`, or `10 of 5, 2 of 4`."""
-    counts = Counter(sizes)
-    if len(counts) == 1:
-        return f"{sizes[0]} each"
-    if len(sizes) > _MOST_SIZES:
-        return ", ".join(f"{count} of {size}" for size, count in counts.items())
-    return f"{', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
-
-
-def _plant_line(series: Sequence[RunSeries]) -> str:
-    """Return the first line where only the series are known."""
-    first = series[0]
-    named = [name for name in clusters(first) if name]
-    grouped = f" in {counted(len(named), 'cluster')}" if named else ""
-    labels = "; ".join(one.label for one in series)
-    return f"{counted(len(first.inverters), 'inverter')}{grouped}, {labels}."
 
 
 def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:

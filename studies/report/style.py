@@ -7,14 +7,16 @@ apart ("Color Universal Design", 2008, https://jfly.uni-koeln.de/color/).
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from itertools import product
+from typing import Any, Final
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.colors import diverging
+from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
 from studies.report.decimation import BUCKETS, extremes
@@ -36,6 +38,10 @@ _FEW_NAMES: Final = 30
 _MOST_NAMES: Final = 150
 _ROOMY_PX: Final = 20
 _TIGHT_PX: Final = 13
+
+_PANEL_PX: Final = 240
+_PANELS_GAP_PX: Final = 60
+_PANELS_FRAME_PX: Final = 120
 
 FONT: Final = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
 
@@ -118,12 +124,33 @@ def curve(
     return go.Scatter(x=x, y=y, **{**own, **look})
 
 
-def marked_line(
-    x: Sequence[float], y: Sequence[float | None], name: str, colour: str, **look: object
-) -> go.Scatter:
-    """Return a line with a mark at each point."""
-    line, marker = {"color": colour, "width": 1.6}, {"color": colour, "size": 5}
-    return curve(x, y, name, line, mode="lines+markers", marker=marker, **look)
+def panels(
+    rows: Mapping[str, str],
+    columns: Mapping[Any, str],
+    lines: Sequence[str],
+    points: Callable[[Any, Any, Any], tuple[Sequence[object], Sequence[float | None]]],
+) -> go.Figure:
+    """Draw lines with a mark at each point, in a panel for each row and column of these titles.
+
+    `points` returns the points of a line, by its row, its column and its name.
+    """
+    count = len(rows)
+    gap = _PANELS_GAP_PX / (_PANEL_PX * count)
+    figure = make_subplots(
+        count, len(columns), shared_yaxes=True, vertical_spacing=gap, horizontal_spacing=0.03
+    )
+    for (row, (of_row, heading)), (column, of_column) in product(
+        enumerate(rows.items(), start=1), enumerate(columns, start=1)
+    ):
+        for colour, of_line in zip(SCHEMES, lines, strict=False):
+            x, y = points(of_row, of_column, of_line)
+            look = {"color": colour, "width": 1.6}
+            line = curve(x, y, of_line, look, mode="lines+markers", showlegend=row == column == 1)
+            figure.add_trace(line, row, column)
+        figure.update_yaxes(row=row, col=1, title_text=heading)
+    for column, title in enumerate(columns.values(), start=1):
+        figure.update_xaxes(row=count, col=column, title_text=title)
+    return dress(figure, _PANELS_FRAME_PX + _PANEL_PX * count)
 
 
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:

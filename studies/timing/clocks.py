@@ -10,13 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import inf
+from typing import Any
 
 import msgspec
-import numpy as np
 
 from agents.plan import RunPlan
 from bus_schemas.tree import PLANT
-from studies.timing.stage_times import NEVER, MessageTimes, StageTimes
+from studies.timing.stage_times import MessageTimes, StageTimes
 
 ACROSS = " *"
 """Marks rows of messages between two clocks."""
@@ -52,20 +53,20 @@ def clock_offsets(messages: MessageTimes, stages: Sequence[StageTimes]) -> tuple
     for agent in plan.elsewhere:
         if name := clock_of(agent, plan):
             members.setdefault(name, []).append(agent)
-    there, back = (dict.fromkeys(members, NEVER) for _ in range(2))
-    for port, column in messages.columns.items():
+    # The fastest message of each clock's: there from the launcher's host, and back to it.
+    there, back = (dict.fromkeys(members, inf) for _ in range(2))
+    for port, fastest_ns in messages.fastest_ns.items():
         if name := clock_of(port.publisher, plan):
-            back[name] = min(back[name], int(messages.fastest_ns[column]))
+            back[name] = min(back[name], fastest_ns)
     for stage in stages:
-        listener = clock_of(stage.agent, plan)
-        waited = stage.closed & (stage.completed_ns > 0) & ~stage.lacking & (stage.ready_ns > 0)
-        for place, port in enumerate(stage.inputs):
+        listener, closed = clock_of(stage.agent, plan), stage.closed[~stage.closed.lacking]
+        hops_ns = (closed.ready_ns - closed.completed_ns).dropna()
+        by_port: dict[Any, float] = hops_ns.groupby(closed.cause, sort=False).min().to_dict()
+        for port, hop_ns in by_port.items():
             publisher = clock_of(port.publisher, plan)
-            at = waited & (stage.cause == place)
-            if bool(listener) == bool(publisher) or not at.any():
-                continue
-            way, name = (there, listener) if listener else (back, publisher)
-            way[name] = min(way[name], int((stage.ready_ns - stage.completed_ns)[at].min()))
+            if bool(listener) != bool(publisher):
+                way, name = (there, listener) if listener else (back, publisher)
+                way[name] = min(way[name], hop_ns)
     return tuple(
         ClockOffset(
             name,
@@ -75,19 +76,13 @@ def clock_offsets(messages: MessageTimes, stages: Sequence[StageTimes]) -> tuple
         )
         for name, agents in members.items()
         # A round trip that takes no time is none: the device does not state when inputs came.
-        if max(there[name], back[name]) < NEVER and there[name] + back[name] >= 0
+        if 0 <= there[name] + back[name] < inf
     )
 
 
 def on_one_clock(messages: MessageTimes, clocks: Sequence[ClockOffset]) -> MessageTimes:
     """Return the times of messages as the launcher's clock would have shown them."""
-    ahead_ns = np.zeros(len(messages.columns), dtype=np.int64)
-    for clock in clocks:
-        for port, column in messages.columns.items():
-            if port.publisher in clock.agents:
-                ahead_ns[column] = round(clock.ahead_us * 1e3)
-    ready_ns, publish_ns = (
-        np.where(times_ns > 0, times_ns - ahead_ns, 0)
-        for times_ns in (messages.ready_ns, messages.publish_ns)
-    )
+    ahead_ns = {agent: round(one.ahead_us * 1e3) for one in clocks for agent in one.agents}
+    of_ports = [ahead_ns.get(port.publisher, 0) for port in messages.ports]
+    ready_ns, publish_ns = messages.ready_ns - of_ports, messages.publish_ns - of_ports
     return replace(messages, ready_ns=ready_ns, publish_ns=publish_ns)

@@ -9,9 +9,7 @@ message; it includes the hop between the two agents and the decision.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Final, NamedTuple
-
-import numpy as np
+from typing import Any, Final, NamedTuple
 
 from agents.cycle import stage_of
 from bus_schemas.messages import Message
@@ -81,59 +79,32 @@ def cycle_waits(messages: MessageTimes, stages: Iterable[StageTimes], cycle: int
     The chain follows the causes from the plant's production back to the tick. A message that came
     too late counts up to the moment when nobody waited for it any more.
     """
-    closed = [stage for stage in stages if stage.closed[cycle]]
-    waits = {(stage.agent, stage.name): _wait(messages, closed, stage, cycle) for stage in closed}
+    publish_ns: dict[Any, float] = messages.publish_ns.loc[cycle].to_dict()
+    closed: list[tuple[str, str, Any]] = [
+        (stage.agent, stage.name, stage.closed.loc[cycle])
+        for stage in stages
+        if cycle in stage.closed.index
+    ]
+    waits: dict[tuple[str, str], Wait] = {}
+    for agent, stage, row in closed:
+        cause, ended_ns = row.cause, int(row.last_ns)
+        if not row.awaits:  # It follows the agent's stage before it.
+            before = [one for who, _, one in closed if who == agent and one.last_ns < row.first_ns]
+            cause = max(before, key=lambda one: one.last_ns).message if before else None
+        began_ns = 0 if cause is None else min(int(publish_ns[cause]), ended_ns)
+        waits[agent, stage] = Wait(
+            agent, stage, cause, row.message, began_ns, ended_ns, row.without
+        )
     left, chain = dict(waits), list[Wait]()
     message: Port[Message] | None = PRODUCTION.of(ROOT)
     while message is not None:
         wait = left.pop((message.publisher, stage_of(message, messages.plan.tree)), None)
         if wait is None:
             break
-        ended_ns = _published_ns(messages, message, cycle)
+        ended_ns = int(publish_ns[message])
         if chain:
             ended_ns = min(ended_ns, chain[-1].ended_ns)
         began_ns = min(wait.began_ns, ended_ns)
         chain.append(wait._replace(message=message, began_ns=began_ns, ended_ns=ended_ns))
         message = wait.cause
     return CycleWaits(cycle, chain[0].ended_ns, tuple(chain[::-1]), tuple(waits.values()))
-
-
-def _wait(
-    messages: MessageTimes, closed: Iterable[StageTimes], stage: StageTimes, cycle: int
-) -> Wait:
-    """Return the wait of a stage up to its last message."""
-    cause, message = _cause(stage, closed, cycle), _last(stage, cycle)
-    ended_ns = _published_ns(messages, message, cycle)
-    began_ns = 0 if cause is None else min(_published_ns(messages, cause, cycle), ended_ns)
-    missing = np.flatnonzero(stage.without[cycle])
-    without = tuple(sorted(str(stage.inputs[place]) for place in missing))
-    return Wait(stage.agent, stage.name, cause, message, began_ns, ended_ns, without)
-
-
-def _cause(stage: StageTimes, closed: Iterable[StageTimes], cycle: int) -> Port[Message] | None:
-    """Return what a stage waited for last; None if the clock closed it.
-
-    For a stage that closed at its deadline this is the input that came too late. A stage that
-    awaits nothing follows the agent's stage before it.
-    """
-    if stage.lacking[cycle]:
-        late_ns = np.where(stage.without[cycle], stage.input_ns[cycle], 0)
-        return stage.inputs[int(late_ns.argmax())] if late_ns.any() else None
-    if stage.awaited[cycle].any():
-        came = stage.completed_ns[cycle] > 0
-        return stage.inputs[int(stage.cause[cycle])] if came else None
-    before = [
-        other
-        for other in closed
-        if other.agent == stage.agent and other.last_ns[cycle] < stage.first_ns[cycle]
-    ]
-    return _last(max(before, key=lambda other: other.last_ns[cycle]), cycle) if before else None
-
-
-def _last(stage: StageTimes, cycle: int) -> Port[Message]:
-    return stage.outputs[int(stage.last[cycle])]
-
-
-def _published_ns(messages: MessageTimes, port: Port[Message], cycle: int) -> int:
-    """Return when a message was published, after the scheduled tick of its cycle."""
-    return int((messages.published_ns(port) - messages.tick_ns)[cycle])

@@ -17,7 +17,7 @@ from launch_scripts.launcher.live_view import view_for
 from launch_scripts.launcher.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.scenarios.preparation import Preparation
-from studies.timing.report import Reported, report_on
+from studies.timing.report import TimingReport, report_on
 from studies.timing.tables import cycles_per_s
 
 
@@ -48,7 +48,7 @@ def prepare_at(
 
 def measured_run(
     preparation: Preparation, folder: RunFolder, console: Console, *, by_agent: bool = False
-) -> Reported:
+) -> TimingReport:
     """Run a plant that `prepare_at` has prepared, and report on it."""
     plan, scenario = preparation.plan, preparation.scenario.scenario
     duration_s = plan.cycles * plan.cycle_wall_ns / 1e9

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+import pandas as pd
+from msgspec.structs import asdict
 
 from agents.events import ExternalAccount
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
+from bus_schemas.tree import ControlTree
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.wrong_messages import WrongMessages
@@ -19,10 +22,10 @@ from launch_scripts.scenarios.scenario import BudgetTable, TimingTable
 from recordings.read.reader import RunReader
 from studies.timing.budgets import Verdict, judge
 from studies.timing.clocks import ClockOffset
+from studies.timing.cycle_waits import CycleWaits
 from studies.timing.durations import Times
 from studies.timing.run_timing import (
     ProcessTiming,
-    RunTiming,
     TierTiming,
     run_timing,
     tier_timings,
@@ -53,21 +56,11 @@ class Host(msgspec.Struct, frozen=True, kw_only=True):
     memory_locked: bool = False
 
 
-class SlowCycle(msgspec.Struct, frozen=True):
-    """One of the slowest cycles, and the longest wait in it."""
-
-    cycle: int
-    loop_us: float
-    slowest_agent: str
-    slowest_stage: str
-    slowest_us: float
-    text: str
-
-
 class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
     """A timed run; docs/timing.md describes the fields. None: it is not known.
 
-    `ended` is false if the recording does not tell that the plant ended the run.
+    `ended` is false if the recording does not tell that the plant ended the run. The page alone
+    draws the slowest cycles, `loop_ns`, the loop times by cycle, and rows in the order of the tree.
     """
 
     scenario: str
@@ -90,8 +83,10 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
     times: tuple[Times, ...]
     tiers: tuple[TierTiming, ...]
     processes: tuple[ProcessTiming, ...]
-    slowest_cycles: tuple[SlowCycle, ...]
     verdicts: tuple[Verdict, ...]
+    slowest: tuple[CycleWaits, ...]
+    loop_ns: pd.Series
+    tree: ControlTree
 
     @property
     def passed(self) -> bool:
@@ -105,15 +100,22 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
         return self.ended and self.cycles > 0 and few_late and not self.lost_messages
 
     def document(self) -> dict[str, object]:
-        return {"passed": self.passed, "clean": self.clean, **msgspec.structs.asdict(self)}
-
-
-class Reported(msgspec.Struct, frozen=True):
-    """A report, and what its page draws besides."""
-
-    report: TimingReport
-    timing: RunTiming
-    plan: RunPlan
+        """Return what JSON has."""
+        own = ("slowest", "loop_ns", "tree")
+        fields = {name: value for name, value in asdict(self).items() if name not in own}
+        slowest_cycles = [
+            {
+                "cycle": one.cycle,
+                "loop_us": one.loop_ns / 1e3,
+                "slowest_agent": one.slowest.agent,
+                "slowest_stage": one.slowest.stage,
+                "slowest_us": one.slowest.length_ns / 1e3,
+                "text": one.in_words(),
+            }
+            for one in self.slowest
+        ]
+        state = {"passed": self.passed, "clean": self.clean}
+        return {**state, **fields, "slowest_cycles": slowest_cycles}
 
 
 def report_on(
@@ -122,7 +124,7 @@ def report_on(
     load: tuple[float, float] | None = None,
     *,
     by_agent: bool = False,
-) -> Reported:
+) -> TimingReport:
     """Work out the timing of a run from its recording.
 
     Without a summary the one in the run's folder is used, if there is one. `load` is the machine's
@@ -144,7 +146,7 @@ def report_on(
         names = ("interrupted", "external", "devices", "wrong", "faults")
         seen = {name: getattr(summary, name) for name in names} | {"lost_messages": summary.lost}
     tiers = tier_timings(processes)
-    report = TimingReport(
+    return TimingReport(
         scenario=plan.plant,
         run_id=plan.run_id,
         folder=str(folder),
@@ -159,21 +161,12 @@ def report_on(
         times=timing.times,
         tiers=tiers,
         processes=processes,
-        slowest_cycles=tuple(
-            SlowCycle(
-                one.cycle,
-                one.loop_ns / 1e3,
-                one.slowest.agent,
-                one.slowest.stage,
-                one.slowest.length_ns / 1e3,
-                one.in_words(),
-            )
-            for one in timing.slowest
-        ),
         verdicts=judge(plan, table, timing.times, tiers, seen.get("lost_messages")),
+        slowest=timing.slowest,
+        loop_ns=timing.loop_ns,
+        tree=plan.tree,
         **seen,
     )
-    return Reported(report, timing, plan)
 
 
 def _host(

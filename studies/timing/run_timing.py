@@ -5,17 +5,18 @@ docs/timing.md defines each measure.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from itertools import groupby
-from typing import Final, NamedTuple, TypeAlias, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
+import pandas as pd
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from agents.cycle import KINDS, Kind, kind_of, stage_place
+from agents.plan import RunPlan
 from bus_schemas.signals import COMMAND, PRODUCTION, SIGNALS
 from bus_schemas.tree import PLANT, ROOT, ControlTree, depth
 from launch_scripts.launcher.summary import ProcessAccount
@@ -24,7 +25,6 @@ from studies.timing.clocks import ACROSS, ClockOffset, clock_of, clock_offsets, 
 from studies.timing.cycle_waits import CycleWaits, cycle_waits
 from studies.timing.durations import Times, distribution
 from studies.timing.stage_times import (
-    NEVER,
     MessageTimes,
     StageTimes,
     read_message_times,
@@ -41,7 +41,6 @@ MEASURES: Final = (LOOP, "decision", "hop", "lateness", "jitter", "age", "respon
 SLOWEST: Final = 3
 """How many of the slowest cycles are looked into."""
 
-Durations: TypeAlias = NDArray[np.int64]
 N = TypeVar("N", int, float)
 
 
@@ -87,21 +86,20 @@ class TierTiming(msgspec.Struct, frozen=True):
 class RunTiming(NamedTuple):
     """The timing of a run, without devices among its processes.
 
-    In a late cycle one of our agents missed a deadline, overran or said nothing. `loop_cycles` are
-    those that the plant ended.
+    In a late cycle one of our agents missed a deadline, overran or said nothing. `loop_ns` has the
+    cycles that the plant ended.
     """
 
     times: tuple[Times, ...]
     processes: tuple[ProcessTiming, ...]
     slowest: tuple[CycleWaits, ...]
     late_cycles: int
-    loop_cycles: NDArray[np.int64]
-    loop_ns: Durations
+    loop_ns: pd.Series
     clocks: tuple[ClockOffset, ...] = ()
 
     @property
     def cycles(self) -> int:
-        return len(self.loop_cycles)
+        return len(self.loop_ns)
 
 
 def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
@@ -111,178 +109,159 @@ def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
     if clocks := clock_offsets(messages, stages):
         messages = on_one_clock(messages, clocks)
         stages = stage_times(messages)
-    measures = _Measures(messages, clocks)
-    for _, own in groupby(stages, key=lambda stage: stage.agent):
-        measures.see_agent(list(own))
-    cycles, loop_ns, slowest = measures.see_loop()
+    plan = messages.plan
+    durations = _Durations(plan, clocks)
+    processes: list[ProcessTiming] = []
+    late: set[int] = set()
+    for agent, group in groupby(stages, key=lambda stage: stage.agent):
+        own = list(group)
+        durations.see_agent(own)
+        if agent in plan.external:
+            continue
+        closed = pd.concat([stage.closed for stage in own])
+        silent = messages.publish_ns.index.difference(closed.index)
+        late.update(silent, closed.index[closed.lacking | closed.overran])
+        processes.append(
+            ProcessTiming(
+                agent=agent,
+                tier=tier_of(agent, plan.tree),
+                kind=kind_of(agent, plan.tree),
+                missed_deadlines=_counts({one.name: one.closed.lacking for one in own}),
+                missing_inputs=dict(messages.missed.missing[agent]),
+                old_inputs=messages.missed.old[agent],
+                overruns=_counts({one.name: one.closed.overran for one in own}),
+                skipped_cycles=len(silent),
+                slowest_decision_us=max(0.0, float((closed.last_ns - closed.ready_ns).max())) / 1e3,
+            )
+        )
+    loop_ns = durations.see_loop(messages)
+    slowest = messages.publish_ns[PRODUCTION.of(ROOT)].dropna().nlargest(SLOWEST).index
     if by_agent:
-        measures.processes = [replace(one, times=measures.rows(one)) for one in measures.processes]
+        processes = [replace(one, times=durations.rows_of(one)) for one in processes]
     return RunTiming(
-        times=measures.rows(),
-        processes=tuple(measures.processes),
-        slowest=tuple(cycle_waits(messages, stages, cycle) for cycle in slowest),
-        late_cycles=int(measures.late.sum()),
-        loop_cycles=cycles,
+        times=durations.rows(),
+        processes=tuple(processes),
+        slowest=tuple(cycle_waits(messages, stages, cycle) for cycle in slowest.tolist()),
+        late_cycles=len(late),
         loop_ns=loop_ns,
         clocks=clocks,
     )
 
 
-class _Part(NamedTuple):
-    """A part of a row: the row, its place in its measure, and the row of the agent alone."""
+def _counts(by_stage: dict[str, pd.Series]) -> dict[str, int]:
+    """Count the cycles in which something holds of each stage, where there are any."""
+    return {stage: int(holds.sum()) for stage, holds in by_stage.items() if holds.any()}
+
+
+class _Row(NamedTuple):
+    """The row that durations belong to, and its place among those of its measure."""
 
     measure: str
+    place: int
     of: str
     kind: str
-    place: int
-    durations_ns: Durations
-    agent: str = ""
-    own: str = ""
 
 
-class _Measures:
-    """Rows of durations, counts, and the cycles in which one of our agents was late."""
+class _Durations:
+    """The durations of a run, by the rows of all agents together, and by those of each one."""
 
-    def __init__(self, messages: MessageTimes, clocks: Sequence[ClockOffset]) -> None:
-        self._messages = messages
+    def __init__(self, plan: RunPlan, clocks: Sequence[ClockOffset]) -> None:
+        self._plan, self._tree = plan, plan.tree
         self._clocks = {clock.name for clock in clocks}
-        self._plan, self._tree = messages.plan, messages.plan.tree
-        self._parts: list[_Part] = []
-        self.processes: list[ProcessTiming] = []
-        self.late = np.zeros(len(messages.tick_ns), dtype=bool)
-
-    def see_agent(self, stages: list[StageTimes]) -> None:
-        """Measure the stages of an agent; of a device only what can be seen from outside."""
-        for stage in stages:
-            at = np.flatnonzero(stage.closed)
-            expected_ns = np.diff(at) * self._plan.cycle_wall_ns
-            self._add_stage("jitter", stage, abs(np.diff(stage.first_ns[at]) - expected_ns))
-        if stages[0].agent in self._plan.external:
-            for stage in stages:
-                self._see_device(stage)
-        else:
-            self._see_own(stages)
-
-    def _see_own(self, stages: list[StageTimes]) -> None:
-        agent = stages[0].agent
-        # When the agent had last spoken before each stage of each cycle.
-        spoke_ns = np.column_stack([np.where(one.closed, one.last_ns, 0) for one in stages])
-        latest_ns = np.maximum.accumulate(np.concatenate([[0], spoke_ns.ravel()]))
-        before_ns = latest_ns[:-1].reshape(spoke_ns.shape)
-        missed, overruns = Counter[str](), Counter[str]()
-        slowest_ns = 0
-        for stage, before in zip(stages, before_ns.T, strict=True):
-            decision_ns = (stage.last_ns - stage.ready_ns)[stage.closed]
-            self._add_stage("decision", stage, decision_ns)
-            slowest_ns = max(slowest_ns, int(decision_ns.max(initial=0)))
-            overran = self._see_deadline(stage)
-            known = stage.closed & (stage.oldest_ns < NEVER)
-            self._add_stage("age", stage, (stage.ready_ns - stage.oldest_ns)[known])
-            self._see_hops(stage, before)
-            missed[stage.name] += int(stage.lacking.sum())
-            overruns[stage.name] += int(overran.sum())
-            self.late |= stage.lacking | overran
-        silent = ~np.logical_or.reduce([stage.closed for stage in stages])
-        self.late |= silent
-        self.processes.append(
-            ProcessTiming(
-                agent=agent,
-                tier=tier_of(agent, self._tree),
-                kind=kind_of(agent, self._tree),
-                missed_deadlines=dict(+missed),
-                missing_inputs=dict(self._messages.missed.missing[agent]),
-                old_inputs=self._messages.missed.old[agent],
-                overruns=dict(+overruns),
-                skipped_cycles=int(silent.sum()),
-                slowest_decision_us=slowest_ns / 1e3,
-            )
+        self._found: dict[_Row, list[pd.Series]] = defaultdict(list)
+        self._found_of: dict[str, dict[_Row, list[pd.Series]]] = defaultdict(
+            lambda: defaultdict(list)
         )
 
-    def _see_deadline(self, stage: StageTimes) -> NDArray[np.bool_]:
-        """Measure how late the clock closed a stage; return the cycles in which it overran."""
-        deadlines = self._plan.deadlines
-        deadline_ns = self._messages.tick_ns + deadlines.deadline_ns(stage.agent, stage.name)
-        by_clock = stage.closed if stage.timed else stage.lacking
-        self._add_stage("lateness", stage, (stage.first_ns - deadline_ns)[by_clock])
-        # The plant's tick is when its first stage begins, not when it must end.
-        grace_ns = deadlines.slice_ns(stage.agent, stage.name) if stage.timed else 0
-        overran: NDArray[np.bool_] = stage.last_ns > deadline_ns + grace_ns
-        return overran & stage.closed & ~stage.lacking
+    def see_agent(self, stages: Sequence[StageTimes]) -> None:
+        """Measure the stages of an agent; of a device only what can be seen from outside."""
+        cycle_ns = self._plan.cycle_wall_ns
+        # When the agent had last spoken before each stage of each cycle.
+        spoke_ns = pd.DataFrame(
+            {at: one.closed.last_ns + one.closed.index * cycle_ns for at, one in enumerate(stages)}
+        )
+        latest_ns = np.fmax.accumulate([-np.inf, *spoke_ns.to_numpy().flat])
+        before_ns = pd.DataFrame(latest_ns[:-1].reshape(spoke_ns.shape), spoke_ns.index)
+        for place, stage in enumerate(stages):
+            closed = stage.closed
+            self._add_stage("jitter", stage, closed.first_ns.diff().abs())
+            if stage.agent in self._plan.external:
+                self._add_response(stage)
+                continue
+            self._add_stage("decision", stage, closed.last_ns - closed.ready_ns)
+            by_clock = closed if stage.timed else closed[closed.lacking]
+            self._add_stage("lateness", stage, by_clock.first_ns - stage.deadline_ns)
+            self._add_stage("age", stage, closed.ready_ns - closed.oldest_ns)
+            was_free = (
+                closed.ready_ns + closed.index * cycle_ns >= before_ns.loc[closed.index, place]
+            )
+            self._add_hops(stage, closed[was_free & ~closed.lacking])
 
-    def _see_hops(self, stage: StageTimes, before_ns: Durations) -> None:
-        """Measure the hop of the input that completed a stage, if the agent was waiting for it."""
-        waited = (stage.completed_ns > 0) & ~stage.lacking & (stage.ready_ns >= before_ns)
-        for place, port in enumerate(stage.inputs):
-            at = waited & (stage.cause == place)
-            hop_ns = (stage.ready_ns - stage.completed_ns)[at]
-            order = SIGNALS.index(port.signal)
-            ends = {clock_of(agent, self._plan) for agent in (stage.agent, port.publisher)}
+    def _add_hops(self, stage: StageTimes, waited: pd.DataFrame) -> None:
+        """Measure the hop of the input that completed a stage, while the agent waited for it."""
+        hops_ns = (waited.ready_ns - waited.completed_ns).dropna()
+        for port, hop_ns in hops_ns.groupby(waited.cause, sort=False):
+            signal, publisher = port.signal.name, port.publisher
+            ends = {clock_of(agent, self._plan) for agent in (stage.agent, publisher)}
             mark = ACROSS if len(ends) > 1 and ends & self._clocks else ""
-            signal = f"{port.signal.name}{mark}"
-            self._add(_Part("hop", signal, signal, order, hop_ns, stage.agent, f"{port}{mark}"))
-            if port.publisher in self._plan.external and port.publisher != PLANT:
-                row = f"{port.signal.name} of {port.publisher}{mark}"
-                self._add(_Part("hop", row, signal, order, hop_ns))
+            row = _Row("hop", SIGNALS.index(port.signal), f"{signal}{mark}", f"{signal}{mark}")
+            self._add(row, hop_ns, stage.agent, f"{port}{mark}")
+            if publisher in self._plan.external and publisher != PLANT:
+                self._add(row._replace(of=f"{signal} of {publisher}{mark}"), hop_ns)
 
-    def _see_device(self, stage: StageTimes) -> None:
+    def _add_response(self, stage: StageTimes) -> None:
         """Measure from outside how long a device took to answer."""
-        completed = stage.completed_ns > 0
-        began_ns = np.where(completed, stage.completed_ns, self._messages.tick_ns)
-        answered = stage.closed & (completed | stage.timed)
+        closed = stage.closed if stage.timed else stage.closed[stage.closed.completed_ns.notna()]
         place = stage_place(stage.agent, stage.name, self._tree)
-        row, kind = f"{stage.agent} {stage.name}", kind_of(stage.agent, self._tree)
-        self._add(_Part("response", row, kind, place, (stage.last_ns - began_ns)[answered]))
+        kind = kind_of(stage.agent, self._tree)
+        row = _Row("response", place, f"{stage.agent} {stage.name}", kind)
+        self._add(row, closed.last_ns - closed.completed_ns.fillna(0.0))
 
-    def see_loop(self) -> tuple[NDArray[np.int64], Durations, list[int]]:
-        """Measure the loop; return the cycles that ended, their loop times, and the slowest."""
-        tick_ns = self._messages.tick_ns
+    def see_loop(self, messages: MessageTimes) -> pd.Series:
+        """Measure the loop; return the loop times of the cycles that the plant ended."""
         for leaf in self._tree.leaves:
-            command_ns = self._messages.published_ns(COMMAND.of(leaf))
-            times_ns = (command_ns - tick_ns)[command_ns > 0]
-            self._add(_Part(LOOP, EVERY_COMMAND, "", 1, times_ns, PLANT, leaf))
+            row = _Row(LOOP, 1, EVERY_COMMAND, "")
+            self._add(row, messages.publish_ns[COMMAND.of(leaf)], PLANT, leaf)
         production = PRODUCTION.of(ROOT)
-        published_ns = applied_ns = self._messages.published_ns(production)
+        loop_ns = messages.publish_ns[production].dropna()
         if PLANT not in self._plan.external:
-            applied_ns = self._messages.ready_ns[:, self._messages.columns[production]]
-        cycles = np.flatnonzero(published_ns)
-        loop_ns = (applied_ns - tick_ns)[cycles]
-        self._add(_Part(LOOP, WHOLE_LOOP, "", 0, loop_ns, PLANT))
-        slowest = np.argsort((tick_ns - published_ns)[cycles], kind="stable")[:SLOWEST]
-        return cycles, loop_ns, [int(cycle) for cycle in cycles[slowest]]
+            loop_ns = messages.ready_ns[production].loc[loop_ns.index]
+        self._add(_Row(LOOP, 0, WHOLE_LOOP, ""), loop_ns, PLANT)
+        return loop_ns
 
-    def _add_stage(self, measure: str, stage: StageTimes, durations_ns: Durations) -> None:
-        agent, place = stage.agent, stage_place(stage.agent, stage.name, self._tree)
-        row, kind = f"{tier_of(agent, self._tree)} {stage.name}", kind_of(agent, self._tree)
-        self._add(_Part(measure, row, kind, place, durations_ns, agent, stage.name))
+    def _add_stage(self, measure: str, stage: StageTimes, durations_ns: pd.Series) -> None:
+        tier, kind = tier_of(stage.agent, self._tree), kind_of(stage.agent, self._tree)
+        place = stage_place(stage.agent, stage.name, self._tree)
+        row = _Row(measure, place, f"{tier} {stage.name}", kind)
+        self._add(row, durations_ns, stage.agent, stage.name)
 
-    def _add(self, part: _Part) -> None:
-        if len(part.durations_ns):
-            self._parts.append(part)
+    def _add(self, row: _Row, durations_ns: pd.Series, agent: str = "", own: str = "") -> None:
+        """Add durations to a row, and to the one of an agent alone that has a name of its own."""
+        if len(known_ns := durations_ns.dropna()):
+            self._found[row].append(known_ns)
+            self._found_of[agent][_Row(row.measure, 0, own, "")].append(known_ns)
 
-    def rows(self, process: ProcessTiming | None = None) -> tuple[Times, ...]:
-        """Return the rows by tier and signal, or those of one of our own agents alone.
+    def rows(self) -> tuple[Times, ...]:
+        """Return the rows by tier and signal: by measure, then in the order of a cycle."""
+        return self._times(self._found)
 
-        They come by measure, then in the order of a cycle; those of an agent by name.
-        """
+    def rows_of(self, process: ProcessTiming) -> tuple[Times, ...]:
+        """Return the rows of one of our own agents alone: by measure, then by name."""
+        rows = self._times(self._found_of[process.agent])
+        return tuple(replace(row, kind=process.kind) for row in rows)
+
+    def _times(self, found: dict[_Row, list[pd.Series]]) -> tuple[Times, ...]:
         outside = {"response", LOOP} if PLANT in self._plan.external else {"response"}
-        parts = self._parts
-        if process is not None:
-            parts = [
-                part._replace(of=part.own, kind=process.kind, place=0)
-                for part in parts
-                if part.agent == process.agent
-            ]
-
-        def row(part: _Part) -> tuple[int, int, str]:
-            return MEASURES.index(part.measure), part.place, part.of
-
-        found = []
-        for _, group in groupby(sorted(parts, key=row), row):
-            members = list(group)
-            measure, of, kind = members[0].measure, members[0].of, members[0].kind
-            durations = distribution(np.concatenate([part.durations_ns for part in members]))
-            found.append(Times(measure, of, kind, durations, measure in outside))
-        return tuple(found)
+        return tuple(
+            Times(
+                row.measure,
+                row.of,
+                row.kind,
+                distribution(np.concatenate(found[row]).astype(np.int64)),
+                row.measure in outside,
+            )
+            for row in sorted(found, key=lambda row: (MEASURES.index(row.measure), *row[1:]))
+        )
 
 
 def tier_of(agent: str, tree: ControlTree) -> str:

@@ -11,11 +11,12 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from itertools import compress
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
 from agents.agent import Stage
 from agents.cycle import STAGES, kind_of, stage_of
@@ -28,8 +29,6 @@ from bus_schemas.signals import COMMAND, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, ROOT
 from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RunReader
-
-NEVER: Final = np.iinfo(np.int64).max
 
 
 class _Head(msgspec.Struct, gc=False):
@@ -45,99 +44,44 @@ _decode_head = msgspec.msgpack.Decoder(_Head).decode
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageTimes:
-    """The times of the messages of T cycles on P ports, up to the last cycle that the plant ended.
+    """The times of the messages of a run, up to the last cycle that the plant ended.
 
-    `columns` has the column of each port. `tick_ns`, shape (T,), is the scheduled beginning of each
-    cycle. `ready_ns` and `publish_ns`, shape (T, P), are what the messages state; 0: no message.
-    `missing` is what they say of inputs that were older than due, by port and cycle; `missed` how
-    many inputs each agent missed; `fastest_ns`, shape (P,), the shortest time from publishing to
-    the recorder.
+    `ready_ns` and `publish_ns` have a row for each cycle and a column for each port: what the
+    messages state, after the scheduled tick of their cycle; NaN: no message, or it does not say.
+    `missing` is what they say of inputs that were older than due, by cycle and port; `missed` how
+    many inputs each agent missed; `fastest_ns` the shortest time from publishing to the recorder.
     """
 
     plan: RunPlan
-    columns: dict[Port[Message], int]
-    tick_ns: NDArray[np.int64]
-    ready_ns: NDArray[np.int64]
-    publish_ns: NDArray[np.int64]
-    missing: dict[Port[Message], dict[int, tuple[str, ...]]]
+    ports: Sequence[Port[Message]]
+    ready_ns: pd.DataFrame
+    publish_ns: pd.DataFrame
+    missing: dict[tuple[int, Port[Message]], tuple[str, ...]]
     missed: MissedInputs
-    fastest_ns: NDArray[np.int64]
-
-    def published_ns(self, port: Port[Message]) -> NDArray[np.int64]:
-        """Return when the messages of a port went out, shape (T,); 0 where there is none."""
-        return self.publish_ns[:, self.columns[port]]
+    fastest_ns: dict[Port[Message], int]
 
 
-class StageTimes:
-    """One stage of one agent over T cycles. Its times are valid in cycles in which it closed.
+class StageTimes(NamedTuple):
+    """One stage of one agent; `closed` has a row for each cycle in which it published anything.
 
-    inputs, outputs: The A ports that it awaits or uses, and those on which it publishes.
-    timed: Whether the clock alone closes it.
-    closed, ready_ns, first_ns, last_ns, last: Whether it published anything, when it could close,
-        when its first and its last message went out, and which that was, a place in `outputs`.
-        Shape (T,).
-    awaited, without, lacking: Which inputs it awaits, and which of these had not come when it
-        closed, shape (T, A); and whether any had not come, shape (T,).
-    input_ns, oldest_ns: When this cycle's message of each input went out, shape (T, A), 0 for none;
-        when the oldest message that it used did, shape (T,), `NEVER` for none.
-    completed_ns, cause: When the last awaited input that came in time went out, 0 for none; and
-        which it is, a place in `inputs`. Shape (T,).
+    Its columns, with times after the scheduled tick of the cycle, NaN where there is none:
+
+    first_ns, last_ns, message: When its first and its last message went out, and which that was.
+    ready_ns: When it could close.
+    completed_ns: When the last awaited input that came in time went out.
+    oldest_ns: When the oldest message that it used went out, perhaps in an earlier cycle.
+    awaits, lacking, overran: Whether it awaits anything in this cycle; whether an input had not
+        come when it closed; whether all had come and it spoke after its deadline all the same.
+    without: Keys of the inputs that had not come.
+    cause: What it waited for last: the input that completed it, or that came too late. None if that
+        is not known.
     """
 
-    def __init__(
-        self,
-        messages: MessageTimes,
-        agent: str,
-        pattern: Sequence[Stage | None],
-        outputs: list[Port[Message]],
-    ) -> None:
-        stages = [stage for stage in pattern if stage is not None]
-        self.agent, self.name, self.timed = agent, stages[0].name, stages[0].timed
-        self.outputs = outputs
-        self.inputs = list(dict.fromkeys(p for s in stages for p in (*s.awaits, *s.uses)))
-        cycle = np.arange(len(messages.tick_ns))
-        turn = cycle % len(pattern)
-        awaits = [stage.awaits if stage is not None else () for stage in pattern]
-        self.awaited = np.array(
-            [[port in awaited for port in self.inputs] for awaited in awaits], dtype=bool
-        )[turn]
-        columns = [messages.columns[port] for port in outputs]
-        publish_ns = messages.publish_ns[:, columns]
-        there = publish_ns > 0
-        self.closed = there.any(axis=1) & np.array([stage is not None for stage in pattern])[turn]
-        self.last = publish_ns.argmax(axis=1)
-        self.last_ns = publish_ns.max(axis=1)
-        self.first_ns = np.where(there, publish_ns, NEVER).min(axis=1)
-        self.ready_ns = messages.ready_ns[cycle, np.take(columns, self.last)]
-        self._see_inputs(messages)
-
-    def _see_inputs(self, messages: MessageTimes) -> None:
-        """Find which messages it used, and which one it waited for last."""
-        cycles = len(messages.tick_ns)
-        periods = np.array([messages.plan.period(port) for port in self.inputs], dtype=np.int64)
-        used = np.arange(cycles)[:, None] // periods * periods
-        late = np.zeros(self.awaited.shape, dtype=bool)
-        places = {str(port): place for place, port in enumerate(self.inputs)}
-        for output, port in enumerate(self.outputs):
-            for cycle, entries in messages.missing.get(port, {}).items():
-                # A stage's last message speaks for it.
-                if cycle >= cycles or not self.closed[cycle] or self.last[cycle] != output:
-                    continue
-                for key, of_cycle in map(parse_missing, entries):
-                    if key in places:
-                        late[cycle, places[key]] = True
-                        used[cycle, places[key]] = -1 if of_cycle is None else of_cycle
-        self.without: NDArray[np.bool_] = np.logical_and(self.awaited, late)
-        self.lacking: NDArray[np.bool_] = self.without.any(axis=1)
-        self.input_ns = messages.publish_ns[:, [messages.columns[port] for port in self.inputs]]
-        known = (used >= 0) & (used < cycles)
-        used_ns = np.take_along_axis(self.input_ns, np.where(known, used, 0), axis=0)
-        used_ns[~known | (used_ns == 0)] = NEVER
-        self.oldest_ns = used_ns.min(axis=1, initial=NEVER)
-        in_time = self.awaited & ~late & (self.input_ns < self.last_ns[:, None])
-        in_time_ns = np.where(in_time, self.input_ns, 0)
-        self.completed_ns = in_time_ns.max(axis=1, initial=0)
-        self.cause = in_time_ns.argmax(axis=1) if self.inputs else self.last
+    agent: str
+    name: str
+    deadline_ns: int
+    timed: bool
+    closed: pd.DataFrame
 
 
 def read_message_times(reader: RunReader) -> MessageTimes:
@@ -145,51 +89,55 @@ def read_message_times(reader: RunReader) -> MessageTimes:
     ports = [port for port in plan.keys.ports if port.signal.is_cyclic and port.signal.logged]
     columns = {port: column for column, port in enumerate(ports)}
     cycles, places, readies, publishes = (array("q") for _ in range(4))
-    fastest_ns = [NEVER] * len(columns)
-    missing: dict[Port[Message], dict[int, tuple[str, ...]]] = {}
+    fastest_ns: dict[Port[Message], int] = {}
+    missing: dict[tuple[int, Port[Message]], tuple[str, ...]] = {}
     missed = MissedInputs(plan)
     for record in reader.records(columns, range(_end_cycle(reader))):
+        port, cycle = record.port, record.cycle
         try:
             head = _decode_head(record.payload)
         except msgspec.DecodeError as error:
             raise InputError(
-                f"{reader.path}: {record.port}: {error}, expected a "
-                f"{record.port.signal.type.__name__}"
+                f"{reader.path}: {port}: {error}, expected a {port.signal.type.__name__}"
             ) from None
         missed.see(record)
         # A device without this host's clock states 0, one with another clock an impossible time.
-        earliest_ns = max(start_ns + (record.cycle - 1) * plan.cycle_wall_ns, 1)
+        earliest_ns = max(start_ns + (cycle - 1) * plan.cycle_wall_ns, 1)
         if record.publish_time_ns > record.log_time_ns or head.publish_time_ns < earliest_ns:
             continue
-        column = columns[record.port]
-        fastest_ns[column] = min(fastest_ns[column], record.log_time_ns - record.publish_time_ns)
-        cycles.append(record.cycle)
-        places.append(column)
+        way_ns = record.log_time_ns - record.publish_time_ns
+        fastest_ns[port] = min(fastest_ns.get(port, way_ns), way_ns)
+        cycles.append(cycle)
+        places.append(columns[port])
         readies.append(head.ready_time_ns)
         publishes.append(head.publish_time_ns)
         if head.missing:
-            missing.setdefault(record.port, {}).setdefault(record.cycle, head.missing)
+            missing.setdefault((cycle, port), head.missing)
     # Turned round, so that of a message that came twice the first one stays.
-    cycle, place = np.array(cycles)[::-1], np.array(places)[::-1]
-    ended = cycle[place == columns[PRODUCTION.of(ROOT)]]
+    cycle_of, place = np.array(cycles)[::-1], np.array(places)[::-1]
+    ended = cycle_of[place == columns[PRODUCTION.of(ROOT)]]
     length = int(ended.max()) + 1 if len(ended) else 0
-    kept = cycle < length
-    ready_ns, publish_ns = (np.zeros((length, len(columns)), dtype=np.int64) for _ in range(2))
-    ready_ns[cycle[kept], place[kept]] = np.array(readies)[::-1][kept]
-    publish_ns[cycle[kept], place[kept]] = np.array(publishes)[::-1][kept]
+    kept = cycle_of < length
     tick_ns = start_ns + np.arange(length) * plan.cycle_wall_ns
-    fastest = np.array(fastest_ns, dtype=np.int64)
-    return MessageTimes(plan, columns, tick_ns, ready_ns, publish_ns, missing, missed, fastest)
+
+    def table(times: array[int]) -> pd.DataFrame:
+        """Lay times out by cycle and port."""
+        table_ns = np.zeros((length, len(ports)), dtype=np.int64)
+        table_ns[cycle_of[kept], place[kept]] = np.array(times)[::-1][kept]
+        after_tick_ns = np.where(table_ns > 0, table_ns - tick_ns[:, None], np.nan)
+        return pd.DataFrame(after_tick_ns, columns=ports)
+
+    return MessageTimes(plan, ports, table(readies), table(publishes), missing, missed, fastest_ns)
 
 
 def stage_times(messages: MessageTimes) -> list[StageTimes]:
     """Return every stage of every agent: the plant first, the stages of an agent in their order."""
     plan = messages.plan
     outputs: dict[tuple[str, str], list[Port[Message]]] = {}
-    for port in messages.columns:
+    for port in messages.ports:
         outputs.setdefault((port.publisher, stage_of(port, plan.tree)), []).append(port)
     return [
-        StageTimes(
+        _stage(
             messages,
             agent,
             [next((one for one in stages if one.name == name), None) for stages in pattern],
@@ -198,6 +146,72 @@ def stage_times(messages: MessageTimes) -> list[StageTimes]:
         for agent, pattern in stages_of_agents(plan).items()
         for name in STAGES[kind_of(agent, plan.tree)]
     ]
+
+
+def _stage(
+    messages: MessageTimes,
+    agent: str,
+    pattern: Sequence[Stage | None],
+    outputs: Sequence[Port[Message]],
+) -> StageTimes:
+    """Return a stage; `pattern` is what it is in each cycle until that repeats, None: nothing."""
+    plan = messages.plan
+    stages = [stage for stage in pattern if stage is not None]
+    name, timed = stages[0].name, stages[0].timed
+    publish_ns = messages.publish_ns[outputs]
+    turn = np.arange(len(publish_ns)) % len(pattern)
+    closes = np.array([stage is not None for stage in pattern])[turn]
+    publish_ns = publish_ns[closes & publish_ns.notna().any(axis=1)]
+    cycle, last_ns = publish_ns.index.to_numpy(), publish_ns.max(axis=1)
+    last = np.nanargmax(publish_ns.to_numpy(), axis=1)
+    message = np.array(outputs, dtype=object)[last]
+
+    # Of each cycle and input: whether it is awaited, whether it was late, and of which cycle the
+    # message is that was used.
+    inputs = list(dict.fromkeys(port for one in stages for port in (*one.awaits, *one.uses)))
+    awaits = [() if stage is None else stage.awaits for stage in pattern]
+    awaited = np.array([[port in ports for port in inputs] for ports in awaits], dtype=bool)
+    awaited = awaited[cycle % len(pattern)]
+    periods = np.array([plan.period(port) for port in inputs], dtype=np.int64)
+    used = cycle[:, None] // periods * periods
+    late = np.zeros(awaited.shape, dtype=bool)
+    places = {str(port): place for place, port in enumerate(inputs)}
+    # A stage's last message speaks for it.
+    for row, closing in enumerate(zip(cycle.tolist(), message, strict=True)):
+        for key, of_cycle in map(parse_missing, messages.missing.get(closing, ())):
+            if key in places:
+                late[row, places[key]] = True
+                used[row, places[key]] = -1 if of_cycle is None else of_cycle
+    without = awaited & late
+    lacking = without.any(axis=1)
+
+    sent_ns = messages.publish_ns[inputs].to_numpy(dtype=float)
+    known = (used >= 0) & (used < len(sent_ns))
+    used_ns = np.take_along_axis(sent_ns, np.where(known, used, 0), axis=0)
+    used_ns += (used - cycle[:, None]) * plan.cycle_wall_ns
+    input_ns = sent_ns[cycle]
+    in_time = awaited & ~late & (input_ns < last_ns.to_numpy()[:, None])
+    waited_for = np.where(lacking[:, None], without, in_time) & ~np.isnan(input_ns)
+    # The first column is for no input at all.
+    nothing_ns = np.full(len(cycle), -np.inf)
+    waited_ns = np.column_stack([nothing_ns, np.where(waited_for, input_ns, -np.inf)])
+    deadline_ns = plan.deadlines.deadline_ns(agent, name)
+    # The plant's tick is when its first stage begins, not when it must end.
+    grace_ns = plan.deadlines.slice_ns(agent, name) if timed else 0
+    columns = {
+        "first_ns": publish_ns.min(axis=1),
+        "last_ns": last_ns,
+        "message": message,
+        "ready_ns": messages.ready_ns[outputs].to_numpy()[cycle, last],
+        "completed_ns": np.fmax.reduce(np.where(in_time, input_ns, np.nan), 1, initial=np.nan),
+        "oldest_ns": np.fmin.reduce(np.where(known, used_ns, np.nan), 1, initial=np.nan),
+        "awaits": awaited.any(axis=1),
+        "lacking": lacking,
+        "overran": ~lacking & (last_ns > deadline_ns + grace_ns),
+        "without": [tuple(sorted(compress(places, row))) for row in without.tolist()],
+        "cause": np.array([None, *inputs], dtype=object)[waited_ns.argmax(axis=1)],
+    }
+    return StageTimes(agent, name, deadline_ns, timed, pd.DataFrame(columns))
 
 
 def _start_ns(reader: RunReader) -> int:

@@ -7,20 +7,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import msgspec
-from rich.console import Console
 
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
-from studies.tables import (
-    Cell,
-    Column,
-    Table,
-    counted,
-    key_column,
-    print_lines,
-    print_table,
-    word_column,
-)
+from studies.tables import Cell, Column, Table, counted, key_column, word_column
 from studies.timing.report import Host, TimingReport
 from studies.timing.run_timing import LOOP, WHOLE_LOOP, total
 from studies.timing.tables import cycles_per_s, host_lines
@@ -212,13 +202,6 @@ def _trouble(report: TimingReport) -> str:
     if report.lost_messages:
         found.append(f"messages not recorded: {report.lost_messages:,}")
     return ", ".join(found)
-
-
-def print_sweep(found: Sweep, console: Console) -> None:
-    """Print the rates, on what they were run, and the highest clean one."""
-    print_lines(console, [*machine_lines(found), ""])
-    print_table(console, sweep_table(found))
-    print_lines(console, [*trouble_lines(found), conclusion(found)])
 
 
 def sweep_table(found: Sweep) -> Table:

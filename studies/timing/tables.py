@@ -1,12 +1,11 @@
-"""The timing of a run as tables and lines of text, for a terminal and for a page."""
+"""The timing of a run as tables and lines of text."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 from typing import Final
 
-from rich.console import Console
+import msgspec
 
 from launch_scripts.launcher.wrong_messages import one_line_each
 from studies.report.tables import devices_tables
@@ -17,13 +16,11 @@ from studies.tables import (
     attributes,
     counted,
     key_column,
-    print_lines,
-    print_table,
     word_column,
 )
 from studies.timing.budgets import Verdict
 from studies.timing.clocks import ACROSS, ClockOffset
-from studies.timing.durations import Distribution
+from studies.timing.durations import Distribution, Times
 from studies.timing.report import Host, TimingReport
 from studies.timing.run_timing import ProcessTiming, count_of
 
@@ -58,29 +55,9 @@ _TIER_COLUMNS: Final = (
 _TIER_NOTE: Final = (
     "CPU in % of one core, of all processes and of the busiest; memory of the largest one"
 )
-_HOPS: Final = (
-    "(each time begins when what the agent waited for was published: it includes the hop)"
-)
 _ACROSS: Final = "* between two clocks: worked out from both, see the table of clocks"
 _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 """Decimals of a budget's figures, by unit."""
-
-
-def print_report(report: TimingReport, console: Console, *, processes: bool) -> None:
-    """Print the tables of a run; with `processes` one for each process as well."""
-    print_lines(console, [*header_lines(report), ""])
-    for table in measured_tables(report):
-        print_table(console, table)
-    for process in report.processes if processes else ():
-        print_table(console, _process_table(process))
-    if report.slowest_cycles:
-        first, *others = (cycle.text for cycle in report.slowest_cycles)
-        print_lines(console, [f"slowest {first}", *(f"next {text}" for text in others), _HOPS])
-    print_lines(console, [*network_lines(report), ""])
-    print_table(console, budgets_table(report.verdicts))
-    style = "green" if report.passed else "bold red"
-    console.print(verdict_line(report), style=style, highlight=False, markup=False)
-    print_lines(console, [f"  not kept: {line}" for line in failures(report)])
 
 
 def cycles_per_s(rate_hz: float) -> str:
@@ -176,22 +153,31 @@ def measured_tables(report: TimingReport) -> list[Table]:
 
 
 def _times_tables(report: TimingReport) -> list[Table]:
-    """Return a table of durations for each measure, with its budgets if it has any."""
+    """Return a table of durations for each measure, with its budgets if it has any.
+
+    Rows of single processes stand below those of all together.
+    """
     limits: dict[tuple[str, str], tuple[Cell, Cell]] = {
         (verdict.measure, verdict.of): (verdict.limit, verdict.passed)
         for verdict in report.verdicts
         if verdict.line.endswith("p99")
     }
+    of_processes = [
+        msgspec.structs.replace(row, of=f"{process.agent}: {row.of}".rstrip(": "))
+        for process in report.processes
+        for row in process.times
+    ]
+    by_measure: dict[str, list[Times]] = {}
+    for row in (*report.times, *of_processes):
+        by_measure.setdefault(row.measure, []).append(row)
     tables = []
-    for measure, found in groupby(report.times, lambda row: row.measure):
+    for measure, found in by_measure.items():
         rows: list[tuple[Cell, ...]] = []
-        notes = [MEANINGS[measure]]
         for row in found:
             name = f"{row.of} (from outside)" if row.outside else row.of
             rows.append((name, *_figures(row.times), *limits.get((measure, row.of), ("", ""))))
-            if ACROSS in row.of and _ACROSS not in notes:
-                notes.append(_ACROSS)
         columns = _JUDGED if any(row[-1] != "" for row in rows) else _TIMES
+        notes = [MEANINGS[measure], *([_ACROSS] if any(ACROSS in row.of for row in found) else [])]
         cut = [row[: len(columns)] for row in rows]
         tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, notes))
     return tables
@@ -220,7 +206,10 @@ def _clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
     return [Table("Clocks", columns, rows, notes)] if rows else []
 
 
-def processes_table(processes: Iterable[ProcessTiming]) -> Table:
+def processes_tables(processes: Sequence[ProcessTiming]) -> list[Table]:
+    """Return the counts of each process, if they have rows of their own."""
+    if not any(process.times for process in processes):
+        return []
     columns = (
         key_column("process"),
         word_column("tier"),
@@ -229,17 +218,21 @@ def processes_table(processes: Iterable[ProcessTiming]) -> Table:
         Column("memory", "MB", 1),
         *map(Column, ("missed deadlines", "overruns", "skipped cycles", "dropped")),
     )
-    rows = tuple(
+    rows = [
         (
-            *(one.agent, one.tier),
+            one.agent,
+            one.tier,
             None if one.slowest_decision_us is None else one.slowest_decision_us / 1e3,
-            *(one.cpu_percent, one.resident_mb),
-            *(count_of(one.missed_deadlines), count_of(one.overruns), one.skipped_cycles),
+            one.cpu_percent,
+            one.resident_mb,
+            count_of(one.missed_deadlines),
+            count_of(one.overruns),
+            one.skipped_cycles,
             count_of(one.dropped),
         )
         for one in processes
-    )
-    return Table("Processes", columns, rows)
+    ]
+    return [Table("Processes", columns, rows)]
 
 
 def budgets_table(verdicts: Iterable[Verdict]) -> Table:
@@ -251,24 +244,3 @@ def budgets_table(verdicts: Iterable[Verdict]) -> Table:
         if not one.measure or one.value is None or not one.line.endswith("p99")
     )
     return Table("Other budgets", columns, rows)
-
-
-def _process_table(process: ProcessTiming) -> Table:
-    counts = {
-        "missed": process.missed_deadlines,
-        "overruns": process.overruns,
-        "missing": process.missing_inputs,
-        "dropped": process.dropped,
-    }
-    lines = [
-        f"{name} {', '.join(f'{key} {count:,}' for key, count in found.items())}"
-        for name, found in counts.items()
-        if found
-    ]
-    if process.skipped_cycles:
-        lines.append(f"{process.skipped_cycles:,} cycles skipped")
-    note = "; ".join(lines) or "kept every deadline"
-    rows = tuple(
-        (f"{row.measure} {row.of}".rstrip(), *_figures(row.times)) for row in process.times
-    )
-    return Table(f"{process.agent} ({process.tier}) [ms]", _TIMES, rows, (note,))

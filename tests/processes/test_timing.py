@@ -78,7 +78,7 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -
     assert_none_left(folder)
 
     # The recording tells the same later, with what the launcher saw beside it.
-    found = report_on(folder).report
+    found = report_on(folder)
     again = json.loads(msgspec.json.encode(found.document()))
     assert again["times"] == report["times"]
     assert again["tiers"] == report["tiers"]

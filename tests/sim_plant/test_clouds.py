@@ -71,23 +71,15 @@ def test_the_weather_does_not_depend_on_where_the_run_begins(noon_index: Floats)
     )
 
 
-@pytest.mark.parametrize("drift_from_deg", [0.0, 65.0, 200.0])
-def test_a_sensor_down_wind_sees_the_same_cloud_later(drift_from_deg: float) -> None:
-    settings = CloudSettings(drift_from_deg=drift_from_deg, drift_speed_ms=10.0, evolution_s=86_400)
-    # 500 m towards where the clouds go: 50 s at 10 m/s.
-    towards = np.deg2rad(drift_from_deg + 180.0)
-    lat_deg = 21.3 + np.array([0.0, 500.0 * np.cos(towards) * METRE_DEG])
-    east_deg = 500.0 * np.sin(towards) * METRE_DEG / np.cos(np.deg2rad(lat_deg.mean()))
-    lon_deg = -158.0 + np.array([0.0, east_deg])
-    times = instants("2010-04-01T22:00Z", 1200)
-    ghi_wm2 = synthetic_ghi(times, lat_deg, lon_deg, 5.0, settings, 1)
-    index = ghi_wm2 / clear_sky_ghi(times, lat_deg, lon_deg, 5.0, 3.0)[:, None]
-    likeness = {
-        lag: np.corrcoef(index[: 1200 - lag, 0], index[lag:, 1])[0, 1] for lag in range(0, 120, 5)
-    }
-    assert max(likeness, key=lambda lag: likeness[lag]) == 50
-    assert likeness[50] > 0.99
-    assert likeness[0] < 0.8
+@pytest.mark.parametrize(("speed_ms", "from_deg"), [(5.0, 65.0), (10.0, 200.0), (15.0, 0.0)])
+def test_the_motion_read_from_the_sensors_is_the_one_that_was_asked_for(
+    speed_ms: float, from_deg: float
+) -> None:
+    sky = CloudSettings(drift_speed_ms=speed_ms, drift_from_deg=from_deg, evolution_s=86_400)
+    index = clear_sky_index(NOON[:3600], sky)
+    motion = cloud_motion(index, *local_metres(), 1.0)
+    assert motion.speed_ms == pytest.approx(speed_ms, rel=0.1)
+    assert abs((motion.from_deg - from_deg + 180.0) % 360.0 - 180.0) < 10.0
 
 
 def test_clouds_change_their_shape_within_the_evolution_time() -> None:
@@ -248,3 +240,15 @@ def test_changes_are_those_of_a_real_plant(data_folder: Path, hour: str) -> None
             ]
         )
         assert 0.7 < of_synthetic / of_measured < 1.4
+
+
+@pytest.mark.parametrize(("hour", "speed_ms", "angle_rad"), [("a", 10.7, 3.29), ("c", 3.14, 1.92)])
+def test_the_motion_over_a_real_plant_is_the_one_that_its_publisher_found(
+    data_folder: Path, hour: str, speed_ms: float, angle_rad: float
+) -> None:
+    current, east_m, north_m, averaging = real_plant(data_folder / "plant20mw-combiners-10s", hour)
+    motion = cloud_motion(current @ averaging, east_m @ averaging, north_m @ averaging, 10.0)
+    # The angle is that of the velocity, counter-clockwise from east.
+    from_deg = (270.0 - np.rad2deg(angle_rad)) % 360.0
+    assert motion.speed_ms == pytest.approx(speed_ms, rel=0.1)
+    assert motion.from_deg == pytest.approx(from_deg, abs=5.0)

@@ -8,21 +8,12 @@ import numpy as np
 import pytest
 from complaints import complaint_of
 
-from sim_plant.profile import Profile, load_profile
+from sim_plant.profile import load_profile
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "profile.npz"
-
-
-def test_a_profile_is_read_back_to_the_last_bit(path: Path) -> None:
-    profile = Profile(np.array([[1 / 3, 2e-300], [0.0, 470.1]]), np.array([0.1, 1e9]))
-    profile.save(path)
-    found = load_profile(path)
-    assert found.cycles == 2
-    np.testing.assert_array_equal(found.mpp_kw, profile.mpp_kw)
-    np.testing.assert_array_equal(found.commitment_kw, profile.commitment_kw)
 
 
 def test_what_is_no_profile_is_refused(path: Path) -> None:

@@ -127,12 +127,6 @@ def test_a_synthetic_signal_does_not_depend_on_where_the_run_begins() -> None:
     np.testing.assert_array_equal(day[::2], 500.0 * synthetic_regd(3).reshape(40, -1)[14_700 % 40])
 
 
-def test_a_synthetic_signal_goes_on_over_midnight() -> None:
-    settings = SyntheticRegulation(capacity_kw=1.0)
-    night = regulation_kw(settings, cycles("2010-04-01T23:30:00", 3600), HONOLULU, Path)
-    assert np.abs(np.diff(night)).max() < 0.2
-
-
 @pytest.mark.parametrize("text", ["6,1.01", "6,high", "6,", "six,1", "7,1", "6,1,1"])
 def test_a_bad_line_is_located(path: Path, text: str) -> None:
     write(path)

@@ -23,7 +23,6 @@ from agents.settings import Revert
 from bus_schemas.messages import Command
 from sim_plant.devices import Devices, Reading, parse_address
 from studies.report.tables import devices_tables
-from sunspec.client import DeviceError
 from sunspec.gateway import Gateway
 from sunspec.limited_inverter import LimitedInverter, LimitSettings
 from sunspec.process import read_accounts
@@ -172,10 +171,3 @@ def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path
         eventually(lambda: newest(devices).power_kw == 30.0)
     (account,) = read_accounts(tmp_path)
     assert (account.refused, account.breaks) == (1, 0)
-
-
-def test_an_inverter_that_is_not_there_is_refused_by_name() -> None:
-    with served(one_inverter()) as addresses:
-        gone = addresses["c1/a"]
-    with pytest.raises(DeviceError, match="c1/a"):
-        Gateway(with_device(gone), lambda line: None)

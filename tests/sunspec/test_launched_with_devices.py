@@ -147,11 +147,9 @@ def launch_refusal(scenario: str, *options: str | Path) -> str:
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (("--pace", "1", "--device", "c9/inv01=modbus://127.0.0.1:1/1"), "c9/inv01"),
         (("--pace", "1", "--device", "c1/inv01=127.0.0.1:502"), "modbus://"),
         (("--pace", "1", "--device", "c1/inv01=modbus://127.0.0.1:1/1"), "refused"),
         (("--pace", "1", "--device", "c1/inv01=modbus://127.0.0.1:1/248"), "unit 1 to"),
-        (("--device", "c1/inv01=modbus://127.0.0.1:1/1"), "--pace"),
         (
             ("--pace", "1", "--actuator", "fraction", "--device", "c1/inv01=modbus://h/1"),
             "--actuator",
@@ -164,15 +162,6 @@ def test_devices_that_cannot_be_are_refused_in_one_line(
     out = tmp_path / "run"
     assert named in launch_refusal(scenario, *options, "--out", out)
     assert not out.exists()
-
-
-def test_a_unit_that_is_not_there_is_refused_in_one_line(
-    scenario: str, served_inverters: list[str]
-) -> None:
-    wrong = served_inverters[1].rpartition("/")[0] + "/99"
-    line = launch_refusal(scenario, "--pace", "1", "--device", wrong)
-    for fact in ("c1/inv01", "/99", "unit"):
-        assert fact in line
 
 
 def _summary(folder: Path) -> dict[str, Any]:

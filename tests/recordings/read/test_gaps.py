@@ -24,10 +24,3 @@ def test_gaps(seen: list[tuple[int, int]], lost: int, repeated: int) -> None:
     for cycle, sequence in seen:
         gaps.see(cycle, sequence)
     assert (gaps.lost, gaps.repeated) == (lost, repeated)
-
-
-def test_in_a_part_of_a_run_the_numbers_before_it_are_not_lost() -> None:
-    gaps = PortGaps(first_cycle=50)
-    for cycle, sequence in ((50, 50), (51, 51), (53, 53)):
-        gaps.see(cycle, sequence)
-    assert gaps.lost == 1

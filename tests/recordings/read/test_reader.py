@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from io import BytesIO
 from pathlib import Path
 
 import pandas as pd
@@ -18,6 +19,7 @@ from bus_schemas.tree import ROOT
 from recordings import open_run
 from recordings.read import reader
 from recordings.read.chunks import ChunkPlace, unpack_chunk
+from recordings.read.outline import read_outline
 from recordings.read.reader import RunReader
 
 CYCLES = 300
@@ -124,6 +126,42 @@ def test_a_cut_recording_is_read_up_to_the_cut(
         last = found[-1][1].cycle
         ends = [pair for pair in found if pair[1].cycle == last]
         assert list(run.messages(start=last)) == ends
+
+
+def test_zeros_behind_a_cut_are_no_records(recording: Recording, tmp_path: Path) -> None:
+    path, written = recording
+    with open_run(path) as run:
+        end = run.outline.chunks[2].offset
+    (tmp_path / "run.mcap").write_bytes(path.read_bytes()[:end] + bytes(5000))
+    with open_run(tmp_path) as run:
+        assert (run.whole, run.outline.readable_end) == (False, end)
+        assert list(run.messages()) == written[:400]
+
+
+def test_a_damaged_index_is_not_believed(recording: Recording) -> None:
+    content = recording[0].read_bytes()
+    whole, size = read_outline(BytesIO(content)), len(content)
+    for place in (*range(whole.readable_end, size, 499), *range(size - 37, size)):
+        torn = bytearray(content)
+        torn[place] ^= 0x55
+        outline = read_outline(BytesIO(torn))
+        assert (outline.indexed, outline.chunks) == (False, whole.chunks), place
+
+
+# Plan, scenario and metadata are in the first hundredth of the file.
+place = st.floats(0.0001, 0.01) | st.floats(0.01, 1.0, exclude_max=True)
+byte = st.tuples(place, st.integers(0, 255))
+
+
+@settings(max_examples=60)
+@given(damage=st.lists(byte, min_size=5, max_size=5))
+def test_a_torn_file_never_breaks_the_reading(
+    recording: Recording, damage: list[tuple[float, int]]
+) -> None:
+    torn = bytearray(recording[0].read_bytes())
+    for place, value in damage:
+        torn[int(place * len(torn))] = value
+    assert read_outline(BytesIO(torn)).size == len(torn)
 
 
 def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one(

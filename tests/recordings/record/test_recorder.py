@@ -131,42 +131,35 @@ SETPOINT_OF_C1 = SETPOINT.of("c1")
 GENUINE = Setpoint(3, 0, CENTRAL, (), sequence=3, power_kw=5.0, share_kw=1.0, help_given=())
 
 
+NEXT = {"cycle": 4}
+FORGED = {"power_kw": 6.0}
+
+
 @pytest.mark.parametrize(
-    ("second", "cause"),
+    ("messages", "causes"),
     [
-        (replace(GENUINE, power_kw=6.0, sequence=4), "two senders"),
-        (replace(GENUINE, publish_time_ns=9), "two senders"),
-        (GENUINE, "repeated"),
-        (replace(GENUINE, incarnation=3), None),
+        ([FORGED | {"sequence": 4}, NEXT], ["two senders", None]),
+        ([{"publish_time_ns": 9}, NEXT], ["two senders", None]),
+        ([{}, NEXT], ["repeated", None]),
+        ([{"incarnation": 3}, NEXT | {"incarnation": 3}], [None, None]),
+        ([NEXT | {"incarnation": 4}, NEXT, {"cycle": 5}], [None, None, "two senders"]),
+        ([{"cycle": 6} | FORGED, NEXT, {"cycle": 5}, {"cycle": 6}], [None] * 3 + ["two senders"]),
     ],
-    ids=["says another thing", "does not count up", "came again", "replaces its predecessor"],
+    ids=[
+        *("says another thing", "does not count up", "came again", "replaces its predecessor"),
+        *("was replaced and goes on", "forged for a cycle to come"),
+    ],
 )
-def test_a_second_message_of_a_key_in_a_cycle_is_named(second: Setpoint, cause: str | None) -> None:
+def test_a_second_message_of_a_key_in_a_cycle_is_named(
+    messages: list[dict[str, object]], causes: list[str | None]
+) -> None:
     senders = SecondSenders([SETPOINT_OF_C1])
-    assert see(senders, GENUINE) is None
-    assert see(senders, second) == cause
-    assert see(senders, replace(GENUINE, cycle=4, incarnation=second.incarnation)) is None
-
-
-def test_one_that_was_replaced_and_goes_on_is_named() -> None:
-    senders = SecondSenders([SETPOINT_OF_C1])
-    for cycle, incarnation in ((3, 0), (4, 4), (4, 0)):
-        assert see(senders, replace(GENUINE, cycle=cycle, incarnation=incarnation)) is None
-    assert see(senders, replace(GENUINE, cycle=5)) == "two senders"
-
-
-def test_a_forged_message_of_a_cycle_to_come_is_named_once_the_right_one_comes() -> None:
-    senders = SecondSenders([SETPOINT_OF_C1])
-    assert see(senders, replace(GENUINE, cycle=9, power_kw=6.0)) is None
-    for cycle in range(3, 9):
-        assert see(senders, replace(GENUINE, cycle=cycle)) is None
-    assert see(senders, replace(GENUINE, cycle=9)) == "two senders"
-
-
-def see(senders: SecondSenders, message: Setpoint) -> str | None:
-    """The cause of the complaint about a message."""
-    found = senders.see(SETPOINT_OF_C1, message.cycle, message.incarnation, encode(message))
-    return found[0] if found else None
+    found = []
+    for changes in ({}, *messages):
+        message = replace(GENUINE, **changes)
+        complaint = senders.see(SETPOINT_OF_C1, message.cycle, message.incarnation, encode(message))
+        found.append(complaint and complaint[0])
+    assert found == [None, *causes]
 
 
 def test_what_comes_second_on_a_key_is_no_loss_and_a_false_stop_is_named(tmp_path: Path) -> None:

@@ -142,13 +142,6 @@ def test_all_bytes_are_sent_on_their_ports_in_their_order(recorded: Path) -> Non
     assert "12:00:39 cycle 39 of 0 to 39" in out.getvalue().splitlines()[-1]
 
 
-def test_a_span_is_played_alone(recorded: Path) -> None:
-    heard, out = Heard(), io.StringIO()
-    play(recorded, heard, span=(5, 9), out=out)
-    assert heard.payloads == payloads(SAID, 5, 9)
-    assert "12:00:08 cycle 8 of 0 to 39" in out.getvalue().splitlines()[-1]
-
-
 def test_a_loop_begins_again_until_the_user_ends_it(recorded: Path) -> None:
     interruption = Interruption()
     once = payloads(SAID, 5, 9)
@@ -182,13 +175,6 @@ def test_each_message_is_sent_when_it_is_due_and_all_is_timed(
     assert figures["count"] == len(due_ns)
     assert figures["max_us"] < 1.0
     assert "p99.9" in out.getvalue()
-
-
-def test_while_it_is_paused_nothing_is_sent_but_where_it_stands(recorded: Path) -> None:
-    heard = Heard()
-    play(recorded, heard, paused=True, keyboard=hands(None, None, "q"))
-    assert heard.payloads == []
-    assert heard.states[0] == (0, 0.0, True)
 
 
 @pytest.mark.parametrize("keys", [["s", None, "s", "s"], [["s"] * 3]])

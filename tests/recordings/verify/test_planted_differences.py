@@ -16,7 +16,7 @@ from recorded_runs import AGENTS, cloudy_profile, of_publisher, plan_of, publish
 from agents.direct import DirectController
 from agents.parent import Parent, Supervisor
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Help, Impp, Message, Setpoint
+from bus_schemas.messages import Help, Message, Setpoint
 from bus_schemas.signals import COMMAND, HELP, IMPP, SETPOINT, SIGNALS, TELEMETRY, Port, Signal
 from bus_schemas.tree import PLANT
 from recordings.verify.comparison import Comparison, FieldDifference
@@ -52,16 +52,6 @@ def place_of(port: Port[Message], cycle: int) -> int:
     return found.index((port, cycle))
 
 
-def with_message(place: int, message: Message) -> list[Delivery]:
-    """What was published, with another message in one place."""
-    return [*PUBLISHED[:place], (PUBLISHED[place][0], message), *PUBLISHED[place + 1 :]]
-
-
-def without(place: int) -> list[Delivery]:
-    """What was published, but for one message."""
-    return [*PUBLISHED[:place], *PUBLISHED[place + 1 :]]
-
-
 def test_a_recording_of_the_same_code_is_equal(verified: Verify) -> None:
     found = verified(PUBLISHED)
     assert found.equal
@@ -87,63 +77,79 @@ def test_a_changed_field_of_any_signal_is_found(signal: Signal[Message], verifie
         name for name in ("power_kw", "missing_kw", "desired_kw", "count") if hasattr(message, name)
     )
     value = getattr(message, field)
-    found = verified(with_message(place, replace(message, **{field: value + 1})))
+    changed = port, replace(message, **{field: value + 1})
+    found = verified([*PUBLISHED[:place], changed, *PUBLISHED[place + 1 :]])
     first = first_of(found, port.publisher)
     assert (first.kind, first.cycle, first.message) == ("differs", message.cycle, str(port))
     assert first.fields == (FieldDifference(field, value + 1, value),)
     assert found.agents[port.publisher].differences == {"differs": 1}
 
 
-def test_the_inputs_of_the_cycle_are_named(verified: Verify) -> None:
-    place = place_of(COMMAND.of("c1/a"), 7)
-    changed = replace(PUBLISHED[place][1], alpha=0.123)
-    first = first_of(verified(with_message(place, changed)), "c1/a")
-    assert first.stage == "actuate"
-    assert set(first.inputs) == {"c1/a/telemetry", "dispatch", "c1/a/setpoint"}
-    assert first.inputs["c1/a/setpoint"] == PUBLISHED[place_of(SETPOINT.of("c1/a"), 7)][1]
+Change = Callable[[Port[Message], Message], list[Delivery]]
 
 
-@pytest.mark.parametrize("cycle", [0, 13, 29])
-def test_a_missing_message_is_found_also_in_the_last_cycle(cycle: int, verified: Verify) -> None:
-    place = place_of(COMMAND.of("c2/d"), cycle)
-    found = verified(without(place), "c2/*")
-    assert [name for name, findings in found.agents.items() if findings.first] == ["c2/d"]
-    first = first_of(found, "c2/d")
-    assert (first.kind, first.cycle, first.message) == ("only new", cycle, "c2/d/command")
-    assert first.content is not None
+def gone(port: Port[Message], message: Message) -> list[Delivery]:
+    return []
 
 
-def test_a_message_that_is_not_sent_any_more_is_found(verified: Verify) -> None:
-    cycles_of_help = {message.cycle for port, message in PUBLISHED if port is HELP.of("c1/a")}
-    cycle = next(cycle for cycle in range(3, 30) if cycle not in cycles_of_help)
-    at = place_of(IMPP.of("c1/a"), cycle)
-    call = Help(cycle, PLAN.sim_time_ns(cycle), "c1/a", (), missing_kw=1.0)
-    found = verified([*PUBLISHED[:at], (HELP.of("c1/a"), call), *PUBLISHED[at:]])
-    first = first_of(found, "c1/a")
-    assert (first.kind, first.cycle, first.message) == ("only recorded", cycle, "c1/a/help")
-    assert found.differences == 1, "nobody acts on a call that the residual does not announce"
+def twice(port: Port[Message], message: Message) -> list[Delivery]:
+    return [(port, message)] * 2
 
 
-def test_of_a_message_recorded_twice_the_first_one_counts(verified: Verify) -> None:
-    place = place_of(SETPOINT.of("c1/a"), 6)
-    found = verified([*PUBLISHED[:place], PUBLISHED[place], *PUBLISHED[place:]])
-    assert first_of(found, "c1").kind == "recorded twice"
-    assert found.differences == 1
+def forged_after(port: Port[Message], message: Message) -> list[Delivery]:
+    return [(port, message), (port, replace(message, power_kw=0.0, sequence=7))]
 
 
-@pytest.mark.parametrize("after", [0, 1])
-def test_of_two_senders_the_agents_own_message_is_compared(verified: Verify, after: int) -> None:
-    place = place_of(SETPOINT.of("c1/a"), 6) + after
-    port, genuine = PUBLISHED[place - after]
-    forged = replace(genuine, power_kw=0.0, sequence=7)
-    found = verified([*PUBLISHED[:place], (port, forged), *PUBLISHED[place:]])
-    kinds = {name: dict(one.differences) for name, one in found.agents.items() if one.differences}
-    assert kinds == {"c1": {"two senders": 1}, "c1/a": {"input of two senders": 1}}
+def forged_before(port: Port[Message], message: Message) -> list[Delivery]:
+    return forged_after(port, message)[::-1]
+
+
+def with_a_stray(port: Port[Message], message: Message) -> list[Delivery]:
+    """One of no cycle of the run behind it."""
+    return [(port, message), (port, replace(message, cycle=4711))]
+
+
+def with_help(port: Port[Message], message: Message) -> list[Delivery]:
+    """Before it a call for help that nobody sends any more, and on which nobody acts."""
+    call = Help(message.cycle, message.sim_time_ns, "c1/a", (), missing_kw=1.0)
+    return [(HELP.of("c1/a"), call), (port, message)]
+
+
+CYCLES_OF_HELP = {message.cycle for port, message in PUBLISHED if port is HELP.of("c1/a")}
+WITHOUT_HELP = min(set(range(3, 30)) - CYCLES_OF_HELP)
+
+
+@pytest.mark.parametrize(
+    ("port", "cycle", "change", "kinds"),
+    [
+        *(
+            (COMMAND.of("c2/d"), cycle, gone, {"plant": "input not recorded", "c2/d": "only new"})
+            for cycle in (0, 13, 29)
+        ),
+        (IMPP.of("c1/a"), WITHOUT_HELP, with_help, {"c1/a": "only recorded"}),
+        (SETPOINT.of("c1/a"), 6, twice, {"c1": "recorded twice"}),
+        *(
+            (SETPOINT.of("c1/a"), 6, forged, {"c1": "two senders", "c1/a": "input of two senders"})
+            for forged in (forged_after, forged_before)
+        ),
+        (IMPP.of("c1/a"), 7, with_a_stray, {}),
+    ],
+)
+def test_what_was_planted_is_found_in_its_cycle_and_nothing_else(
+    port: Port[Message], cycle: int, change: Change, kinds: dict[str, str], verified: Verify
+) -> None:
+    place = place_of(port, cycle)
+    found = verified([*PUBLISHED[:place], *change(*PUBLISHED[place]), *PUBLISHED[place + 1 :]])
+    differences = {name: one.differences for name, one in found.agents.items() if one.first}
+    assert differences == {name: {kind: 1} for name, kind in kinds.items()}
+    assert all(first_of(found, name).cycle == cycle for name in kinds)
+    assert found.misplaced == (change is with_a_stray)
     assert not found.equal
 
 
 def test_nothing_is_compared_after_a_remembered_input_is_lost(verified: Verify) -> None:
-    found = verified(without(place_of(TELEMETRY.of("c2/c"), 11)))
+    place = place_of(TELEMETRY.of("c2/c"), 11)
+    found = verified([*PUBLISHED[:place], *PUBLISHED[place + 1 :]])
     assert first_of(found, PLANT).kind == "only new"
     lack = first_of(found, "c2/c")
     assert (lack.kind, lack.cycle, lack.message) == ("input not recorded", 11, "c2/c/telemetry")
@@ -154,13 +160,6 @@ def test_nothing_is_compared_after_a_remembered_input_is_lost(verified: Verify) 
         message.cycle < 11 for _, message in of_publisher(PUBLISHED, "c2/c")
     )
     assert findings.compared + findings.not_compared == findings.recorded
-
-
-def test_a_message_of_no_cycle_of_the_run_is_found(verified: Verify) -> None:
-    stray = Impp(4711, PLAN.sim_time_ns(4711), "c1/a", (), power_kw=1.0, stale_cycles=0)
-    found = verified([*PUBLISHED[:100], (IMPP.of("c1/a"), stray), *PUBLISHED[100:]])
-    assert not found.equal
-    assert found.misplaced == 1
 
 
 # In the code --------------------------------------------------------------------------------------

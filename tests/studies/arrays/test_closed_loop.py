@@ -17,11 +17,11 @@ from recordings.read.series import RunSeries
 from studies.arrays.closed_loop import (
     LoopResult,
     closed_loop,
-    is_corrected,
     loop_inputs,
     run_loop,
 )
 from studies.arrays.compiled import compiled
+from studies.arrays.control_arrays import is_corrected
 from studies.arrays.schemes import ReferenceGroups, run_scheme
 from studies.delays.study import run_in_memory
 

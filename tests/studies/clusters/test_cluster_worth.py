@@ -7,6 +7,7 @@ from functools import partial
 
 import msgspec
 import numpy as np
+import pandas as pd
 import pytest
 
 from agents.control.clusters import search_clusters, within_cluster_correlation
@@ -18,7 +19,6 @@ from launch_scripts.scenarios.scenario import load_scenario as load
 from sim_plant.profile import Profile
 from studies.clusters.study import (
     Arrange,
-    Past,
     by_first_part,
     by_scenario,
     in_other_orders,
@@ -47,7 +47,7 @@ def arrange(scenario: ScenarioFile) -> Arrange:
 
 
 @pytest.fixture(scope="module")
-def past(scenario: ScenarioFile, arrange: Arrange) -> Past:
+def past(scenario: ScenarioFile, arrange: Arrange) -> pd.DataFrame:
     return past_of(arrange, scenario.scenario.control, 17)
 
 
@@ -79,16 +79,16 @@ def test_the_run_is_the_one_that_every_other_command_prepares(
 
 
 def test_the_virtual_clusters_are_the_best_that_the_search_finds_in_the_past(
-    scenario: ScenarioFile, arrange: Arrange, past: Past
+    scenario: ScenarioFile, arrange: Arrange, past: pd.DataFrame
 ) -> None:
-    search = search_clusters(past.correlation, (6, 6, 5))
+    search = search_clusters(past.to_numpy(), (6, 6, 5))
     assert members(arrange(chosen(scenario, clusters="correlation"))) == {
-        frozenset(past.inverters[place] for place in cluster) for cluster in search.clusters
+        frozenset(past.index[place] for place in cluster) for cluster in search.clusters
     }
 
 
 def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
-    scenario: ScenarioFile, arrange: Arrange, past: Past
+    scenario: ScenarioFile, arrange: Arrange, past: pd.DataFrame
 ) -> None:
     worth = {
         way: worth_of(arrange(chosen(scenario, clusters=way)), past, "paper", (1,)) for way in WAYS
@@ -98,9 +98,7 @@ def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
     assert alike[0] < worth["geographic"].past_correlation <= alike[2]
     for found in worth.values():
         assert [len(cluster) for cluster in found.members] == [6, 6, 5]
-        assert sorted(name for cluster in found.members for name in cluster) == sorted(
-            past.inverters
-        )
+        assert sorted(name for cluster in found.members for name in cluster) == sorted(past.index)
     # However clusters are chosen, the same inverters are in need in the same cycles.
     assert len({found.help.plant.needy for found in worth.values()}) == 1
 
@@ -113,7 +111,9 @@ def test_random_clusters_go_by_their_seed(scenario: ScenarioFile, arrange: Arran
     assert one == again != other
 
 
-def test_correlation_in_the_run_is_that_of_its_own_power(oahu: Preparation, past: Past) -> None:
+def test_correlation_in_the_run_is_that_of_its_own_power(
+    oahu: Preparation, past: pd.DataFrame
+) -> None:
     found = worth_of(oahu, past, "paper", (1,))
     # The run is one hour long, from twelve to one.
     power = np.asarray(np.corrcoef(oahu.profile.mpp_kw.T))
@@ -125,7 +125,7 @@ def test_correlation_in_the_run_is_that_of_its_own_power(oahu: Preparation, past
 
 
 def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
-    oahu: Preparation, past: Past
+    oahu: Preparation, past: pd.DataFrame
 ) -> None:
     # 17 inverters of 400 kW, but for 200 kW in cycle 9; the plant has promised 5000 kW.
     mpp_kw = np.full((30, 17), 400.0)
@@ -195,14 +195,6 @@ def test_clusters_are_chosen_from_the_first_part_alone(
     assert other_future.plan == before.plan
     other_past = by_first_part(with_mpp(oahu, early), 1200.0)(virtual)
     assert members(other_past) != members(before)
-
-
-def test_its_past_is_the_correlation_of_the_first_part(
-    oahu: Preparation, scenario: ScenarioFile
-) -> None:
-    past = past_of(by_first_part(oahu, 1200.0), scenario.scenario.control, 17)
-    first_part = oahu.profile.mpp_kw[:120, [names(oahu).index(name) for name in past.inverters]]
-    np.testing.assert_allclose(past.correlation, np.corrcoef(first_part.T), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("learn_s", [10.0, 15.0, 3600.0, 7200.0])

@@ -55,8 +55,8 @@ def test_every_scheme_but_the_bounds_is_run_with_each_actuator(study: list[Case]
 
 
 def test_several_processes_give_the_same(study: list[Case], alone: list[CaseResult]) -> None:
-    found = dict(share_work(partial(run_case, COMPARISON), study, workers=2))
-    assert [found[place].schemes for place in range(3)] == [result.schemes for result in alone]
+    found = share_work(partial(run_case, COMPARISON), study, workers=2)
+    assert [result.schemes for result in found] == [result.schemes for result in alone]
 
 
 def test_a_case_that_does_not_fit_is_named() -> None:

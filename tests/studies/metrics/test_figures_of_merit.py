@@ -14,7 +14,6 @@ from studies.metrics.figures_of_merit import (
     runs_as_columns,
     shown_in,
 )
-from studies.tables import json_rows
 
 WITH_REGULATION = run_metrics(sine_of_an_hour(response=0.75))
 WITHOUT = run_metrics(run_of([100.0] * 4, 150.0, [100.0, 90.0, 20.0, 120.0], cycle_s=900.0))
@@ -42,19 +41,6 @@ def test_runs_stand_side_by_side() -> None:
     assert rows["Regulation capacity"] == ("kW", "200", "-")
     alone = runs_as_columns("Runs", runs[1:], shown_in("report"))
     assert "Regulation capacity" not in {row[0] for row in alone.texts()}
-
-
-def test_of_two_runs_the_last_column_is_the_second_less_the_first() -> None:
-    def differences(*runs: object) -> dict[object, object]:
-        labelled = list(zip("ab", runs, strict=True))
-        table = runs_as_columns("Runs", labelled, shown_in("compare"), difference=True)  # type: ignore[arg-type]
-        return {row["figure"]: row["difference"] for row in json_rows(table)}
-
-    rows = differences(WITHOUT, FULL)
-    assert rows["Satisfied commitment"] == pytest.approx(22.5)
-    assert rows["Mileage per hour"] == pytest.approx(-160.0)  # 0, 10, 80, 0 in 1 h
-    assert "PJM performance score" not in rows
-    assert differences(WITHOUT, WITH_REGULATION)["Precision"] is None
 
 
 def test_the_document_lists_every_figure_with_its_unit() -> None:

@@ -9,7 +9,8 @@ from browser import MISSING, browser
 from report_reading import read_page
 from synthetic_runs import cloudy_run, without_estimates
 
-from studies.report.run_report import report_page
+from studies.report.page import html_page
+from studies.report.run_report import runs_result
 from studies.report.tables import metrics_tables
 
 pytestmark = pytest.mark.skipif(
@@ -39,7 +40,7 @@ def test_a_browser_draws_every_figure_without_a_complaint(tmp_path: Path, width_
     others = ("no help", "grouping control, 4 inverters", "central dispatch", "a fifth scheme")
     runs = [run, *(without_estimates(run, label) for label in others)]
     path = tmp_path / "report.html"
-    path.write_text(report_page("A run", runs, metrics_tables(runs)))
+    path.write_text(html_page(runs_result("A run", runs, metrics_tables(runs), ())))
     with browser(tmp_path, width=width_px, height=1000) as window:
         window.open(path.as_uri())
         plots = "[...document.querySelectorAll('.plot')]"

@@ -16,7 +16,8 @@ from synthetic_runs import TEN_O_CLOCK_HST_NS, cloudy_run, without_estimates
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.series import RunSeries
-from studies.report.run_report import report_page, run_line
+from studies.report.page import html_page
+from studies.report.run_report import run_line, runs_result
 from studies.report.tables import metrics_tables
 from studies.tables import Column, Table, key_column
 
@@ -31,7 +32,8 @@ ALL_FIGURES = [
 def report(folder: Path, *series: RunSeries, notes: Sequence[str] = ()) -> Page:
     """The report of some runs, written and read again."""
     path = folder / "report.html"
-    path.write_text(report_page("A run", series, metrics_tables(series), notes))
+    result = runs_result("A run", series, metrics_tables(series), notes)
+    path.write_text(html_page(result))
     return read_page(path.read_text(encoding="utf-8"))
 
 
@@ -44,21 +46,19 @@ def test_a_run_with_regulation_has_every_figure_and_links_to_each(tmp_path: Path
     assert all(page.texts("figcaption"))
     places = {element.attributes.get("id") for element in page.of("section")}
     links = [str(element.attributes["href"]).removeprefix("#") for element in page.of("a")]
-    assert links == ["table-1", "table-2", *ALL_FIGURES]
+    assert links == [*ALL_FIGURES, "table-1", "table-2"]
     assert set(links) == places
 
 
-def test_what_a_run_does_not_have_is_left_out_and_explained(tmp_path: Path) -> None:
+def test_what_a_run_does_not_have_is_left_out(tmp_path: Path) -> None:
     page = report(tmp_path, without_estimates(cloudy_run(), "no help"))
     assert page.figures() == ["possible-power", "support", "tracking-error", *ALL_FIGURES[-2:]]
-    text = " ".join(page.texts("p"))
-    assert all(word in text for word in ("regulation", "residuals", "virtual neighbours"))
 
 
 def test_the_first_line_says_what_was_run() -> None:
     plan = prepare(load_scenario("oahu"), RunOptions(duration="5", seed=4), "r").plan
     line = run_line(plan)
-    for word in ("oahu", "17 inverters", "3 clusters (6, 6 and 5)", plan.scheme, plan.actuator):
+    for word in ("oahu", "17 inverters", "3 clusters (2 with 6, 1 with 5)", plan.scheme, plan.actuator):
         assert word in line
     assert line.endswith("lockstep, seed 4.")
     measured = structs.replace(plan, seed=None, cycle_wall_ns=plan.cycle_ns // 10)
@@ -67,11 +67,10 @@ def test_the_first_line_says_what_was_run() -> None:
 
 def test_the_page_says_when_and_how_long(tmp_path: Path) -> None:
     run = cloudy_run("grouping", cycles=15, cycle_s=3600.0)
-    first, second, third, *_ = report(tmp_path, run, notes=["Under a microscope."]).texts("p")
-    assert "5 inverters in 2 clusters, grouping" in first
+    first, second, *_ = report(tmp_path, run, notes=["Under a microscope."]).texts("p")
+    assert first == "Under a microscope."
     assert "500 kW" in second
     assert "15 cycles of 3600 s, 1 April 2010, 10:00:00 to 2 April 2010 01:00:00 HST" in second
-    assert third == "Under a microscope."
 
 
 def test_the_curves_are_those_of_the_run(tmp_path: Path) -> None:
@@ -158,7 +157,7 @@ def test_labels_are_text_and_never_markup(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     table = Table(NASTY, (key_column(NASTY), Column(NASTY, NASTY)), ((NASTY, NASTY),), (NASTY,))
     runs = [run, without_estimates(run, "other")]
-    path.write_text(report_page(NASTY, runs, [table], [NASTY]))
+    path.write_text(html_page(runs_result(NASTY, runs, [table], [NASTY])))
     page = read_page(path.read_text(encoding="utf-8"))
     assert "b" not in {element.tag for element in page.elements}
     assert page.texts("h1") == page.texts("td") == [NASTY]
@@ -178,13 +177,6 @@ def test_the_page_loads_nothing_and_has_plotly_once(tmp_path: Path) -> None:
     (policy,) = [e for e in page.of("meta") if "http-equiv" in e.attributes]
     assert str(policy.attributes["content"]).startswith("default-src 'none';")
     assert sum("plotly.js v" in script.text for script in page.of("script")) == 1
-
-
-def test_the_report_of_a_day_of_17_inverters_is_below_12_mb(tmp_path: Path) -> None:
-    inverters = tuple(f"c{n % 3}/inv{n:02d}" for n in range(17))
-    run = cloudy_run(cycles=54_000, inverters=inverters, regulation=True)
-    report(tmp_path, run, without_estimates(run, "b"), without_estimates(run, "c"))
-    assert (tmp_path / "report.html").stat().st_size < 12e6
 
 
 # Incomplete, small and odd runs -------------------------------------------------------------------
@@ -213,7 +205,6 @@ def test_cycles_without_a_message_are_gaps_in_their_own_place(
 def test_a_run_of_a_few_cycles_of_one_inverter_has_a_report(tmp_path: Path, cycles: int) -> None:
     page = report(tmp_path, cloudy_run(cycles=cycles, regulation=True, inverters=("alone",)))
     assert len(numbers(page.trace("possible-power", "delivered")["y"])) == cycles
-    assert page.texts("p")[0].startswith("1 inverter,")
 
 
 def test_a_night_has_a_report(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ def test_a_budget_of_the_scenario_takes_the_place_of_the_default(tmp_path: Path)
         cpu_percent = { direct = 5 }
         resident_mb = { central = 39, plant = 41 }
     """
-    report = reported(tmp_path, budgets=budgets).report
+    report = reported(tmp_path, budgets=budgets)
     assert failed(report) == {
         "loop all commands p99",
         "loop all commands max",
@@ -85,12 +85,12 @@ def test_missed_deadlines_overruns_skipped_cycles_and_losses_are_counted(tmp_pat
         cycle(3, slow),
     )
     kept = "overruns = 1\nskipped_cycles = 1\nmissed_deadlines = 2\nlost_messages = 4"
-    strict = reported(tmp_path / "strict", *cycles, lost=4, dropped=1).report
+    strict = reported(tmp_path / "strict", *cycles, lost=4, dropped=1)
     counts = {"missed deadlines", "overruns", "skipped cycles", "messages not recorded"}
     assert failed(strict) & {*counts, "dropped messages"} == counts
-    lenient = reported(tmp_path / "lenient", *cycles, lost=4, dropped=1, budgets=kept).report
+    lenient = reported(tmp_path / "lenient", *cycles, lost=4, dropped=1, budgets=kept)
     assert not failed(lenient) & counts
-    dropped = reported(tmp_path / "dropped", dropped=1, budgets="dropped_messages = 8").report
+    dropped = reported(tmp_path / "dropped", dropped=1, budgets="dropped_messages = 8")
     assert failed(dropped) == {"dropped messages"}
 
 
@@ -100,7 +100,7 @@ def test_what_was_not_measured_although_it_must_be_is_not_kept(tmp_path: Path) -
     estimates = ("c1/a/impp", "c1/a/residual", "c1/a/help")
     late = {key: (0.0, -5_000.0) if key in estimates else MISSED[key] for key in MISSED}
     lack = {"production": ("c2/d/command",)}
-    report = reported(tmp_path, cycle(0, late, lack), plan=plan).report
+    report = reported(tmp_path, cycle(0, late, lack), plan=plan)
     absent = {verdict.line for verdict in report.verdicts if verdict.value is None}
     assert absent == {"hop command p99", "response c1/a estimate p99"}
     assert absent <= failed(report)

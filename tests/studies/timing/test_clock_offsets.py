@@ -71,10 +71,11 @@ def test_offset_and_hops_are_told_apart_by_the_fastest_messages_each_way(
 
 def test_a_hop_between_hosts_is_judged_by_the_scenario_alone(tmp_path: Path) -> None:
     timed(tmp_path, -20.0)
-    report = report_on(tmp_path).report
-    judged = {verdict.of: verdict.passed for verdict in report.verdicts if verdict.measure == "hop"}
+    found = report_on(tmp_path)
+    hops = [verdict for verdict in found.verdicts if verdict.measure == "hop"]
+    judged = {verdict.of: verdict.passed for verdict in hops}
     assert judged["setpoint"]
     # The only command that the plant waited for came from the other host.
     assert judged.keys().isdisjoint({"command", "command *"})
-    figures = [float(figure) for figure in row(text_of(report), HOST)]
+    figures = [float(figure) for figure in row(text_of(found), HOST)]
     assert figures == pytest.approx([3, -19.95, 20.25])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 
 import msgspec
 import pytest
@@ -14,8 +13,10 @@ from timed_recordings import cycle
 
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
+from studies.report.result import print_result
 from studies.timing.report import TimingReport
-from studies.timing.sweep import Rates, conclusion, parse_rates, print_sweep, rate_row, sweep
+from studies.timing.results import sweep_result
+from studies.timing.sweep import Rates, conclusion, parse_rates, rate_row, sweep
 
 
 @pytest.mark.parametrize(
@@ -63,8 +64,8 @@ class Machine:
 def reports(tmp_path_factory: pytest.TempPathFactory) -> tuple[TimingReport, TimingReport]:
     """A report on a run that was clean, and on one that was not."""
     folder = tmp_path_factory.mktemp("sweep")
-    clean = reported(folder / "clean").report
-    return clean, reported(folder / "late", cycle(0), missed(1), lost=2).report
+    clean = reported(folder / "clean")
+    return clean, reported(folder / "late", cycle(0), missed(1), lost=2)
 
 
 Reports = tuple[TimingReport, TimingReport]
@@ -116,7 +117,7 @@ def test_a_run_that_fails_costs_no_other(reports: Reports) -> None:
     died = RunFailure("c1 has died\nits log says so")
     found = sweep(Rates(listed_hz=(5.0, 10.0, 20.0)), Machine(*reports, 1e9, at_10=died).run)
     assert [row.failed for row in found.rows] == ["", "c1 has died", ""]
-    text = printed(partial(print_sweep, found))
+    text = printed(lambda console: print_result(console, sweep_result(found, "field")))
     assert "10 cycles/s failed: c1 has died" in text
 
 
@@ -169,7 +170,7 @@ def test_of_a_rate_that_is_not_clean_the_tier_is_named(reports: Reports) -> None
 
 def test_a_sweep_shows_its_rates_and_the_machine(reports: Reports) -> None:
     found = sweep(Rates(listed_hz=(5.0, 10.0)), Machine(*reports, 5.0).run)
-    text = printed(partial(print_sweep, found))
+    text = printed(lambda console: print_result(console, sweep_result(found, "field")))
     assert "load average 0.50 before, 0.75 after" in text
     assert "highest clean rate: 5 cycles/s" in text
     assert all(figure in text for figure in ("200.00", "13.600"))

@@ -1,4 +1,4 @@
-"""The timing of a run, or of several rates, as one HTML page."""
+"""The result of a timed run, or of several rates, with its figures."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import plotly.graph_objects as go
 from bus_schemas.tree import CENTRAL, PLANT, ControlTree, some_of
 from studies.report import style
 from studies.report.decimation import extremes
-from studies.report.page import html_page
+from studies.report.result import Result
 from studies.timing import tables
 from studies.timing.budgets import Verdict
 from studies.timing.cycle_waits import CycleWaits, Wait
 from studies.timing.durations import Times, curve_ms
-from studies.timing.report import Reported, TimingReport
+from studies.timing.report import TimingReport
 from studies.timing.run_timing import LOOP, WHOLE_LOOP
 from studies.timing.sweep import (
     RateRow,
@@ -29,7 +29,9 @@ from studies.timing.sweep import (
     trouble_lines,
 )
 
-PAGE_NAME: Final = "timing.html"
+_HOPS: Final = (
+    "(each time begins when what the agent waited for was published: it includes the hop)"
+)
 
 _CURVES: Final = (
     ("loop", "Loop time and lateness", (LOOP, "lateness", "response")),
@@ -53,54 +55,61 @@ _PERCENTILES: Final = {
 """What the axis of percentiles shows, and the share of the durations that are longer."""
 
 
-def run_page(reported: Reported) -> str:
-    """Return the page of one run: verdict, slowest cycles, loop time, percentiles, tables."""
-    report = reported.report
-    first, *machine = tables.header_lines(report)
-    missed = tables.failures(report)
-    text = [
-        *([f"Not kept: {'; '.join(missed)}."] if missed else []),
-        f"{first}; {'; '.join(machine)}.",
-        *(f"{line}." for line in tables.network_lines(report)),
+def timing_result(report: TimingReport) -> Result:
+    """Return the timing of a run: what was run, how long it took, and whether it was in time."""
+    slowest = [
+        f"{'next' if place else 'slowest'} {one.in_words()}"
+        for place, one in enumerate(report.slowest)
     ]
-    waits = [
-        waits_figure(f"waits-{place}", cycle, reported.plan.tree)
-        for place, cycle in enumerate(reported.timing.slowest, start=1)
-    ]
-    curves = [
-        percentile_figure(f"percentiles-{name}", heading, rows, report.verdicts)
-        for name, heading, measures in _CURVES
-        if (rows := [row for row in report.times if row.measure in measures])
-    ]
-    return html_page(
+    return Result(
         f"{report.scenario}: timing of run {report.run_id}",
-        text,
         [
-            *waits,
-            *([loop_figure(reported)] if report.cycles else []),
-            *curves,
             *tables.measured_tables(report),
+            *tables.processes_tables(report.processes),
             tables.budgets_table(report.verdicts),
-            tables.processes_table(report.processes),
+        ],
+        report.document(),
+        lines=tables.header_lines(report),
+        conclusions=[
+            *slowest,
+            *([_HOPS] if slowest else []),
+            *tables.network_lines(report),
+            *(f"not kept: {line}" for line in tables.failures(report)),
         ],
         verdict=(report.passed, tables.verdict_line(report)),
+        figures=lambda: run_figures(report),
     )
 
 
-def sweep_page(found: Sweep, last: TimingReport) -> str:
-    """Return the page of a sweep over rates; its last report says what was run."""
-    text = [
-        *(f"{line}." for line in trouble_lines(found)),
-        f"{'; '.join([*machine_lines(found), *last.remarks])}.",
-    ]
+def sweep_result(found: Sweep, scenario: str) -> Result:
+    """Return the rates, on what they were run, and the highest clean one."""
     # A rate that was interrupted proves nothing.
     drawn = [row for row in found.rows if row.loop_p50_us is not None and not row.interrupted]
-    return html_page(
-        f"{last.scenario}: loop time against rate",
-        text,
-        [*([rate_figure(drawn)] if drawn else []), sweep_table(found)],
-        verdict=(found.highest_clean_hz is not None, f"{conclusion(found)}."),
+    return Result(
+        f"{scenario}: loop time against rate",
+        [sweep_table(found)],
+        found,
+        lines=machine_lines(found),
+        conclusions=trouble_lines(found),
+        verdict=(found.highest_clean_hz is not None, conclusion(found)),
+        figures=lambda: [rate_figure(drawn)] if drawn else [],
     )
+
+
+def run_figures(report: TimingReport) -> list[style.ReportFigure]:
+    """Draw the slowest cycles of a run, its loop time and percentiles."""
+    return [
+        *(
+            waits_figure(f"waits-{place}", cycle, report.tree)
+            for place, cycle in enumerate(report.slowest, start=1)
+        ),
+        *([loop_figure(report)] if report.cycles else []),
+        *(
+            percentile_figure(f"percentiles-{name}", heading, rows, report.verdicts)
+            for name, heading, measures in _CURVES
+            if (rows := [row for row in report.times if row.measure in measures])
+        ),
+    ]
 
 
 def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> style.ReportFigure:
@@ -168,14 +177,12 @@ def _hover(wait: Wait) -> str:
     return "<br>".join(map(style.plain, lines))
 
 
-def loop_figure(reported: Reported) -> style.ReportFigure:
-    timing, report = reported.timing, reported.report
-    times_ms = timing.loop_ns / 1e6
-    rows = extremes(times_ms)
-    seconds = (timing.loop_cycles[rows] / report.rate_hz).tolist()
+def loop_figure(report: TimingReport) -> style.ReportFigure:
+    loop_ms = report.loop_ns / 1e6
+    drawn = loop_ms.iloc[extremes(loop_ms.to_numpy())]
+    seconds = (drawn.index / report.rate_hz).tolist()
     blue, hover = {"color": style.BLUE, "width": 1.2}, "%{x:,.1f} s: %{y:.2f} ms"
-    times = times_ms[rows].tolist()
-    line = style.curve(seconds, times, "loop time", blue, hovertemplate=hover)
+    line = style.curve(seconds, drawn.tolist(), "loop time", blue, hovertemplate=hover)
     ends = [seconds[0], seconds[-1]]
     figure = go.Figure([line, *_budgets(report.verdicts, [(LOOP, WHOLE_LOOP)], ends)])
     style.dress(figure, _CURVES_PX)
