@@ -15,10 +15,13 @@ from running import Heliarch, Start, assert_none_left, small_plant
 from verifying import assert_equal_as_far_as_recorded, verified
 
 from bus_schemas.signals import IMPP, SETPOINT
+from bus_schemas.tree import RECORDER
+from launch_scripts.launcher import fork_requests
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.supervision import ForkServerProcess
+from launch_scripts.launcher.supervision import Children, ForkServerProcess
+from launch_scripts.launcher.tcp_ports import reserved_ports
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
@@ -182,3 +185,20 @@ def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
         return own.num_fds(), len(own.children(recursive=True)), own.num_threads()
 
     assert run(1) == run(2)
+
+
+def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path: Path) -> None:
+    preparation = prepare(load_scenario(plant), RunOptions(duration="5"), "asked")
+    folder, agents = RunFolder(tmp_path / "run"), (RECORDER,)
+    with reserved_ports(preparation.plan.links.listening) as tcp_ports:
+        plan, server = folder.fill(preparation, tcp_ports), ForkServerProcess()
+        with Children(server, plan, agents, folder.logs) as children:
+            children.events(0.0)
+            server.process.send_signal(signal.SIGSTOP)
+            for _ in range(2000):  # More than the socket between them takes.
+                server.ask(fork_requests.Signal(agents, signal.SIGCONT))
+            server.ask(fork_requests.Start(str(folder.plan), agents, str(folder.logs), 0.0))
+            server.process.send_signal(signal.SIGCONT)
+            while not children[RECORDER].ready:
+                children.events(0.1)
+    assert_none_left(folder.path)

@@ -161,9 +161,8 @@ def preparation(seed: int) -> Preparation:
 def wire(prepared: Preparation) -> list[tuple[str, bytes]]:
     """Key and payload of all that is said, without the times of publishing."""
     _, sent = run_in_memory(prepared.plan, prepared.profile)
-    keys = prepared.plan.keys
     return [
-        (keys.key(port), encode(timeless(message)))
+        (prepared.plan.wiring.key(port), encode(timeless(message)))
         for port, message in sent.messages
         if port.signal is not RUN
     ]
