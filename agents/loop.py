@@ -287,6 +287,10 @@ class AgentLoop(Generic[S]):
         )
         return now_ns
 
+    def use_instead(self, port: Port[Message], message: Message) -> None:
+        """Use another message of the same cycle than the one that came first."""
+        self._inputs[port].newest = message
+
     def twin(self) -> Self:
         """Return a loop in the same state, which goes its own way from here."""
         twin = copy(self)

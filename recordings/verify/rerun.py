@@ -76,7 +76,7 @@ class AgentRerun:
         if self.findings.failure is None:
             try:
                 for self._incarnation, of_stages in sorted(outputs.items()):
-                    self._inputs, self._compared = {}, ""
+                    self._inputs, self._choices, self._compared = {}, {}, ""
                     if self._incarnation not in self._processes:
                         self._processes[self._incarnation] = self._begin(self._incarnation)
                     self._run(cycle, of_stages, is_last=self._incarnation == max(outputs))
@@ -175,12 +175,11 @@ class AgentRerun:
         if cycle == process.began_in:  # Before it took over, a standby said nothing.
             stages = [stage for stage in stages if stage.name in recorded]
         inputs: Messages = {}
-        self._choices = {}
         lost = {
             stage.name: self._find_inputs(cycle, stage, recorded.get(stage.name, {}), inputs)
             for stage in stages
         }
-        if self._choices and recorded:
+        if self._choices and any(recorded.get(stage.name) for stage in stages):
             self._choose_inputs(cycle, first, inputs, recorded)
         self._inputs |= inputs
         self._compared = ""
@@ -232,19 +231,25 @@ class AgentRerun:
     def _choose_inputs(
         self, cycle: int, stage: str, inputs: Messages, recorded: dict[str, Messages]
     ) -> None:
-        """Of inputs that two processes of an agent sent, take those that the outputs show."""
+        """Of inputs that two processes of an agent sent, take those that the outputs show.
+
+        An earlier stage of the cycle may have heard some of them without showing which.
+        """
         for chosen in islice(product(*self._choices.values()), _MOST_CHOICES):
-            tried = inputs | dict(zip(self._choices, chosen, strict=True))
+            tried = dict(zip(self._choices, chosen, strict=True))
             trial = self._process.twin()
-            trial.close(cycle, stage, tried)
+            _use(tried, trial, inputs)
+            trial.close(cycle, stage, inputs)
             if not any(
                 self.comparison.differences(port, messages[port], new)
                 for name, messages in recorded.items()
                 for port, new in trial.sent(cycle, name)
                 if port in messages
             ):
-                inputs |= tried
-                return
+                break
+        else:
+            tried = {port: first for port, (first, *_) in self._choices.items()}
+        _use(tried, self._process, inputs)
 
     def _doubt(self, cycle: int, stage: Stage, lost: dict[Port[Message], str]) -> None:
         """Take in that a stage used, or sent, what is not recorded.
@@ -336,3 +341,12 @@ def _closing_together(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
         together.append(stage)
     if together:
         yield together
+
+
+def _use(chosen: Messages, process: Process, inputs: Messages) -> None:
+    """Let a stage use some messages: those among its inputs, or that its process has heard."""
+    for port, message in chosen.items():
+        if port in inputs:
+            inputs[port] = message
+        else:
+            process.loop.use_instead(port, message)

@@ -23,7 +23,7 @@ from agents.plan import RunPlan
 from agents.settings import Scheme
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
-from bus_schemas.messages import Takeover
+from bus_schemas.messages import Impp, Takeover
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, RESIDUAL, SETPOINT
 from recordings.verify.comparison import Comparison
@@ -153,6 +153,22 @@ def test_who_hears_two_processes_of_an_agent_in_a_cycle_is_compared(tmp_path: Pa
     )
     folder = record(tmp_path / "run", plan, messages)
     assert verify(folder, "central", Comparison()).equal
+
+
+def test_what_only_a_later_stage_shows_of_its_inputs_is_taken(tmp_path: Path) -> None:
+    children = IMPP.of("c1/a"), IMPP.of("c1/b")
+    plan = faulty_plan(*(FaultRule(kill=port.node, at=(12.2,)) for port in children))
+    messages = published(plan, cloudy_profile(plan))
+    for port, change_kw in zip(children, (1.0, -1.0), strict=True):  # Their sum stays.
+        place = next(
+            place for place, (own, m) in enumerate(messages) if own is port and m.incarnation
+        )
+        old = messages[place][1]
+        assert isinstance(old, Impp)
+        unused = replace(old, incarnation=0, sequence=13, power_kw=old.power_kw + change_kw)
+        messages.insert(place, (port, unused))
+    folder = record(tmp_path / "run", plan, messages)
+    assert verify(folder, "c1", Comparison()).equal
 
 
 # The recorder was away ----------------------------------------------------------------------------
