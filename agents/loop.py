@@ -288,7 +288,7 @@ class AgentLoop(Generic[S]):
         return now_ns
 
     def twin(self) -> Self:
-        """Return a loop in the same state, which goes its own way from here."""
+        """Return an independent loop in the same state."""
         twin = copy(self)
         twin.waiting = self.waiting.copy()
         twin.dropped = self.dropped.copy()

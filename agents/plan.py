@@ -317,7 +317,7 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
 
 
 def check_plan(plan: RunPlan) -> None:
-    """Check what the types of the fields do not tell."""
+    """Check what the types of the fields cannot express."""
     check_size(plan.cycles, len(plan.tree.leaves), "cycles")
     for number, rule in enumerate(plan.faults):
         check_rule(rule, plan.tree, f"faults[{number}]", plan.external, plan.addresses)

@@ -34,9 +34,9 @@ class FaultTally(Counter[str]):
 
 
 class FaultAct(msgspec.Struct):
-    """What a rule did: to how many messages, and in which cycles.
+    """How many messages a rule acted on, and in which cycles.
 
-    A message counts once for each listener that it was lost, delayed or doubled for.
+    A message counts once for each listener for which it was lost, delayed or doubled.
     """
 
     rule: FaultRule
