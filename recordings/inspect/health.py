@@ -206,7 +206,7 @@ class HealthWatch:
                 self._tally.count(self._faults.fates(port, listener, message))
 
     def _see_agent(self, agent: str, cycle: int, joined: int | None) -> None:
-        """Note if an agent was absent, or if another process of it joined in some cycle."""
+        """Note that an agent was absent, or that a new process of it joined."""
         last = self._last_cycle[agent]
         if cycle > last:
             self._last_cycle[agent] = cycle
@@ -219,7 +219,7 @@ class HealthWatch:
             self._note(Absence(agent, None, None, joined, True, by_standby))
 
     def _note(self, absence: Absence) -> None:
-        """Keep an absence; of many the short ones are counted."""
+        """Keep an absence; beyond `LISTED_GAPS` the shortest are only counted."""
         self._absences.append(absence)
         if len(self._absences) > LISTED_GAPS:
             self._absences.remove(min(self._absences, key=lambda one: one.weight))
@@ -254,12 +254,12 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     if recorder := launcher.restarts.get(RECORDER) if launcher else None:
         yield "absent", f"{RECORDER} restarted {recorder:,} time{'s' if recorder > 1 else ''}"
     elif not health.absences:
-        yield "absent", "nobody restarted, died, or missed a cycle"
+        yield "absent", "no agent restarted, died, or missed a cycle"
     yield from (("devices", text) for text in _devices_texts(health.devices))
     if health.failure:
         yield "run", f"failed: {health.failure}"
     else:
-        end = "ended in order" if health.ended else "the recording does not go up to its end"
+        end = "ended in order" if health.ended else "the recording stops before the run's end"
         yield "run", launcher.recording_ended if launcher and launcher.recording_ended else end
 
 
@@ -289,7 +289,7 @@ def _counts(counts: dict[str, int]) -> str:
 
 
 def _named(counts: Mapping[str, int]) -> str:
-    """Name the first of some counts."""
+    """List the first counts with their names."""
     return some_of([f"{name} {count:,}" for name, count in counts.items()], _NAMED)
 
 

@@ -89,7 +89,7 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
         _check_times(plan)
     except (InputError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: plan.json: {error}") from None
-    # Nothing depends on the scenario, which may be damaged: the plan has what the run was.
+    # The scenario may be damaged: nothing depends on it, since the plan describes the run.
     return attachments.get("scenario.toml", b"").decode(errors="replace"), plan
 
 
