@@ -69,7 +69,7 @@ class ProcessAccount(msgspec.Struct, frozen=True):
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     """The figures of a run.
 
-    `recording_ended` says why its recording does not go up to its end; it is empty if it does.
+    `recording_ended` says why the recording stops before the run's end; it is empty if it does not.
     `processes` is empty where the run was in one process. `messages` are those of the processes;
     of external agents, which give no account of themselves, `external` tells what was heard.
     `devices` tells what their gateway measured.
@@ -171,14 +171,14 @@ def recorded_metrics(recording: Path) -> RunMetrics | None:
 
 
 def count_missing(recording: Path, plan: RunPlan) -> tuple[MissedInputs, Counter[str]]:
-    """Go through a recording, and count what is missing.
+    """Count what is missing in a recording.
 
-    Returns the inputs that were missing at deadlines, and by signal the messages that their numbers
-    leave out, those of devices and other hosts set aside.
+    Returns the inputs that were missing at deadlines, and by signal the messages that were lost, by
+    gaps in their numbers. Lost messages of devices and other hosts do not count.
     """
     missed, gaps = MissedInputs(plan), RunGaps(plan)
     with suppress(InputError), RunReader(recording) as run:
-        # In lockstep nothing is, unless a process was replaced.
+        # In lockstep nothing is missing, unless a process was replaced.
         for record in run.records() if plan.restarts or not plan.lockstep else ():
             missed.see(record)
             gaps.see(record.port, record.cycle, record.sequence, record.incarnation)
@@ -200,9 +200,9 @@ def count_messages(
 
 
 def without_external(recorded: Recorded) -> dict[str, int]:
-    """Return how many messages of each signal of the processes were recorded.
+    """Return how many messages of Heliarch's processes were recorded, by signal.
 
-    Those of external agents are set aside, and those of strangers on keys of the processes.
+    Messages of external agents do not count, nor those of strangers on keys of the processes.
     """
     counts = Counter(recorded.recorded)
     for account in recorded.external:

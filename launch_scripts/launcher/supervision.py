@@ -121,10 +121,10 @@ class Child:
     cpu_at_start_s: float | None = None
     """Its processor time when cycle 0 began [s]."""
     heard_at: float = 0.0
-    """When it said something last, monotonic [s]."""
+    """When its last event came, monotonic [s]."""
 
     def begin_again(self) -> None:
-        """Forget all that its process, which has ended, has said."""
+        """Forget all events of its process, which has ended."""
         self.pid, self.ready, self.cpu_at_start_s = 0, False, 0.0
         self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 

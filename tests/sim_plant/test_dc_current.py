@@ -87,7 +87,8 @@ def test_the_mean_is_over_the_combiners_that_are_there(read: Read) -> None:
     found = read(currents=CURRENTS.replace("10,60,80,20,30,40", "10,60,80,20,,40"))
     np.testing.assert_allclose(found.power_kw[1], [70.0, 30.0])
     assert found.repairs == (
-        "hour.csv: inverter 02: 1 of 12 currents of its 3 combiners missing: the mean is over the others",
+        "hour.csv: inverter 02: 1 of 12 currents of its 3 combiners missing: the mean is over"
+        " the others",
     )
 
 
