@@ -203,7 +203,10 @@ def _to_fields(rule: FaultRule) -> Iterator[str]:
     if rule.distribution == "fixed" and rule.jitter_ms:
         yield "distribution: expected uniform or normal with jitter, got fixed"
     if rule.reorder and not rule.held_back_ms:
-        yield "reorder_ms: expected a time above 0 with reorder, got none"
+        yield (
+            "reorder: expected a delay or reorder-by above 0 with it (in a scenario delay_ms or "
+            "reorder_ms), got none"
+        )
     for begin_s, end_s in rule.silent:
         if begin_s >= end_s:
             times = f"{begin_s:g} s to {end_s:g} s"

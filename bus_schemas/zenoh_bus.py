@@ -508,6 +508,17 @@ class ZenohTap(_Place):
         ]
         self._show_token(agent)
 
+    def __exit__(self, *error: object) -> None:
+        # A session does not close while Zenoh's thread waits for room in a queue.
+        closing = threading.Thread(target=super().__exit__, args=error)
+        closing.start()
+        while closing.is_alive():
+            for subscriber in self._subscribers:
+                with suppress(zenoh.ZError):  # Its session has closed.
+                    while subscriber.try_recv() is not None:
+                        pass
+            closing.join(0.01)
+
     def publish(self, port: Port[Message], message: Message) -> None:
         self.outbox.stamp(port, message, time.monotonic_ns())
         for session in self._sessions:

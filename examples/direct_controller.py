@@ -288,6 +288,11 @@ def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zen
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
     }
+    if not plan["cycle_wall_ns"]:
+        # In lockstep all wait for an agent that stands still. By default Zenoh cuts it off.
+        block = "transport/link/tx/queue/congestion_control/block"
+        settings[f"{block}/wait_before_close"] = 60_000_000  # Microseconds.
+        settings["transport/link/tx/lease"] = 60_000  # Milliseconds.
     if keys_folder:
         own = Path(keys_folder) / node.replace("/", ".")
         settings["transport/link/tls"] = {

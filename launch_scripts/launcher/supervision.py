@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -76,6 +77,7 @@ class ForkServerProcess(SideProcess):
     def __init__(self) -> None:
         self.control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._was_asked = False
+        self._unsent: deque[bytes] = deque()
         with theirs:
             super().__init__(
                 "launch_scripts.launcher.fork_server",
@@ -92,8 +94,19 @@ class ForkServerProcess(SideProcess):
 
     def ask(self, request: Request) -> None:
         self._was_asked = True
-        with suppress(BrokenPipeError, ConnectionResetError):
-            self.control.send(msgspec.json.encode(request))
+        self._unsent.append(msgspec.json.encode(request))
+        self.send_requests()
+
+    def send_requests(self) -> None:
+        """Send what is asked, as far as there is room. A server that forks hundreds does not read.
+
+        To be called again and again: it must not wait, since the server may wait to be heard.
+        """
+        self.control.setblocking(False)
+        with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):
+            while self._unsent:
+                self.control.send(self._unsent[0])
+                self._unsent.popleft()
 
     def hang_up(self) -> None:
         """Let it end what is left of its processes, and itself."""
@@ -190,6 +203,7 @@ class Children:
     def events(self, timeout_s: float) -> list[tuple[Child, Event]]:
         """Return what the processes say within a time; note what they report of themselves."""
         heard: list[tuple[Child, Event]] = []
+        self.server.send_requests()
         control = self.server.control
         control.settimeout(timeout_s)
         for _ in range(_MOST_PACKETS):
@@ -233,11 +247,12 @@ class Children:
         self.server.ask(Signal(tuple(agents), int(signal.SIGTERM)))
 
     def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
-        """Wait for processes to end; return those that have not."""
+        """Wait for processes to end; return those that have not, once they say nothing more."""
         until = time.monotonic() + timeout_s
         left = [child for child in children if child.exited is None]
         while left and time.monotonic() < until:
-            self.events(0.02)
+            if any(child in left for child, _ in self.events(0.02)):
+                until = time.monotonic() + timeout_s
             left = [child for child in left if child.exited is None]
         return left
 

@@ -16,11 +16,12 @@ class ExternalAgents:
 
     def __init__(self, plan: RunPlan) -> None:
         self.heard = 0
-        self._plan = plan
         self._agent_of = {plan.keys.alive_key(agent): agent for agent in plan.elsewhere}
         self._recorded: dict[str, Counter[str]] = {agent: Counter() for agent in plan.elsewhere}
         theirs = [port for port in ports(plan.tree) if port.publisher in plan.elsewhere]
         self._gaps = {port: PortGaps() for port in theirs}
+        # In every how many cycles a message must come on a port, whatever is decided.
+        self._steps = {port: step for port in theirs if (step := due_step(plan, port))}
         self._last_cycle = dict.fromkeys(theirs, -1)
         self._answers: Counter[Port[Message]] = Counter()
         self._outages: dict[str, list[tuple[int, int | None]]] = {}
@@ -48,20 +49,28 @@ class ExternalAgents:
             self._answers[port] += 1
         return is_first
 
+    def have_answered(self, cycles: int) -> bool:
+        """Return whether all that is due in so many cycles has come, up to the last of them."""
+        return all(
+            self._last_cycle[port] >= (cycles - 1) // step * step
+            for port, step in self._steps.items()
+        )
+
     def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:
         """Return an account of each of them, after so many cycles."""
         return tuple(self._account(agent, cycles) for agent in self._recorded)
 
     def _account(self, agent: str, cycles: int) -> ExternalAccount:
-        own = [port for port in self._gaps if port.publisher == agent]
-        # How many messages must come on a port, whatever is decided.
-        steps = {port: due_step(self._plan, port) for port in own}
-        due = {port: -(-cycles // step) if step else 0 for port, step in steps.items()}
+        due = {
+            port: -(-cycles // step)
+            for port, step in self._steps.items()
+            if port.publisher == agent
+        }
         return ExternalAccount(
             agent,
             recorded=dict(self._recorded[agent]),
-            lost=sum(self._gaps[port].lost for port in own),
+            lost=sum(found.lost for port, found in self._gaps.items() if port.publisher == agent),
             expected=sum(due.values()),
-            answered=sum(min(self._answers[port], due[port]) for port in own),
+            answered=sum(min(self._answers[port], number) for port, number in due.items()),
             outages=tuple(self._outages.get(agent, ())),
         )

@@ -50,8 +50,12 @@ FLUSH_S: Final = 0.5
 _NAP_S: Final = 0.005
 _STATUS_S: Final = 0.25
 _MOST_AT_ONCE: Final = 2000
-_QUIET_S: Final = 2.0
-"""How long nothing must come before the recorder stops waiting for announced messages."""
+_IDLE_S: Final = 2.0
+"""How long in all the recorder naps at the end before it stops waiting for what has not come."""
+
+_MOST_AFTER_END: Final = 100_000
+"""Messages of others than the launcher's processes that are still recorded at the end: all that can
+wait of a device's flood, some 45,000 here, but not a flood without end."""
 
 _STOP_WAIT_S: Final = 0.5
 """How long a stop before the run's last cycle may be contradicted by the plant, and more in real
@@ -163,6 +167,8 @@ class Recorder:
         self._heard_ns = {agent_name(node): now_ns for node in nodes}
         self._stop_cycle: int | None = None
         self._over_at = inf
+        self._idle_s = 0.0
+        self._others_left = _MOST_AFTER_END
         self._senders = SecondSenders(
             (port for port in plan.keys.ports if port.signal.is_cyclic or port.signal is RUN),
             plan.standbys,
@@ -181,18 +187,21 @@ class Recorder:
 
     def run(self) -> None:
         """Record until told to end, then close the file and report."""
-        flush_at = status_at = heard_at = time.monotonic()
-        while not self._may_end(time.monotonic() - heard_at):
+        flush_at = status_at = time.monotonic()
+        while not self._may_end():
             # Flush and status must have their turn, however much comes.
             heard = list(islice(self._tap.drain(), _MOST_AT_ONCE))
+            own_before = self._own_heard
             for key, payload in heard:
                 self._hear(key, payload)
-            now = time.monotonic()
-            if heard:
-                heard_at = now
-            else:
+            if self._end.asked_at is not None:
+                self._others_left -= len(heard) - (self._own_heard - own_before)
+            if not heard:
                 self._heed_launcher()
                 time.sleep(_NAP_S)
+                if self._end.asked_at is not None:
+                    self._idle_s += _NAP_S
+            now = time.monotonic()
             if now >= flush_at:
                 self._writer.flush()
                 flush_at = now + FLUSH_S
@@ -212,14 +221,23 @@ class Recorder:
         if expected is not None:
             self._end.expect(expected)
 
-    def _may_end(self, quiet_s: float) -> bool:
+    def _may_end(self) -> bool:
         asked_at, expected = self._end.asked_at, self._end.expected
         if asked_at is None:
             return False
         if expected is None:
-            return quiet_s > FLUSH_S or time.monotonic() > asked_at + _QUIET_S
-        heard = self._writer.heard - self._external.heard - self._extra.total()
-        return heard >= expected or quiet_s > _QUIET_S
+            return self._idle_s > FLUSH_S or time.monotonic() > asked_at + _IDLE_S
+        # Devices do not say how much they published, and their messages come on other links.
+        if self._own_heard >= expected and (
+            self._stop_cycle is None or self._external.have_answered(self._stop_cycle)
+        ):
+            return True
+        return self._idle_s > _IDLE_S or self._others_left <= 0
+
+    @property
+    def _own_heard(self) -> int:
+        """Messages of the launcher's processes that have come."""
+        return self._writer.heard - self._external.heard - self._extra.total()
 
     def _hear(self, key: str, payload: bytes) -> None:
         port = self._port_of.get(key)

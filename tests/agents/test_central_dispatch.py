@@ -37,20 +37,6 @@ def set_and_noticed(*dispatches_kw: float) -> tuple[list[float], list[int]]:
     return set_kw, counts
 
 
-@pytest.mark.parametrize(
-    ("power_kw", "set_kw", "counts"),
-    [
-        *((kw, max(0.75 * kw, FLOOR_KW), []) for kw in (0.0, 200.0, 400.0)),
-        *((kw, 300.0, [1]) for kw in (400.0001, 1e12)),
-        *((kw, FLOOR_KW, [1]) for kw in (-0.5, -1e12)),
-    ],
-)
-def test_a_dispatch_that_asks_for_the_impossible_is_clamped_and_noticed(
-    power_kw: float, set_kw: float, counts: list[int]
-) -> None:
-    assert set_and_noticed(power_kw) == ([set_kw], counts)
-
-
 def test_clamped_dispatches_are_counted_together() -> None:
     set_kw, counts = set_and_noticed(100.0, -1.0, 500.0, 200.0)
     assert set_kw == [75.0, FLOOR_KW, 300.0, 150.0]

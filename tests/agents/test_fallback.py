@@ -10,7 +10,7 @@ from plants_by_hand import AtWork, at, dispatch, impp, report, setpoint, telemet
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Setpoint
-from bus_schemas.signals import COMMAND, HELP, IMPP, RESIDUAL, SETPOINT, Port
+from bus_schemas.signals import COMMAND, HELP, IMPP, RESIDUAL, Port
 from bus_schemas.tree import ROOT
 
 HOLD = 2
@@ -107,16 +107,6 @@ def test_a_supervisor_goes_down_the_same_ladder() -> None:
     assert setpoints_in(work, 8, setpoint_kw=60.0) == (20.0, 40.0)
 
 
-def test_a_supervisor_names_what_it_does_without() -> None:
-    work = AtWork(CLUSTER, "c1")
-    setpoints_in(work, 0, setpoint_kw=60.0)
-    work.hear(*report("c1/a", 1, 20.0, 0.0), dispatch(1, 100.0, 200.0))
-    missing = ("c1/b/impp@0", "c1/b/residual@0")
-    assert at(work.at_deadline("report"), IMPP.of("c1")).missing == missing
-    sent = work.at_deadline("solve")
-    assert at(sent, SETPOINT.of("c1/a")).missing == ("c1/setpoint@0", *missing)
-
-
 # A silent child -----------------------------------------------------------------------------------
 
 
@@ -134,28 +124,44 @@ def cycle_of(central: AtWork, cycle: int, *reports: Delivery, dispatch_kw: float
     return sent | central.at_deadline("solve")
 
 
-def without_b(central: AtWork, cycle: int) -> Sent:
-    return cycle_of(central, cycle, *report("a", cycle, 80.0, 20.0))
+Cycles = list[tuple[float, int, float, tuple[float, float]]]
+"""IMPP, its age and residual of the plant, and what is set of a and b, cycle by cycle."""
 
 
-def test_the_last_report_of_a_silent_child_holds_and_then_its_own_request_counts() -> None:
-    central = central_after_one_cycle()
-    sent = [without_b(central, cycle) for cycle in (1, 2, 3, 4)]
-    assert [at(found, IMPP.of(ROOT)).power_kw for found in sent] == [170.0, 170.0, 140.0, 140.0]
-    assert [at(found, IMPP.of(ROOT)).stale_cycles for found in sent][:2] == [1, 2]
-    # It has no headroom any more, and needs no help.
-    assert [at(found, RESIDUAL.of(ROOT)).power_kw for found in sent] == [50.0, 50.0, 20.0, 20.0]
-    assert not any(HELP.of(ROOT) in found for found in sent)
-
-
-def test_a_child_that_stays_silent_is_neither_given_less_than_its_request_nor_asked_for_more() -> (
-    None
-):
-    central = central_after_one_cycle()
-    cycle_of(central, 1, *report("a", 1, 80.0, 20.0), *report("b", 1, 20.0, -40.0))
-    sent = [without_b(central, cycle) for cycle in (2, 3, 4)]
-    # While its last report counts, b gives 20 kW and a the rest; then b serves its own request.
-    assert [setpoints_kw(found) for found in sent] == [(80.0, 20.0), (80.0, 20.0), (60.0, 60.0)]
+@pytest.mark.parametrize(
+    ("of_b", "expected"),
+    [
+        # Its last report holds, then its own request counts: it has no headroom any more, and needs
+        # no help. When it speaks again it is taken back.
+        (
+            [None, None, None, None, (90.0, 30.0), None],
+            [
+                *((170.0, age, 50.0, (60.0, 60.0)) for age in (1, 2)),
+                *((140.0, 3, 20.0, (60.0, 60.0)) for _ in range(2)),
+                *((170.0, age, 50.0, (60.0, 60.0)) for age in (0, 1)),
+            ],
+        ),
+        # While its last report counts, b gives 20 kW and a the rest; then b serves its own request.
+        (
+            [(20.0, -40.0), None, None, None],
+            [
+                *((100.0, age, -20.0, (80.0, 20.0)) for age in (0, 1, 2)),
+                (140.0, 3, 20.0, (60.0, 60.0)),
+            ],
+        ),
+    ],
+)
+def test_the_last_report_of_a_silent_child_holds_and_then_its_own_request_counts(
+    of_b: list[tuple[float, float] | None], expected: Cycles
+) -> None:
+    central, found = central_after_one_cycle(), []
+    for cycle, said in enumerate(of_b, start=1):
+        reports = report("a", cycle, 80.0, 20.0) + (report("b", cycle, *said) if said else [])
+        sent = cycle_of(central, cycle, *reports)
+        own, residual_kw = at(sent, IMPP.of(ROOT)), at(sent, RESIDUAL.of(ROOT)).power_kw
+        found.append((own.power_kw, own.stale_cycles, residual_kw, setpoints_kw(sent)))
+        assert (HELP.of(ROOT) in sent) == (residual_kw < 0.0)
+    assert found == expected
 
 
 def test_the_request_of_a_silent_child_is_by_its_rating() -> None:
@@ -165,25 +171,11 @@ def test_the_request_of_a_silent_child_is_by_its_rating() -> None:
     assert setpoints_kw(central.at_deadline("solve")) == (50.0, 150.0)
 
 
-def test_a_child_that_speaks_again_is_taken_back() -> None:
-    central = central_after_one_cycle()
-    for cycle in (1, 2, 3):
-        without_b(central, cycle)
-    sent = cycle_of(central, 4, *report("a", 4, 80.0, 20.0), *report("b", 4, 90.0, 30.0))
-    assert at(sent, IMPP.of(ROOT)).power_kw == 170.0
-    assert setpoints_kw(without_b(central, 5)) == (60.0, 60.0)
-
-
 def test_without_its_residual_a_report_counts_and_the_residual_is_worked_out() -> None:
     central = central_after_one_cycle()
     for cycle in (1, 2, 3, 4):
-        sent = cycle_of(
-            central,
-            cycle,
-            *report("a", cycle, 80.0, 0.0),
-            impp("b", cycle, 50.0),
-            dispatch_kw=160.0,
-        )
+        reports = (*report("a", cycle, 80.0, 0.0), impp("b", cycle, 50.0))
+        sent = cycle_of(central, cycle, *reports, dispatch_kw=160.0)
         assert at(sent, IMPP.of(ROOT)).power_kw == 130.0
         assert at(sent, RESIDUAL.of(ROOT)).power_kw == 0.0 + (50.0 - 80.0)
         assert setpoints_kw(sent) == (80.0, 50.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,14 +15,15 @@ from plants_by_hand import AtWork, at, dispatch, impp, setpoint
 
 from agents.agent import Stage, Turn
 from agents.loop import AgentLoop
-from agents.plan import RunPlan
+from agents.plan import START_WITHIN_NS, RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Notice
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, NOTICE, RUN, SETPOINT, Port
 from bus_schemas.tree import ROOT
 
-A, B, SET, WISH = IMPP.of("c1/a"), IMPP.of("c1/b"), SETPOINT.of("c1"), DISPATCH.of(ROOT)
+AWAITED: tuple[Port[Message], ...] = (IMPP.of("c1/a"), IMPP.of("c1/b"))
+USED: tuple[Port[Message], ...] = (SETPOINT.of("c1"), DISPATCH.of(ROOT))
 SENT = NOTICE.of("c1")
 HOLD = 3
 TURN = 5
@@ -42,8 +44,6 @@ ON_THE_CLOCK = plan(cycle_wall_ns=REAL_TIME)
 class Clerk:
     """An agent with one stage, which writes down what it is given."""
 
-    awaits: tuple[Port[Message], ...] = (A, B)
-    uses: tuple[Port[Message], ...] = ()
     may_skip: bool = True
     name: str = "c1"
 
@@ -51,10 +51,10 @@ class Clerk:
         return 0
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
-        return (Stage("report", self.awaits, self.uses),)
+        return (Stage("report", AWAITED, USED),)
 
     def step(self, state: int, turn: Turn) -> tuple[int, list[Delivery]]:
-        found = {str(port): turn.inputs[port] for port in (*self.awaits, *self.uses)}
+        found = {str(port): turn.inputs[port] for port in (*AWAITED, *USED)}
         text = " ".join(f"{key}@{m.cycle}" if m else f"{key}@-" for key, m in found.items())
         return state + 1, [(SENT, Notice(*turn.stamp, text=text, count=state + 1))]
 
@@ -63,134 +63,104 @@ def both(cycle: int) -> tuple[Delivery, Delivery]:
     return impp("c1/a", cycle, 1.0), impp("c1/b", cycle, 2.0)
 
 
-def used(sent: dict[Port[Message], Message]) -> tuple[str, tuple[str, ...]]:
-    """What a stage was given, and what its message says is missing."""
-    notice = at(sent, SENT)
-    return notice.text, notice.missing
+def told(script: str, run_plan: RunPlan, bad_kw: float = math.nan) -> tuple[str, str]:
+    """What a clerk is given stage by stage, and what it drops, after a script of messages.
+
+    `a3` is the IMPP of c1/a of cycle 3, `s0` a setpoint of cycle 0, `a3x` one with a bad number,
+    `a3f` one in another's name; at `|` the deadline passes. In the answer `a3!` was named as too
+    old, and of `a-` there was nothing.
+    """
+    clerk = AtWork(run_plan, Clerk())
+    stages: list[str] = []
+    for word in script.split():
+        if word == "|":
+            sent = clerk.at_deadline("report")
+        else:
+            letter, cycle, mark = re.fullmatch(r"(.)(\d+)(.?)", word).groups()  # type: ignore[union-attr]
+            port, message = MAKE[letter](int(cycle), bad_kw if mark == "x" else 1.0)
+            message.source = "c1/x" if mark == "f" else message.source
+            sent = clerk.hear((port, message))
+        if sent:
+            stages.append(shown(at(sent, SENT), script))
+    drops = [f"{LETTER[key]} {cause} {count}" for (key, cause), count in clerk.loop.dropped.items()]
+    return " / ".join(stages), ", ".join(drops)
 
 
-def test_a_stage_closes_as_soon_as_every_awaited_input_is_of_its_cycle() -> None:
-    clerk = AtWork(ON_THE_CLOCK, Clerk())
-    a, b = both(0)
-    assert clerk.hear(a) == {}
-    assert used(clerk.hear(b)) == ("c1/a/impp@0 c1/b/impp@0", ())
-    assert clerk.loop.cycle == 1
+def shown(notice: Notice, script: str) -> str:
+    entries = {entry.key: entry.cycle for entry in map(parse_missing, notice.missing)}
+    words = []
+    for key, _, cycle in (text.rpartition("@") for text in notice.text.split()):
+        if cycle == "-":
+            assert entries[key] is None
+        elif key in entries:
+            assert entries[key] == int(cycle)
+            cycle += "!"  # noqa: PLW2901
+        words += [LETTER[key] + cycle] if LETTER[key] in script else []
+    return " ".join(words)
 
 
-def test_at_its_deadline_it_takes_the_newest_there_is_and_names_its_cycle() -> None:
-    clerk = AtWork(ON_THE_CLOCK, Clerk())
-    clerk.hear(*both(0))
-    clerk.hear(both(1)[0])
-    found = used(clerk.at_deadline("report"))
-    assert found == ("c1/a/impp@1 c1/b/impp@0", ("c1/b/impp@0",))
-    assert (clerk.loop.missing_inputs, clerk.loop.old_inputs) == (1, 1)
+LETTER = {"c1/a/impp": "a", "c1/b/impp": "b", "c1/setpoint": "s", "dispatch": "d"}
+MAKE: dict[str, Callable[[int, float], Delivery]] = {
+    "a": lambda cycle, kw: impp("c1/a", cycle, kw),
+    "b": lambda cycle, kw: impp("c1/b", cycle, kw),
+    "s": lambda cycle, kw: setpoint("c1", cycle, kw),
+}
+FIVE = " ".join(f"a{cycle} b{cycle}" for cycle in range(TURN))
+"""All that is awaited up to the sender's next turn."""
+
+BEFORE = " / ".join(f"a{cycle} b{cycle} s0" for cycle in range(TURN))
 
 
-def test_what_is_older_than_the_hold_is_silent_until_it_comes_again() -> None:
-    clerk = AtWork(ON_THE_CLOCK, Clerk())
-    clerk.hear(*both(0))
-    found = []
-    for cycle in range(1, HOLD + 3):
-        clerk.hear(both(cycle)[0])
-        found.append(used(clerk.at_deadline("report"))[1])
-    assert found == [("c1/b/impp@0",)] * HOLD + [("c1/b/impp",)] * 2
-    assert used(clerk.hear(*both(HOLD + 3)))[1] == ()
+@pytest.mark.parametrize(
+    ("run_plan", "script", "stages", "drops"),
+    [
+        (ON_THE_CLOCK, "a0 b0", "a0 b0", ""),
+        (ON_THE_CLOCK, "a0 b0 a1 |", "a0 b0 / a1 b0!", ""),
+        (
+            ON_THE_CLOCK,
+            "a0 b0 a1 | a2 | a3 | a4 | a5 | a6 b6",
+            "a0 b0 / a1 b0! / a2 b0! / a3 b0! / a4 b- / a5 b- / a6 b6",
+            "",
+        ),
+        (ON_THE_CLOCK, "a0 b0 a1 | b1 a2 |", "a0 b0 / a1 b0! / a2 b1!", ""),
+        (ON_THE_CLOCK, "a0 b0 | b2 b1 a2", "a0 b0 / a0! b0! / a2 b2", "b late 1"),
+        (LOCKSTEP, "a0 a0 a1 a1 b0", "a0 b0", "a duplicate 2"),
+        (LOCKSTEP, "a0 a1 a2 b0 b1 b2", "a0 b0 / a1 b1 / a2 b2", ""),
+        (LOCKSTEP, "a1000000000", "", "a other_cycle 1"),
+        (LOCKSTEP, "a0f b0", "", "a foreign 1"),
+        (
+            LOCKSTEP,
+            f"s0 {FIVE} a5 b5 a6 b6 a7 b7 a8 b8",
+            f"{BEFORE} / a5 b5 s0! / a6 b6 s0! / a7 b7 s0! / a8 b8 s-",
+            "",
+        ),
+        (LOCKSTEP, "s3 a0 b0", "a0 b0 s-", ""),
+        (LOCKSTEP, "a0 b0 a1 b1 s1 a2 b2", "a0 b0 s- / a1 b1 s- / a2 b2 s-", "s unexpected 1"),
+    ],
+    ids=[
+        *("complete", "at the deadline the newest", "silent after the hold", "late and newest"),
+        *("late and older", "twice", "ahead", "too far ahead", "foreign"),
+        *("between turns as good as new", "ahead of its turn", "of no turn"),
+    ],
+)
+def test_a_stage_closes_on_the_newest_message_of_each_input(
+    run_plan: RunPlan, script: str, stages: str, drops: str
+) -> None:
+    assert told(script, run_plan) == (stages, drops)
 
 
-def test_a_late_message_counts_where_it_is_the_newest() -> None:
-    clerk = AtWork(ON_THE_CLOCK, Clerk())
-    clerk.hear(*both(0))
-    clerk.hear(both(1)[0])
-    clerk.at_deadline("report")
-    clerk.hear(both(1)[1], both(2)[0])
-    assert used(clerk.at_deadline("report"))[1] == ("c1/b/impp@1",)
-    assert clerk.loop.dropped == {}
-
-
-def test_one_that_is_older_than_the_newest_is_dropped_and_counted() -> None:
-    clerk = AtWork(ON_THE_CLOCK, Clerk())
-    clerk.hear(*both(0))
-    a, b = both(2)
-    clerk.at_deadline("report")
-    clerk.hear(b, both(1)[1], a)
-    assert clerk.loop.dropped == {("c1/b/impp", "late"): 1}
-
-
-def test_a_second_message_of_a_cycle_is_dropped_and_counted() -> None:
-    clerk = AtWork(LOCKSTEP, Clerk())
-    a, b = both(0)
-    clerk.hear(a, impp("c1/a", 0, 50.0))
-    clerk.hear(both(1)[0], both(1)[0])
-    assert clerk.loop.dropped == {("c1/a/impp", "duplicate"): 2}
-    assert used(clerk.hear(b))[1] == ()
-
-
-def test_in_lockstep_a_child_may_run_ahead_of_its_parent() -> None:
-    clerk = AtWork(LOCKSTEP, Clerk())
-    for cycle in range(TURN + 1):
-        assert clerk.hear(both(cycle)[0]) == {}
-    for cycle in range(TURN + 1):
-        assert used(clerk.hear(both(cycle)[1])) == (f"c1/a/impp@{cycle} c1/b/impp@{cycle}", ())
-    assert clerk.loop.dropped == {}
-
-
-def test_a_message_too_far_ahead_is_dropped_and_counted() -> None:
-    clerk = AtWork(LOCKSTEP, Clerk())
-    clerk.hear(impp("c1/a", 10**9, 1.0))
-    assert clerk.loop.dropped == {("c1/a/impp", "other_cycle"): 1}
-
-
-@pytest.mark.parametrize("power_kw", [math.nan, math.inf, -1.0, 100.1])
-def test_an_absurd_number_is_not_used_and_keeps_nobody_waiting(power_kw: float) -> None:
-    clerk = AtWork(LOCKSTEP, Clerk(uses=(SET,)))
-    clerk.hear(setpoint("c1", 0, 1.0), *both(0))
-    clerk.hear(setpoint("c1", TURN, 2.0 * power_kw))
-    for cycle in range(1, TURN):
-        clerk.hear(*both(cycle))
-    a, _ = both(TURN)
-    text, missing = used(clerk.hear(a, impp("c1/b", TURN, power_kw)))
-    assert text == f"c1/a/impp@{TURN} c1/b/impp@{TURN - 1} c1/setpoint@0"
-    assert missing == (f"c1/b/impp@{TURN - 1}", "c1/setpoint@0")
-    assert clerk.loop.dropped == {("c1/b/impp", "absurd"): 1, ("c1/setpoint", "absurd"): 1}
-    assert clerk.loop.missing_inputs == 0, "no deadline found it missing"
-
-
-def test_a_message_in_anothers_name_is_not_used() -> None:
-    clerk = AtWork(LOCKSTEP, Clerk())
-    port, message = impp("c1/a", 0, 1.0)
-    message.source = "c1/b"
-    assert clerk.hear((port, message), both(0)[1]) == {}
-    assert clerk.loop.dropped == {("c1/a/impp", "foreign"): 1}
-
-
-def test_between_turns_of_its_sender_a_message_is_as_good_as_new_then_it_is_held() -> None:
-    clerk = AtWork(LOCKSTEP, Clerk(awaits=(A,), uses=(SET,)))
-    clerk.hear(setpoint("c1", 0, 1.0))
-    found = [used(clerk.hear(both(cycle)[0])) for cycle in range(TURN + HOLD + 1)]
-    assert [text.partition(" ")[2] for text, _ in found[:-1]] == ["c1/setpoint@0"] * (TURN + HOLD)
-    entries = [missing for _, missing in found]
-    assert entries == [()] * TURN + [("c1/setpoint@0",)] * HOLD + [("c1/setpoint",)]
-
-
-def test_a_message_of_a_cycle_that_is_no_turn_of_its_sender_is_dropped() -> None:
-    clerk = AtWork(LOCKSTEP, Clerk(awaits=(A,), uses=(SET,)))
-    clerk.hear(*[both(cycle)[0] for cycle in range(3)])
-    clerk.hear(setpoint("c1", 3, 1.0))
-    assert clerk.loop.dropped == {("c1/setpoint", "unexpected"): 1}
-    assert used(clerk.hear(both(3)[0]))[1] == ("c1/setpoint",)
+@pytest.mark.parametrize("bad_kw", [math.nan, math.inf, -1.0, 200.1])
+def test_an_absurd_number_is_not_used_and_keeps_nobody_waiting(bad_kw: float) -> None:
+    found = told(f"s0 {FIVE} s5x a5 b5x", LOCKSTEP, bad_kw)
+    assert found == (f"{BEFORE} / a5 b4! s0!", "s absurd 1, b absurd 1")
 
 
 # Any order of events ------------------------------------------------------------------------------
 
-MAKE: dict[str, Callable[[int], Delivery]] = {
-    "a": lambda cycle: impp("c1/a", cycle, 1.0),
-    "b": lambda cycle: impp("c1/b", cycle, 2.0),
-    "set": lambda cycle: setpoint("c1", cycle, 3.0),
-}
 EVENTS = st.lists(
     st.one_of(
         st.none(),  # The deadline passes.
-        st.tuples(st.sampled_from(["a", "b", "set"]), st.integers(-2, 4)),
+        st.tuples(st.sampled_from(["a", "b", "s"]), st.integers(-2, 4)),
     ),
     max_size=60,
 )
@@ -200,7 +170,7 @@ EVENTS = st.lists(
 def test_what_a_message_names_as_missing_is_exactly_what_was_not_used(
     events: list[tuple[str, int] | None],
 ) -> None:
-    loop = AtWork(ON_THE_CLOCK, Clerk(awaits=(A, B), uses=(SET,))).loop
+    loop = AtWork(ON_THE_CLOCK, Clerk()).loop
     sent: list[Notice] = []
     newest: dict[str, int] = {}
     for event in events:
@@ -209,7 +179,7 @@ def test_what_a_message_names_as_missing_is_exactly_what_was_not_used(
         else:
             name, offset = event
             cycle = max(loop.cycle + offset, 0)
-            loop.hear(*MAKE[name](cycle - cycle % (TURN if name == "set" else 1)), 0)
+            loop.hear(*MAKE[name](cycle - cycle % (TURN if name == "s" else 1), 1.0), 0)
         while loop.is_complete:
             sent += notices(loop.close_stage(0))
     assert [notice.cycle for notice in sent] == list(range(len(sent)))
@@ -242,7 +212,7 @@ RUN_START: Delivery = (RUN.of(ROOT), LOCKSTEP.run_message("start", 0, 0))
 
 def armed(plan: RunPlan) -> AgentLoop[int]:
     """A clerk that has been through an arming round."""
-    loop = AgentLoop(Clerk(uses=(WISH,)), plan)
+    loop = AgentLoop(Clerk(), plan)
     for port, message in (dispatch(ROUND, 1.0, 200.0), *both(ROUND), *both(ROUND)):
         loop.hear(port, message, 0)
     assert loop.is_complete
@@ -262,7 +232,7 @@ def test_arming_rounds_leave_no_trace(run_plan: RunPlan) -> None:
     (_, notice), *_ = loop.close_stage(0)
     assert isinstance(notice, Notice)
     assert (notice.cycle, notice.count) == (0, 1), "its state is the initial one"
-    assert notice.missing == ("c1/a/impp", "c1/b/impp", "dispatch")
+    assert notice.missing == ("c1/a/impp", "c1/b/impp", "c1/setpoint", "dispatch")
     assert loop.dropped == {}
 
 
@@ -300,7 +270,7 @@ def test_whoever_wakes_late_goes_to_the_cycle_under_way() -> None:
     clerk.hear(*both(0))
     assert clerk.loop.catch_up(33 * REAL_TIME + 5)
     assert (clerk.loop.cycle, clerk.loop.skipped_cycles) == (33, 32)
-    assert used(clerk.hear(*both(33)))[1] == ()
+    assert at(clerk.hear(*both(33)), SENT).missing == ("c1/setpoint", "dispatch")
     assert not clerk.loop.catch_up(33 * REAL_TIME + 9), "the next cycle has not begun yet"
 
 
@@ -313,3 +283,33 @@ def test_the_plant_does_not_skip_and_in_lockstep_nobody_does(
     clerk = AtWork(run_plan, Clerk(may_skip=may_skip))
     assert not clerk.loop.catch_up(33 * REAL_TIME)
     assert clerk.loop.cycle == 0
+
+
+@pytest.mark.parametrize("off_ns", [START_WITHIN_NS + 1, -START_WITHIN_NS - 1])
+def test_a_start_by_another_hosts_clock_is_now(off_ns: int) -> None:
+    loop, now_ns = armed(ON_THE_CLOCK), 5_000_000_000
+    port, run = RUN.of(ROOT), ON_THE_CLOCK.run_message("start", 0, now_ns + off_ns)
+    loop.hear(port, run, now_ns)
+    deadline_ns = ON_THE_CLOCK.deadlines.deadline_ns("c1", "report")
+    assert (loop.cycle, loop.deadline_ns) == (0, now_ns + deadline_ns)
+
+
+def test_a_stop_holds_until_the_plant_goes_on() -> None:
+    """Anybody may say that a run ends early. What the plant goes on doing tells whether it does."""
+    loop = armed(LOCKSTEP)
+    loop.hear(*RUN_START, 0)
+
+    def goes_on(cycle: int, *stops: int) -> bool:
+        """Whether it closes the stage of a cycle that the plant has begun."""
+        stopped = [(RUN.of(ROOT), LOCKSTEP.run_message("stop", stop, 0)) for stop in stops]
+        for port, message in (dispatch(cycle, 1.0, 200.0), *both(cycle), *stopped):
+            loop.hear(port, message, 0)
+        return loop.is_complete and bool(loop.close_stage(0))
+
+    assert goes_on(0, 0), "a stop before a cycle that has begun"
+    assert goes_on(1, 3)
+    assert goes_on(2)
+    assert loop.finished
+    assert goes_on(3)
+    assert not loop.stop_heard
+    assert loop.dropped == {("run", "contradicted"): 2}

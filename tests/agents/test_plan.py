@@ -64,6 +64,7 @@ def with_field(name: str, value: object) -> Callable[[bytes], bytes]:
         (with_field("cycles", "many"), "cycles"),
         (with_field("period_cycles", [1]), "period_cycles"),
         (with_field("period_cycles", [10, 5, 1]), "period_cycles"),
+        (with_field("period_cycles", [10, 0]), "period_cycles[1]"),
         (with_field("tier_deadlines_ns", [1, 2]), "tier_deadlines_ns"),
     ],
 )

@@ -114,13 +114,23 @@ def test_whenever_a_parent_acts_its_children_meet_its_newest_target_or_give_all_
             if not plan.periods.is_turn(node, cycle):
                 assert not any(heard.of(SETPOINT.of(child)).get(cycle) for child in children)
                 continue
-            set_kw = [heard.of(SETPOINT.of(child))[cycle].power_kw for child in children]
+            setpoints = [heard.of(SETPOINT.of(child))[cycle] for child in children]
+            set_kw = [setpoint.power_kw for setpoint in setpoints]
             impp_kw = [heard.of(IMPP.of(child))[cycle].power_kw for child in children]
             all_kw = fsum(impp_kw)
             expected_kw = min(max(target_kw[node], plan.alpha_floor * all_kw), all_kw)
             assert fsum(set_kw) == pytest.approx(expected_kw, rel=0.0, abs=TOLERANCE_KW)
             for setpoint_kw, most_kw in zip(set_kw, impp_kw, strict=True):
                 assert plan.alpha_floor * most_kw - TOLERANCE_KW <= setpoint_kw <= most_kw
+            lines = [line for setpoint in setpoints for line in setpoint.help_given]
+            for child, setpoint, most_kw in zip(children, setpoints, impp_kw, strict=True):
+                above_kw = max(setpoint.power_kw - setpoint.share_kw, 0.0)
+                assert approx_kw([above_kw]) == fsum(one.power_kw for one in setpoint.help_given)
+                got_kw = fsum(line.power_kw for line in lines if line.needy == child)
+                lacks_kw = max(setpoint.share_kw - most_kw, 0.0)
+                assert got_kw <= lacks_kw + TOLERANCE_KW
+                if target_kw[node] <= all_kw:
+                    assert got_kw == approx_kw([lacks_kw])
 
 
 @given(weathers())

@@ -99,6 +99,8 @@ def test_all_inputs_of_the_largest_tree_can_be_named() -> None:
     "payload",
     [
         *(b"", b"\xc1", b"\x81", msgpack.packb([1, 2, 3])),
+        *(b"\xdd" + b"\xff" * 4, b"\xdf" + b"\xff" * 4, b"\x81\xa6source\xdb" + b"\xff" * 4),
+        b"\x81\xa7missing\xdd" + b"\xff" * 4,
         encode(Impp(0, 0, "c1/ab", (), power_kw=1.0, stale_cycles=0)).replace(b"ab", b"\xff\xfe"),
     ],
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -33,35 +32,6 @@ def put(inbox: Inbox, *numbers: int, port: Port[Message] = PORT) -> None:
 def take(inbox: Inbox, wanted: int, timeout_s: float) -> list[Any]:
     """What an inbox gives, as the numbers that came."""
     return [number for _, number, _ in inbox.take(wanted, timeout_s)]
-
-
-def test_what_is_there_already_is_taken_at_once_in_its_order_with_its_time() -> None:
-    inbox = Inbox()
-    before_ns = time.monotonic_ns()
-    put(inbox, 0, 1, 2)
-    found = inbox.take(2, FOR_EVER_S)
-    assert [port for port, _, _ in found] == [PORT] * 3
-    assert [cast(int, number) for _, number, _ in found] == [0, 1, 2]
-    times_ns = [before_ns, *(time_ns for _, _, time_ns in found), time.monotonic_ns()]
-    assert times_ns == sorted(times_ns)
-    assert take(inbox, 1, timeout_s=0.0) == [], "it is gone"
-
-
-def test_at_the_time_out_whatever_is_there_is_taken() -> None:
-    inbox = Inbox()
-    put(inbox, 1)
-    began_s = time.monotonic()
-    assert take(inbox, 2, timeout_s=0.02) == [1]
-    assert time.monotonic() - began_s >= 0.02
-    assert take(inbox, 2, timeout_s=-1.0) == [], "a time-out that has passed does not wait"
-
-
-def test_a_waiting_agent_is_woken_by_the_last_sample_that_it_wants() -> None:
-    inbox = Inbox()
-    puts = threading.Thread(target=put, args=(inbox, 0, 1, 2))
-    puts.start()
-    assert take(inbox, 3, FOR_EVER_S) == [0, 1, 2]
-    puts.join()
 
 
 def test_a_rare_event_wakes_it_however_many_it_wants() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import explicit_links
-from bus_schemas.signals import CLOCK, RUN, Wiring, listeners, ports
+from bus_schemas.signals import RUN, Wiring, listeners, ports
 from bus_schemas.tree import ROOT, ControlTree
 
 OAHU = ControlTree((("c1/inv07", 470.0), ("c1/inv08", 470.0), ("c2/inv09", 470.0)))
@@ -49,17 +49,6 @@ def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple
 
 def test_every_controller_hears_when_the_run_begins_and_ends() -> None:
     assert set(listeners(RUN.of(ROOT), OAHU)) == set(OAHU.agents()) - {"plant", "recorder"}
-
-
-@pytest.mark.parametrize("tree", TREES)
-def test_every_port_has_a_publisher_of_the_run_and_a_key_of_its_own(tree: ControlTree) -> None:
-    publishers = {port: port.publisher for port in ports(tree)}
-    assert publishers.pop(CLOCK.of(ROOT)) == "replayer"
-    assert set(publishers.values()) <= set(tree.agents())
-    keys = KeyTable("oahu", tree)
-    assert keys.ports == ports(tree)
-    assert all(keys.port(keys.key(port)) is port for port in ports(tree))
-    assert len({keys.key(port) for port in ports(tree)}) == len(ports(tree))
 
 
 @pytest.mark.parametrize(

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 
 import pytest
 import zenoh
+from running import REPOSITORY
 
 from bus_schemas.codec import encode
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Telemetry
 from bus_schemas.signals import Wiring
-from bus_schemas.tree import PLANT, ControlTree
-from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
+from bus_schemas.tree import PLANT, RECORDER, ControlTree
+from bus_schemas.zenoh_bus import SessionSettings, ZenohBus, ZenohTap
 from launch_scripts.launcher.tcp_ports import reserved_ports
 
 TREE = ControlTree((("a", 100.0),))
@@ -59,3 +62,28 @@ def test_a_message_that_comes_after_it_is_heard(linked: tuple[zenoh.Session, Zen
         session.put(KEY, payload)
     (arrival,) = bus.receive(None)
     assert (arrival.agent, str(arrival.port), arrival.message.cycle) == ("a", "a/telemetry", 0)
+
+
+FLOOD = f"""
+import sys, zenoh
+from bus_schemas.zenoh_bus import SessionSettings
+session = zenoh.open(SessionSettings("flooded", [], sys.argv[1:]).config())
+while True:
+    session.put("{KEY}", b"", congestion_control=zenoh.CongestionControl.BLOCK)
+"""
+
+
+def test_a_listener_closes_while_more_comes_than_its_queue_takes() -> None:
+    with reserved_ports([RECORDER]) as ports:
+        endpoint = f"tcp/127.0.0.1:{ports[RECORDER]}"
+        settings = SessionSettings("flooded", [endpoint], [])
+        with subprocess.Popen([sys.executable, "-c", FLOOD, endpoint], cwd=REPOSITORY) as flooding:
+            try:
+                with ZenohTap(RECORDER, KeyTable("pair", TREE), settings) as tap:
+                    while next(tap.drain(), None) is None:
+                        time.sleep(0.01)
+                    time.sleep(1.0)  # Its queue fills.
+                    closes_at = time.monotonic()
+                assert time.monotonic() - closes_at < 9.0, "after 10 s Zenoh gives up"
+            finally:
+                flooding.kill()

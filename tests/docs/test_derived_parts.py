@@ -33,6 +33,17 @@ def test_derived_parts_are_what_the_code_writes(name: str) -> None:
     assert text == filled(text), "python docs/derived.py"
 
 
+def test_each_example_reads_the_plan_of_the_run_above_it_in_a_folder_of_its_own() -> None:
+    examples = HOUSE / "examples"
+    text = (examples / "README.md").read_text(encoding="utf-8")
+    folders = re.findall(r"--out (\S+)", text)
+    assert len(folders) == len(set(folders)), "a folder that holds a run is refused"
+    pairs = re.findall(r"--out (\S+)\n +python examples/(\S+) --plan (\S+)/plan\.json", text)
+    assert {program for _, program, _ in pairs} == {path.name for path in examples.glob("*.py")}
+    assert all(folder == read_from for folder, _, read_from in pairs)
+    assert set(re.findall(r"heliarch verify (\S+?)`", text)) <= set(folders)
+
+
 # Scenarios ----------------------------------------------------------------------------------------
 
 

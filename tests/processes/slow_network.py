@@ -1,7 +1,6 @@
 """Two hosts with a slow network between them: namespaces, and a wire that keeps packets back.
 
-Not every kernel has netem, so packets go through this process. Run by itself, it sets up
-10.217.0.1 and 10.217.0.2 in namespaces of the names that it is given, until it is ended.
+Not every kernel has netem, so packets go through this process.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import os
 import select
 import struct
 import subprocess
-import sys
 import threading
 import time
 from collections import deque
@@ -64,9 +62,3 @@ def _carry(first: int, second: int) -> None:
             while under_way and under_way[0][0] <= time.monotonic():
                 _, end, packet = under_way.popleft()
                 os.write(end, packet)
-
-
-if __name__ == "__main__":
-    with slow_network(sys.argv[1:]):
-        print("up", flush=True)
-        sys.stdin.read()

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -161,6 +162,27 @@ def test_the_example_plant_conducts_our_controllers(
     assert all(0.0 < delivered <= 1.1 * desired for desired, delivered in powers_kw[1:])
     assert "plant" not in verified(folder).agents
     assert_none_left(folder)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("agent", [NODE, "plant"])
+def test_in_lockstep_a_device_waits_for_a_recorder_that_stands_still(
+    heliarch: Start, device: Device, plant: str, agent: str
+) -> None:
+    settings = ("--set", "restart.when=on-failure", "--set", "restart.frozen_s=60")
+    run = heliarch("launch", plant, "--duration", "50m", *settings, "--external", agent)
+    if agent == "plant":
+        device(PLANT, "--plan", run.folder / "plan.json")
+    else:
+        controller(device, run.folder)
+    run.until_recorded()
+    recorder = run.process_of("recorder")
+    recorder.send_signal(signal.SIGSTOP)
+    time.sleep(20.0)  # By default Zenoh closes a link after 5 s or 10 s.
+    recorder.send_signal(signal.SIGCONT)
+    assert run.wait() == 0, run.error_text()
+    summary = summary_of(run.folder)
+    assert (summary.cycles, summary.lost) == (3000, 0)
 
 
 def test_a_device_that_does_everything_wrong_is_named_and_contained(

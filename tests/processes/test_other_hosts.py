@@ -14,7 +14,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from command_line import done, refusal
+from command_line import done
 from plans_by_hand import plan_at_noon
 from running import REPOSITORY, Heliarch, Start
 from slow_network import ADDRESSES, HOP_MS, slow_network
@@ -54,37 +54,29 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
     assert (summary.lost, summary.wrong) == (0, ())
 
 
-def test_a_standby_here_and_a_restart_there_follow_a_death_on_another_host(
-    heliarch: Start, plant: str
+@pytest.mark.parametrize(
+    ("number", "setting", "takeovers"),
+    [(signal.SIGKILL, 'standby=["supervisors"]', 1), (signal.SIGSTOP, "restart.frozen_s=2", 0)],
+)
+def test_a_process_that_dies_or_freezes_on_another_host_is_started_again_there(
+    heliarch: Start, plant: str, number: signal.Signals, setting: str, takeovers: int
 ) -> None:
-    words = ("--duration", "1h", "--pace", "2", "--set", 'standby=["supervisors"]')
+    words = ("--duration", "1h", "--pace", "2", "--set", setting)
     run = heliarch("launch", plant, *words, "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)
     run.until_running()
-    other.process_of("c2").send_signal(signal.SIGKILL)
-    run.until_shown("c2+standby took over in cycle")
-    run.until_shown(f"c2 ({SECOND}) is back in cycle")
-    run.interrupt()
-    assert other.wait() == 0, other.error_text()
-    summary = summary_of(run.folder)
-    assert summary.takeovers["c2"] >= 1
-    assert summary.lost_by_processes == 0
-
-
-def test_a_process_that_freezes_on_another_host_is_killed_and_started_again_there(
-    heliarch: Start, plant: str
-) -> None:
-    words = ("--duration", "1h", "--pace", "2", "--set", "restart.frozen_s=2")
-    run = heliarch("launch", plant, *words, "--on", f"{SECOND}=c2/*")
-    other = node(heliarch, run, SECOND)
-    run.until_running()
-    other.process_of("c2").send_signal(signal.SIGSTOP)
+    other.process_of("c2").send_signal(number)
+    if takeovers:
+        run.until_shown("c2+standby took over in cycle")
     run.until_shown(f"c2 ({SECOND}) is back in cycle")
     run.interrupt()
     assert other.wait() == 0, other.error_text()
     said = other.output.read_text()
     assert "c2 (process" in said
     assert "c2/inv03 (process" not in said, "nobody else is killed"
+    summary = summary_of(run.folder)
+    assert summary.takeovers.get("c2", 0) >= takeovers
+    assert summary.lost_by_processes == 0
 
 
 @pytest.mark.parametrize("is_frozen", [False, True])
@@ -165,12 +157,6 @@ def test_hosts_with_keys_a_slow_network_and_another_clock(
 
 
 # The command --------------------------------------------------------------------------------------
-
-
-def test_a_plan_without_other_hosts_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "plan.json").write_bytes(plan_at_noon().as_json())
-    line = refusal("node", "--plan", tmp_path / "plan.json", "--host", SECOND)
-    assert "--host: expected a plan with agents on other hosts" in line
 
 
 def test_a_unit_for_systemd_runs_the_same_command(tmp_path: Path) -> None:

@@ -107,16 +107,6 @@ def test_any_subscriber_hears_the_recorded_bytes_in_their_order_and_where_the_re
     assert clocks[7]["sim_time_ns"] == plan.sim_time_ns(7)
 
 
-def test_ctrl_c_ends_a_replay_that_waits_and_one_that_plays(
-    heliarch: Start, recorded: Path
-) -> None:
-    for words, sign in (("--wait", "waiting for a subscriber"), ("--loop", "12:00:")):
-        replay = heliarch("replay", recorded, words)
-        replay.until_said(sign)
-        assert replay.interrupt() == 130
-        assert "replayed " in replay.output.read_text()
-
-
 def test_ctrl_c_in_the_middle_of_a_live_replay_leaves_what_was_compared_so_far(
     heliarch: Start, plan: RunPlan, plant: str, tmp_path: Path
 ) -> None:

@@ -54,20 +54,6 @@ def test_killed_controllers_are_started_again_and_the_run_goes_on(
     assert_equal_as_far_as_recorded(run, verified(run.folder))
 
 
-def test_a_run_ends_in_order_while_a_controller_waits_for_its_restart(
-    heliarch: Start, plant: str
-) -> None:
-    words = (*REAL_TIME, "--set", "restart.backoff_s=1000")
-    run = heliarch("launch", plant, *words)
-    run.until_running()
-    run.process_of("c1").send_signal(signal.SIGKILL)
-    until_joined(run, "c1")
-    run.process_of("c1").send_signal(signal.SIGKILL)
-    run.until_shown("started again in")
-    ended(run)
-    assert summary_of(run.folder).restarts == {"c1": 2}
-
-
 def test_a_controller_that_dies_again_and_again_ends_the_run(heliarch: Start, plant: str) -> None:
     faults = [word for at in (10, 20, 30) for word in ("--fault", f"kill=c1,at={at}s")]
     words = (*REAL_TIME, "--set", "restart.most=2", *faults)
@@ -106,29 +92,6 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
 def until_taken_over(run: Heliarch, agent: str, times: int = 1) -> None:
     took_over = re.compile(rf"^{agent}\S* took over", re.MULTILINE)
     run.until(lambda: len(took_over.findall(run.output.read_text())) >= times, "a takeover")
-
-
-def test_a_thawed_parent_does_not_fight_its_standby(heliarch: Start, plant: str) -> None:
-    run = heliarch("launch", plant, *STANDBY)
-    run.until_running()
-    stopped = run.process_of("c1")
-    stopped.send_signal(signal.SIGSTOP)
-    until_taken_over(run, "c1")
-    stopped.send_signal(signal.SIGCONT)
-    log = run.folder / "logs" / "c1.log"
-    run.until(lambda: "falls silent" in log.read_text(), "its silence")
-    ended(run)
-    assert summary_of(run.folder).restarts == {}
-    assert_equal_as_far_as_recorded(run, verified(run.folder))
-
-
-def test_a_standby_that_says_nothing_is_replaced(heliarch: Start, plant: str) -> None:
-    run = heliarch("launch", plant, *STANDBY, *IMPATIENT)
-    run.until_running()
-    run.process_of("c1+standby").send_signal(signal.SIGSTOP)
-    until_joined(run, "c1+standby")
-    ended(run)
-    assert summary_of(run.folder).restarts == {"c1+standby": 1}
 
 
 # Controllers that run and say nothing -------------------------------------------------------------

@@ -75,38 +75,6 @@ def test_beside_a_device_what_a_stranger_forges_reaches_no_agent_and_is_named(
     assert_right(run, plant, summary.cycles)
 
 
-GARBAGE = {
-    "nested too deep": b"\x81\xa1x" + b"\x91" * 60_000 + b"\xc0",
-    "an array of 4,294,967,295 entries": b"\xdd" + b"\xff" * 4,
-    "a map of 4,294,967,295 entries": b"\xdf" + b"\xff" * 4,
-    "entries without end in a message": b"\x81\xa7missing\xdd" + b"\xff" * 4,
-    "a text of 4 GB": b"\x81\xa6source\xdb" + b"\xff" * 4,
-    "no msgpack": b"\xc1",
-}
-
-
-def test_garbage_of_a_stranger_beside_a_device_is_named_and_takes_no_memory(
-    heliarch: Start, plant: str
-) -> None:
-    with beside_a_device(heliarch, plant) as (run, plan), attacker_of(plan) as attacker:
-        before = {agent: resident_mb(run, agent) for agent in ("recorder", "c1")}
-        for number, payload in enumerate(GARBAGE.values()):
-            attacker.put_bytes(f"{plan.plant}/{DEVICE}/impp", payload)
-            attacker.put_bytes(f"{plan.plant}/garbage{number}", payload)
-        # Heard by none: it is larger than a message can be.
-        attacker.put_bytes(f"{plan.plant}/{DEVICE}/impp", bytes(10_000_000))
-        last = f"garbage{len(GARBAGE) - 1}"
-        run.until_shown(complaint(plan, last))
-        run.until_shown(complaint(plan, f"{DEVICE}/impp"))
-        run.until_recorded(run.recorded_cycles() + 100)
-        for agent, mb in before.items():
-            assert resident_mb(run, agent) < mb + 60.0
-        summary = ended(run)
-    causes = {(wrong.key, wrong.cause): wrong.count for wrong in summary.wrong}
-    assert causes[f"{DEVICE}/impp", "undecodable"] == len(GARBAGE)
-    assert_right(run, plant, summary.cycles)
-
-
 def resident_mb(run: Heliarch, agent: str) -> float:
     return float(run.process_of(agent).memory_info().rss / 1e6)
 

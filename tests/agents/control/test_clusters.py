@@ -75,12 +75,6 @@ def test_a_search_tells_what_each_of_its_starts_came_to() -> None:
     assert 1 <= search.starts_at_best < len(search.correlation_of_starts)
 
 
-def test_a_start_that_comes_to_the_same_clusters_counts_as_the_best() -> None:
-    search = search_clusters(np.ones((6, 6)), (3, 3))
-    assert search.correlation_of_starts == pytest.approx([1.0] * len(search.correlation_of_starts))
-    assert search.starts_at_best == len(search.correlation_of_starts)
-
-
 def test_clusters_of_one_inverter_have_no_correlation_within() -> None:
     search = search_clusters(random_correlation(3, 0), (1, 1, 1))
     assert search.clusters == ((0,), (1,), (2,))

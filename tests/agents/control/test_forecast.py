@@ -77,11 +77,6 @@ def test_a_maximum_that_is_seen(found: Estimate, maximum_kw: float) -> None:
     assert (found.maximum_kw, found.stale_cycles) == (maximum_kw, 0)
 
 
-def test_without_a_trend_what_is_seen_is_expected() -> None:
-    for seen in (measured(40.0), forecast(30.0, 40.0, forecast(40.0, 40.0, SIXTY))):
-        assert seen.power_kw == seen.expected_kw == seen.maximum_kw
-
-
 def test_the_last_change_is_expected_to_go_on_damped_and_the_own_error_is_taken_off_in_part() -> (
     None
 ):
@@ -94,13 +89,6 @@ def test_the_last_change_is_expected_to_go_on_damped_and_the_own_error_is_taken_
     margin_kw = MARGIN * (spread_kw - SMALL_ERROR * RATING_KW)
     assert margin_kw > 0.0
     assert found.power_kw == pytest.approx(found.expected_kw - margin_kw)
-
-
-def test_small_errors_take_nothing_off() -> None:
-    error_kw = 0.5 * SMALL_ERROR * RATING_KW
-    found = measured(*(50.0 + error_kw * (cycle % 2) for cycle in range(100)))
-    assert found.spread_kw > error_kw
-    assert found.power_kw == found.expected_kw
 
 
 @pytest.mark.parametrize(("limit_kw", "from_kw"), [(40.0, 60.0), (80.0, 80.0)])
@@ -234,11 +222,6 @@ def test_an_inverter_shaded_to_just_below_its_limit_does_not_count_as_held_by_it
     assert shaded[-1].power_kw == pytest.approx(40.0 * (1.0 - below), rel=1e-3)
 
 
-def test_an_inverter_that_holds_its_limit_inexactly_counts_as_held_by_it() -> None:
-    held = readings(40.0, [-0.003] * 600, measured(60.0))
-    assert not any(estimate.is_seen for estimate in held)
-
-
 def test_a_meter_that_reads_low_is_known_by_what_the_inverter_gives_once_it_is_free() -> None:
     deceived = forecast(37.6, 40.0, measured(80.0))
     assert deceived.maximum_kw == 37.6, "6 % below its limit it seems to be in the shade"
@@ -246,12 +229,3 @@ def test_a_meter_that_reads_low_is_known_by_what_the_inverter_gives_once_it_is_f
     assert free.reads_low == pytest.approx(LOW_READING_SAFETY * 0.06)
     again = forecast(37.6, 40.0, free)
     assert again.power_kw >= 75.2, "the same reading deceives it no more"
-
-
-# Available power ----------------------------------------------------------------------------------
-
-
-def test_what_is_stated_behind_a_limit_has_a_trend_too() -> None:
-    seen = forecast(40.0, 40.0, measured(60.0), available_kw=55.0)
-    falling = forecast(40.0, 40.0, seen, available_kw=50.0)
-    assert falling.power_kw < 50.0

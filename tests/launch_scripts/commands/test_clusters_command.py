@@ -72,11 +72,6 @@ def test_without_periods_those_of_the_paper_are_taken_that_the_cycle_allows() ->
     assert "--periods" in refusal(*QUICK, "--periods", "15")
 
 
-def test_a_first_part_to_learn_from_is_not_run() -> None:
-    text = done(*QUICK, "--learn", "20m")
-    assert "12:20:00 HST, 240 cycles of 10 s" in text
-
-
 def test_under_the_measured_sky_of_melpitz_virtual_neighbours_spare_the_central_controller(
     data_folder: Path,
 ) -> None:

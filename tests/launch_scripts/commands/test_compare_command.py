@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import msgspec
@@ -76,89 +76,72 @@ def with_production(cycles: int, cycle: int, **fields: tuple[float, ...]) -> Ite
 
 
 @pytest.fixture
-def runs(tmp_path: Path) -> tuple[Path, Path]:
-    """Two recordings: in the second `c2/c` gives 55 in place of 60 kW in cycle 7."""
-    first, second = tmp_path / "first", tmp_path / "second"
-    for folder in (first, second):
-        folder.mkdir()
-    write_run(first / "run.mcap", whole_run(20))
+def run(tmp_path: Path) -> Path:
+    """A recording in which `c2/c` gives 55 in place of 60 kW in cycle 7."""
+    folder = tmp_path / "first"
+    folder.mkdir()
     less = with_production(20, 7, inverter_power_kw=(40.0, 80.0, 55.0, 59.0))
-    write_run(second / "run.mcap", less)
-    return first, second
+    write_run(folder / "run.mcap", less)
+    return folder
 
 
-def test_two_runs_stand_side_by_side_with_their_first_difference(
-    runs: tuple[Path, Path], tmp_path: Path
+POWER = ("production, power", "c2/c", 7, "12:00:07", 55.0, 60.0)
+SKY = ("production, maximum", "c1/b", 3, "12:00:03", 90.0, 95.0)
+
+
+@pytest.mark.parametrize(
+    ("deliveries", "left_out", "differences", "cycles", "less_kw", "said"),
+    [
+        (whole_run(20), range(0), [POWER], 20, 5.0, "A: "),
+        (
+            with_production(20, 3, inverter_mpp_kw=(40.0, 95.0, 75.0, 75.0)),
+            *(range(0), [SKY, POWER], 20, 5.0, "Sky or dispatch differ"),
+        ),
+        # As far as both go, and in the cycles that both have recorded, they are the same.
+        (whole_run(6), range(0), [], 6, 0.0, "first 6 are compared"),
+        (whole_run(20), range(5, 9), [], 16, 0.0, "4 of 20 cycles"),
+    ],
+    ids=["another command", "another sky", "shorter", "with a gap"],
+)
+def test_two_runs_stand_side_by_side_with_their_differences(
+    run: Path,
+    tmp_path: Path,
+    deliveries: Iterable[Delivery],
+    left_out: range,
+    differences: list[tuple[object, ...]],
+    cycles: int,
+    less_kw: float,
+    said: str,
 ) -> None:
-    document, page = tmp_path / "runs.json", tmp_path / "runs.html"
-    done("compare", runs[0], runs[1] / "run.mcap", "--json", document, "--report", page)
+    document, page, other = (tmp_path / name for name in ("x.json", "x.html", "other.mcap"))
+    write_run(other, deliveries, is_kept=lambda pair: pair[1].cycle not in left_out)
+    text = " ".join(done("compare", run, other, "--json", document, "--report", page).split())
+    assert said in text
+    assert ("bit for bit" in text) == (not differences)
     found = json.loads(document.read_bytes())
-    (difference,) = found["differences"]
-    assert (difference["message"], difference["node"]) == ("production, power", "c2/c")
-    assert (difference["cycle"], difference["time"]) == (7, "12:00:07")
-    assert (difference["A"], difference["B"]) == (60.0, 55.0)
+    columns = ("message", "node", "cycle", "time", "A", "B")
+    rows = [tuple(row[name] for name in columns) for row in found["differences"]]
+    assert rows == differences
     delivered = {row["figure"]: row for row in found["figures"]}["Delivered energy"]
-    # 239 kW for 20 s, and 5 kW less for one of them.
-    assert delivered["A"] == pytest.approx(239.0 * 20.0 / 3600.0)
-    assert delivered["difference"] == pytest.approx(-5.0 / 3600.0)
+    assert delivered["B"] == pytest.approx(239.0 * cycles / 3600.0)
+    assert delivered["difference"] == pytest.approx(less_kw / 3600.0)
     html = page.read_text(encoding="utf-8")
     assert "delivered, A" in html
     assert "delivered, B" in html
 
 
-def test_a_reader_is_told_that_the_sky_differs(runs: tuple[Path, Path], tmp_path: Path) -> None:
-    document, other = tmp_path / "runs.json", tmp_path / "other.mcap"
-    write_run(other, with_production(20, 3, inverter_mpp_kw=(40.0, 95.0, 75.0, 75.0)))
-    assert "Sky or dispatch differ" in done("compare", runs[1], other)
-    done("compare", runs[1], other, "--json", document)
-    first, second = json.loads(document.read_bytes())["differences"]
-    assert (first["message"], first["node"], first["cycle"]) == ("production, maximum", "c1/b", 3)
-    assert (second["message"], second["cycle"]) == ("production, power", 7)
-
-
-def test_runs_that_are_the_same_as_far_as_both_go_say_so(
-    runs: tuple[Path, Path], tmp_path: Path
-) -> None:
-    short = tmp_path / "short.mcap"
-    write_run(short, whole_run(6))
-    text = done("compare", runs[1], short)
-    assert "first 6 are compared" in text
-    assert "bit for bit" in text
-    assert "production, power" not in text
-
-
-def test_cycles_that_one_run_has_not_recorded_are_left_out_of_both(
-    runs: tuple[Path, Path], tmp_path: Path
-) -> None:
-    document, gap = tmp_path / "runs.json", tmp_path / "gap.mcap"
-    write_run(gap, whole_run(20), is_kept=lambda pair: not 5 <= pair[1].cycle < 9)
-    text = done("compare", runs[1], gap, "--json", document)
-    assert "4 of 20 cycles" in " ".join(text.split())
-    found = json.loads(document.read_bytes())
-    assert found["differences"] == [], "they differ in cycle 7 alone"
-    delivered = {row["figure"]: row for row in found["figures"]}["Delivered energy"]
-    assert delivered["A"] == delivered["B"] == pytest.approx(239.0 * 16.0 / 3600.0)
-
-
-def test_what_are_no_two_runs_of_one_plant_is_refused(
-    runs: tuple[Path, Path], tmp_path: Path, small: str
-) -> None:
+def test_what_are_no_two_runs_of_one_plant_is_refused(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.mcap"
     write_run(other, [], plan=plan_of(start_time_ns=PLAN.start_time_ns))
     later = tmp_path / "later.mcap"
     plan = msgspec.structs.replace(PLAN, start_time_ns=PLAN.start_time_ns + 10**9)
     write_run(later, whole_run(20), plan=plan)
-    assert "second run" in refusal("compare", runs[0])
-    assert "nowhere" in refusal("compare", runs[0], "nowhere")
-    assert "recorded run" in refusal("compare", small, runs[0])
-    assert "oahu" in refusal("compare", runs[0], "oahu")
     renamed = tmp_path / "renamed.mcap"
     inverters = tuple((f"{path}2", rating_kw) for path, rating_kw in PLAN.inverters)
     of_plant = [(port, message) for port, message in whole_run(20) if not port.node]
     write_run(renamed, of_plant, plan=msgspec.structs.replace(PLAN, inverters=inverters))
     for second in (later, renamed):
-        line = refusal("compare", runs[0], second)
+        line = refusal("compare", run, second)
         assert line.startswith(f"heliarch: {second}: expected ")
-        assert str(runs[0]) in line
-    assert "--seeds" in refusal("compare", *runs, "--seeds", "1,2")
-    assert "cycle" in refusal("compare", runs[0], other)
+        assert str(run) in line
+    assert "cycle" in refusal("compare", run, other)

@@ -20,7 +20,7 @@ import psutil
 import pytest
 from command_line import heliarch, process, refusal
 from msgspec.structs import replace
-from recordings_by_hand import cut, whole_run, write_run
+from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 from replayed_runs import PLAN, run_in_memory, write
 from running import small_plant
 from timed_recordings import cycle, recorded
@@ -83,6 +83,7 @@ def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ports = dict.fromkeys(PLAN.links.listening, 7_999)
     there = replace(PLAN, addresses={"c1": "127.0.0.2"}, tcp_ports=ports)
     (path / "there.json").write_bytes(there.as_json())
+    (path / "here.json").write_bytes(PLAN.as_json())
     write(path / "run", run_in_memory())
     (path / "timed").mkdir()
     recorded(path / "timed", cycle(0), cycle(1))
@@ -195,7 +196,11 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     [
         "simulate small.toml --to 13:00 --duration 1h",
         "simulate small.toml --set commitment.share=0.1,0.2",
+        "simulate oahu --set time.duration_s=2590000 --set time.cycle_s=0.4",
         "launch small.toml --fault loss=1%",
+        "launch small.toml --address 10.1.2.3",
+        "launch small.toml --address moon",
+        "launch small.toml --keys keys/small",
         "launch small.toml --device c1/inv01=modbus://127.0.0.1/1",
         "launch small.toml --external c1/inv01 --on 127.0.0.2=c1/*",
         "launch small.toml --on 127.0.0.2=c2 --on 127.0.0.3=c2/*",
@@ -210,15 +215,22 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "replay run --signals impp --exclude impp",
         "replay run --live c1 --loop",
         "replay run --live c1 --pace 2",
+        "compare run",
+        "compare run nowhere",
+        "compare small.toml run",
+        "compare run oahu",
+        "compare run run --seeds 1,2",
         "compare small.toml --seeds 1,2 --report",
         "compare small.toml --schemes grouping --reference few",
         "compare small.toml --days 2010-04-01 --from 2010-04-01T12:00",
         "timing small.toml --rate 0.1..5 --duration 5s",
+        "timing small.toml --rate 5,10,20 --duration 1 --set control.deadlines_ms=[20,40,60]",
         "timing small.toml --rate 5,10 --out run",
         "timing timed --seed 3",
         "timing small.toml --rate 10 --duration 0.05",
         "compare small.toml --seeds 1,2 --csv nowhere/summary.csv",
         "conform c9 --scenario small.toml",
+        "node --plan here.json --host 127.0.0.2",
         "nonsense",
     ],
 )
@@ -251,6 +263,36 @@ def test_without_a_command_the_help_is_shown() -> None:
     result = CliRunner().invoke(app, [])
     assert result.exit_code == 2
     assert all(word in result.stdout for word in (*COMMANDS, *NAMES))
+
+
+# A recording that is not whole --------------------------------------------------------------------
+
+CUT: Final = {
+    "inspect": "heliarch recover",
+    "replay": "heliarch recover",
+    "export": "cut short",
+    "report": "recording is incomplete",
+}
+"""What tells a reader that there was more."""
+
+
+@pytest.mark.parametrize("name", CUT)
+def test_a_cut_recording_is_used_up_to_the_cut_and_told(name: str, folder: Path) -> None:
+    cut(folder / "run" / "run.mcap")
+    result = heliarch(*words_of(name, folder))
+    pages = [page.read_text(encoding="utf-8") for page in folder.rglob("report.html")]
+    assert result.exit_code == 0, result.output
+    assert CUT[name] in " ".join([*result.stdout.split(), *pages])
+
+
+@pytest.mark.parametrize("name", ["inspect", "export"])
+def test_a_damaged_part_is_left_out_and_told_in_one_line(name: str, folder: Path) -> None:
+    place = zero_chunk(folder / "run" / "run.mcap", 2)
+    result = heliarch(*words_of(name, folder))
+    assert result.exit_code == 0, result.output
+    (line,) = result.stderr.splitlines()
+    assert f"a part of the file is damaged (chunk at byte {place.offset:,}, cycles " in line
+    assert line.endswith("missing): see heliarch recover")
 
 
 # A full disk --------------------------------------------------------------------------------------

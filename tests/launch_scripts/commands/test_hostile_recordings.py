@@ -94,11 +94,6 @@ def test_production_of_a_cycle_far_from_all_others_is_refused(tmp_path: Path) ->
     assert "production of most cycles" in refusal("report", tmp_path)
 
 
-def test_a_scenario_of_more_cycles_than_memory_holds_is_refused() -> None:
-    words = ["--set", "time.duration_s=2590000", "--set", "time.cycle_s=0.4"]
-    assert "time.duration_s: expected up to" in refusal("simulate", "oahu", *words)
-
-
 def test_a_cycle_beyond_the_calendar_is_refused_in_one_line(tmp_path: Path) -> None:
     with_payload(encode(replace(HEAD, cycle=2**39)))(tmp_path / "run.mcap")
     assert "before the year 10000" in refusal("inspect", tmp_path)

@@ -17,14 +17,6 @@ from launch_scripts.scenarios.scenario import load_scenario
 from studies.timing.measured_run import prepare_at, run_length_s
 
 
-def test_a_listed_rate_that_cannot_be_is_refused_before_any_has_run(tmp_path: Path) -> None:
-    out = tmp_path / "sweep"
-    stated = ("--set", "control.deadlines_ms=[20,40,60]")  # They fit into cycles of 61 ms or more.
-    line = refusal("timing", "oahu", *stated, "--rate", "5,10,20", "--duration", "1", "--out", out)
-    assert "control.deadlines_ms[2]" in line
-    assert not out.exists()
-
-
 @pytest.mark.parametrize(
     ("rate_hz", "length", "cycles"),
     [

@@ -52,12 +52,14 @@ def test_delays_within_the_cycle_change_nothing_but_the_time(
     valley: Preparation, scheme: str, periods: tuple[int, ...]
 ) -> None:
     changes: dict[str, Any] = {"scheme": scheme, "period_cycles": periods}
-    # A place of the cycle has 0.9 s / 8 = 112 ms.
-    run, sent = run_with(valley, [FaultRule(delay_ms=80.0)], **changes)
+    # So long is a place of the cycle: each message comes at the deadline itself.
+    hop_ms = 900.0 / 8
+    run, sent = run_with(valley, [FaultRule(delay_ms=hop_ms)], **changes)
     assert (total(run, "missing_inputs"), total(run, "old_inputs")) == (0, 0)
     assert decisions(sent) == decisions(run_with(valley, (), **changes)[1])
     leaf, hops_before = valley.plan.tree.leaves[0], 2 * valley.plan.tree.height + 1
-    assert sent.of(COMMAND.of(leaf))[6].publish_time_ns == 6 * SECOND_NS + hops_before * 80 * MS
+    took_ns = round(hops_before * hop_ms * MS)
+    assert sent.of(COMMAND.of(leaf))[6].publish_time_ns == 6 * SECOND_NS + took_ns
 
 
 def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
@@ -73,13 +75,6 @@ def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
 
 
 # What is lost and late ----------------------------------------------------------------------------
-
-
-def test_a_run_over_a_bad_network_repeats_to_the_last_bit(valley: Preparation) -> None:
-    rule = FaultRule(delay_ms=400.0, jitter_ms=300.0, loss=0.2, duplicate=0.2)
-    (one, sent), (other, again) = (run_with(valley, [rule], cycles=6) for _ in range(2))
-    assert [*map(str, sent.messages)] == [*map(str, again.messages)]
-    assert one.bus.tally == other.bus.tally
 
 
 @pytest.mark.parametrize("pace", [1, 10])
@@ -115,6 +110,8 @@ def test_everybody_goes_on_without_a_controller_that_never_answers(
         deadline_ns = run.plan.deadlines.deadline_ns(leaf, "actuate")
         for cycle, command in sent.of(COMMAND.of(leaf)).items():
             assert command.publish_time_ns <= cycle * SECOND_NS + deadline_ns
+            if leaf.startswith(f"{silent}/") and not deadlines_ms:
+                assert command.ready_time_ns == cycle * SECOND_NS + deadline_ns
     for node in tree.parents:
         assert list(sent.of(IMPP.of(node))) == list(range(CYCLES))
 

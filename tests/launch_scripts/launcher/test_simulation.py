@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 from memory_runs import Sent, run_in_memory, timeless
-from plans_by_hand import plan_of
+from plans_by_hand import CYCLE_NS, plan_of
 
+from agents.plan import Neighbourhood, NodeNeighbourhoods
 from bus_schemas.codec import encode
 from bus_schemas.signals import (
     COMMAND,
@@ -98,6 +99,23 @@ def test_who_gives_more_than_its_share_says_for_whom(sent: Sent) -> None:
     (line,) = of_b.help_given
     assert (of_b.share_kw, line.needy) == (60.0, "a")
     assert line.power_kw == pytest.approx(4.0)
+
+
+def test_each_hour_has_its_order_of_help_and_the_first_one_holds_before_it() -> None:
+    def hour(from_cycle: int, a_and_b: float, a_and_c: float) -> Neighbourhood:
+        rows = (1.0, a_and_b, a_and_c), (a_and_b, 1.0, 0.0), (a_and_c, 0.0, 1.0)
+        return Neighbourhood(from_cycle * CYCLE_NS, rows)
+
+    hours = hour(1, a_and_b=0.5, a_and_c=0.1), hour(2, a_and_b=0.1, a_and_c=0.5)
+    orders = (NodeNeighbourhoods(ROOT, hours),)
+    plan = plan_of(dict.fromkeys("abc", 100.0), cycles=3, neighbourhoods=orders)
+    # 30 kW of each: a lacks 20 of them.
+    _, sent = run_in_memory(plan, Profile(np.array([[10.0, 80.0, 80.0]] * 3), np.full(3, 90.0)))
+    helpers = [
+        [leaf for leaf in "abc" if sent.of(SETPOINT.of(leaf))[cycle].help_given]
+        for cycle in range(3)
+    ]
+    assert helpers == [["c"], ["c"], ["b"]]
 
 
 def test_a_run_begins_and_ends_with_a_message_of_the_plant(sent: Sent) -> None:

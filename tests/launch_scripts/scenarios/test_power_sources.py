@@ -67,6 +67,8 @@ def test_a_sensor_left_out_takes_its_inverter_and_rating_away(oahu: Folder, tmp_
         "20100401.txt: AP3: 40 of 120 values missing, more than 10 % of the day: left out, with its"
         " inverter"
     )
+    oahu.change('gaps = "neighbours"', 'gaps = "refuse"')
+    assert "20100401.txt: line 1, column 'AP3': expected" in oahu.complaint()
 
 
 def test_clusters_are_those_of_the_earlier_day(oahu: Folder, tmp_path: Path) -> None:
@@ -75,14 +77,6 @@ def test_clusters_are_those_of_the_earlier_day(oahu: Folder, tmp_path: Path) -> 
     assert oahu.prepare().plan.tree.leaves == leaves
     write_day(tmp_path / "archive", date(2010, 3, 31), clouds(4))
     assert oahu.prepare().plan.tree.leaves != leaves
-
-
-def test_gaps_may_be_refused(oahu: Folder, tmp_path: Path) -> None:
-    ghi_wm2 = clouds(2)
-    ghi_wm2[7, AP3] = np.nan
-    write_day(tmp_path / "archive", date(2010, 4, 1), ghi_wm2)
-    oahu.change('gaps = "neighbours"', 'gaps = "refuse"')
-    assert "20100401.txt: line 8, column 'AP3': expected" in oahu.complaint()
 
 
 def test_a_day_shorter_than_the_run_and_a_folder_without_days_are_refused(
@@ -164,16 +158,6 @@ def test_neighbouring_inverters_share_a_geographic_cluster(plant: Folder) -> Non
     plant.change('clusters = "correlation"', 'clusters = "geographic"')
     leaves = plant.prepare().plan.tree.leaves
     assert set(leaves) == {f"c1/inv0{i}" for i in (0, 1, 2)} | {f"c2/inv0{i}" for i in (3, 4, 5)}
-
-
-@pytest.mark.parametrize(("cycle_s", "cycles"), [("2", 300), ("0.5", 1200), ("30", 20)])
-def test_other_cycles_than_the_step_are_run_and_told(
-    plant: Folder, cycle_s: str, cycles: int
-) -> None:
-    plant.change("cycle_s = 10", f"cycle_s = {cycle_s}")
-    found = plant.prepare()
-    assert found.profile.mpp_kw.shape == (cycles, 6)
-    assert found.remarks[0].startswith(("a value is measured every 10 s;", "a cycle of 30 s is"))
 
 
 def test_currents_have_no_clear_sky_and_no_seed(plant: Folder) -> None:

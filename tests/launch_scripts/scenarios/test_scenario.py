@@ -131,6 +131,35 @@ def test_some_fields_come_as_they_are_into_the_plan(folder: Folder) -> None:
     assert found.available_bias == 0.02
 
 
+@pytest.mark.parametrize(
+    ("deadlines_ms", "expected"),
+    [
+        ([100.0, 200.0], ": expected 3 entries"),
+        ([], ": expected 3 entries"),
+        ([100.0, 100.0, 200.0], "[1]: expected 100.1 ms or more"),
+        ([100.0, 200.0, 150.0], "[2]: expected 200.1 ms or more"),
+        ([0.1, 500.0, 900.0], "[0]: expected 0.3 ms or more"),
+        ([100.0, 500.0, 999.81], "[2]: expected at most 999.8 ms"),
+        ([0.5, 0.6, 0.7], ""),
+        ([100.0, 500.0, 999.8], ""),
+    ],
+)
+def test_deadlines_leave_each_stage_what_it_takes_to_wake_a_process(
+    folder: Folder, deadlines_ms: list[float], expected: str
+) -> None:
+    folder.change("[[2, 1]]", f"[[2, 1]]\ndeadlines_ms = {deadlines_ms}")
+    if expected:
+        assert f"control.deadlines_ms{expected}" in folder.complaint(pace=1.0)
+    if not expected or "at most" in expected:
+        folder.prepare(pace=None if expected else 1.0)  # In lockstep no cycle is too short.
+
+
+def test_a_cycle_too_short_for_any_clock_is_refused(folder: Folder) -> None:
+    assert folder.prepare(pace=10_000.0).plan.cycle_wall_ns == 100_000
+    complaint = folder.complaint(pace=20_000.0)
+    assert complaint.startswith("--pace 20000: expected cycles of 100 us or more")
+
+
 def test_the_meter_corrects_with_the_scheme_that_looks_ahead_unless_the_scenario_says(
     folder: Folder,
 ) -> None:
@@ -233,6 +262,8 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
         ("[[2, 1]]", "[[2, 1], [2, 1]]", "control.cluster_sizes[1]: expected"),
         ("[[2, 1]]", "[[3, 0]]", "control.cluster_sizes[0][1]: expected whole number"),
         ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 5, 1]", "control.period_cycles: expected"),
+        ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 3]", "control.period_cycles[0]: expected"),
+        ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 0]", "control.period_cycles[1]: expected"),
         ("[[2, 1]]", "[[2, 1]]\ndeadlines_ms = [0, 2, 3]", "control.deadlines_ms[0]: expected"),
         ("2024-05-12T13:00:00", '"13:00"', "time.start: expected date and time"),
         ("13:00:00", "13:00", "line 5: expected a time with seconds"),

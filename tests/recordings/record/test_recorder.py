@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable
+from itertools import chain, repeat
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -39,25 +40,25 @@ def impp(cycle: int, sequence: int = 0) -> Impp:
     )
 
 
-def recorded(said: Sequence[Spoken], folder: Path) -> tuple[list[Message], Recorded]:
-    """What a recorder keeps of a device's IMPPs after an arming round, and its account."""
-    first = [(port, m) for port, m in said if isinstance(m, Message) and m.cycle == 0]
-    arming = [(port, replace(message, cycle=-1)) for port, message in first]
-    waiting = [
+def recorded(
+    said: Iterable[Spoken], folder: Path, expected: int | None = None
+) -> tuple[list[Message], Recorded]:
+    """What a recorder keeps of a device's IMPPs after an arming round, and its account.
+
+    expected: What the launcher says the others have published. None: it ends with SIGTERM.
+    """
+    arming = [(port, replace(message, cycle=-1)) for port, message in SAID if not message.cycle]
+    waiting = (
         (IN_LOCKSTEP.keys.key(port), entry if isinstance(entry, bytes) else encode(entry))
-        for port, entry in [*arming, *said]
-    ]
-
-    def drain() -> Iterator[tuple[str, bytes]]:
-        while waiting:
-            yield waiting.pop(0)
-
-    tap = Mock(drain=drain)
+        for port, entry in chain(arming, said)
+    )
+    tap = Mock(drain=lambda: waiting)
     tap.watch_tokens.return_value.changes.return_value = ()
-    link = Mock(expected_messages=lambda: None, by_hand=False)
+    link = Mock(expected_messages=lambda: expected, by_hand=False)
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
     end = RecordingEnd()
-    end.ask()
+    if expected is None:
+        end.ask()
     Recorder(IN_LOCKSTEP, tap, writer, link, end, lambda text: None).run()
     told = [call.args[0] for call in link.tell.call_args_list]
     (account,) = [event for event in told if isinstance(event, Recorded)]
@@ -74,6 +75,26 @@ def test_a_device_that_answers_ahead_is_recorded_and_named(tmp_path: Path) -> No
     assert account.foreign == 0
     assert "two senders" in {entry.cause for entry in account.complaints}
     assert account.cycles == CYCLES
+
+
+OTHERS = [(port, m) for port, m in SAID if port.publisher != DEVICE]
+OWN = [(port, m) for port, m in SAID if port.publisher == DEVICE]
+
+
+def test_what_a_device_has_sent_is_recorded_though_its_link_is_behind_the_others(
+    tmp_path: Path,
+) -> None:
+    flood = [(PORT, impp(0))] * 10_000
+    kept, account = recorded([*OTHERS, *flood, *OWN], tmp_path, len(OTHERS))
+    (device,) = account.external
+    assert len(kept) == len(flood) + CYCLES
+    assert device.answered == device.expected
+
+
+def test_a_flood_without_end_does_not_hold_up_the_end_of_a_recording(tmp_path: Path) -> None:
+    _, account = recorded(chain(OTHERS, repeat((PORT, b""))), tmp_path, len(OTHERS))
+    assert account.cycles == CYCLES
+    assert account.external[0].answered == 0
 
 
 @pytest.mark.parametrize("node", [DEVICE, "c1/inv01"])

@@ -58,7 +58,13 @@ def test_what_a_run_does_not_have_is_left_out(tmp_path: Path) -> None:
 def test_the_first_line_says_what_was_run() -> None:
     plan = prepare(load_scenario("oahu"), RunOptions(duration="5", seed=4), "r").plan
     line = run_line(plan)
-    for word in ("oahu", "17 inverters", "3 clusters (2 with 6, 1 with 5)", plan.scheme, plan.actuator):
+    for word in (
+        "oahu",
+        "17 inverters",
+        "3 clusters (2 with 6, 1 with 5)",
+        plan.scheme,
+        plan.actuator,
+    ):
         assert word in line
     assert line.endswith("lockstep, seed 4.")
     measured = structs.replace(plan, seed=None, cycle_wall_ns=plan.cycle_ns // 10)
