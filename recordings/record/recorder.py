@@ -51,11 +51,11 @@ _NAP_S: Final = 0.005
 _STATUS_S: Final = 0.25
 _MOST_AT_ONCE: Final = 2000
 _IDLE_S: Final = 2.0
-"""How long in all the recorder naps at the end before it stops waiting for what has not come."""
+"""How long in all the recorder waits at the end for messages that do not come."""
 
 _MOST_AFTER_END: Final = 100_000
-"""Messages of others than the launcher's processes that are still recorded at the end: all that can
-wait of a device's flood, some 45,000 here, but not a flood without end."""
+"""How many messages from outside the launcher's processes are still recorded at the end: more than
+a flooding device can have waiting (some 45,000 here), but not an endless flood."""
 
 _STOP_WAIT_S: Final = 0.5
 """How long a stop before the run's last cycle may be contradicted by the plant, and more in real
