@@ -129,7 +129,7 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
     if agent == RECORDER and "" in subjects:
         known["anybody"] = subjects[""]
         from_anybody = add("from anybody", ["ingress"], ["put"], ["**"])
-        # Peers relay a client's messages, so a client could send in the recorder's name.
+        # Peers do relay for clients, so a client could send in the recorder's name.
         own_keys = [keys.key(port) for port in wiring.published[agent]]
         not_own = add("not in its name", ["ingress"], ["put"], own_keys, "deny")
         policies.append({"rules": [*of_all, from_anybody, not_own], "subjects": ["anybody"]})

@@ -187,7 +187,7 @@ def check_rule(
 ) -> None:
     """Refuse a rule that does not fit the run.
 
-    where: What messages for the user call the rule.
+    where: Name of the rule in messages for the user.
     external: Agents that Heliarch does not run: faults cannot act on what they receive.
     addresses: Of the agents on other hosts: their processes cannot be stopped from here.
     """

@@ -230,7 +230,7 @@ class AgentRerun:
     def _choose_inputs(
         self, cycle: int, stage: str, inputs: Messages, recorded: dict[str, Messages]
     ) -> None:
-        """Choose among inputs that two processes of an agent sent those that give the outputs."""
+        """If two processes of an agent sent an input, choose the one that gives the outputs."""
         for chosen in islice(product(*self._choices.values()), _MOST_CHOICES):
             tried = inputs | dict(zip(self._choices, chosen, strict=True))
             trial = self._process.twin()
