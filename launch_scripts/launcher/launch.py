@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Final
@@ -21,6 +22,7 @@ from agents.machine import refusals
 from agents.plan import RunPlan
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import PLANT, RECORDER, agent_of, some_of
+from launch_scripts.launcher.external_watch import ExternalWatch, directions
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import View
@@ -30,11 +32,10 @@ from launch_scripts.launcher.run_watch import HEARTBEAT_S, RunWatch
 from launch_scripts.launcher.summary import (
     RunSummary,
     count_messages,
-    count_missing,
-    dropped_by_cause,
     memory_use,
     merge_counts,
     process_account,
+    recorded_health,
     recorded_metrics,
     without_external,
 )
@@ -48,7 +49,7 @@ from launch_scripts.launcher.supervision import (
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from launch_scripts.launcher.wrong_messages import wrong_messages
 from launch_scripts.scenarios.devices import check_devices
-from launch_scripts.scenarios.externals import ExternalWatch, listening
+from launch_scripts.scenarios.externals import listening
 from launch_scripts.scenarios.preparation import Preparation
 from sunspec.process import GatewayProcess
 
@@ -112,7 +113,7 @@ class _Launch:
         if plan.lockstep and plan.standby:
             view.say("no standby in lockstep, where nothing has a deadline: give a --pace")
         view.say(f"starting {len(agents)} processes, logs in {self._folder.logs}")
-        for line in self._external.directions():
+        for line in directions(plan, self._folder.plan, self._patience_s):
             view.say(line)
         with (
             interruptible() as self._interruption,
@@ -280,18 +281,23 @@ class _Launch:
         """Bring together what processes, recorder and launcher know of the run."""
         plan, cycles = self._plan, recorded.cycles
         accounts = [child.finished for child in children if child.finished is not None]
-        dropped = dropped_by_cause(accounts)
+        processes = tuple(map(process_account, children))
+        dropped = merge_counts([process.dropped for process in processes])
         if recorded.foreign:
             dropped["at the recorder"] = recorded.foreign
         memory: dict[str, list[Memory]] = {}
         for child in children:
             if child.memory.resident_mb:  # A short run may be over before all were looked at.
                 memory.setdefault(child.kind, []).append(child.memory)
-        missed, lost = count_missing(self._folder.recording, plan)
+        health = recorded_health(self._folder.recording, plan)
         published = self._published(children)
         heard = without_external(recorded)
         if self._restarts.lost_processes:
             # Nobody knows what processes published that died: the numbers of messages tell.
+            lost: Counter[str] = Counter()
+            for port in plan.keys.ports:
+                if health is not None and port.publisher not in plan.elsewhere:
+                    lost[port.signal.name] += health.lost.get(str(port), 0)
             published |= {
                 name: max(published.get(name, 0), heard.get(name, 0) + lost[name])
                 for name in {*heard, *lost}
@@ -312,21 +318,22 @@ class _Launch:
             restarts=dict(self._restarts.counts),
             takeovers=dict(self._restarts.takeovers),
             dropped=dropped,
-            missing_inputs=missed.all_missing,
+            missing_inputs=health.missing_inputs if health else 0,
             memory=memory_use(memory),
             hindsight_neighbours=self._preparation.hindsight,
             remarks=(*self._preparation.remarks, *refused),
             interrupted=bool(self._interruption),
             recording_ended=recorded.ended_early,
-            faults=merge_counts([account.faults for account in accounts]),
-            old_inputs=missed.all_old,
-            skipped_cycles=sum(account.skipped_cycles for account in accounts),
-            processes=tuple(map(process_account, children)),
+            faults=health.faults if health else {},
+            old_inputs=health.old_inputs if health else 0,
+            skipped_cycles=sum(process.skipped_cycles for process in processes),
+            processes=processes,
             external=recorded.external,
             devices=self._gateway.end() if self._gateway is not None else (),
             wrong=wrong_messages(
                 plan, recorded.complaints, [one for account in accounts for one in account.dropped]
             ),
+            health=health,
         )
 
 

@@ -35,8 +35,8 @@ from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.summary import (
     RunSummary,
     count_messages,
-    count_missing,
     memory_use,
+    recorded_health,
     recorded_metrics,
 )
 from launch_scripts.launcher.supervision import RunFailure, memory_of, who_waits
@@ -245,7 +245,7 @@ def simulate(
     finally:
         writer.close()
     wall_s = time.monotonic() - started_at
-    missed, _ = count_missing(folder.recording, plan)
+    health = recorded_health(folder.recording, plan)
     drops: Counter[str] = Counter()
     for loop in run.loops.values():
         for (_, cause), number in loop.dropped.items():
@@ -263,9 +263,9 @@ def simulate(
         metrics=recorded_metrics(folder.recording),
         messages=count_messages(run.bus.outbox.published, writer.recorded),
         dropped=dict(drops),
-        missing_inputs=missed.all_missing,
-        faults=dict(+run.bus.tally),
-        old_inputs=missed.all_old,
+        missing_inputs=health.missing_inputs if health else 0,
+        faults=health.faults if health else {},
+        old_inputs=health.old_inputs if health else 0,
         memory=memory_use({"simulation": [memory_of(os.getpid())]}),
         hindsight_neighbours=preparation.hindsight,
         remarks=preparation.remarks,
@@ -273,6 +273,7 @@ def simulate(
         recording_ended=writer.trouble,
         restarts=run.restarts,
         takeovers=dict(+takeovers),
+        health=health,
     )
 
 

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
 
-from agents.events import ExternalAccount, Finished, Recorded
+from agents.events import ExternalAccount, Recorded
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
 from launch_scripts.launcher.supervision import Child, Memory
-from launch_scripts.launcher.wrong_messages import WrongMessages
-from recordings.read.gaps import RunGaps
-from recordings.read.missed_inputs import MissedInputs
+from recordings.inspect.health import Health, LauncherAccount, WrongMessages
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import read_plant_series
 from studies.metrics import RunMetrics, run_metrics
@@ -66,18 +64,16 @@ class ProcessAccount(msgspec.Struct, frozen=True):
     cpu_s: float | None = None
 
 
-class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
+class RunSummary(LauncherAccount, frozen=True, kw_only=True):
     """The figures of a run.
 
-    `recording_ended` says why the recording stops before the run's end; it is empty if it does not.
     `processes` is empty where the run was in one process. `messages` are those of the processes;
     of external agents, which give no account of themselves, `external` tells what was heard.
     `devices` tells what their gateway measured.
-    `restarts` says how often each process was started again, `takeovers` how often a standby took
-    an agent over.
+    `takeovers` says how often a standby took each agent over. `health` is what its recording tells
+    of it, where somebody has gone through it.
     """
 
-    run_id: str
     scenario: str
     driver: str
     folder: str
@@ -88,22 +84,18 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     startup_s: float
     metrics: RunMetrics | None
     messages: tuple[MessageCount, ...]
-    dropped: dict[str, int]
     missing_inputs: int
     memory: tuple[MemoryUse, ...]
     hindsight_neighbours: bool
     remarks: tuple[str, ...]
     interrupted: bool
-    recording_ended: str = ""
     faults: dict[str, int] = msgspec.field(default_factory=dict)
     old_inputs: int = 0
-    skipped_cycles: int = 0
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
     devices: tuple[DeviceAccount, ...] = ()
-    wrong: tuple[WrongMessages, ...] = ()
-    restarts: dict[str, int] = msgspec.field(default_factory=dict)
     takeovers: dict[str, int] = msgspec.field(default_factory=dict)
+    health: Health | None = None
 
     @property
     def cycles_per_s(self) -> float:
@@ -155,6 +147,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     def as_json(self) -> bytes:
         """Return the summary as JSON, with the figures that follow from others."""
         document = msgspec.to_builtins(self)
+        del document["health"]  # The recording tells it, to whoever asks `inspect`.
         document["cycles_per_s"] = self.cycles_per_s
         if self.metrics is not None:
             document["figures"] = figures_json(self.metrics)
@@ -170,22 +163,18 @@ def recorded_metrics(recording: Path) -> RunMetrics | None:
         return None
 
 
-def count_missing(recording: Path, plan: RunPlan) -> tuple[MissedInputs, Counter[str]]:
-    """Count what is missing in a recording.
+def recorded_health(recording: Path, plan: RunPlan) -> Health | None:
+    """Return the health of a run from its recording; None if it needs no look or cannot be read.
 
-    Returns the inputs that were missing at deadlines, and by signal the messages that were lost, by
-    gaps in their numbers. Lost messages of devices and other hosts do not count.
+    In lockstep nothing can be missing, unless a process was replaced or is not Heliarch's.
     """
-    missed, gaps = MissedInputs(plan), RunGaps(plan)
-    with suppress(InputError), RunReader(recording) as run:
-        # In lockstep nothing is missing, unless a process was replaced.
-        for record in run.records() if plan.restarts or not plan.lockstep else ():
-            missed.see(record)
-            gaps.see(record.port, record.cycle, record.sequence, record.incarnation)
-    lost: Counter[str] = Counter()
-    for port, found in gaps.ports.items():
-        lost[port.signal.name] += found.lost * (port.publisher not in plan.elsewhere)
-    return missed, lost
+    if plan.lockstep and not plan.restarts and not plan.elsewhere:
+        return None
+    try:
+        with RunReader(recording, skip_damaged=True) as run:
+            return read_overview(run).health
+    except InputError:
+        return None
 
 
 def count_messages(
@@ -233,22 +222,16 @@ def merge_counts(counts: list[dict[str, int]]) -> dict[str, int]:
     return dict(total)
 
 
-def dropped_by_cause(accounts: Sequence[Finished]) -> dict[str, int]:
-    """Add up the messages that processes did not use."""
-    counts: Counter[str] = Counter()
-    for account in accounts:
-        for _, cause, number in account.dropped:
-            counts[cause] += number
-    return dict(counts)
-
-
 def process_account(child: Child) -> ProcessAccount:
     """Return the account of a process that has ended."""
     finished, cpu_s, before_s = child.finished, child.cpu_s(), child.cpu_at_start_s
+    dropped: Counter[str] = Counter()
+    for _, cause, number in finished.dropped if finished else ():
+        dropped[cause] += number
     return ProcessAccount(
         child.agent,
         child.kind,
-        dropped=dropped_by_cause([finished]) if finished else {},
+        dropped=dict(dropped),
         resident_mb=child.memory.resident_mb,
         skipped_cycles=finished.skipped_cycles if finished else 0,
         cpu_s=None if before_s is None or cpu_s is None else cpu_s - before_s,

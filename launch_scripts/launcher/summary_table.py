@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from msgspec.structs import replace
 from rich.console import Console
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import some_of
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.wrong_messages import one_line_each
+from recordings.inspect.health import counts_text
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
@@ -43,7 +46,12 @@ def print_summary(summary: RunSummary, console: Console) -> None:
         print_table(console, table)
     with suppress(InputError), RunReader(Path(summary.folder)) as run:
         if summary.troubled or run.plan.faults:
-            print_table(console, health_table(run))
+            health = replace(
+                summary.health or read_overview(run).health,
+                launcher=summary,
+                devices=summary.devices,
+            )
+            print_table(console, health_table(health, run.clock))
 
 
 def summary_table(summary: RunSummary) -> Table:
@@ -97,7 +105,7 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
     yield "Messages published", published, "", f"{help_calls:,} of them calls for help"
     yield "Messages recorded", recorded, "", ""
     yield "Missing in the recording", summary.lost, "", ""
-    yield "Messages dropped", sum(summary.dropped.values()), "", _listed(summary.dropped)
+    yield "Messages dropped", sum(summary.dropped.values()), "", counts_text(summary.dropped)
     yield "Inputs missed at deadlines", summary.missing_inputs, "", used_instead
     if summary.skipped_cycles:
         skipped = {process.agent: process.skipped_cycles for process in summary.processes}
@@ -111,12 +119,8 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
             named = some_of([f"{agent} {count}" for agent, count in counts.items()])
             yield title, sum(counts.values()), "", named
     if summary.faults:
-        injected = f"injected between agents: {_listed(summary.faults)}"
+        injected = f"injected between agents: {counts_text(summary.faults)}"
         yield "Network faults", sum(summary.faults.values()), "", injected
-
-
-def _listed(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{count:,} {what}" for what, count in counts.items())
 
 
 def _external_rows(summary: RunSummary) -> Iterator[Row]:

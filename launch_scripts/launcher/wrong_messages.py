@@ -10,12 +10,12 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Final
 
-import msgspec
 from msgspec.structs import replace
 
 from agents.events import Complaint
 from agents.plan import RunPlan
 from bus_schemas.signals import ports
+from recordings.inspect.health import WrongMessages
 
 _LISTENERS_CAUSES: Final = {
     "late": "older than the newest one",
@@ -27,19 +27,6 @@ _LISTENERS_CAUSES: Final = {
     "contradicted": "contradicts what the publisher goes on saying",
 }
 """Texts for the causes that agents name."""
-
-
-class WrongMessages(msgspec.Struct, frozen=True):
-    """Messages of one key that were wrong in one way, with what is to be said of the first one.
-
-    `publisher` is who may publish on the key; empty, where the run has no such key.
-    """
-
-    key: str
-    cause: str
-    count: int
-    example: str
-    publisher: str = ""
 
 
 def wrong_messages(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import msgspec
 
@@ -66,15 +66,26 @@ class Misses(msgspec.Struct, frozen=True):
 
 
 class WrongMessages(msgspec.Struct, frozen=True):
-    """Wrong messages of one key and cause."""
+    """Messages of one key that were wrong in one way, with what is to be said of the first one.
+
+    `publisher` is who may publish on the key; empty, where the run has no such key.
+    """
 
     key: str
     cause: str
     count: int
+    example: str
+    publisher: str = ""
 
 
-class LauncherAccount(msgspec.Struct, frozen=True):
-    """What the run summary says that a recording cannot."""
+class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
+    """What only the launcher knows of how a run fared; it is in the run's summary.
+
+    dropped: Messages that agents could not use, by cause.
+    restarts: How often each process was started again.
+    skipped_cycles: Cycles that were over before a process came to them.
+    recording_ended: Why the recording does not go up to the end; empty if it does.
+    """
 
     run_id: str
     dropped: dict[str, int] = {}
@@ -82,6 +93,9 @@ class LauncherAccount(msgspec.Struct, frozen=True):
     skipped_cycles: int = 0
     recording_ended: str = ""
     wrong: tuple[WrongMessages, ...] = ()
+
+
+Account = TypeVar("Account", bound=LauncherAccount)
 
 
 class Health(msgspec.Struct, frozen=True):
@@ -111,6 +125,16 @@ class Health(msgspec.Struct, frozen=True):
     def messages_lost(self) -> int:
         """Messages that the sequence numbers leave out."""
         return sum(self.lost.values())
+
+    @property
+    def missing_inputs(self) -> int:
+        """Inputs that all agents but external ones missed at their deadlines."""
+        return sum(found.inputs for found in self.misses if not found.external)
+
+    @property
+    def old_inputs(self) -> int:
+        """Older messages that they used."""
+        return sum(found.old for found in self.misses if not found.external)
 
 
 class HealthWatch:
@@ -157,16 +181,13 @@ class HealthWatch:
             self._see_faults(port, record.message())
         self._missed.see(record)
 
-    def end(self, cycle: int) -> None:
-        """Note what is missing up to the cycle before which the run ended."""
+    def health(self, run: RunReader, cycle: int) -> Health:
+        """Return how the run fared, which ended before a cycle, with what its folder tells."""
         self.gaps.end(cycle)
         for agent, last in self._last_cycle.items():
             # A run that broke off has not completed its last cycle.
             if cycle > last + self._step[agent] + 1:
                 self._note(Absence(agent, last + 1, cycle - 1, None, False))
-
-    def health(self, run: RunReader) -> Health:
-        """Return how the run fared, with what lies beside its recording."""
         ports, missed, external = self.gaps.ports, self._missed, self._plan.external
         misses = [
             Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
@@ -185,7 +206,7 @@ class HealthWatch:
             absences=tuple(self._absences),
             ended=run.stop_cycle is not None,
             failure=_failure(run.path.parent),
-            launcher=_launcher_account(run),
+            launcher=summary_in(run.path.parent, run.plan, LauncherAccount),
             more_absences=self._more_absences,
             devices=read_accounts(run.path.parent),
         )
@@ -233,7 +254,7 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     if health.fault_acts:
         number = len(health.fault_acts)
         rules = f"{number} rule{'s' if number > 1 else ''}"
-        yield "faults", f"{rules}; messages: {_counts(health.faults) or 'none touched'}"
+        yield "faults", f"{rules}; messages: {counts_text(health.faults) or 'none touched'}"
         for act in health.fault_acts:
             yield "fault", f"{act.rule}: {_act_text(act, clock)}"
     else:
@@ -243,7 +264,7 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     if health.repeated:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", unknown if launcher is None else _dropped(launcher)
-    yield "inputs", _missed_text(health.misses, clock)
+    yield "inputs", _missed_text(health, clock)
     named = sorted(health.absences, key=lambda one: one.weight, reverse=True)[:_NAMED]
     for absence in health.absences:
         if absence in named:
@@ -276,7 +297,7 @@ def _act_text(act: FaultAct, clock: RunClock) -> str:
 
 def _dropped(launcher: LauncherAccount) -> str:
     dropped = f"{sum(launcher.dropped.values()):,} messages that agents could not use"
-    causes = _counts(launcher.dropped)
+    causes = counts_text(launcher.dropped)
     wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in launcher.wrong]
     skipped = f"{launcher.skipped_cycles:,} cycles skipped" if launcher.skipped_cycles else ""
     parts = [dropped + (f" ({causes})" if causes else ""), skipped]
@@ -284,7 +305,7 @@ def _dropped(launcher: LauncherAccount) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def _counts(counts: dict[str, int]) -> str:
+def counts_text(counts: dict[str, int]) -> str:
     return ", ".join(f"{count:,} {name}" for name, count in counts.items())
 
 
@@ -293,14 +314,14 @@ def _named(counts: Mapping[str, int]) -> str:
     return some_of([f"{name} {count:,}" for name, count in counts.items()], _NAMED)
 
 
-def _missed_text(misses: tuple[Misses, ...], clock: RunClock) -> str:
+def _missed_text(health: Health, clock: RunClock) -> str:
+    misses = health.misses
     if not misses:
         return "none missed at a deadline"
     first = min(found.first_cycle for found in misses)
     last = max(found.last_cycle for found in misses)
     worst = _named({found.agent: found.inputs for found in misses})
-    own = [found for found in misses if not found.external]
-    missed, old = sum(found.inputs for found in own), sum(found.old for found in own)
+    missed, old = health.missing_inputs, health.old_inputs
     devices = "".join(f"; {m.agent} (external) {m.inputs:,}" for m in misses if m.external)
     when = clock.span_text(first, last)
     return f"{missed:,} missed and {old:,} older ones used {when}, most at {worst}{devices}"
@@ -327,14 +348,13 @@ def _devices_texts(devices: tuple[DeviceAccount, ...]) -> Iterator[str]:
             yield f"{counts.total():,} {what}, most at {_named(dict(counts.most_common()))}"
 
 
-def _launcher_account(run: RunReader) -> LauncherAccount | None:
-    """Read the summary beside a recording, if it is of the same run."""
+def summary_in(folder: Path, plan: RunPlan, kind: type[Account]) -> Account | None:
+    """Return the summary in a folder, or a part of it; None if there is none of this run."""
     try:
-        document = (run.path.parent / SUMMARY_NAME).read_bytes()
-        found = msgspec.json.decode(document, type=LauncherAccount)
+        found = msgspec.json.decode((folder / SUMMARY_NAME).read_bytes(), type=kind)
     except (OSError, msgspec.DecodeError):
         return None
-    return found if found.run_id == run.plan.run_id else None
+    return found if found.run_id == plan.run_id else None
 
 
 def _failure(folder: Path) -> str:

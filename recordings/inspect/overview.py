@@ -81,7 +81,7 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     production = watch.gaps.ports[PRODUCTION.of(ROOT)]
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = production.newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
-    watch.end(end)
+    health = watch.health(run, end)
     plan, origin, gaps = run.plan, run.metadata["run"], watch.gaps
     wall_s = (last_ns - first_ns) / 1e9
     return Overview(
@@ -120,7 +120,7 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         ),
         gaps=tuple(gaps.gaps),
         more_gaps=gaps.more_gaps,
-        health=watch.health(run),
+        health=health,
     )
 
 

@@ -32,7 +32,6 @@ class MissedInputs:
         self.old: Counter[str] = Counter()
         self.cycles: dict[str, tuple[int, int]] = {}
         self._tree = plan.tree
-        self._external = plan.external
         self._awaited = {
             (agent, stage.name, turn): {str(port) for port in stage.awaits}
             for agent, turns in stages_of_agents(plan).items()
@@ -45,17 +44,6 @@ class MissedInputs:
     def see(self, record: RecordedMessage) -> None:
         if _NOTHING_MISSED not in record.payload:
             self.count(record.port, record.message())
-
-    @property
-    def all_missing(self) -> int:
-        """Missing inputs of all agents but external ones."""
-        own = (keys for agent, keys in self.missing.items() if agent not in self._external)
-        return sum(keys.total() for keys in own)
-
-    @property
-    def all_old(self) -> int:
-        """Older messages that they used."""
-        return sum(number for agent, number in self.old.items() if agent not in self._external)
 
     def count(self, port: Port[Message], message: Message) -> None:
         """Count what a message says."""

@@ -14,10 +14,10 @@ from agents.plan import RunPlan
 from bus_schemas.errors import FailureError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port
+from launch_scripts.launcher.external_watch import directions
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.launcher.tcp_ports import reserved_ports
-from launch_scripts.scenarios.externals import ExternalWatch
 from launch_scripts.scenarios.preparation import Preparation
 from recordings.verify.comparison import Comparison
 from studies.conformance import situations
@@ -72,7 +72,7 @@ class Conformance:
             folder = RunFolder(self.folder.path / name)
             its_plan = replace(plan, run_id=f"{plan.run_id}-{name}")
             own_plan = folder.fill(dataclasses.replace(self.preparation, plan=its_plan), tcp_ports)
-            for line in ExternalWatch(own_plan, folder.plan, wait_s, 0.0).directions():
+            for line in directions(own_plan, folder.plan, wait_s):
                 self.say(line)
             with self._trial(own_plan, folder, "arming") as trial:
                 situation(trial, seed)

@@ -17,6 +17,7 @@ from rich.markup import escape
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, read_series
 from recordings.read.whole_file import whole_file
@@ -37,7 +38,6 @@ from studies.report.result import Result
 from studies.report.style import ReportFigure
 from studies.report.tables import devices_tables, health_table, metrics_tables
 from studies.tables import Table, counted
-from sunspec.process import read_accounts
 
 REPORT_NAME: Final = "report.html"
 
@@ -51,8 +51,9 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         size_mb = reader.path.stat().st_size / 1e6
         with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
             series = replace(read_series(run), label=f"hierarchical ({plan.scheme})")
-            devices = devices_tables(read_accounts(reader.path.parent))
-            tables = [health_table(reader), *metrics_tables([series]), *devices]
+            health = read_overview(reader).health
+            tables = [health_table(health, reader.clock), *metrics_tables([series])]
+            tables += devices_tables(health.devices)
     with console.status("drawing"):
         title = f"{plan.plant}: run {plan.run_id}"
         page = html_page(runs_result(title, [series], tables, [run_line(plan), *notes]))

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from recordings.inspect.health import health_lines
-from recordings.inspect.overview import read_overview
-from recordings.read.reader import RunReader
+from recordings.inspect.health import Health, health_lines
+from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import runs_as_columns, shown_in
@@ -38,9 +37,9 @@ def metrics_tables(series: Sequence[RunSeries]) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def health_table(run: RunReader) -> Table:
-    """Go through a recording and return how its run fared, a line for each thing looked at."""
-    return texts_table("Health of the run", health_lines(read_overview(run).health, run.clock))
+def health_table(health: Health, clock: RunClock) -> Table:
+    """Return the table of how a run fared, a line for each thing looked at."""
+    return texts_table("Health of the run", health_lines(health, clock))
 
 
 def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:

@@ -15,10 +15,9 @@ from agents.events import ExternalAccount
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
-from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.summary import RunSummary
-from launch_scripts.launcher.wrong_messages import WrongMessages
 from launch_scripts.scenarios.scenario import BudgetTable, TimingTable
+from recordings.inspect.health import WrongMessages, summary_in
 from recordings.read.reader import RunReader
 from studies.timing.budgets import Verdict, judge
 from studies.timing.clocks import ClockOffset
@@ -135,7 +134,7 @@ def report_on(
         timing = run_timing(reader, by_agent=by_agent)
         folder, metadata = reader.path.parent, reader.metadata["run"]
         ended = reader.stop_cycle is not None
-    summary = summary or _summary_in(folder, plan)
+    summary = summary or summary_in(folder, plan, RunSummary)
     remarks: tuple[str, ...] = (_NO_SUMMARY,)
     wall_s, processes = timing.cycles * plan.cycle_wall_ns / 1e9, timing.processes
     seen: dict[str, Any] = {}
@@ -204,13 +203,3 @@ def _budgets_in(reader: RunReader) -> BudgetTable:
         return msgspec.convert(stated, TimingTable).budgets
     except (tomllib.TOMLDecodeError, msgspec.ValidationError, RecursionError) as error:
         raise InputError(f"{reader.path}: scenario.toml in it: {error}") from None
-
-
-def _summary_in(folder: Path, plan: RunPlan) -> RunSummary | None:
-    """Return the summary in a folder; None if there is none of this run."""
-    try:
-        document = RunFolder(folder).summary.read_bytes()
-        summary = msgspec.json.decode(document, type=RunSummary)
-    except (OSError, msgspec.DecodeError):
-        return None
-    return summary if summary.run_id == plan.run_id else None

@@ -16,7 +16,7 @@ from timed_recordings import PLAN, cycle, recorded, without
 
 from agents.events import ExternalAccount
 from agents.machine import MachineSettings
-from launch_scripts.launcher.wrong_messages import WrongMessages
+from recordings.inspect.health import WrongMessages
 from studies.report.result import print_result
 from studies.timing.report import TimingReport, report_on
 from studies.timing.results import timing_result

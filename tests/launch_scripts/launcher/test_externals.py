@@ -11,9 +11,9 @@ from plans_by_hand import plan_at_noon
 from agents.events import Complaint, Presence, Status
 from agents.plan import load_plan
 from bus_schemas.errors import InputError
+from launch_scripts.launcher.external_watch import ExternalWatch
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.tcp_ports import reserved_ports
-from launch_scripts.scenarios.externals import ExternalWatch
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
