@@ -114,10 +114,10 @@ class Deadlines:
 
 @dataclass(frozen=True)
 class Periods:
-    """Cycles between two turns of the parents of each tier.
+    """How often the parents of each tier act, in cycles.
 
-    A parent gives requests and setpoints in its turns only. Between them the tiers below go on
-    rebalancing against its last target. Everybody reports upwards in every cycle.
+    A parent sends setpoints only in its turns. Between them the tiers below keep rebalancing to its
+    last setpoints. Every agent reports upwards in every cycle.
 
     cycles: Period of each tier that has children, the central controller's first. Each must be a
         multiple of the next.
@@ -132,12 +132,12 @@ class Periods:
         for tier, (upper, lower) in enumerate(zip(self.cycles, self.cycles[1:], strict=False)):
             if upper % lower:
                 raise InputError(
-                    f"control.period_cycles[{tier}]: expected a multiple of that of the tier below "
-                    f"it, {lower}, got {upper}"
+                    f"control.period_cycles[{tier}]: expected a multiple of {lower}, the period of "
+                    f"the tier below, got {upper}"
                 )
 
     def is_turn(self, parent: str, cycle: int) -> bool:
-        """Whether a parent acts in a cycle. In arming rounds (below 0) everybody does."""
+        """Whether a parent acts in a cycle. In arming rounds (below 0) all parents do."""
         return cycle < 0 or cycle % self.cycles[depth(parent)] == 0
 
     def rests_between(self, parent: str) -> bool:

@@ -1,4 +1,4 @@
-"""The one driver: takes agents through a run over a bus and by a clock.
+"""The one driver: runs agents over a bus and by a clock.
 
 The bus is Zenoh, memory or a recording; the clock is the wall's, a virtual one, or none at all in
 lockstep. Launch, simulate, verify and `replay --live` are combinations of these.

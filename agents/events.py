@@ -54,7 +54,7 @@ class Standing(Event, frozen=True):
 
 
 class TookOver(Event, frozen=True):
-    """The process stood by, and has taken over in this cycle."""
+    """The standby has taken over in this cycle."""
 
     cycle: int
 
@@ -83,7 +83,7 @@ class Started(Event, frozen=True):
 
 
 class Exited(Event, frozen=True):
-    """A process has ended: its exit status (below 0: the signal), and its processor time in all."""
+    """A process has ended: its exit status (below 0: the signal), and its total processor time."""
 
     status: int
     cpu_s: float

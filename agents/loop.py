@@ -292,7 +292,7 @@ class AgentLoop(Generic[S]):
         self._inputs[port].newest = message
 
     def twin(self) -> Self:
-        """Return a loop in the same state, which goes its own way from here."""
+        """Return an independent loop in the same state."""
         twin = copy(self)
         twin.waiting = self.waiting.copy()
         twin.dropped = self.dropped.copy()

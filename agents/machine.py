@@ -63,7 +63,7 @@ def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tu
         try:
             os.sched_setaffinity(0, cpus)
         except OSError as error:
-            refused.append(f"CPU {', '.join(map(str, cpus))}: not taken ({error.strerror})")
+            refused.append(f"CPU {', '.join(map(str, cpus))}: not available ({error.strerror})")
     if lockstep:
         # Do not interrupt the running process when woken: it may have more messages to send.
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -76,7 +76,7 @@ def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tu
         except OSError as error:
             refused.append(
                 f"priority {priority}: the kernel refuses SCHED_FIFO ({error.strerror}), so the "
-                f"run keeps the normal policy; it takes CAP_SYS_NICE, or `ulimit -r {priority}`"
+                f"run keeps the normal policy; it needs CAP_SYS_NICE, or `ulimit -r {priority}`"
             )
         if settings.lock_memory:
             refused += _lock_refusal() or _lock_memory()
@@ -114,8 +114,8 @@ def _lock_memory() -> list[str]:
 def _lock_refusal() -> list[str]:
     """Say why this machine does not let a process lock all its memory; nothing if it does.
 
-    A limit that suffices at first is as good as none: what the process maps later, such as the
-    stacks of its threads, would be refused beyond it.
+    Any limit is a reason, even if it suffices at first: what the process maps later, such as the
+    stacks of its threads, would exceed it.
     """
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit == resource.RLIM_INFINITY or _has_capability(_MAY_LOCK):
@@ -124,7 +124,7 @@ def _lock_refusal() -> list[str]:
 
 
 def _not_locked(why: str) -> str:
-    return f"memory: not locked ({why}); it takes CAP_IPC_LOCK, or `ulimit -l unlimited`"
+    return f"memory: not locked ({why}); it needs CAP_IPC_LOCK, or `ulimit -l unlimited`"
 
 
 def _has_capability(number: int) -> bool:

@@ -65,7 +65,7 @@ class _Child:
 
 
 class Parent:
-    """What all parents do: hear what their children report, and divide a target among them."""
+    """What all parents do: collect the reports of their children, and divide a target."""
 
     may_skip = True
 
@@ -244,7 +244,7 @@ class CentralController(Parent):
             return state, outputs
         usable_kw = usable_dispatch_kw(dispatch.power_kw, dispatch.plant_rating_kw)
         if usable_kw != dispatch.power_kw and dispatch.cycle == turn.cycle:
-            # Regulation downwards may ask for more than there is to take back.
+            # Downward regulation may exceed the commitment, so that the dispatch is below 0.
             what = "0 kW" if usable_kw == 0.0 else f"the rating, {usable_kw:.10g} kW"
             text = f"dispatch of {dispatch.power_kw:.10g} kW clamped to {what}"
             state = replace(state, clamped=state.clamped + 1)

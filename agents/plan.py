@@ -161,11 +161,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def wiring(self) -> Wiring:
         return Wiring(self.plant, self.tree, self.standbys)
 
-    @property
-    def keys(self) -> Wiring:
-        """The wiring, for those who ask it for keys alone."""
-        return self.wiring
-
     @cached_property
     def links(self) -> Links:
         return self.wiring.links()
@@ -317,7 +312,7 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
 
 
 def check_plan(plan: RunPlan) -> None:
-    """Check what the types of the fields do not tell."""
+    """Check what the types of the fields cannot express."""
     check_size(plan.cycles, len(plan.tree.leaves), "cycles")
     for number, rule in enumerate(plan.faults):
         check_rule(rule, plan.tree, f"faults[{number}]", plan.external, plan.addresses)

@@ -56,7 +56,7 @@ def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
 
 
 def run_controller(plan: RunPlan, name: str, link: LauncherLink, *, rejoins: bool = False) -> int:
-    """Take a controller through a run; `rejoins`: that is under way. Returns the exit status."""
+    """Run a controller; `rejoins`: the run is already under way. Returns the exit status."""
 
     def run() -> None:
         while not _take_part(plan, name, link, rejoins):
@@ -81,7 +81,7 @@ def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
 
 
 def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> bool:
-    """Take a controller through a run; return False if the plant went first, and may come back."""
+    """Run a controller; return False if the plant disappeared first, and may come back."""
     with AgentProcess(plan, controller(plan, agent_of(name)), link, name) as process:
         log.info("%s is on the bus", name)
         if rejoins and plan.lockstep:

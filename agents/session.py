@@ -1,7 +1,7 @@
 """How an agent of a plan joins the bus: its links, its identity, and what it lets the others do.
 
-Every agent enforces its own rules on each of its links. As each pair of agents has a link of its
-own and peers do not relay, the other end of a link is the publisher of what comes over it.
+Every agent enforces its own rules on each of its links. Each pair of agents has a link of its own
+and peers do not relay, so the agent at the other end has published whatever comes over a link.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ _LONGEST_COMMON_NAME = 64
 """Characters, by RFC 5280."""
 
 Subjects: TypeAlias = dict[str, dict[str, list[str]]]
-"""By agent, how Zenoh recognises it at the other end of a link. An entry for the empty name stands
-for anybody: of them the recorder hears all, so that it can name who says what they may not."""
+"""By agent, how Zenoh recognises it at the other end of a link. The empty name stands for anybody:
+the recorder accepts all their messages, so that it can name whoever sends what is not allowed."""
 
 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     """Return how an agent of the plan, or a standby, joins the bus.
 
-    Without keys, Zenoh asks everybody for a password who connects to a session, or nobody. Devices
-    have none, so an agent meets them in a session of their own.
+    Without keys, a session asks either everybody who connects for a password, or nobody. Devices
+    have none, so an agent has a second session for them.
     """
     if plan.keys_folder:
         keys = KeyFiles.of(Path(plan.keys_folder), agent_of(agent))
@@ -87,7 +87,7 @@ def _settings(
 
 
 def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -> dict[str, object]:
-    """Return an agent's rules as Zenoh's configuration wants them: what is not allowed is refused.
+    """Return an agent's access rules, as in Zenoh's configuration; all else is refused.
 
     They follow from who publishes and who hears what in the run.
     """
@@ -104,7 +104,7 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
         return rule
 
     def between(publisher: str, listener: str) -> list[str]:
-        """Keys of what one process may say to another: the recorder hears everything."""
+        """Return the keys on which one process may publish to another; the recorder hears all."""
         return [
             wiring.key(port)
             for port in wiring.published.get(agent_of(publisher), ())
@@ -112,7 +112,7 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
         ]
 
     listens = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"]
-    # In lockstep a process that replaces another asks for what it has missed.
+    # In lockstep a process that replaces another queries what it has missed.
     listens += ["declare_queryable", "query"]
     of_all = [
         add("subscriptions", ["ingress", "egress"], listens, [f"{wiring.plant}/**"]),
@@ -129,7 +129,7 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
     if agent == RECORDER and "" in subjects:
         known["anybody"] = subjects[""]
         from_anybody = add("from anybody", ["ingress"], ["put"], ["**"])
-        # What a client says, peers pass on to whoever may hear it from them.
+        # Peers do relay for clients, so a client could send in the recorder's name.
         own_keys = [wiring.key(port) for port in wiring.published[agent]]
         not_own = add("not in its name", ["ingress"], ["put"], own_keys, "deny")
         policies.append({"rules": [*of_all, from_anybody, not_own], "subjects": ["anybody"]})
@@ -145,13 +145,13 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
 def session_id(secret: str, agent: str) -> str:
     """Return the Zenoh id of an agent's session in a run with this secret.
 
-    Whoever links with the agent learns it.
+    Whoever connects to the agent learns it.
     """
     return f"a{_digest(secret, f'id of {agent}')}"  # Zenoh accepts no leading zero.
 
 
 def password(secret: str, agent: str) -> str:
-    """Return what an agent proves itself with, in a run with this secret, where it connects to."""
+    """Return the password with which an agent connects to others in a run with this secret."""
     return _digest(secret, f"password of {agent}")
 
 

@@ -187,10 +187,9 @@ def check_rule(
 ) -> None:
     """Refuse a rule that does not fit the run.
 
-    where: What the user calls it.
-    external: Agents whose programs are not Heliarch's: nothing can be done to what comes in there.
-    addresses: Where the agents are that run on other hosts: their processes cannot be stopped from
-        here.
+    where: Name of the rule in messages for the user.
+    external: Agents that Heliarch does not run: faults cannot act on what they receive.
+    addresses: Of the agents on other hosts: their processes cannot be stopped from here.
     """
     to_agents = _to_links(rule, tree, external)
     if rule.stops is not None:
@@ -200,7 +199,7 @@ def check_rule(
 
 
 def _to_fields(rule: FaultRule) -> Iterator[str]:
-    """Yield what the bounds of the fields do not say."""
+    """Yield objections to fields that their bounds do not cover."""
     if rule.distribution == "fixed" and rule.jitter_ms:
         yield "distribution: expected uniform or normal with jitter, got fixed"
     if rule.reorder and not rule.held_back_ms:
@@ -220,7 +219,7 @@ def _to_fields(rule: FaultRule) -> Iterator[str]:
         )
     alone = FaultRule(**{name: getattr(rule, name) for name in ("at", *doing[:1])})
     if doing and rule != alone:
-        yield f"expected {doing[0]} and at alone in a rule, got more"
+        yield f"expected only {doing[0]} and at in this rule, got more"
     wanted = {1} if rule.kill is not None else {2} if rule.freeze is not None else {0, 2}
     if len(rule.at) not in wanted or list(rule.at) != sorted(set(rule.at)):
         form = "one time such as 30s" if wanted == {1} else "beginning and end such as 30s..45s"
@@ -253,7 +252,7 @@ def _to_links(rule: FaultRule, tree: ControlTree, external: Collection[str]) -> 
             known = f"{some_of(agents)}, or a pattern such as c1/*"
             yield f"{field}: expected {known}, got {pattern!r}"
     if rule.signal in UNHEARD:
-        return  # No agent acts on it, so that losing it costs nothing.
+        return  # No agent acts on it, so losing it costs nothing.
     every = links(tree)
     names = dict.fromkeys(port.signal.name for port, _ in every)
     if rule.signal is not None and rule.signal not in names:
@@ -271,6 +270,6 @@ def _to_links(rule: FaultRule, tree: ControlTree, external: Collection[str]) -> 
         yield f"expected one of {some_of(list(instead))}, got {got}, which is never sent"
     if heard_by.keys() <= set(external):
         yield (
-            f"expected a listener that Heliarch runs, where faults act, got external agents alone "
+            f"expected a listener that Heliarch runs, where faults act, got only external agents "
             f"({', '.join(heard_by)})"
         )

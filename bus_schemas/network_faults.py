@@ -30,13 +30,15 @@ class FaultTally(Counter[str]):
     """What faults did to messages: of a lost one no copy arrived."""
 
     def count(self, fate: tuple[int, ...]) -> None:
-        self.update(lost=not fate, duplicated=len(fate) > 1, delayed=any(fate))
+        self["lost"] += not fate
+        self["duplicated"] += len(fate) > 1
+        self["delayed"] += any(fate)
 
 
 class FaultAct(msgspec.Struct):
-    """What a rule did: to how many messages, and in which cycles.
+    """How many messages a rule acted on, and in which cycles.
 
-    A message counts once for each listener that it was lost, delayed or doubled for.
+    A message counts once for each listener for which it was lost, delayed or doubled.
     """
 
     rule: FaultRule

@@ -92,10 +92,10 @@ class ControlTree:
             seen.add(path)
         for path, children in self._children_of.items():
             if path in seen:
-                yield f": {path} is an inverter and a cluster, it must be one"
+                yield f": {path} is both an inverter and a cluster, expected one of them"
             if len(children) > MOST_CHILDREN:
                 expected = f"up to {MOST_CHILDREN:,} children"
-                got = f"{len(children):,}: more need a tier between"
+                got = f"{len(children):,}; for more, add a tier between"
                 yield f": {agent_name(path)}: expected {expected}, got {got}"
 
     @cached_property

@@ -105,12 +105,12 @@ class SessionSettings:
 
     namespace: Prefix of every key of the run.
     listen, connect: Endpoints, for instance `tcp/127.0.0.1:7447`.
-    lockstep: In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In
-        real time a message that cannot go out within 20 ms is dropped instead.
-    further: More of Zenoh's own settings, by their names there.
+    lockstep: In lockstep nothing may be lost: a publisher waits for a listener that falls behind.
+        In real time a message that cannot go out within 20 ms is dropped instead.
+    further: Further settings, by Zenoh's own names.
     peers: Agents at the other ends of its links.
-    devices: How the same agent joins those whom it does not ask for a password, in a second
-        session. None: there is none of them.
+    devices: Settings of the agent's second session, for devices, which have no password. None: it
+        has no devices.
     """
 
     namespace: str
@@ -188,9 +188,9 @@ def _keep_this_thread() -> None:
 
 
 class Inbox:
-    """A queue between Zenoh's thread and the agent's: calls once enough has arrived.
+    """A queue from Zenoh's thread to the agent's: wakes the agent when enough has arrived.
 
-    An agent that needs seventeen messages to go on is called once, not seventeen times.
+    An agent that needs seventeen messages is woken once, not seventeen times.
 
     dropped: Messages that found no room, by port and cause.
     on_enough: Called on Zenoh's thread. By default it wakes the agent's.
@@ -265,7 +265,7 @@ class Inbox:
 
 
 class TokenWatch:
-    """The liveliness tokens of all agents that some sessions see."""
+    """The liveliness tokens of all agents, as an agent's sessions see them."""
 
     def __init__(self, sessions: Sequence[zenoh.Session], wiring: Wiring) -> None:
         self._alive: set[str] = set()
@@ -277,13 +277,13 @@ class TokenWatch:
         ]
 
     def changes(self) -> Iterator[tuple[str, bool]]:
-        """Yield the key of each token that has come (True) or gone (False)."""
+        """Yield the key of each token that has appeared (True) or disappeared (False)."""
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:
                 yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
 
     def alive(self) -> set[str]:
-        """Return the keys of all tokens that are there."""
+        """Return the keys of all present tokens."""
         for key, is_there in self.changes():
             (self._alive.add if is_there else self._alive.discard)(key)
         return self._alive
@@ -303,8 +303,8 @@ class _Place:
     def __exit__(self, *error: object) -> None:
         """Close the sessions: an open one can hang the interpreter's exit."""
         for session in self._sessions:
-            # With 1,000 links on a busy machine this takes longer than Zenoh waits. All has been
-            # said.
+            # With 1,000 links on a busy machine this takes longer than Zenoh waits. Every message
+            # is already out.
             with suppress(zenoh.ZError):
                 session.close()
 
@@ -321,8 +321,8 @@ class ZenohBus(_Place):
     """One agent's place on the bus.
 
     process: Name of its process: the agent's, or that of its standby.
-    patience_s: How long to wait for a message where the agent waits for no time of its own.
-    clock: Of the plant, where that is on another host.
+    patience_s: Longest time that one call waits for messages.
+    clock: Clock of the plant, if the plant is on another host.
 
     dropped: Messages that could not be read or found no room, by port and cause.
     """
@@ -349,7 +349,7 @@ class ZenohBus(_Place):
         many = _signals_of_many(published)
         self._puts: dict[Port[Message], list[Callable[[bytes], None]]] = {}
         for port in published:
-            # What nobody hears there need not go there; the recorder hears all.
+            # The session for devices needs only what is heard there; the recorder hears all.
             hears_there = not devices.isdisjoint({RECORDER, *wiring.processes[port]})
             must_arrive = settings.lockstep or port.signal.occurrence is Occurrence.EVENT
             self._puts[port] = [
@@ -455,7 +455,7 @@ class ZenohBus(_Place):
 def _putter(
     session: zenoh.Session, key: str, must_arrive: bool, *, declared: bool
 ) -> Callable[[bytes], None]:
-    """Return what puts payloads on a key."""
+    """Return a function that puts payloads on a key."""
     control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
     if not declared:
         return partial(

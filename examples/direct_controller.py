@@ -289,7 +289,7 @@ def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zen
         "scouting/gossip/enabled": False,
     }
     if not plan["cycle_wall_ns"]:
-        # In lockstep all wait for an agent that stands still. By default Zenoh cuts it off.
+        # In lockstep all agents wait for one that stands still; by default Zenoh closes its links.
         block = "transport/link/tx/queue/congestion_control/block"
         settings[f"{block}/wait_before_close"] = 60_000_000  # Microseconds.
         settings["transport/link/tx/lease"] = 60_000  # Milliseconds.

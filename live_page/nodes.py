@@ -80,10 +80,10 @@ class NodeStates:
         }
 
     def _powers(self, found: Messages, node: str) -> dict[str, float | None]:
-        """Return the powers of a node [kW]; what no message says is None.
+        """Return the powers of a node [kW]; None: no message states it.
 
-        `help` is what it gives beyond its share of its parent's target, and negative where it gets
-        some. The central controller's setpoint is the dispatch.
+        `help` is the setpoint less the node's share of its parent's target: negative if the node
+        gets help. The central controller's setpoint is the dispatch.
         """
         dispatch, made = found.get(DISPATCH.of(ROOT)), found.get(PRODUCTION.of(ROOT))
         assert dispatch is None or isinstance(dispatch, Dispatch)
@@ -148,7 +148,7 @@ class NodeStates:
         """
         times_ns: dict[_Stage, list[int]] = {}
         for port, message in found.items():
-            is_here = port.publisher not in self._plan.external  # Another host has another clock.
+            is_here = port.publisher not in self._plan.external  # A device has its own clock.
             if port in self._stages and message.cycle == cycle and is_here:
                 times_ns.setdefault(self._stages[port], []).append(message.publish_time_ns)
         begin_ns = min(chain.from_iterable(times_ns.values()), default=0)
@@ -220,7 +220,7 @@ class NodeStates:
 
 
 def columns(rows: list[dict[str, float | None]]) -> dict[str, Column]:
-    """Return a list for each name, from at least one row."""
+    """Return the values of each name as a list; `rows` has at least one."""
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 

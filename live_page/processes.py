@@ -17,7 +17,7 @@ _COLUMNS: Final = ("cpu", "memory_mb", "pid")
 
 
 class RunProcesses:
-    """The processes of a run on this machine, told by the log that each writes."""
+    """The processes of a run on this machine, recognised by the log that each writes."""
 
     def __init__(self, folder: Path, agents: Sequence[str]) -> None:
         logs = folder.resolve() / "logs"
@@ -25,14 +25,14 @@ class RunProcesses:
         self._found: dict[str, psutil.Process] = {}
 
     def use(self) -> dict[str, Column]:
-        """Return what each process takes; None for those that are not on this machine.
+        """Return what each process uses; None: it is not on this machine.
 
         `cpu`: processor time since the last call [% of a core]. `memory_mb`: resident, with the
-        pages of Python and its libraries that it shares with the others. `pid`: its number.
+        pages of Python and its libraries that it shares with the others.
         """
         rows = [self._row(agent) for agent in self._agents.values()]
         if len(self._found) < len(self._agents):
-            self._find()  # For the next call: then there is a time over which to measure.
+            self._find()  # For the next call, which measures from now on.
         return {name: [row[place] for row in rows] for place, name in enumerate(_COLUMNS)}
 
     def _row(self, agent: str) -> tuple[float | None, float | None, int | None]:

@@ -152,9 +152,9 @@ class RunView:
                 yield msgspec.json.encode(news)
 
     async def cycles(self, position: float | None, speed: float) -> AsyncIterator[int | None]:
-        """Yield the cycle to show, at most ten times a second; -1 before the first one.
+        """Yield the cycle to show, at most ten times a second.
 
-        None while the run has not begun. The parameters are those of `updates`.
+        None: the run has not begun; -1: its first cycle has not. Parameters as in `updates`.
         """
         shown = position
         now = time.monotonic()

@@ -194,7 +194,7 @@ class PageServer:
 
 
 class _Guard:
-    """Lets in who knows the token."""
+    """Admits only requests that have the token."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app

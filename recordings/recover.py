@@ -77,7 +77,7 @@ def is_sound(run: RunReader) -> bool:
 
 
 def recover_run(run: RunReader, out: Path) -> Recovery:
-    """Copy everything that can be read of a recording into a new one.
+    """Copy all of a recording that can be read into a new one.
 
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
     with their times, sequence numbers and order. Metadata named `recovery` is added.
@@ -125,7 +125,7 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
 def _readable(
     run: RunReader, place: ChunkPlace, found: Recovery
 ) -> Iterator[tuple[RawMessage, Head]]:
-    """Yield the messages of a chunk; note it if it cannot be read."""
+    """Yield the messages of a chunk; note the chunk if it is damaged."""
     try:
         for raw in messages_in(run.unpack(place), run.outline.channels):
             head = head_of(raw[4])
@@ -154,7 +154,7 @@ def _metadata(found: Recovery, source: Path) -> dict[str, str]:
         "damaged_chunks": str(len(found.damaged)),
     }
     if found.damaged_attachments:
-        # Their new checksums will be right.
+        # In the new file their checksums are right.
         metadata["damaged_attachments"] = ", ".join(found.damaged_attachments)
     return metadata
 

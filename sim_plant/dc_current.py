@@ -41,15 +41,14 @@ def read_currents(
     *,
     refuse_gaps: bool,
 ) -> MeasuredPlant:
-    """Read the currents of combiners; their mean, clipped at 1, is the power of each inverter.
+    """Read the currents of combiners; an inverter's power is their mean, clipped at full power.
 
     `currents_csv` has the column `t_s`, seconds since `begins` with a constant step, and one column
     for each combiner; a field may be empty. `positions_csv` has the columns `combiner, inverter,
     x_m, y_m`, metres east and north of an arbitrary point.
 
-    Where some combiners of an inverter are missing the mean is over those that are there. An
-    inverter of which all are missing throughout is left out, with its rating. If `refuse_gaps`, a
-    missing value is an error instead.
+    If some combiners of an inverter are missing, the mean is over the others. An inverter without
+    any current is left out, with its rating. If `refuse_gaps`, a missing value is an error instead.
     """
     table = read_csv(currents_csv)
     combiners = _read_combiners(positions_csv)
@@ -121,7 +120,7 @@ def _currents(
 def _means(
     name: str, share: pd.DataFrame, inverter_of: pd.Series, refuse_gaps: bool
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Return the mean of each inverter of which there is any, and a line on what was missing."""
+    """Return the mean of each inverter that has currents, and lines on what was missing."""
     own = {inverter: share.loc[:, inverter_of == inverter] for inverter in inverter_of.unique()}
     report = []
     for inverter, shares in own.items():
@@ -134,8 +133,8 @@ def _means(
         )
         if refuse_gaps:
             raise InputError(f"{what}, expected none, as irradiance.gaps is 'refuse'")
-        is_there = "the mean is over those that are there"
-        report.append(f"{what}: {is_there if missing < total else 'left out, with its rating'}")
+        done = "the mean is over the others" if missing < total else "left out, with its rating"
+        report.append(f"{what}: {done}")
     means = pd.DataFrame({inverter: shares.mean(axis=1) for inverter, shares in own.items()})
     means = means.dropna(axis="columns", how="all")
     if means.empty:
@@ -144,7 +143,7 @@ def _means(
     if silent.size:
         row, place = silent[0]
         raise InputError(
-            f"{name}: line {row + 2}: expected some current of inverter {means.columns[place]} in "
-            f"each line, or none at all, got {len(silent):,} lines without"
+            f"{name}: line {row + 2}: expected a current of inverter {means.columns[place]} in "
+            f"every line or in none, got {len(silent):,} lines without"
         )
     return means, report

@@ -40,7 +40,7 @@ _SAME_PLACE_M: Final = 1.0
 
 
 def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
-    """Fill what is missing (NaN), and report of each sensor what was filled."""
+    """Fill missing values (NaN), and report for each sensor what was filled."""
     ghi_wm2 = irradiance.ghi_wm2
     missing = np.isnan(ghi_wm2)
     nobody = np.asarray(missing.all(axis=1), dtype=np.bool_)

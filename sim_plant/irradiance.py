@@ -24,8 +24,8 @@ class Irradiance:
     """GHI of N sensors at T time stamps.
 
     `times` are UTC with one constant step. `ghi_wm2` has the shape (T, N) and is never negative.
-    Coordinates [degree] have the shape (N,), north and east are positive. `source` is the file that
-    it was read from; `report` has a line for each sensor that was filled or left out.
+    Coordinates [degree] have the shape (N,), north and east are positive. `source` is the file;
+    `report` has a line for each sensor that was filled or left out.
     """
 
     times: pd.DatetimeIndex

@@ -155,7 +155,7 @@ def _without_silent(found: Irradiance, most_missing: float) -> Irradiance:
     limit = f"more than {100.0 * most_missing:g} % of the day"
     if not kept.size:
         raise InputError(
-            f"{found.source}: expected at least one sensor with less missing, got {limit} of each"
+            f"{found.source}: expected at least one sensor with data, got {limit} missing of each"
         )
     report = [
         f"{name}: {missing[sensor]:,} of {total:,} values missing, {limit}: left out, with its"

@@ -58,11 +58,11 @@ def longest_round_s(number: int) -> float:
 
 
 def needed_messages(waiting: Iterable[Port[Message]], external: Collection[str]) -> str:
-    """Say what the plant lacks of an arming round: of external agents first, if they lack some."""
+    """Name the messages that an arming round lacks; if any are of external agents, only those."""
     ports = list(waiting)
     theirs = [port for port in ports if port.publisher in external]
     needs = sorted(map(str, theirs or ports)) or ["the recorder"]
-    # One agent that does not answer delays all others, so only so many are named.
+    # One agent that does not answer delays all others, so a few names are enough.
     return some_of(needs, most=3)
 
 
@@ -71,7 +71,7 @@ def run_plant(
 ) -> int:
     """Join the bus and lead the run in a folder. Returns the exit status.
 
-    Everybody must appear within the patience.
+    All agents must appear within the patience.
     """
 
     def run() -> None:
@@ -86,7 +86,7 @@ def _lead(process: AgentProcess, patience_s: float) -> None:
     """Arm, start, run, stop."""
     plan, loop = process.plan, process.loop
     _await_everybody(process, time.monotonic() + patience_s)
-    # Who is there answers soon: an external agent may have been waited for much longer.
+    # Agents that have appeared answer soon; only waiting for them to appear may take longer.
     rounds = _arm(process, time.monotonic() + min(patience_s, _ARMING_S))
     lead_s = 0.0 if plan.lockstep else _LEAD_S
     start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)

@@ -111,23 +111,24 @@ def _of_day_ns(clock: time | None) -> int:
 
 
 def _held(path: Path, time_ns: NDArray[np.int64]) -> Floats:
-    """Return the value of a file's signal that is in force at some times: the last one sent.
+    """Return the signal of a file at some times: each value holds until the next one.
 
-    The file's last value holds for one step.
+    The last value holds for one step.
     """
     sent_ns, value = read_signal(path)
     first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
     begins_ns, ends_ns = int(sent_ns[0]), int(2 * sent_ns[-1] - sent_ns[-2])
-    wanted = "where the run's regulation {}; regulation.signal_midnight_s shifts the signal"
+    shift = "regulation.signal_midnight_s shifts the signal"
     if first_ns < begins_ns:
         raise InputError(
-            f"{path.name}: line 2: expected second {first_ns / _NS:.15g} or before, "
-            f"{wanted.format('begins')}, got {begins_ns / _NS:.15g}"
+            f"{path.name}: line 2: expected second {first_ns / _NS:.15g} or before, where the "
+            f"run's regulation begins, got {begins_ns / _NS:.15g}; {shift}"
         )
     if last_ns >= ends_ns:
         raise InputError(
             f"{path.name}: line {len(sent_ns) + 1}: expected an end after second "
-            f"{last_ns / _NS:.15g}, {wanted.format('ends')}, got {ends_ns / _NS:.15g}"
+            f"{last_ns / _NS:.15g}, where the run's regulation ends, got {ends_ns / _NS:.15g}; "
+            f"{shift}"
         )
     return value[np.searchsorted(sent_ns, time_ns, side="right") - 1]
 
@@ -135,9 +136,9 @@ def _held(path: Path, time_ns: NDArray[np.int64]) -> Floats:
 def read_signal(path: Path) -> tuple[NDArray[np.int64], Floats]:
     """Read a regulation signal from a CSV of two columns with a header line.
 
-    The first column, whatever its header, is the second of the signal's own clock, the other one
-    the signal in per unit. Returns the times since midnight of that clock [ns], which keep one
-    step, and the values, two at least.
+    The first column, whatever its header, is the time on the signal's own clock [s], the second
+    one the signal [per unit]. Returns the times since midnight of that clock [ns], with a constant
+    step, and the values, at least two.
     """
     table = read_csv(path)
     is_number = pd.to_numeric(pd.Series(table.header), errors="coerce").notna()

@@ -80,11 +80,11 @@ class CloudySky(PlantUnderSky):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPlant:
-    """Power of a plant's inverters at their maximum, by measurements, shape (T, n).
+    """Measured maximum power of a plant's inverters, shape (T, n).
 
-    `source` is what was read, `repairs` say what was missing and how it was filled. `sky` is that
-    over the plant, None where nobody knows where the plant is. `earlier` is the same plant on an
-    earlier day, if that was measured, `earlier_by` before.
+    `source` is what was read, `repairs` say what was missing and how it was filled. `sky` is the
+    sky over the plant; None: the plant's location is unknown. `earlier` is the same plant on an
+    earlier day, `earlier_by` before, if that was measured.
     """
 
     sites: Sites
@@ -97,7 +97,7 @@ class MeasuredPlant:
     earlier_by: timedelta = timedelta(0)
 
     def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of each inverter at its maximum, at the step of `times`."""
+        """Return the maximum AC power of each inverter in the cycles that begin at `times`."""
         return on_cycles(self.measured_times, self.power_kw, times, self.source)
 
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
@@ -119,7 +119,7 @@ class MeasuredPlant:
         return self.sky.cloudless_kw(times, _CLEAN_AIR_TURBIDITY)
 
     def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
-        """Say what was missing, and how the measurement came to the times of the run."""
+        """Say what was missing, and how measurements were converted to the run's cycles."""
         history = self.earlier.repairs if self.earlier is not None else ()
         return (*self.repairs, *history, *conversion(self.measured_times, times))
 

@@ -61,7 +61,7 @@ def on_cycles(
 
 
 def conversion(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex) -> tuple[str, ...]:
-    """Say how measurements come to the cycles of a run; nothing if they are taken as they are."""
+    """Say how measurements are converted to a run's cycles; nothing if they are used unchanged."""
     step_s, cycle_s = step_ns(times) / _NS, step_ns(cycles) / _NS
     if cycle_s > step_s:
         return (f"a cycle of {cycle_s:g} s is the mean of {cycle_s / step_s:g} measured values",)
@@ -74,7 +74,7 @@ def conversion(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex) -> tuple[str, 
 
 
 def _on_lines(times: pd.DatetimeIndex, values: Floats, cycles: pd.DatetimeIndex) -> Floats:
-    # From the first cycle's value on: nanoseconds since 1970 have more digits than a float keeps.
+    # Times since the first cycle's value: a float cannot hold nanoseconds since 1970.
     origin = times[int(times.searchsorted(cycles[0], side="right")) - 1]
     known_s = (times - origin).total_seconds().to_numpy()
     wanted_s = (cycles - origin).total_seconds().to_numpy()

@@ -32,11 +32,11 @@ def share_work(
     workers: int,
     done: Callable[[], object] = lambda: None,
 ) -> list[Result]:
-    """Apply a function to each item; return the results in their order. `done` is called for each.
+    """Apply a function to each item; return the results in order. Calls `done` after each item.
 
     With one worker everything runs in this process. With more, function and items must be
     picklable. Workers never outlive this process, however it ends: they ignore the signals that
-    end it, this process kills them on its way out, and the kernel does where it cannot.
+    end it, and this process kills them at its end; if it cannot, the kernel does.
 
     Raises WorkerLostError: A worker was killed.
     """
@@ -47,7 +47,7 @@ def share_work(
             done()
         return found
     others = set(multiprocessing.active_children())
-    ensure_running()  # Its start lifts a block of signals, so it must not fall within ours.
+    ensure_running()  # Its start unblocks signals, so it must come before we block them.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(items)), context, _begin, (function,))
     try:
@@ -86,9 +86,9 @@ def _apply(item: object) -> object:
 
 @contextmanager
 def _signals_blocked() -> Iterator[None]:
-    """Start processes that ignore the signals which end this one, from their first import on.
+    """Let processes start that ignore, from their first import on, the signals that end this one.
 
-    Ctrl-C and `timeout` send them to every process of a terminal or group; only the study answers.
+    Ctrl-C and `timeout` send these to every process of a terminal or group; only this one obeys.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:
@@ -130,7 +130,7 @@ def share_over_cluster(
             results: list[Result] = client.gather(futures)
         except InputError:
             raise
-        except Exception as error:  # Whatever is wrong with a cluster comes in many kinds.
+        except Exception as error:  # A cluster can fail in many ways.
             raise WorkerLostError(
                 f"--scheduler {scheduler} gave up ({type(error).__name__}: {error})"
             ) from None

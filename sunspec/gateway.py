@@ -40,7 +40,7 @@ Limit: TypeAlias = tuple[float, float | None]
 class Gateway:
     """The real inverters of a run, connected.
 
-    tell: Takes lines for the launcher, in any thread; an empty one when a run can begin.
+    tell: Called with a line for the launcher, in any thread; an empty one: a run can begin.
 
     Raises DeviceError: One of them does not answer, or lacks what is needed.
     """

@@ -1,8 +1,8 @@
 """The gateway as a process of its own beside a run, and the launcher's hold on it.
 
-The launcher writes the plan to the gateway's standard input, and the run's folder when there is
-one. The gateway answers each with an empty line when that is done, and otherwise writes what the
-user should know, one a line. It ends when its standard input does.
+The launcher writes the plan to the gateway's standard input, and later the run's folder. The
+gateway answers each with an empty line when that is done; its other lines are messages for the
+user. It ends when its standard input does.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class GatewayProcess(SideProcess):
         self._next_line()
 
     def look(self, say: Callable[[str], None]) -> None:
-        """Pass on what the gateway says.
+        """Pass the gateway's messages on.
 
         Raises FailureError: It has ended.
         """
@@ -110,7 +110,10 @@ class GatewayProcess(SideProcess):
         return read_accounts(self._folder)
 
     def _next_line(self) -> str:
-        """Return the next line, which is written as a whole."""
+        """Return the gateway's next line.
+
+        Raises FailureError: It has ended.
+        """
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line:

@@ -48,27 +48,27 @@ _LIMIT_POINTS: Final = {
         "WSet": "set_w",
     },
 }
-"""Points that may be written, and the fields of `LimitSettings` that they are."""
+"""Points that may be written, with their fields of `LimitSettings`."""
 
 _RANGES: Final = {
     "percent": (0.0, 100.0),
     "revert_percent": (0.0, 100.0),
-    "revert_s": (0.0, 65_534.0),  # Model 704 could hold more, but 123 shows it too.
+    "revert_s": (0.0, 65_534.0),  # Model 704 could hold more, but 123 cannot.
     "set_in_w": (1.0, 1.0),
     "set_w": (0.0, inf),
 }
-"""Of the values of fields; of all others from 0 to 1."""
+"""Lowest and highest value of fields; all others are from 0 to 1."""
 
 _NO_REVERT: Final = {"revert_enabled": False, "revert_percent": 100.0}
-"""What a limit by model 123, which has no such points, means for those of 704."""
+"""Points of model 704 that 123 lacks, as a limit by model 123 sets them."""
 
 
 class Registers:
     """The registers of one Modbus unit.
 
-    points: Returns its points as they are now; the first model is the common one, 1.
-    tell: Takes the fields of `LimitSettings` that were written to a model, and its number. Units
-        without a model of `_LIMIT_POINTS` are told nothing.
+    points: Returns its present points; the first model is the common one, 1.
+    tell: Called with a model's number and the fields of `LimitSettings` that were written to it.
+        Not used for units without a model of `_LIMIT_POINTS`.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class Registers:
         registers: list[int],
         values: list[int] | list[bool] | None,
     ) -> ExcCodes | None:
-        """Bring the registers up to date that are read, or take those that are written."""
+        """Update the registers that are read, or apply those that are written."""
         points = self._points()
         for begin, model in self._models.items():
             if begin < address + count and address < begin + model.len:
@@ -154,7 +154,7 @@ def inverter_registers(
 ) -> Registers:
     """Return the registers of a simulated inverter with a path in the control tree.
 
-    on_limit: Called when it is told a limit.
+    on_limit: Called when a limit is written.
     points: Returns its points at a time, such as `inverter_points`.
     """
 
@@ -200,7 +200,7 @@ def meter_registers(
 
 
 def inverter_points(inverter: LimitedInverter, at: float) -> Points:
-    """Return the points of all models of an inverter but the common one."""
+    """Return the points of all models of an inverter, except the common one."""
     rating_kw, ramp = inverter.rating_kw, inverter.ramp_percent_per_s
     power_kw, possible_kw = inverter.power_kw(at), inverter.possible_kw(at)
     connected = inverter.settings.connected
@@ -265,7 +265,7 @@ def _common(what: str, name: str, unit: int) -> Points:
 
 
 def _scale(watts: float, largest: int = 32_767) -> int:
-    """Return the scale factor with which a register that goes so far holds a power."""
+    """Return the scale factor with which a power fits into a register of values up to `largest`."""
     return max(ceil(log10(max(watts, 1.0) / largest)), 0)
 
 

@@ -59,9 +59,9 @@ class Sky:
 class ServedPlant:
     """What is served, and where.
 
-    sky: Begins with the first limit, if it has not begun.
+    sky: Begins with the first limit, unless it has begun already.
     host, port: Where to listen. Port 0: any that is free.
-    a_port_each: Whether each inverter has a port of its own, in place of a unit of its own.
+    a_port_each: Whether each inverter has its own port instead of its own unit.
     points: Returns the points of an inverter's models at a time.
     """
 

@@ -83,7 +83,7 @@ def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
     Parameters
     ----------
     sizes : sequence of int
-        How many inverters each cluster takes, together N.
+        Number of inverters in each cluster; they add up to N.
     seed : int
         Seed of the random choice. All partitions are equally likely.
 
@@ -97,8 +97,8 @@ def geographic_clusters(
 ) -> Clusters:
     """Partition the inverters into compact neighbourhoods, for comparison with `search_clusters`.
 
-    The sum of the squared distances of all pairs inside the clusters is made least, with the same
-    descent and a fixed seed, so that the result depends on the positions alone.
+    Minimises the sum of the squared distances between all pairs inside the clusters, with the same
+    descent and a fixed seed. So the result depends on the positions alone.
 
     Parameters
     ----------

@@ -38,18 +38,18 @@ def corrected(
     correction_kw
         The last correction.
     desired_kw, metered_kw
-        Power wanted of the plant, without a correction, in the interval that ended, and what its
-        meter read.
+        Desired power of the plant, without the correction, and its meter reading, both for the
+        interval that ended.
     is_free
-        Whether every inverter is asked for all it has. Then nothing can be added.
+        Whether no inverter is curtailed. Then nothing can be added.
     rating_kw
         Rating of the plant.
     cycle_s
-        Time between two corrections [s]. A controller that acts in every m-th cycle corrects in its
-        turns, by the means of the intervals since the last.
+        Time between two corrections [s]. A controller that acts in every m-th cycle corrects in
+        that cycle, by the means over the intervals since its last correction.
     delay_s
-        Time that messages take to the inverters and back [s], beyond the cycle that a setpoint
-        holds.
+        Time that messages need to the inverters and back [s], in addition to the cycle that a
+        setpoint holds.
     """
     if is_free:
         return 0.0

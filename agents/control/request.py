@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def usable_dispatch_kw(dispatch_kw: float, plant_rating_kw: float) -> float:
-    """Return a dispatch within what the plant can be asked for: 0 to its rating [kW]."""
+    """Return the dispatch, clamped to the range from 0 to the plant's rating [kW]."""
     return min(max(dispatch_kw, 0.0), plant_rating_kw)
 
 

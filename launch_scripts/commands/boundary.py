@@ -71,7 +71,7 @@ class Command(TyperCommand):
             if arg.startswith("--") and (arg.endswith("=") or following == ""):
                 raise InputError(f"{arg.rstrip('=')}: expected a value, got nothing")
             if not arg:
-                raise InputError("expected the name of a run or a scenario, got nothing")
+                raise InputError("an argument: expected a value, got nothing")
             is_bare = arg == "--report" and not (following or "").endswith(".html")
             found.append("--report=" if is_bare else arg)
             if is_bare and following and not following.startswith("-"):

@@ -28,10 +28,10 @@ def campaign(
 ) -> int:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
 
-    Each seed is one simulated run. If it breaks an invariant (docs/resilience.md),
-    a command is printed that repeats the run with the shortest list of faults
-    that still breaks it. Exit status 1: an invariant was broken. --report
-    writes campaign.html by default.
+    Each seed is one simulated run. For a run that breaks an invariant
+    (docs/resilience.md), prints a command that repeats it with the shortest
+    list of faults that still breaks the invariant. Exit status 1: an invariant
+    was broken. --report writes campaign.html by default.
 
     --seeds SEEDS: Seeds of the faults, such as 1..1000.
     --from TIME (start): Local time of the first cycle: 12:30, or 2010-04-01T12:30.
@@ -59,7 +59,7 @@ def campaign(
         return OK
     outcomes = shared(partial(study.run_seed, found), chosen, workers, "runs")
     broken = [outcome for outcome in outcomes if outcome.violations]
-    # The command that repeats a run, but for its faults.
+    # The command that repeats a run, without its faults.
     words = ["heliarch", "simulate", scenario, "--duration", duration]
     words += ["--from", start] if start else []
     words += [word for setting in settings or () for word in ("--set", setting)]

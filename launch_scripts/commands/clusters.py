@@ -27,10 +27,10 @@ def clusters(
 
     --report writes clusters.html by default.
 
-    --periods SECONDS: How often the central controller acts, seconds; default 1,10,60 as the cycle
-        allows.
+    --periods SECONDS: Periods of the central controller, in seconds; default those of 1,10,60 that
+        the cycle allows.
     --random 1..1000: How many random choices of clusters to try.
-    --learn TIME: Choose clusters from the first part of the run, this long; run the rest.
+    --learn TIME: Length of the first part of the run: choose clusters from it, then run the rest.
     Example: heliarch clusters oahu --random 50 --periods 1,30 --report
     """
     from bus_schemas.times import parse_duration_s

@@ -53,9 +53,8 @@ def compare(
     --set FIELD=VALUES (settings): A field of the scenario and its values; each combination is a
         case.
     --schemes NAMES: Control schemes, with commas: uncontrolled, uniform-cap, grouping, paper,
-        predictive, physical-limit. Default all.
-    --actuator NAMES: Actuators that each scheme is run with: fraction,limit. Default that of the
-        scenario.
+        predictive, physical-limit. Default: all.
+    --actuator NAMES: Actuators to run each scheme with: fraction,limit. Default: the scenario's.
     --reference GROUPS: Reference groups of grouping control: sizes (1,4,8), or inverters
         (inv01,inv07).
     --show FIGURES: Figures of merit to show for many cases, with commas: desired-energy,

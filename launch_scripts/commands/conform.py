@@ -40,7 +40,7 @@ def conform(
     --command COMMAND: Command that starts the device; {plan} becomes the path of the plan, {node}
         the agent. Without it, start the device yourself for each plan that is printed; restarts are
         then not tested.
-    --pace PACE: Simulated seconds per second of the tests in real time; max leaves these out.
+    --pace PACE: Pace of the tests in real time; max leaves these out.
     --seed: Seed of the clouds, of random inputs and of random faults.
     --tolerance X: Largest difference between numbers that count as equal.
     --external-timeout SECONDS (wait_s): How long to wait for the device.

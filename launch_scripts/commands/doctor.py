@@ -56,7 +56,7 @@ def doctor(
 ) -> int:
     """Check whether a run will work on this machine, what will slow it down, and what to do.
 
-    Exit status 1: something is wrong, and a run would not work.
+    Exit status 1: a run would not work.
 
     --out DIR: Folder in which runs will be recorded.
     Example: heliarch doctor

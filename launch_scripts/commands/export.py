@@ -30,8 +30,7 @@ def export(
     """Make a file for viewers, or tidy tables, from a recording.
 
     --format (form): json-mcap is for Foxglove and Lichtblick.
-    --clock: Times that a viewer of json-mcap shows: wall, as recorded (the default), or sim, those
-        of the plant.
+    --clock: Times in json-mcap: wall, as recorded (the default), or sim, simulated time.
     --out PATH: The new file, or folder of tables; default beside the recording.
     Example: heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*
     """

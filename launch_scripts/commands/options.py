@@ -44,13 +44,13 @@ SCENARIO: A shipped scenario (see `heliarch scenarios`) or a TOML file.
 --signals NAMES: Only these signals, separated by commas: impp,residual.
 --page-port PORT 0..65535: Port of the page; default: any that is free.
 --page-address ADDRESS: Address of the page; default 127.0.0.1, for this machine only. 0.0.0.0 is
-    for other hosts too, with the token that is printed.
+    for other hosts too, which need the token that is printed.
 --report [FILE.html]: Write an HTML page to a file whose name ends in .html, or to a default path,
     which is printed.
 --json FILE: Write the result as JSON; - is standard output.
 """
-"""What these are in every command that does not describe them itself. Of `--report`, None is no
-page, and an empty value the default file."""
+"""Help texts for every command that does not describe these itself. `--report`: None is no page,
+an empty value is the default file."""
 
 _WRITTEN: Final = {"report", "json", "csv"}
 """Options that name a file to write, with `-` for standard output."""
@@ -119,12 +119,11 @@ def changed_scenario(
 
 
 def add_command(app: typer.Typer, command: Callable[..., int | None], heading: str) -> None:
-    """Add a command whose options and arguments docstrings describe, and its example last of all.
+    """Add a command. Docstrings describe its options and arguments; its own ends with an example.
 
     `--option METAVAR 1..9 (parameter): help` describes a parameter of the command, or a field of a
-    dataclass that it takes. The name is left out where it is that of the option; a number may have
-    a range. `ARGUMENT (parameter): help` describes an argument. Each field of such a dataclass is
-    an option of its own.
+    dataclass that it takes: each field is an option. `(parameter)` is left out if it equals the
+    option's name; a number may have a range. `ARGUMENT (parameter): help` describes an argument.
     """
     taken = inspect.signature(command, eval_str=True).parameters.values()
     groups: dict[str, Any] = {
@@ -165,7 +164,7 @@ _HEAD: Final = re.compile(r"(--[\w-]+)? ?(\S*[A-Z]\S*)? ?(?:(\d*)\.\.(\d+))? ?(?
 
 
 def _described(text: str) -> tuple[str, dict[str, Any]]:
-    """Take the options and arguments out of a docstring; return the rest, and them by parameter."""
+    """Split a docstring into its text and the descriptions of parameters, by name."""
     rest, *entries = _ENTRY.split(text)
     found: dict[str, Any] = {}
     for entry in entries:

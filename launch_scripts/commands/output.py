@@ -49,9 +49,9 @@ def shared(
     description: str,
     scheduler: str | None = None,
 ) -> list[Outcome]:
-    """Apply a function to each item in a pool of processes, or of a Dask scheduler.
+    """Apply a function to each item in a pool of processes, or on a Dask cluster.
 
-    Returns the results in their order; shows in a terminal how many are done.
+    Returns the results in the order of the items; shows in a terminal how many are done.
     """
     from studies.workers import share_over_cluster, share_work
 
@@ -74,9 +74,9 @@ def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
 
 
 def publish(result: Result, files: ResultOptions, default: Path | str, *more: str) -> None:
-    """Write a result as JSON and as a page, where they are wanted; then print it, and more lines.
+    """Write a result as JSON and as a page, if asked to; then print it, and `more` lines.
 
-    The files come first: whoever reads the tables may leave before their end.
+    The files come first, since a pipe such as `| head` may close before the end of the tables.
     """
     write_json(result.document, files.json)
     if files.report is not None:

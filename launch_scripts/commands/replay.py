@@ -46,7 +46,7 @@ def replay(
         message when it was published (default after real time).
     --start-paused: Wait for the space bar.
     --loop: Begin again at the end.
-    --exclude NAMES: All signals but these; clock leaves out the replay's own clock.
+    --exclude NAMES: Leave these signals out; clock is the replay's own clock.
     --wait: Begin when somebody subscribes.
     --listen ENDPOINT: Where subscribers connect: tcp/127.0.0.1:7447; default a free port.
     --live NODES: Controllers to run live and to compare: c1/inv01,c2.

@@ -49,9 +49,9 @@ def timing(
 
     SCENARIO: A shipped scenario or a TOML file; or the folder or run.mcap of a real-time run, to
         report on it without a new run.
-    --rate RATES: Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the
-        highest rate that the plant keeps up with. Without --to and --duration a run
-        takes 60 s, 15 s for each of several rates.
+    --rate RATES: Cycles a second: one rate (20), several (5,10,20), or a range (1..200, auto) in
+        which to find the highest rate that the plant keeps up with. Without --to and --duration a
+        run takes 60 s, 15 s for each of several rates.
     --processes: Show each process as well as the tiers.
     Example: heliarch timing oahu --rate 20 --duration 60s --report
     """

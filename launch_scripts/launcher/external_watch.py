@@ -11,7 +11,7 @@ from bus_schemas.tree import PLANT
 
 
 def directions(plan: RunPlan, plan_path: Path, timeout_s: float) -> Iterator[str]:
-    """Yield lines that say how each of them can join."""
+    """Yield lines that say how each agent that the launcher does not start can join."""
     if not plan.elsewhere:
         return
     yield f"waiting up to {timeout_s:g} s for {', '.join(plan.elsewhere)}, plan: {plan_path}"
@@ -57,7 +57,7 @@ class ExternalWatch:
         }
 
     def hear(self, event: Presence, now: float, *, running: bool) -> str:
-        """Note that an agent has come or gone; return a message about it."""
+        """Note that an agent has appeared or disappeared; return a message about it."""
         agent = event.agent
         name = f"{agent} ({self._plan.addresses.get(agent, 'external')})"
         if agent == PLANT:
@@ -71,7 +71,7 @@ class ExternalWatch:
                 return f"{name} is here"
             if self._plan.lockstep:
                 self._gone_in[agent] = back
-                return f"{name} is back, but what it missed since cycle {back} does not come again"
+                return f"{name} is back, but what it missed since cycle {back} is lost"
             return f"{name} is back in cycle {event.cycle}, gone since cycle {back}"
         self._gone_in[agent] = event.cycle
         if not running:
@@ -91,7 +91,7 @@ class ExternalWatch:
         absent = [agent for agent in self._plan.elsewhere if agent in self._never_seen]
         return (
             f"no sign of {', '.join(absent)} after {self._timeout_s:g} s: no liveliness token was "
-            f"seen; where a device finds the bus is said above and in {self._plan_path}"
+            f"seen; the lines above and {self._plan_path} say where a device finds the bus"
         )
 
     def complain(self, complaint: Complaint) -> None:
@@ -100,9 +100,9 @@ class ExternalWatch:
             self._complaints.setdefault(complaint.key, complaint.example)
 
     def explain(self, failure: str, *, running: bool) -> str:
-        """Say how external agents may explain a run that does not begin or go on.
+        """Add to a failure how external agents may have caused it.
 
-        Before cycle 0 one that does not answer is the likely reason, and named first.
+        Before cycle 0 an agent that does not answer is the likely cause, so it comes first.
         """
         if not running and self._unheard:
             wrong = (f"wrong message on {key}: {text}" for key, text in self._complaints.items())
@@ -114,7 +114,7 @@ class ExternalWatch:
         return f"of the external agents {', '.join(gone)}{again}\n{failure}"
 
     def _silence(self) -> str:
-        """Say who does not answer the arming rounds, the most silent one first."""
+        """Name the agents that do not answer the arming rounds, the most silent one first."""
         silent: dict[str, list[str]] = {}
         for port in self._unheard:
             silent.setdefault(self._publisher_of.get(port, "one of them"), []).append(port)

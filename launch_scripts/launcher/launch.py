@@ -248,12 +248,12 @@ class _Launch:
         """Wait until all agents have ended; then let the recorder close its file."""
         longest_s = _PATIENCE_S + _PER_PROCESS_S * len(children.by_agent)
         if self._interruption or self._ended_early:
-            # A controller that hears of an early end waits whether the plant goes on after all.
+            # After an early end, a controller waits in case the plant goes on after all.
             children.ask_to_end([child.agent for child in children.controllers()])
         late = children.await_exit(children.controllers(), longest_s)
         silent_s = time.monotonic() - children[RECORDER].heard_at
         if late and silent_s > HEARTBEAT_S:
-            # In lockstep all wait for a recorder that stands still.
+            # In lockstep all agents wait for a recorder that hangs.
             raise children.failure(RECORDER, f"recorder has not been heard of for {silent_s:.0f} s")
         if late:
             names = some_of([child.agent for child in late])

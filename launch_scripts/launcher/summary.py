@@ -67,11 +67,10 @@ class ProcessAccount(msgspec.Struct, frozen=True):
 class RunSummary(LauncherAccount, frozen=True, kw_only=True):
     """The figures of a run.
 
-    `processes` is empty where the run was in one process. `messages` are those of the processes;
-    of external agents, which give no account of themselves, `external` tells what was heard.
-    `devices` tells what their gateway measured.
-    `takeovers` says how often a standby took each agent over. `health` is what its recording tells
-    of it, where somebody has gone through it.
+    `processes` is empty if the run was in one process. `messages` are those of the processes;
+    `external` is what was heard of external agents, which report nothing about themselves.
+    `devices` is what the gateway measured, `takeovers` how often a standby took each agent over.
+    `health` is None if the recording was not read.
     """
 
     scenario: str
@@ -147,7 +146,7 @@ class RunSummary(LauncherAccount, frozen=True, kw_only=True):
     def as_json(self) -> bytes:
         """Return the summary as JSON, with the figures that follow from others."""
         document = msgspec.to_builtins(self)
-        del document["health"]  # The recording tells it, to whoever asks `inspect`.
+        del document["health"]  # It follows from the recording: see `inspect`.
         document["cycles_per_s"] = self.cycles_per_s
         if self.metrics is not None:
             document["figures"] = figures_json(self.metrics)
@@ -164,9 +163,9 @@ def recorded_metrics(recording: Path) -> RunMetrics | None:
 
 
 def recorded_health(recording: Path, plan: RunPlan) -> Health | None:
-    """Return what a recording tells of how its run fared.
+    """Return the health of a run from its recording; None if it needs no look or cannot be read.
 
-    None: in lockstep nothing can be missing, unless a process was replaced or is not ours.
+    In lockstep nothing can be missing, unless a process was replaced or is not Heliarch's.
     """
     if plan.lockstep and not plan.restarts and not plan.elsewhere:
         return None
@@ -189,9 +188,9 @@ def count_messages(
 
 
 def without_external(recorded: Recorded) -> dict[str, int]:
-    """Return how many messages of each signal of the processes were recorded.
+    """Return how many messages of Heliarch's processes were recorded, by signal.
 
-    Those of external agents are set aside, and those of strangers on keys of the processes.
+    Messages of external agents do not count, nor those of strangers on keys of the processes.
     """
     counts = Counter(recorded.recorded)
     for account in recorded.external:

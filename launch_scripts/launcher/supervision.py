@@ -98,9 +98,9 @@ class ForkServerProcess(SideProcess):
         self.send_requests()
 
     def send_requests(self) -> None:
-        """Send what is asked, as far as there is room. A server that forks hundreds does not read.
+        """Send requests while there is room: a server that forks hundreds does not read.
 
-        To be called again and again: it must not wait, since the server may wait to be heard.
+        Call it repeatedly: it does not block, since the server may wait until its events are read.
         """
         self.control.setblocking(False)
         with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):
@@ -134,10 +134,10 @@ class Child:
     cpu_at_start_s: float | None = None
     """Its processor time when cycle 0 began [s]."""
     heard_at: float = 0.0
-    """When it said something last, monotonic [s]."""
+    """When its last event came, monotonic [s]."""
 
     def begin_again(self) -> None:
-        """Forget all that its process, which has ended, has said."""
+        """Forget all events of its process, which has ended."""
         self.pid, self.ready, self.cpu_at_start_s = 0, False, 0.0
         self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 
@@ -247,7 +247,7 @@ class Children:
         self.server.ask(Signal(tuple(agents), int(signal.SIGTERM)))
 
     def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
-        """Wait for processes to end; return those that have not, once they say nothing more."""
+        """Wait until processes end or send no events any more; return those that have not ended."""
         until = time.monotonic() + timeout_s
         left = [child for child in children if child.exited is None]
         while left and time.monotonic() < until:

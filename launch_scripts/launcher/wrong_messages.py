@@ -33,11 +33,11 @@ def wrong_messages(
     complaints: Iterable[Complaint],
     dropped: Iterable[tuple[str, str, int]],
 ) -> tuple[WrongMessages, ...]:
-    """Bring together what was complained of, those keys first of which it was most.
+    """Return the wrong messages of a run by key and cause, the most frequent first.
 
-    The complaints are those of the recorder; the plant's name is left out of their keys. Of what
-    agents dropped (port, cause and number), only ports of external agents count: what comes late
-    from a process is the machine's fault.
+    complaints: Those of the recorder; the plant's name is left out of their keys.
+    dropped: What agents dropped: port, cause and number. Only ports of external agents count: a
+        late message of a process is the machine's fault.
     """
     publishers = {str(port): port.publisher for port in plan.wiring.ports}
     theirs = {port for port, publisher in publishers.items() if publisher in plan.external}
@@ -57,7 +57,7 @@ def wrong_messages(
 
 
 def one_line_each(wrong: Iterable[WrongMessages]) -> tuple[WrongMessages, ...]:
-    """Bring keys of an agent together that were wrong in one way; most messages come first.
+    """Merge an agent's keys that were wrong in the same way; most messages come first.
 
     A device that does one thing wrong does it on all of its keys: that is one thing to read.
     """

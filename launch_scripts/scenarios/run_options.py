@@ -1,6 +1,6 @@
-"""What the command line says of a run: which part of a scenario, what is different, and how.
+"""Options of a run: which part of a scenario runs, what differs from the scenario, and how.
 
-None leaves it as the scenario has it. `add_command` reads the docstrings.
+None: as in the scenario. `add_command` reads the docstrings.
 """
 
 from __future__ import annotations

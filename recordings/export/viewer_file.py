@@ -42,7 +42,7 @@ class ViewerFile:
             )
             for signal in signals
         }
-        self._keys = reader.plan.keys
+        self._keys = reader.plan.wiring
         self._channels: dict[Port[Message], int] = {}
 
     @property

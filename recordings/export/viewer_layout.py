@@ -17,7 +17,7 @@ _SHOWN_S: Final = 300
 
 def viewer_layout(plan: RunPlan) -> dict[str, object]:
     """Return a layout: the plant's power, its clusters, and the first inverter."""
-    key, tree = plan.keys.key, plan.tree
+    key, tree = plan.wiring.key, plan.tree
     clusters = tree.children(ROOT)[:_MOST_LINES]
     inverter = tree.leaves[0]
     made = key(PRODUCTION.of(ROOT))

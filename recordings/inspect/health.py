@@ -66,9 +66,9 @@ class Misses(msgspec.Struct, frozen=True):
 
 
 class WrongMessages(msgspec.Struct, frozen=True):
-    """Messages of one key that were wrong in one way, with what is to be said of the first one.
+    """Messages of one key that were wrong in one way, with an explanation of the first one.
 
-    `publisher` is who may publish on the key; empty, where the run has no such key.
+    `publisher` is the agent that may publish on the key; empty: the run has no such key.
     """
 
     key: str
@@ -79,12 +79,12 @@ class WrongMessages(msgspec.Struct, frozen=True):
 
 
 class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
-    """What only the launcher knows of how a run fared; it is in the run's summary.
+    """The part of a run's health that only the launcher knows, from the run's summary.
 
     dropped: Messages that agents could not use, by cause.
     restarts: How often each process was started again.
     skipped_cycles: Cycles that were over before a process came to them.
-    recording_ended: Why the recording does not go up to the end; empty if it does.
+    recording_ended: Why the recording stops before the run's end; empty if it does not.
     """
 
     run_id: str
@@ -101,12 +101,11 @@ Account = TypeVar("Account", bound=LauncherAccount)
 class Health(msgspec.Struct, frozen=True):
     """How a run fared.
 
-    `faults` are what all rules for the network did to messages, by kind. `lost` are messages that
-    the sequence numbers leave out, by port, most first; `repeated` ones came again. Misses are by
-    agent, most first, the first absences in the order of time. The run has `ended` if the recording
-    goes up to its end; `failure` is why the launcher gave up. `launcher` is what only the summary
-    knows; None if there is none beside the recording. `devices` is what was measured of real
-    inverters.
+    `faults` counts what all rules did to messages, by kind. `lost` counts messages that the
+    sequence numbers leave out, by port, most first; `repeated` those that came again. `misses` are
+    by agent, most first; `absences` are in the order of time. `ended`: the recording goes up to the
+    run's end. `failure`: why the launcher gave up. `launcher` is None without a summary beside the
+    recording. `devices` is what was measured of real inverters.
     """
 
     fault_acts: tuple[FaultAct, ...]
@@ -128,12 +127,12 @@ class Health(msgspec.Struct, frozen=True):
 
     @property
     def missing_inputs(self) -> int:
-        """Inputs that all agents but external ones missed at their deadlines."""
+        """Number of inputs that agents missed at their deadlines, without external agents."""
         return sum(found.inputs for found in self.misses if not found.external)
 
     @property
     def old_inputs(self) -> int:
-        """Older messages that they used."""
+        """Number of older messages that they used instead."""
         return sum(found.old for found in self.misses if not found.external)
 
 
@@ -182,7 +181,7 @@ class HealthWatch:
         self._missed.see(record)
 
     def health(self, run: RunReader, cycle: int) -> Health:
-        """Return how the run fared, which ended before a cycle, with what its folder tells."""
+        """Return the health of the run, which ended before `cycle`, with what its folder tells."""
         self.gaps.end(cycle)
         for agent, last in self._last_cycle.items():
             # A run that broke off has not completed its last cycle.
@@ -227,7 +226,7 @@ class HealthWatch:
                 self._tally.count(self._faults.fates(port, listener, message))
 
     def _see_agent(self, agent: str, cycle: int, joined: int | None) -> None:
-        """Note if an agent was absent, or if another process of it joined in some cycle."""
+        """Note that an agent was absent, or that a new process of it joined."""
         last = self._last_cycle[agent]
         if cycle > last:
             self._last_cycle[agent] = cycle
@@ -240,7 +239,7 @@ class HealthWatch:
             self._note(Absence(agent, None, None, joined, True, by_standby))
 
     def _note(self, absence: Absence) -> None:
-        """Keep an absence; of many the short ones are counted."""
+        """Keep an absence; beyond `LISTED_GAPS` the shortest are only counted."""
         self._absences.append(absence)
         if len(self._absences) > LISTED_GAPS:
             self._absences.remove(min(self._absences, key=lambda one: one.weight))
@@ -275,12 +274,12 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     if recorder := launcher.restarts.get(RECORDER) if launcher else None:
         yield "absent", f"{RECORDER} restarted {recorder:,} time{'s' if recorder > 1 else ''}"
     elif not health.absences:
-        yield "absent", "nobody restarted, died, or missed a cycle"
+        yield "absent", "no agent restarted, died, or missed a cycle"
     yield from (("devices", text) for text in _devices_texts(health.devices))
     if health.failure:
         yield "run", f"failed: {health.failure}"
     else:
-        end = "ended in order" if health.ended else "the recording does not go up to its end"
+        end = "ended in order" if health.ended else "the recording stops before the run's end"
         yield "run", launcher.recording_ended if launcher and launcher.recording_ended else end
 
 
@@ -310,7 +309,7 @@ def counts_text(counts: dict[str, int]) -> str:
 
 
 def _named(counts: Mapping[str, int]) -> str:
-    """Name the first of some counts."""
+    """List the first counts with their names."""
     return some_of([f"{name} {count:,}" for name, count in counts.items()], _NAMED)
 
 

@@ -1,4 +1,4 @@
-"""What is missing in a recording: messages, told by their numbers, and cycles without a message.
+"""What is missing in a recording: messages, by gaps in their numbers, and cycles without a message.
 
 Every message has a number on its key, from 0 on. This is the one place that counts what the
 numbers leave out: `inspect`, `recover`, `verify` and the recorder all use it.
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from recordings.read.reader import RunReader
 
 LISTED_GAPS: Final = 100
-"""So many gaps are kept with their place; the rest is counted."""
+"""This many gaps are kept with their place; the rest are only counted."""
 
 
 class Gap(msgspec.Struct, frozen=True):
@@ -32,7 +32,7 @@ class Gap(msgspec.Struct, frozen=True):
 
 
 def due_step(plan: RunPlan, port: Port[Message]) -> int:
-    """Return in every how many cycles a message is due; 0 where it comes when it is needed."""
+    """Return the cycles from one due message to the next; 0: it comes when it is needed."""
     comes_regularly = port.signal.occurrence in {Occurrence.CYCLE, Occurrence.TURN}
     return plan.period(port) if comes_regularly else 0
 
@@ -40,17 +40,17 @@ def due_step(plan: RunPlan, port: Port[Message]) -> int:
 class PortGaps:
     """The messages of one port, and what is missing between them.
 
-    The messages of each incarnation are numbered from 0. What a process that was replaced still
-    sends is not counted. Of one incarnation, a lower number than expected in a newer cycle is that
-    of a device that has restarted. In the same or an older cycle it is a message that came again.
+    The messages of each incarnation are numbered from 0. Numbers of a process that was replaced are
+    ignored. A number lower than expected means that a device has restarted, if the cycle is newer;
+    if not, that a message came again.
 
-    step: In every how many cycles a message is due; 0: it comes when it is needed.
-    first_cycle: Messages of earlier cycles are not missing.
+    step: Cycles from one due message to the next; 0: messages come when they are needed.
+    first_cycle: Messages of earlier cycles do not count as missing.
 
-    messages, lost, repeated: Messages that came, those that the numbers leave out, and those that
-        came again.
-    missing: Cycles in which a message was due and none came.
-    newest: The newest cycle of a message; the one before the first, if there is none.
+    messages, lost, repeated: How many messages came, how many numbers were left out, and how many
+        messages came again.
+    missing: Number of cycles in which a message was due and none came.
+    newest: Newest cycle of a message; `first_cycle` - 1 if there is none.
     """
 
     __slots__ = (
@@ -67,7 +67,7 @@ class PortGaps:
         self._expected: int | None = None if first_cycle else 0
 
     def see(self, cycle: int, sequence: int, incarnation: int = 0) -> range:
-        """Take in a message; return the cycles before it in which one was due and none came."""
+        """Count a message; return the cycles before it in which one was due and none came."""
         self.messages += 1
         if self._expected is None:
             self._expected, self._incarnation = sequence, incarnation
@@ -84,7 +84,7 @@ class PortGaps:
         return self.end(cycle)
 
     def end(self, cycle: int) -> range:
-        """Return the cycles up to just before one in which a message was due and none came."""
+        """Return the cycles before this one in which a message was due and none came."""
         if not self._step or cycle <= self._due:
             return range(0)
         gap = range(self._due + self._step, cycle, self._step)
@@ -97,7 +97,7 @@ class RunGaps:
     """What is missing in a run, port by port."""
 
     def __init__(self, plan: RunPlan, first_cycle: int = 0) -> None:
-        logged = sorted((port for port in plan.keys.ports if port.signal.logged), key=str)
+        logged = sorted((port for port in plan.wiring.ports if port.signal.logged), key=str)
         self.ports = {port: PortGaps(due_step(plan, port), first_cycle) for port in logged}
         self.gaps: list[Gap] = []
         self.more_gaps = 0

@@ -24,10 +24,10 @@ from recordings.read.chunks import BROKEN, RECORD_HEAD, ChunkPlace, chunk_at, un
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _FOOTER: Final = Struct("<BQQQI")
-"""At the end: opcode, length, where the index begins and its offsets, checksum of the index."""
+"""The footer: opcode, length, begin of the index, begin of its offsets, checksum of the index."""
 
 _CHUNK_INDEX: Final = Struct("<QQQQ")
-"""Of the index of a chunk: first and last log time, where it begins, length of its record."""
+"""In the index of a chunk: its first and last log time, where it begins, length of its record."""
 
 _OPCODES: Final = frozenset(Opcode)
 _BLOCK: Final = 1 << 20
@@ -80,8 +80,6 @@ class Outline:
 
     def go_on(self, other: Outline) -> None:
         """Go on with the outline of a further file."""
-        if self.chunks and self.chunks[-1].cut:
-            self.chunks.pop()
         self.file += 1
         self.chunks += [place._replace(file=self.file) for place in other.chunks]
         self.channels, self.schemas = self.channels or other.channels, self.schemas or other.schemas
@@ -90,7 +88,7 @@ class Outline:
 
 
 def read_outline(file: BinaryIO) -> Outline:
-    """Find out what an MCAP file consists of. An empty one was cut before its first byte."""
+    """Return what an MCAP file consists of. An empty file counts as cut."""
     size = file.seek(0, SEEK_END)
     file.seek(0)
     magic = file.read(len(MAGIC))
@@ -145,7 +143,7 @@ def _checksum(file: BinaryIO, begin: int, end: int) -> int:
 def walk_on(outline: Outline, file: BinaryIO) -> None:
     """Go from record to record, to the end of the file or to its cut.
 
-    Once more for the same outline: on from there, since a file that is being written grows.
+    A second call goes on from there, since a file that is being written grows.
     """
     outline.size = size = file.seek(0, SEEK_END)
     if outline.chunks and outline.chunks[-1].cut:
@@ -200,7 +198,7 @@ def _enter(outline: Outline, record: records.McapRecord) -> None:
 
 def _records_in(content: bytes) -> Iterator[records.McapRecord]:
     """Yield the records that some bytes hold, up to a damaged one."""
-    with suppress(*BROKEN):  # So says the library that they are over, too.
+    with suppress(*BROKEN):  # The library raises at the end, too.
         yield from StreamReader(BytesIO(content), skip_magic=True).records
 
 

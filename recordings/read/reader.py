@@ -95,15 +95,15 @@ def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
 
 
 class RunReader:
-    """A recording of a run; of one that was cut, everything up to the cut.
+    """A recording of a run; if it was cut, everything up to the cut.
 
-    Where the recorder was started again, `run-2.mcap` and further files are taken as one with it.
+    If the recorder was started again, `run-2.mcap` and further files belong to the recording.
 
-    It is `whole` if each file was closed in order and has its index. `damage` are the damaged
-    chunks that were skipped so far, `read_share` is how far the reading has come, 0 to 1, and
-    `file_number` in which of the `files`. `follow` is called with it now and then.
+    `whole`: each file was closed in order and has its index. `damage`: the damaged chunks skipped
+    so far. `read_share`: the share read so far, 0 to 1; `follow` is called with it now and then.
+    `file_number`: the file that is being read.
 
-    Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
+    Memory: the largest chunk, and some 300 bytes for each chunk of the file.
     """
 
     def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
@@ -133,12 +133,12 @@ class RunReader:
         self.whole = self.outline.indexed
 
     def join(self) -> None:
-        """Take in the files of recorders that were started again."""
+        """Add the files of recorders that were started again."""
         while (path := further_file(self.path, len(self.files) + 1)).exists():
             file = path.open("rb")
             outline = read_outline(file)
             run_id = outline.metadata.get("run", {}).get("run_id")
-            # One that is empty, or cut that early, was of a recorder that was killed at once.
+            # A file that is empty, or cut that early, is of a recorder that was killed at once.
             is_next = outline.cut_early if run_id is None else run_id == self.plan.run_id
             if not is_next:
                 file.close()
@@ -173,7 +173,7 @@ class RunReader:
         places = find_nodes(self.plan.tree, nodes) or self.plan.tree.nodes
         return frozenset(
             port
-            for port in self.plan.keys.ports
+            for port in self.plan.wiring.ports
             if port.signal.logged and port.signal in wanted and port.node in places
         )
 
@@ -234,7 +234,7 @@ class RunReader:
     @cached_property
     def channels(self) -> dict[int, Port[Message]]:
         """Ports by the numbers of their channels, which are known from the first chunk on."""
-        port_at = self.plan.keys.port
+        port_at = self.plan.wiring.port
         found = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
         return {number: port for number, port in found.items() if port is not None}
 
@@ -257,13 +257,13 @@ class RunReader:
 
     @cached_property
     def stop_cycle(self) -> int | None:
-        """The cycle before which the plant ended the run; None: the recording does not tell."""
+        """The cycle before which the plant ended the run; None: that is not recorded."""
         runs = self.on([RUN.of(ROOT)], range(max(self.last_cycle, 0), _MOST_CYCLES))
         stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
         return end_of_run(stops, self.last_cycle)
 
     def followed_chunks(self, begin: int = 0) -> Iterator[ChunkPlace]:
-        """Yield the chunks from one on, and say now and then how far that is."""
+        """Yield the chunks from one on, and tell `follow` now and then how far the reading is."""
         count = len(self.outline.chunks)
         for number, place in enumerate(self.outline.chunks[begin:], start=begin):
             self.read_share = number / count

@@ -91,7 +91,7 @@ class RunClock:
         )
 
     def _cycle_at(self, text: str) -> int:
-        """Return the cycle of a time that is no number, -1 if the run has none; may refuse it."""
+        """Return the cycle of a time that is not a cycle's number; -1: it is not in the run."""
         since_start_s = duration_s(text)
         if since_start_s is not None:
             return round(min(since_start_s, 2 * LONGEST_S) * _SECOND_NS) // self._plan.cycle_ns
@@ -107,13 +107,13 @@ class RunClock:
         return inside[0] if inside else -1
 
     def _on_each_day(self, clock: time) -> list[datetime]:
-        """Return a time of day on all days of the run."""
+        """Return a time of day on each day of the run."""
         first, last = self.local(0).date(), self.local(max(self._last_cycle, 0)).date()
         days = range((last - first).days + 1)
         return [datetime.combine(first + timedelta(days=n), clock) for n in days]
 
     def _cycles_of(self, moment: datetime) -> Iterator[int]:
-        """Yield the cycle of a local time, or both where clocks are put back over it."""
+        """Yield the cycle of a local time, or two if clocks were put back over it."""
         first = moment if moment.tzinfo else moment.replace(tzinfo=self._zone)
         second = first.replace(fold=1)
         if first.timestamp() > second.timestamp():

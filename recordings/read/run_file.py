@@ -54,7 +54,7 @@ def channels(plan: RunPlan) -> dict[Port[Message], Channel]:
     return {
         port: Channel(
             id=number,
-            topic=plan.keys.key(port),
+            topic=plan.wiring.key(port),
             message_encoding="msgpack",
             schema_id=_NUMBER_OF[port.signal],
             metadata={"signal": port.signal.name, "node": port.node},
@@ -89,7 +89,7 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
         _check_times(plan)
     except (InputError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: plan.json: {error}") from None
-    # Nothing depends on the scenario, which may be damaged: the plan has what the run was.
+    # The scenario may be damaged: nothing depends on it, since the plan describes the run.
     return attachments.get("scenario.toml", b"").decode(errors="replace"), plan
 
 

@@ -16,11 +16,11 @@ class ExternalAgents:
 
     def __init__(self, plan: RunPlan) -> None:
         self.heard = 0
-        self._agent_of = {plan.keys.alive_key(agent): agent for agent in plan.elsewhere}
+        self._agent_of = {plan.wiring.alive_key(agent): agent for agent in plan.elsewhere}
         self._recorded: dict[str, Counter[str]] = {agent: Counter() for agent in plan.elsewhere}
         theirs = [port for port in ports(plan.tree) if port.publisher in plan.elsewhere]
         self._gaps = {port: PortGaps() for port in theirs}
-        # In every how many cycles a message must come on a port, whatever is decided.
+        # Ports whose messages come regularly, with the cycles from one to the next.
         self._steps = {port: step for port in theirs if (step := due_step(plan, port))}
         self._last_cycle = dict.fromkeys(theirs, -1)
         self._answers: Counter[Port[Message]] = Counter()
@@ -50,7 +50,7 @@ class ExternalAgents:
         return is_first
 
     def have_answered(self, cycles: int) -> bool:
-        """Return whether all that is due in so many cycles has come, up to the last of them."""
+        """Return whether the last message due in so many cycles has come on each port."""
         return all(
             self._last_cycle[port] >= (cycles - 1) // step * step
             for port, step in self._steps.items()

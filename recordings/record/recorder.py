@@ -51,11 +51,11 @@ _NAP_S: Final = 0.005
 _STATUS_S: Final = 0.25
 _MOST_AT_ONCE: Final = 2000
 _IDLE_S: Final = 2.0
-"""How long in all the recorder naps at the end before it stops waiting for what has not come."""
+"""How long in all the recorder waits at the end for messages that do not come."""
 
 _MOST_AFTER_END: Final = 100_000
-"""Messages of others than the launcher's processes that are still recorded at the end: all that can
-wait of a device's flood, some 45,000 here, but not a flood without end."""
+"""How many messages from outside the launcher's processes are still recorded at the end: more than
+a flooding device can have waiting (some 45,000 here), but not an endless flood."""
 
 _STOP_WAIT_S: Final = 0.5
 """How long a stop before the run's last cycle may be contradicted by the plant, and more in real
@@ -108,7 +108,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
             with RunReader(first) as before:
                 anchor, last_cycle = ClockAnchor.of(before.metadata), before.last_cycle
         writer = RunWriter(path, plan, scenario, driver="launch", anchor=anchor, on_end=on_end)
-        with ZenohTap(RECORDER, plan.keys, session_settings(plan, RECORDER)) as tap:
+        with ZenohTap(RECORDER, plan.wiring, session_settings(plan, RECORDER)) as tap:
             link.tell(Joined())
             if not plan.lockstep:
                 stand_back()
@@ -170,18 +170,18 @@ class Recorder:
         self._idle_s = 0.0
         self._others_left = _MOST_AFTER_END
         self._senders = SecondSenders(
-            (port for port in plan.keys.ports if port.signal.is_cyclic or port.signal is RUN),
+            (port for port in plan.wiring.ports if port.signal.is_cyclic or port.signal is RUN),
             plan.standbys,
         )
         self._extra: Counter[str] = Counter()
         self._first = first
         self._round = Round(plan)
         self._round.answered = first is not None
-        self._port_of = {plan.keys.key(port): port for port in plan.keys.ports}
+        self._port_of = {plan.wiring.key(port): port for port in plan.wiring.ports}
         # These are decoded, the others are only written down.
         self._read = {
             port
-            for port in plan.keys.ports
+            for port in plan.wiring.ports
             if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.elsewhere
         }
 
@@ -285,13 +285,13 @@ class Recorder:
             if not is_first and port.signal.is_cyclic:
                 wrong = wrong or (REPEATED, f"it came again for cycle {message.cycle}")
         if wrong:
-            self.complaints.add(self._plan.keys.key(port), *wrong)
+            self.complaints.add(self._plan.wiring.key(port), *wrong)
             if not is_external:
                 self._extra[port.signal.name] += 1
         elif message is None:
             self.monitor.see_head(port, head.cycle)
         elif is_external and (absurd := absurdity(self._plan, port, message, heard_ns)):
-            self.complaints.add(self._plan.keys.key(port), ABSURD, absurd)
+            self.complaints.add(self._plan.wiring.key(port), ABSURD, absurd)
         else:
             self._follow(port, message)
 
@@ -324,7 +324,7 @@ class Recorder:
         """Complain of a stop before a cycle that the plant has begun."""
         self._stop_cycle, self._over_at = None, inf
         text = f"it stops the run before cycle {cycle}, and cycle {self._newest_cycle} has begun"
-        self.complaints.add(self._plan.keys.key(RUN.of(ROOT)), TWO_SENDERS, text)
+        self.complaints.add(self._plan.wiring.key(RUN.of(ROOT)), TWO_SENDERS, text)
         if PLANT not in self._plan.external:
             self._extra[RUN.name] += 1
 

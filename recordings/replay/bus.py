@@ -42,7 +42,7 @@ class ReplayBus:
         self._outbox = Outbox()
         self._publishers = {
             port: self.session.declare_publisher(
-                plan.keys.key(port),
+                plan.wiring.key(port),
                 encoding=ENCODING,
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 reliability=zenoh.Reliability.RELIABLE,

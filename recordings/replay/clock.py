@@ -10,8 +10,8 @@ from agents.plan import RunPlan
 from recordings.read.reader import RecordedMessage
 
 ClockKind: TypeAlias = Literal["sim", "wall"]
-"""`sim`: a cycle begins when it does in simulated time, and within it messages are as far apart as
-they were published. `wall`: all messages are as far apart as they were published."""
+"""`sim`: a cycle begins at its simulated time; within it, messages are as far apart as when they
+were published. `wall`: all messages are as far apart as when they were published."""
 
 CLOCKS: Final[dict[ClockKind, str]] = {"sim": "simulated time", "wall": "recorded publish times"}
 
@@ -19,7 +19,7 @@ CLOCKS: Final[dict[ClockKind, str]] = {"sim": "simulated time", "wall": "recorde
 def positions(
     records: Iterable[RecordedMessage], plan: RunPlan, kind: ClockKind
 ) -> Iterator[tuple[int, RecordedMessage]]:
-    """Yield messages with their positions on a clock [ns]; only differences have a meaning.
+    """Yield messages with their positions on a clock [ns]; only differences matter.
 
     No position is before that of an earlier message.
     """

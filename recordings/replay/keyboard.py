@@ -17,7 +17,7 @@ from typing import Final, TypeAlias
 KEYS_IN_WORDS: Final = "space pauses, s steps a cycle, + - pace, arrows seek (10 s, 1 min), q ends"
 
 UP, DOWN, RIGHT, LEFT = "A", "B", "C", "D"
-"""Arrow keys, as a terminal names them; the other keys are their characters."""
+"""Arrow keys, by the end of their escape sequences; the other keys are their characters."""
 
 _KEYS: Final = re.compile(rb"\x1b[\[O]([A-D])|([ s+=q-])")
 _UNFINISHED: Final = re.compile(rb"\x1b[\[O]?$")

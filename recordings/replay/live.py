@@ -110,7 +110,7 @@ class LiveBus(ReplayBus):
         children: Children,
         interruption: Interruption,
     ) -> None:
-        keys = plan.keys
+        keys = plan.wiring
         of_live = [port for port in keys.ports if port.publisher in live]
         others = [port for port in keys.ports if port.publisher not in {REPLAYER, *live}]
         super().__init__(plan, others, f"tcp/127.0.0.1:{tcp_port}")
@@ -190,7 +190,7 @@ class LiveBus(ReplayBus):
 
     def _first_messages(self, reader: RunReader) -> dict[Port[Message], Message]:
         """Return the first message of each port on which the others publish in every cycle."""
-        others = (port for port in self._plan.keys.ports if port.publisher not in self._live)
+        others = (port for port in self._plan.wiring.ports if port.publisher not in self._live)
         wanted = {port for port in others if due_step(self._plan, port)}
         first: dict[Port[Message], Message] = {}
         for record in in_publish_order(reader, wanted, before_cycle=_EARLY_CYCLES):

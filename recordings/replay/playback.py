@@ -40,7 +40,7 @@ _SEEK_S: Final = {LEFT: -10.0, RIGHT: 10.0, DOWN: -60.0, UP: 60.0}
 """How far a key seeks, in simulated time."""
 
 _LATEST_NS: Final = 3_600_000_000_000
-"""Lateness beyond it counts as this."""
+"""Greater lateness counts as this."""
 
 
 def replay_recording(
@@ -64,7 +64,7 @@ def replay_recording(
     `rate` is in seconds of the clock per second; 0: as fast as possible.
     """
     span = reader.clock.span(start, end)
-    # Lockstep takes no time for a cycle, so only simulated time shows a run as the plant had it.
+    # A lockstep cycle has no length of its own, so only simulated time shows the plant's run.
     kind: ClockKind = clock or ("sim" if reader.plan.lockstep else "wall")
     with (
         interruptible() as interruption,
@@ -101,10 +101,10 @@ def replay_recording(
 
 @dataclass(eq=False)
 class Playback:
-    """Plays the cycles from one to just before another (None: to the end) onto the bus.
+    """Publishes the cycles from one to just before another (None: to the end).
 
-    It counts the messages that were published and the cycles that were begun, and keeps how late
-    messages were sent: not those of steps, nor any at rate 0.
+    Counts published messages and begun cycles. Keeps how late messages were sent, except in steps
+    and at rate 0.
     """
 
     reader: RunReader
@@ -146,7 +146,7 @@ class Playback:
         self._line.end()
 
     def timing_error(self) -> dict[str, float] | None:
-        """Print how much later than due messages were sent; return it for JSON, None: none was."""
+        """Print how late messages were sent; return it for JSON, None if it is not known."""
         late, count = self._late, self._late.get_total_count()
         if not count:
             return None
@@ -169,11 +169,11 @@ class Playback:
 
     @property
     def _here(self) -> int:
-        """The cycle of the next message; behind the last one, its own."""
+        """The cycle of the next message; at the end, that of the last one."""
         return self._cycle if self._next is None else self._next.cycle
 
     def _is_due(self, record: RecordedMessage) -> bool:
-        """Whether the next message is due; if not, wait for a little."""
+        """Whether the next message is due; if not, wait a little."""
         if self.clock.paused:
             return record.cycle <= self._step_to
         left_s = (self.clock.due_ns(self._position_ns) - self.clock.now_ns()) / 1e9

@@ -1,4 +1,4 @@
-"""A process of an agent, which the driver takes through the recorded stages once more."""
+"""A process of an agent, whose recorded stages the driver runs again."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Messages: TypeAlias = dict[Port[Message], Message]
 
 
 class RecordedInputs:
-    """The bus of one process, from a recording: it brings what a stage used, and nothing else.
+    """A bus for one process: it delivers the recorded inputs of a stage, and nothing else.
 
-    sent: What the agent publishes, by cycle and stage.
+    sent: What the agent published, by cycle and stage.
     """
 
     def __init__(self, stage_of: Mapping[Port[Message], str]) -> None:
@@ -38,17 +38,17 @@ class RecordedInputs:
 
 @dataclass
 class Process:
-    """A process of an agent: an incarnation.
+    """A process of an agent, that is, one incarnation.
 
     stage_of: The stage in which it publishes on each port.
     remembers: Whether the agent remembers earlier cycles.
-    began_in: Cycle in which a standby took over, maybe after its first stage; others have -1.
-    is_over: Whether what the agent knows is not certain any more.
+    began_in: Cycle in which it took over as standby, maybe after the first stage; -1: no standby.
+    is_over: Whether its state is uncertain, so that nothing more is compared.
     heard: Newest cycle of each input.
     sequence: Number of the next message of each port.
     spoke: Cycle of the last recorded message of each port.
-    unsent: Messages of its last cycle that are not recorded, with stage and inputs: if it was
-        killed there, nothing is wrong.
+    unsent: Messages of its last cycle that are not recorded, with stage and inputs. If it was
+        killed there, they are no difference.
     """
 
     loop: AgentLoop[Any]
@@ -72,7 +72,7 @@ class Process:
         self._driver.join(self.loop)
 
     def close(self, cycle: int, stage: str, inputs: Messages) -> None:
-        """Let a stage of a cycle close on its inputs, and with it those that await nothing more."""
+        """Close a stage of a cycle on its inputs, and the following ones that await nothing."""
         loop, place = self.loop, (cycle, stage)
         if (loop.cycle, loop.stage) == place:
             # What the stage awaits comes last, since that closes it.
@@ -86,9 +86,9 @@ class Process:
             self._driver.turn()
 
     def sent(self, cycle: int, stage: str) -> list[Delivery]:
-        """Return, once, what the agent has published in a stage of a cycle."""
+        """Return what the agent has published in a stage of a cycle, and forget it."""
         return self._bus.sent.pop((cycle, stage), [])
 
     def twin(self) -> Process:
-        """Return a process in the same state, which goes its own way from here."""
+        """Return an independent process in the same state."""
         return replace(self, loop=self.loop.twin())

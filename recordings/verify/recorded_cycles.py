@@ -63,7 +63,7 @@ class RecordedCycles:
         self._cycles = plan.cycles
         self._broke_off = stop_cycle is None
         self._end = plan.cycles if stop_cycle is None else stop_cycle
-        self._most_waiting = max(most_waiting, len(plan.keys.ports) * (plan.periods.longest + 2))
+        self._most_waiting = max(most_waiting, len(plan.wiring.ports) * (plan.periods.longest + 2))
         self._newest = {agent: -1 for agent in plan.tree.agents() if agent != RECORDER}
         self._waiting: dict[int, RecordedCycle] = {}
         self._waiting_messages = 0
@@ -71,7 +71,7 @@ class RecordedCycles:
         self._incarnation: dict[Port[Message], int] = {}
         self.takeovers: dict[tuple[str, int], Takeover] = {}
         self.heard: dict[Port[Message], dict[int, list[Message]]] = {
-            port: {} for port in plan.keys.ports
+            port: {} for port in plan.wiring.ports
         }
         self._most_heard = plan.hold_cycles + 2
 

@@ -87,7 +87,7 @@ class AgentRerun:
         self.findings.leave_out(cycle, left)
 
     def end(self) -> None:
-        """Take the end of the run for what it is: nobody was killed there and replaced."""
+        """Compare what the last process did not send: the run ended, nothing killed it."""
         if self._processes:
             self._incarnation = max(self._processes)
             self._compare_unsent()
@@ -106,7 +106,7 @@ class AgentRerun:
     def _outputs(self, cycle: int) -> dict[int, dict[str, Messages]]:
         """Return what each process of the agent published in a cycle, by stage.
 
-        If it published nothing, the one that did so last is there.
+        If none published anything, the one that published last is there.
         """
         found: dict[int, dict[str, Messages]] = {}
         self._rivals = {}
@@ -134,7 +134,7 @@ class AgentRerun:
         if takeover is not None:
             loop.resume(takeover)
         began_in = -1 if takeover is None else cycle
-        # A takeover may be what was not recorded.
+        # The takeover itself may not be recorded.
         is_certain = takeover is not None or not cycle or not self._was_away(self.name, cycle)
         is_over = remembers and not is_certain
         return Process(
@@ -169,11 +169,12 @@ class AgentRerun:
     def _run_stages(
         self, cycle: int, stages: Sequence[Stage], recorded: dict[str, Messages]
     ) -> None:
-        """Run stages again that close together."""
+        """Run again the stages that close together."""
         process = self._process
         first = stages[0].name
-        if cycle == process.began_in:  # Before it took over, a standby said nothing.
+        if cycle == process.began_in:  # Before it took over, a standby published nothing.
             stages = [stage for stage in stages if stage.name in recorded]
+        self._compared = ""
         inputs: Messages = {}
         lost = {
             stage.name: self._find_inputs(cycle, stage, recorded.get(stage.name, {}), inputs)
@@ -182,7 +183,6 @@ class AgentRerun:
         if self._choices and any(recorded.get(stage.name) for stage in stages):
             self._choose_inputs(cycle, first, inputs, recorded)
         self._inputs |= inputs
-        self._compared = ""
         process.close(cycle, first, inputs)
         for stage in stages:
             outputs = process.sent(cycle, stage.name)
@@ -197,11 +197,9 @@ class AgentRerun:
     def _find_inputs(
         self, cycle: int, stage: Stage, recorded: Messages, inputs: Messages
     ) -> dict[Port[Message], str]:
-        """Find the messages that a stage used; return the ports where that is not known.
+        """Add the messages that a stage used to `inputs`; return the ports of unknown ones.
 
-        Each with what is wrong; empty: nothing, the recorder was away.
-
-        inputs: The messages are added here.
+        Each port comes with what is wrong; empty: nothing, the recorder was away.
         """
         process = self._process
         missing = next(iter(recorded.values())).missing if recorded else ()
@@ -231,9 +229,9 @@ class AgentRerun:
     def _choose_inputs(
         self, cycle: int, stage: str, inputs: Messages, recorded: dict[str, Messages]
     ) -> None:
-        """Of inputs that two processes of an agent sent, take those that the outputs show.
+        """If two processes of an agent sent an input, choose the one that gives the outputs.
 
-        An earlier stage of the cycle may have heard some of them without showing which.
+        An earlier stage of the cycle may have heard it already without showing which it was.
         """
         for chosen in islice(product(*self._choices.values()), _MOST_CHOICES):
             tried = dict(zip(self._choices, chosen, strict=True))
@@ -252,9 +250,9 @@ class AgentRerun:
         _use(tried, self._process, inputs)
 
     def _doubt(self, cycle: int, stage: Stage, lost: dict[Port[Message], str]) -> None:
-        """Take in that a stage used, or sent, what is not recorded.
+        """Note that a stage used or sent a message that is not recorded.
 
-        What the agent knows from here on is not certain.
+        From here on the agent's state is uncertain.
         """
         for port, kind in lost.items():
             if kind and self._lost.get(port) != cycle:  # Both stages of a cycle may use it.
@@ -332,7 +330,7 @@ class AgentRerun:
 
 
 def _closing_together(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
-    """Yield the stages of a cycle, those in one list that await nothing after the first."""
+    """Yield the stages of a cycle in lists: one stage, and those after it that await nothing."""
     together: list[Stage] = []
     for stage in stages:
         if together and (stage.awaits or stage.timed):

@@ -132,8 +132,8 @@ def closed_loop(
     estimates = [NOTHING_KNOWN for _ in range(inverters)]
     node_impp_kw = np.zeros(len(tree.rating_kw))
     target_kw = tree.rating_kw.copy()
-    # The central controller: the dispatch of its last turn, and the correction added to it; the sum
-    # of the plant's meter since then, and over how many cycles.
+    # The central controller: the dispatch of its last turn, the correction added to it, the sum of
+    # the meter's readings since then, and their number.
     wanted_kw, correction_kw, metered_kw, metered_cycles = 0.0, 0.0, 0.0, 0
     for cycle in range(cycles):
         for i in range(inverters):

@@ -72,7 +72,10 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
 
 
 def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:
-    """Whether a scheme corrects its target by the meter: as the plan says, else `predictive`."""
+    """Whether a scheme corrects its target by the meter.
+
+    The plan decides for its own scheme; of the others, only `predictive` does.
+    """
     return plan.correction if scheme == plan.scheme else scheme == "predictive"
 
 

@@ -39,7 +39,7 @@ def campaign_result(
 ) -> Result:
     """Return what the faults of all seeds cost, and how many seeds broke which invariant.
 
-    Drawn are seeds that broke an invariant, and the most expensive ones.
+    The figures show seeds that broke an invariant, and the most expensive ones.
     """
     rows: list[tuple[Cell, ...]] = []
     for name, unit, field in _COSTS:
@@ -59,8 +59,8 @@ def campaign_result(
         *(Column(name, "", 2) for name in ("mean", "median", "99 %", "most")),
     )
     notes = (
-        "All beside the same run without faults.",
-        f"Broken invariants, by seeds: {listed or 'none'}.",
+        "All relative to the same run without faults.",
+        f"Broken invariants, with the number of seeds: {listed or 'none'}.",
     )
     most_over = sorted(outcomes, key=lambda outcome: outcome.over_kwh, reverse=True)
     most_under = sorted(outcomes, key=lambda outcome: outcome.under_kwh, reverse=True)
@@ -143,9 +143,9 @@ def _curve_figures(points: Sequence[Point]) -> list[style.ReportFigure]:
     figure.update_xaxes(type="log")
     figure.update_yaxes(type="log")
     caption = (
-        "Every controller dies at random, as often in an hour as the axis says, and is back after "
-        "the time below it. Nothing, 0, is not drawn. Without the ladder a node obeys the last "
-        "message for ever; without revert an inverter obeys its last command for ever."
+        "Every controller dies at random, as often in an hour as the axis shows, and is back after "
+        "the time below it. Zeros are not drawn. Without the ladder a node obeys the last message "
+        "for ever; without revert an inverter obeys its last command for ever."
     )
     return [style.ReportFigure("curves", "What failures cost", caption, figure)]
 

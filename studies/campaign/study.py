@@ -182,8 +182,8 @@ def _bad_network(draw: random.Random, source: str, at: tuple[float, float]) -> F
 
 
 def _end_s(rule: FaultRule) -> float:
-    """When a rule and what follows from it is over [s]."""
-    longest_s = (rule.delay_ms + rule.jitter_ms) / 1e3  # Jitter is uniform, and none is reordered.
+    """When a rule and its effects are over [s]."""
+    longest_s = (rule.delay_ms + rule.jitter_ms) / 1e3  # Jitter is uniform; nothing is reordered.
     return rule.at[-1] + (RESTART_TAKES_S if rule.kill is not None else longest_s)
 
 

@@ -223,10 +223,10 @@ def _by_first_part(
 
 
 def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> pd.DataFrame:
-    """Return the past of a run of so many inverters, for the hours of the run alone.
+    """Return the mean hourly correlation of every two inverters (paper, eq. 5), by their names.
 
-    That is the mean hourly correlation of every two inverters (paper, eq. 5), by their names.
-    Clusters are chosen from the hours of the whole scenario: the same, unless a part of it is run.
+    Only the hours of the run count. Clusters are chosen from all hours of the scenario, which are
+    more if only a part of it is run.
     """
     # In one cluster of all inverters, everybody is a neighbour of everybody.
     one_cluster = replace(

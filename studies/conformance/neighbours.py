@@ -46,7 +46,7 @@ class Neighbours:
 
     def _join(self, name: str) -> zenoh.Session:
         """Put a neighbour on the bus: it is linked with the device alone."""
-        plan, keys, agent = self._plan, self._plan.keys, self._agent
+        plan, keys, agent = self._plan, self._plan.wiring, self._agent
         settings = session_settings(plan, name).devices
         assert settings is not None  # The plan has no keys, and the device is external.
         of_device, _ = plan.links.endpoints(agent, plan.tcp_ports)
@@ -81,7 +81,7 @@ class Neighbours:
     def put(self, port: Port[Message], payload: bytes) -> None:
         """Send a payload to the device, as the publisher of a port."""
         self._sessions[port.publisher].put(
-            self._plan.keys.key(port),
+            self._plan.wiring.key(port),
             payload,
             encoding=ENCODING,
             congestion_control=zenoh.CongestionControl.BLOCK,

@@ -40,13 +40,13 @@ OF_PLANT: Final[dict[str, str]] = {
 
 
 class Findings:
-    """What was tried of each requirement, and its first failure."""
+    """Whether each requirement was tested, and its first failure."""
 
     def __init__(self, requirements: dict[str, str]) -> None:
         self._requirements = requirements
         self._found = {name: ("not tried", text) for name, text in requirements.items()}
         self.doubt = ""
-        """Why nothing that fails from now on is the device's fault for certain; empty: it is."""
+        """Why failures from now on may not be the device's fault; empty: they are."""
 
     def try_(self, requirement: str) -> None:
         """Note that something puts a requirement to the test."""

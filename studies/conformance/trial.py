@@ -285,7 +285,7 @@ class Trial:
     def _take(self, heard: Heard) -> None:
         """Take in one payload of the device's, and look at all that needs no comparison."""
         fail, is_recorder = self.findings.fail, heard.listener == RECORDER
-        port = self.plan.keys.port(heard.key)
+        port = self.plan.wiring.port(heard.key)
         if port is None or port.publisher != self.agent:
             fail("decisions", f"{heard.key} was published, a key of another or of nobody")
             return

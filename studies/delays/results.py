@@ -41,7 +41,7 @@ _CAPTION: Final = (
 def study_result(
     preparation: Preparation, settings: Sequence[str], outcomes: Sequence[Outcome]
 ) -> Result:
-    """Return the tables, and how much of each trouble is survived."""
+    """Return the tables, and how much of each trouble the plant survives."""
     plan, title = preparation.plan, preparation.title()
     document = {
         "scenario": plan.plant,

@@ -11,7 +11,7 @@ from plotly.offline import get_plotlyjs
 from studies.report.result import Result
 
 _WIDTH: Final = 76
-"""Characters that fit beside one another where the page is 800 px wide."""
+"""Characters that fit into a line of a page 800 px wide."""
 
 _TEMPLATES: Final = Environment(
     loader=PackageLoader("studies.report", "templates"),
@@ -25,8 +25,8 @@ _TEMPLATES: Final = Environment(
 def html_page(result: Result) -> str:
     """Return an HTML document: heading, verdict, text, contents, figures and tables, numbered.
 
-    Plotly's JavaScript stands in it once. The data of a figure are a JSON script element of their
-    own, `ANCHOR-plot-data`, with Plotly's `data` and `layout`.
+    It contains Plotly's JavaScript once. The data of each figure are in a JSON script element,
+    `ANCHOR-plot-data`, with Plotly's `data` and `layout`.
     """
     return _TEMPLATES.get_template("page.html.j2").render(
         result=result,

@@ -21,10 +21,10 @@ class Result:
     """What a command has found: printed, written as JSON, and drawn as a page.
 
     title: Heading of the page.
-    document: What JSON has.
+    document: Content of the JSON.
     lines: What a reader must know before the tables; `conclusions`: what follows from them.
     verdict: Whether all is well, and a line that says so.
-    figures, details: Draws the figures; further tables. A page alone has them.
+    figures, details: Draws the figures; further tables. Only the page has them.
     """
 
     title: str

@@ -130,7 +130,7 @@ def panels(
     lines: Sequence[str],
     points: Callable[[Any, Any, Any], tuple[Sequence[object], Sequence[float | None]]],
 ) -> go.Figure:
-    """Draw lines with a mark at each point, in a panel for each row and column of these titles.
+    """Draw lines with a mark at each point, in a panel for each row and column.
 
     `points` returns the points of a line, by its row, its column and its name.
     """

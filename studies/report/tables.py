@@ -38,7 +38,7 @@ def metrics_tables(series: Sequence[RunSeries]) -> list[Table]:
 
 
 def health_table(health: Health, clock: RunClock) -> Table:
-    """Return the table of how a run fared, a line for each thing looked at."""
+    """Return the table of a run's health, a line for each kind of finding."""
     return texts_table("Health of the run", health_lines(health, clock))
 
 

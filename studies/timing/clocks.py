@@ -47,13 +47,13 @@ def clock_of(agent: str, plan: RunPlan) -> str:
 
 
 def clock_offsets(messages: MessageTimes, stages: Sequence[StageTimes]) -> tuple[ClockOffset, ...]:
-    """Return the clocks of other hosts that the messages of a run tell."""
+    """Return the offsets of other hosts' and devices' clocks, from the messages of a run."""
     plan = messages.plan
     members: dict[str, list[str]] = {}
     for agent in plan.elsewhere:
         if name := clock_of(agent, plan):
             members.setdefault(name, []).append(agent)
-    # The fastest message of each clock's: there from the launcher's host, and back to it.
+    # The fastest message to each clock from the launcher's host, and back.
     there, back = (dict.fromkeys(members, inf) for _ in range(2))
     for port, fastest_ns in messages.fastest_ns.items():
         if name := clock_of(port.publisher, plan):

@@ -58,8 +58,8 @@ class Host(msgspec.Struct, frozen=True, kw_only=True):
 class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
     """A timed run; docs/timing.md describes the fields. None: it is not known.
 
-    `ended` is false if the recording does not tell that the plant ended the run. The page alone
-    draws the slowest cycles, `loop_ns`, the loop times by cycle, and rows in the order of the tree.
+    `ended` is false if the recording does not show that the plant ended the run. Only the page uses
+    `loop_ns`, the loop time of each cycle, and `tree`, for the order of its rows.
     """
 
     scenario: str
@@ -99,7 +99,7 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
         return self.ended and self.cycles > 0 and few_late and not self.lost_messages
 
     def document(self) -> dict[str, object]:
-        """Return what JSON has."""
+        """Return the content of the JSON."""
         own = ("slowest", "loop_ns", "tree")
         fields = {name: value for name, value in asdict(self).items() if name not in own}
         slowest_cycles = [

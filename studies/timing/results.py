@@ -30,7 +30,7 @@ from studies.timing.sweep import (
 )
 
 _HOPS: Final = (
-    "(each time begins when what the agent waited for was published: it includes the hop)"
+    "(each time begins when the agent's last input was published, so it includes the hop)"
 )
 
 _CURVES: Final = (
@@ -82,7 +82,7 @@ def timing_result(report: TimingReport) -> Result:
 
 
 def sweep_result(found: Sweep, scenario: str) -> Result:
-    """Return the rates, on what they were run, and the highest clean one."""
+    """Return the rates, the machine, and the highest clean rate."""
     # A rate that was interrupted proves nothing.
     drawn = [row for row in found.rows if row.loop_p50_us is not None and not row.interrupted]
     return Result(

@@ -84,10 +84,10 @@ class TierTiming(msgspec.Struct, frozen=True):
 
 
 class RunTiming(NamedTuple):
-    """The timing of a run, without devices among its processes.
+    """The timing of a run; `processes` has no devices.
 
-    In a late cycle one of our agents missed a deadline, overran or said nothing. `loop_ns` has the
-    cycles that the plant ended.
+    In a late cycle one of Heliarch's agents missed a deadline, overran or published nothing.
+    `loop_ns` has the cycles that the plant ended.
     """
 
     times: tuple[Times, ...]
@@ -149,12 +149,12 @@ def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
 
 
 def _counts(by_stage: dict[str, pd.Series]) -> dict[str, int]:
-    """Count the cycles in which something holds of each stage, where there are any."""
+    """Count for each stage the cycles in which a condition holds, if there are any."""
     return {stage: int(holds.sum()) for stage, holds in by_stage.items() if holds.any()}
 
 
 class _Row(NamedTuple):
-    """The row that durations belong to, and its place among those of its measure."""
+    """A row of durations, and its place among the rows of its measure."""
 
     measure: str
     place: int
@@ -163,7 +163,7 @@ class _Row(NamedTuple):
 
 
 class _Durations:
-    """The durations of a run, by the rows of all agents together, and by those of each one."""
+    """The durations of a run, in rows for all agents together, and in rows for each agent."""
 
     def __init__(self, plan: RunPlan, clocks: Sequence[ClockOffset]) -> None:
         self._plan, self._tree = plan, plan.tree
@@ -176,7 +176,7 @@ class _Durations:
     def see_agent(self, stages: Sequence[StageTimes]) -> None:
         """Measure the stages of an agent; of a device only what can be seen from outside."""
         cycle_ns = self._plan.cycle_wall_ns
-        # When the agent had last spoken before each stage of each cycle.
+        # When the agent had last published before each stage of each cycle.
         spoke_ns = pd.DataFrame(
             {at: one.closed.last_ns + one.closed.index * cycle_ns for at, one in enumerate(stages)}
         )
@@ -198,7 +198,7 @@ class _Durations:
             self._add_hops(stage, closed[was_free & ~closed.lacking])
 
     def _add_hops(self, stage: StageTimes, waited: pd.DataFrame) -> None:
-        """Measure the hop of the input that completed a stage, while the agent waited for it."""
+        """Measure the hop of the input that completed a stage, if the agent waited for it."""
         hops_ns = (waited.ready_ns - waited.completed_ns).dropna()
         for port, hop_ns in hops_ns.groupby(waited.cause, sort=False):
             signal, publisher = port.signal.name, port.publisher
@@ -236,7 +236,7 @@ class _Durations:
         self._add(row, durations_ns, stage.agent, stage.name)
 
     def _add(self, row: _Row, durations_ns: pd.Series, agent: str = "", own: str = "") -> None:
-        """Add durations to a row, and to the one of an agent alone that has a name of its own."""
+        """Add durations to a row, and to the row `own` of one agent."""
         if len(known_ns := durations_ns.dropna()):
             self._found[row].append(known_ns)
             self._found_of[agent][_Row(row.measure, 0, own, "")].append(known_ns)
@@ -246,7 +246,7 @@ class _Durations:
         return self._times(self._found)
 
     def rows_of(self, process: ProcessTiming) -> tuple[Times, ...]:
-        """Return the rows of one of our own agents alone: by measure, then by name."""
+        """Return the rows of one process: by measure, then by name."""
         rows = self._times(self._found_of[process.agent])
         return tuple(replace(row, kind=process.kind) for row in rows)
 

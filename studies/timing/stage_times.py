@@ -46,10 +46,10 @@ _decode_head = msgspec.msgpack.Decoder(_Head).decode
 class MessageTimes:
     """The times of the messages of a run, up to the last cycle that the plant ended.
 
-    `ready_ns` and `publish_ns` have a row for each cycle and a column for each port: what the
-    messages state, after the scheduled tick of their cycle; NaN: no message, or it does not say.
-    `missing` is what they say of inputs that were older than due, by cycle and port; `missed` how
-    many inputs each agent missed; `fastest_ns` the shortest time from publishing to the recorder.
+    `ready_ns` and `publish_ns` have a row for each cycle and a column for each port: the times that
+    the messages state, from the scheduled tick of their cycle; NaN: no message, or no time in it.
+    `missing` are the inputs older than due that they state, by cycle and port; `missed` is how many
+    inputs each agent missed; `fastest_ns` is the shortest time from publishing to the recorder.
     """
 
     plan: RunPlan
@@ -64,16 +64,16 @@ class MessageTimes:
 class StageTimes(NamedTuple):
     """One stage of one agent; `closed` has a row for each cycle in which it published anything.
 
-    Its columns, with times after the scheduled tick of the cycle, NaN where there is none:
+    Its columns, with times from the scheduled tick of the cycle (NaN: none):
 
-    first_ns, last_ns, message: When its first and its last message went out, and which that was.
+    first_ns, last_ns, message: When its first and last messages went out, and the last one's port.
     ready_ns: When it could close.
     completed_ns: When the last awaited input that came in time went out.
     oldest_ns: When the oldest message that it used went out, perhaps in an earlier cycle.
-    awaits, lacking, overran: Whether it awaits anything in this cycle; whether an input had not
-        come when it closed; whether all had come and it spoke after its deadline all the same.
+    awaits, lacking, overran: Whether it awaits anything in this cycle; whether it closed without an
+        awaited input; whether it had them all, but published after its deadline.
     without: Keys of the inputs that had not come.
-    cause: What it waited for last: the input that completed it, or that came too late. None if that
+    cause: What it waited for last: the input that completed it, or that came too late. None: that
         is not known.
     """
 
@@ -86,7 +86,7 @@ class StageTimes(NamedTuple):
 
 def read_message_times(reader: RunReader) -> MessageTimes:
     plan, start_ns = reader.plan, _start_ns(reader)
-    ports = [port for port in plan.keys.ports if port.signal.is_cyclic and port.signal.logged]
+    ports = [port for port in plan.wiring.ports if port.signal.is_cyclic and port.signal.logged]
     columns = {port: column for column, port in enumerate(ports)}
     cycles, places, readies, publishes = (array("q") for _ in range(4))
     fastest_ns: dict[Port[Message], int] = {}
@@ -113,7 +113,7 @@ def read_message_times(reader: RunReader) -> MessageTimes:
         publishes.append(head.publish_time_ns)
         if head.missing:
             missing.setdefault((cycle, port), head.missing)
-    # Turned round, so that of a message that came twice the first one stays.
+    # In reverse order, so that the first of two copies of a message is kept.
     cycle_of, place = np.array(cycles)[::-1], np.array(places)[::-1]
     ended = cycle_of[place == columns[PRODUCTION.of(ROOT)]]
     length = int(ended.max()) + 1 if len(ended) else 0
@@ -154,7 +154,7 @@ def _stage(
     pattern: Sequence[Stage | None],
     outputs: Sequence[Port[Message]],
 ) -> StageTimes:
-    """Return a stage; `pattern` is what it is in each cycle until that repeats, None: nothing."""
+    """Return a stage; `pattern` is the stage in each cycle until that repeats, None: not there."""
     plan = messages.plan
     stages = [stage for stage in pattern if stage is not None]
     name, timed = stages[0].name, stages[0].timed
@@ -166,8 +166,8 @@ def _stage(
     last = np.nanargmax(publish_ns.to_numpy(), axis=1)
     message = np.array(outputs, dtype=object)[last]
 
-    # Of each cycle and input: whether it is awaited, whether it was late, and of which cycle the
-    # message is that was used.
+    # For each cycle and input: whether it is awaited, whether it was late, and the cycle of the
+    # message that was used.
     inputs = list(dict.fromkeys(port for one in stages for port in (*one.awaits, *one.uses)))
     awaits = [() if stage is None else stage.awaits for stage in pattern]
     awaited = np.array([[port in ports for port in inputs] for ports in awaits], dtype=bool)
@@ -176,7 +176,7 @@ def _stage(
     used = cycle[:, None] // periods * periods
     late = np.zeros(awaited.shape, dtype=bool)
     places = {str(port): place for place, port in enumerate(inputs)}
-    # A stage's last message speaks for it.
+    # A stage's last message states what was missing.
     for row, closing in enumerate(zip(cycle.tolist(), message, strict=True)):
         for key, of_cycle in map(parse_missing, messages.missing.get(closing, ())):
             if key in places:
@@ -192,7 +192,7 @@ def _stage(
     input_ns = sent_ns[cycle]
     in_time = awaited & ~late & (input_ns < last_ns.to_numpy()[:, None])
     waited_for = np.where(lacking[:, None], without, in_time) & ~np.isnan(input_ns)
-    # The first column is for no input at all.
+    # The first column stands for no input.
     nothing_ns = np.full(len(cycle), -np.inf)
     waited_ns = np.column_stack([nothing_ns, np.where(waited_for, input_ns, -np.inf)])
     deadline_ns = plan.deadlines.deadline_ns(agent, name)
@@ -230,7 +230,7 @@ def _start_ns(reader: RunReader) -> int:
 
 
 def _end_cycle(reader: RunReader) -> int:
-    """Return the cycle before which all counts.
+    """Return the first cycle that does not count.
 
     An external plant goes on after Ctrl-C, when the controllers have left it.
     """

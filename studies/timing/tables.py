@@ -155,7 +155,7 @@ def measured_tables(report: TimingReport) -> list[Table]:
 def _times_tables(report: TimingReport) -> list[Table]:
     """Return a table of durations for each measure, with its budgets if it has any.
 
-    Rows of single processes stand below those of all together.
+    Rows of single processes come below those of all together.
     """
     limits: dict[tuple[str, str], tuple[Cell, Cell]] = {
         (verdict.measure, verdict.of): (verdict.limit, verdict.passed)
@@ -201,7 +201,7 @@ def _clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
     )
     notes = (
         "ahead of the plant's clock, by the fastest messages each way;",
-        "± is half their round trip: so far off it may be if one way is slower than the other",
+        "± is half their round trip, the largest error if one way is slower than the other",
     )
     return [Table("Clocks", columns, rows, notes)] if rows else []
 

@@ -125,14 +125,14 @@ def cycle_of(central: AtWork, cycle: int, *reports: Delivery, dispatch_kw: float
 
 
 Cycles = list[tuple[float, int, float, tuple[float, float]]]
-"""IMPP, its age and residual of the plant, and what is set of a and b, cycle by cycle."""
+"""For each cycle: the plant's IMPP, its age, its residual, and the setpoints of a and b."""
 
 
 @pytest.mark.parametrize(
     ("of_b", "expected"),
     [
-        # Its last report holds, then its own request counts: it has no headroom any more, and needs
-        # no help. When it speaks again it is taken back.
+        # The last report of b holds, then its request counts, without headroom or need of help.
+        # When b reports again, its reports count again.
         (
             [None, None, None, None, (90.0, 30.0), None],
             [

@@ -64,7 +64,7 @@ def test_a_process_runs_on_the_cpus_of_its_kind_or_of_all() -> None:
 @linux
 def test_a_cpu_that_is_not_there_is_said_and_the_process_goes_on() -> None:
     (refused,), policy = place_of(MachineSettings(cpus=(1023,)))
-    assert refused.startswith("CPU 1023: not taken (")
+    assert refused.startswith("CPU 1023: not available (")
     assert policy == scheduling_policy()
 
 
@@ -124,7 +124,7 @@ print(re.search("VmLck:.*", pathlib.Path("/proc/self/status").read_text())[0].sp
 @root
 def test_memory_that_may_not_be_locked_is_said_beforehand() -> None:
     beforehand, in_lockstep, then, locked_kb = locking("8 << 20", GIVE_UP)
-    assert "memory: not locked (the limit is 8,192 KiB); it takes CAP_IPC_LOCK" in beforehand
+    assert "memory: not locked (the limit is 8,192 KiB); it needs CAP_IPC_LOCK" in beforehand
     assert in_lockstep == "()"
     assert then == beforehand
     assert locked_kb == "0"

@@ -295,7 +295,7 @@ def test_a_start_by_another_hosts_clock_is_now(off_ns: int) -> None:
 
 
 def test_a_stop_holds_until_the_plant_goes_on() -> None:
-    """Anybody may say that a run ends early. What the plant goes on doing tells whether it does."""
+    """Any process may send an early stop. It counts only if the plant begins no further cycle."""
     loop = armed(LOCKSTEP)
     loop.hear(*RUN_START, 0)
 

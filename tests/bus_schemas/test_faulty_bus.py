@@ -25,7 +25,7 @@ Dropped = Counter[tuple[str, str]]
 
 
 def faulty_bus(count: int, *rules: FaultRule, dropped: Dropped | None = None) -> FaultyBus:
-    """An inverter's place on the bus, to which some messages come now, and none later."""
+    """Return an inverter's bus to which `count` messages come now, and none later."""
     message = Telemetry(1, 0, PLANT, (), power_kw=1.0, alpha=1.0, limit_kw=1.0)
     coming, clock = [Arrival("a", PORT, message, 0)] * count, ClockByHand(0)
 

@@ -88,7 +88,7 @@ def test_the_mean_is_over_the_combiners_that_are_there(read: Read) -> None:
     np.testing.assert_allclose(found.power_kw[1], [70.0, 30.0])
     assert found.repairs == (
         "hour.csv: inverter 02: 1 of 12 currents of its 3 combiners missing: the mean is over"
-        " those that are there",
+        " the others",
     )
 
 

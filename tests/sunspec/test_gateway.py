@@ -43,7 +43,7 @@ def with_device(address: str, revert: Revert | None = None) -> RunPlan:
 
 @contextmanager
 def gateway(plan: RunPlan, folder: Path) -> Iterator[tuple[Devices, list[str]]]:
-    """Run a gateway; gives the plant's end, and what the gateway tells, all of it at its end."""
+    """Run a gateway; yield the plant's end, and the list of the gateway's messages."""
     told: list[str] = []
     until, end = os.pipe()
     found = Gateway(plan, told.append)

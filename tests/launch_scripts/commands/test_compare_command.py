@@ -77,7 +77,7 @@ def with_production(cycles: int, cycle: int, **fields: tuple[float, ...]) -> Ite
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """A recording in which `c2/c` gives 55 in place of 60 kW in cycle 7."""
+    """A recording in which `c2/c` delivers 55 instead of 60 kW in cycle 7."""
     folder = tmp_path / "first"
     folder.mkdir()
     less = with_production(20, 7, inverter_power_kw=(40.0, 80.0, 55.0, 59.0))
@@ -97,7 +97,7 @@ SKY = ("production, maximum", "c1/b", 3, "12:00:03", 90.0, 95.0)
             with_production(20, 3, inverter_mpp_kw=(40.0, 95.0, 75.0, 75.0)),
             *(range(0), [SKY, POWER], 20, 5.0, "Sky or dispatch differ"),
         ),
-        # As far as both go, and in the cycles that both have recorded, they are the same.
+        # In the cycles that both have recorded they are the same.
         (whole_run(6), range(0), [], 6, 0.0, "first 6 are compared"),
         (whole_run(20), range(5, 9), [], 16, 0.0, "4 of 20 cycles"),
     ],

@@ -273,7 +273,7 @@ CUT: Final = {
     "export": "cut short",
     "report": "recording is incomplete",
 }
-"""What tells a reader that there was more."""
+"""How each command says that the recording was cut."""
 
 
 @pytest.mark.parametrize("name", CUT)

@@ -52,7 +52,7 @@ def test_delays_within_the_cycle_change_nothing_but_the_time(
     valley: Preparation, scheme: str, periods: tuple[int, ...]
 ) -> None:
     changes: dict[str, Any] = {"scheme": scheme, "period_cycles": periods}
-    # So long is a place of the cycle: each message comes at the deadline itself.
+    # As long as one stage of the cycle: each message comes exactly at the deadline.
     hop_ms = 900.0 / 8
     run, sent = run_with(valley, [FaultRule(delay_ms=hop_ms)], **changes)
     assert (total(run, "missing_inputs"), total(run, "old_inputs")) == (0, 0)

@@ -176,6 +176,17 @@ def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one
         assert not run.whole
 
 
+def test_what_a_cut_file_holds_is_read_though_another_file_follows(tmp_path: Path) -> None:
+    first = tmp_path / "run.mcap"
+    write_run(first, whole_run(10))
+    first.write_bytes(first.read_bytes()[: read_outline(first.open("rb")).chunks[-1].length])
+    with open_run(tmp_path) as run:
+        alone = list(run.messages())
+    (tmp_path / "run-2.mcap").touch()
+    with open_run(tmp_path) as run:
+        assert list(run.messages()) == alone != []
+
+
 def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> None:
     frame = run.frame("setpoint", nodes=["c1/a", "c1/b"], start="12:00:10", end="12:00:12")
     assert frame.index.name == "time"

@@ -105,12 +105,12 @@ def forged_before(port: Port[Message], message: Message) -> list[Delivery]:
 
 
 def with_a_stray(port: Port[Message], message: Message) -> list[Delivery]:
-    """One of no cycle of the run behind it."""
+    """Add a message of a cycle that the run does not have."""
     return [(port, message), (port, replace(message, cycle=4711))]
 
 
 def with_help(port: Port[Message], message: Message) -> list[Delivery]:
-    """Before it a call for help that nobody sends any more, and on which nobody acts."""
+    """Put a call for help before the message: no agent sends it again or acts on it."""
     call = Help(message.cycle, message.sim_time_ns, "c1/a", (), missing_kw=1.0)
     return [(HELP.of("c1/a"), call), (port, message)]
 

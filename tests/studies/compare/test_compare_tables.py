@@ -98,7 +98,7 @@ def test_many_cases_have_both_axes_and_mean_quantiles_and_what_differs_case_by_c
         ("95 %", "2.900 (0.000)", "2.700 (0.000)"),
     ]
     # 2.484: of three values with a standard deviation of 1, Student's t for 2 degrees of freedom.
-    # Case by case paper causes 1, 2 and 0 more than predictive.
+    # In the three cases paper causes 1, 2 and 0 more than predictive.
     spread = ("2.000", "2.484", "1.100", "2.000", "2.900")
     assert caused.texts()[0] == ("paper", "fraction", *spread, "1.000", "2.484")
     assert caused.texts()[1][-2:] == ("-", "-")
