@@ -178,8 +178,10 @@ def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one
 
 def test_what_a_cut_file_holds_is_read_though_another_file_follows(tmp_path: Path) -> None:
     first = tmp_path / "run.mcap"
-    write_run(first, whole_run(10))
-    first.write_bytes(first.read_bytes()[: read_outline(first.open("rb")).chunks[-1].length])
+    write_run(first, whole_run(300))
+    content = first.read_bytes()
+    chunk = read_outline(BytesIO(content)).chunks[-1]
+    first.write_bytes(content[: chunk.offset + chunk.length // 2])
     with open_run(tmp_path) as run:
         alone = list(run.messages())
     (tmp_path / "run-2.mcap").touch()
