@@ -178,7 +178,7 @@ def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one
 
 def test_what_a_cut_file_holds_is_read_though_another_file_follows(tmp_path: Path) -> None:
     first = tmp_path / "run.mcap"
-    write_run(first, whole_run(300))
+    write_run(first, whole_run(300), messages_per_chunk=10_000)
     content = first.read_bytes()
     chunk = read_outline(BytesIO(content)).chunks[-1]
     first.write_bytes(content[: chunk.offset + chunk.length // 2])
