@@ -65,14 +65,12 @@ class Finished(Event, frozen=True):
     published: Messages of the run that it published, by signal.
     dropped: Messages that it did not use: port, cause and number.
     skipped_cycles: Cycles that were over before the agent came to them.
-    faults: What an imperfect network did to messages on their way to it.
     dismissed: Whether SIGTERM ended it before the run was over.
     """
 
     published: dict[str, int]
     dropped: list[tuple[str, str, int]]
     skipped_cycles: int = 0
-    faults: dict[str, int] = msgspec.field(default_factory=dict)
     dismissed: bool = False
 
 

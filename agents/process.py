@@ -143,13 +143,13 @@ class AgentProcess:
             patience_s=min(plan.stall_timeout_s, STANDING_S),
             clock=HostClock() if is_away else None,
         )
-        self._faults: FaultyBus | None = None
-        if plan.network_faults.concern(agent.name):
-            self._faults = FaultyBus(self._bus, agent.name, plan.network_faults)
         self.loop = AgentLoop(agent, plan, DropLog(), name)
         self.driver: Driver = EagerDriver(self.loop, self._bus)
-        if self._faults is not None or agent.name == PLANT:
-            self.driver = Driver([self.loop], self._faults or self._bus, self._bus.now_ns)
+        if plan.network_faults.concern(agent.name):
+            faulty = FaultyBus(self._bus, agent.name, plan.network_faults)
+            self.driver = Driver([self.loop], faulty, self._bus.now_ns)
+        elif agent.name == PLANT:
+            self.driver = Driver([self.loop], self._bus, self._bus.now_ns)
         self.watch_tokens = self._bus.watch_tokens
         self._tokens = self.watch_tokens() if is_away or link.by_hand else None
         self._plant_left_at = inf
@@ -222,7 +222,6 @@ class AgentProcess:
                 published=dict(self._bus.outbox.published),
                 dropped=[(port, cause, number) for (port, cause), number in dropped],
                 skipped_cycles=loop.skipped_cycles,
-                faults=dict(+self._faults.tally) if self._faults else {},
                 dismissed=self.link.dismissed and loop.cycle < self.plan.cycles,
             )
         )

@@ -12,7 +12,7 @@ from typing import Final
 
 from bus_schemas.bus import Arrival
 from bus_schemas.messages import Message
-from bus_schemas.network_faults import FaultTally, NetworkFaults
+from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import Port
 from bus_schemas.zenoh_bus import ZenohBus
 
@@ -21,13 +21,9 @@ _MOST_UNDER_WAY: Final = 100_000
 
 
 class FaultyBus:
-    """One agent's place on the bus, at the end of imperfect links.
-
-    tally: What the faults did to messages.
-    """
+    """One agent's place on the bus, at the end of imperfect links."""
 
     def __init__(self, bus: ZenohBus, agent: str, faults: NetworkFaults) -> None:
-        self.tally = FaultTally()
         self._bus = bus
         self._agent = agent
         self._faults = faults
@@ -45,9 +41,7 @@ class FaultyBus:
             due_ns = self._under_way[0][0]
             until_ns = due_ns if until_ns is None else min(until_ns, due_ns)
         for arrival in self._bus.receive(until_ns, wanted):
-            fate = self._faults.fates(arrival.port, self._agent, arrival.message)
-            self.tally.count(fate)
-            for delay_ns in fate:
+            for delay_ns in self._faults.fates(arrival.port, self._agent, arrival.message):
                 if delay_ns and len(self._under_way) >= _MOST_UNDER_WAY:
                     self._bus.dropped[str(arrival.port), "flooded"] += 1
                     continue

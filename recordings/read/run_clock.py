@@ -103,7 +103,7 @@ class RunClock:
         inside = [cycle for cycle in sorted(cycles) if 0 <= cycle <= self._last_cycle]
         if len(inside) > 1:
             dated = " or ".join(self.local(cycle).isoformat() for cycle in inside[:2])
-            raise InputError(f"{dated}, as the run has {len(inside)} of them")
+            raise InputError(f"the whole time, {dated}: the run has {len(inside)} of them")
         return inside[0] if inside else -1
 
     def _on_each_day(self, clock: time) -> list[datetime]:
