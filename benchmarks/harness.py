@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
+import resource
 import signal
 import subprocess
 import sys
@@ -49,11 +50,15 @@ class Sample(msgspec.Struct, frozen=True):
 
 
 class Watched(msgspec.Struct, frozen=True):
-    """A program that has ended: what it printed, when it was started, what was seen of it."""
+    """A program that has ended: what it printed, when it was started, what was seen of it.
+
+    switches: How often it and all its descendants waited for something.
+    """
 
     output: str
     started: float
     samples: list[Sample]
+    switches: int
 
     def busy(self, began: float, ended: float, field: str = "processor_s") -> float:
         """Return the processor time of all its processes for each second of a time.
@@ -86,7 +91,7 @@ def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None)
     too long.
     """
     with tempfile.NamedTemporaryFile("w", prefix="bench-") as output:
-        started = time.monotonic()
+        started, switches = time.monotonic(), _switches()
         process = subprocess.Popen(
             command,
             stdout=output,
@@ -108,7 +113,11 @@ def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None)
         text = Path(output.name).read_text(encoding="utf-8")
     if process.returncode:
         raise Failure(f"{' '.join(command)}\nended with status {process.returncode}:\n{text}")
-    return Watched(text, started, samples)
+    return Watched(text, started, samples, _switches() - switches)
+
+
+def _switches() -> int:
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_nvcsw
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -141,6 +150,7 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
 
     `startup_s` is the time from the command to cycle 0. `processor_ms` is the processor time of all
     processes for each cycle, seen from outside; `page_ms` that of the live page for each second.
+    `switches_per_message` counts from the command to its end.
     Memory is that of the median direct controller [MB], NaN if unknown: a launcher looks at its
     processes one after another, and in a short run it may not come round.
     """
@@ -149,6 +159,7 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
     cycles_per_s: float
     startup_s: float
     processor_ms: float
+    switches_per_message: float
     processes: int
     messages: int
     lost: int
@@ -188,13 +199,15 @@ def _read(summary: dict[str, Any], watched: Watched) -> Launch:
     memory: dict[str, Any] = next(of_direct, {})
     began = watched.started + summary["startup_s"]
     ended = began + summary["wall_s"]
+    messages = sum(each["published"] for each in summary["messages"])
     return Launch(
         cycles=summary["cycles"],
         cycles_per_s=summary["cycles_per_s"],
         startup_s=summary["startup_s"],
         processor_ms=1e3 * watched.busy(began, ended) / summary["cycles_per_s"],
         processes=watched.processes,
-        messages=sum(each["published"] for each in summary["messages"]),
+        messages=messages,
+        switches_per_message=watched.switches / messages,
         lost=summary["messages_lost"],
         missed_inputs=summary["missing_inputs"],
         resident_mb=memory.get("resident_median_mb") or nan,
