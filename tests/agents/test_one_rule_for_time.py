@@ -76,7 +76,7 @@ def told(script: str, run_plan: RunPlan, bad_kw: float = math.nan) -> tuple[str,
         if word == "|":
             sent = clerk.at_deadline("report")
         else:
-            letter, cycle, mark = re.fullmatch(r"(.)(\d+)(.?)", word).groups()  # type: ignore[union-attr]
+            ((letter, cycle, mark),) = re.findall(r"^(.)(\d+)(.?)$", word)
             port, message = MAKE[letter](int(cycle), bad_kw if mark == "x" else 1.0)
             message.source = "c1/x" if mark == "f" else message.source
             sent = clerk.hear((port, message))
@@ -90,12 +90,13 @@ def shown(notice: Notice, script: str) -> str:
     entries = {entry.key: entry.cycle for entry in map(parse_missing, notice.missing)}
     words = []
     for key, _, cycle in (text.rpartition("@") for text in notice.text.split()):
+        mark = ""
         if cycle == "-":
             assert entries[key] is None
         elif key in entries:
             assert entries[key] == int(cycle)
-            cycle += "!"  # noqa: PLW2901
-        words += [LETTER[key] + cycle] if LETTER[key] in script else []
+            mark = "!"
+        words += [LETTER[key] + cycle + mark] if LETTER[key] in script else []
     return " ".join(words)
 
 
