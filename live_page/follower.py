@@ -158,9 +158,9 @@ class RunFollower:
 
     def _next_chunk(self) -> ChunkPlace | None:
         """Return the next chunk that is there as a whole."""
-        chunks = self.run.outline.chunks
-        number = len(self._firsts)
-        return chunks[number] if number < len(chunks) and not chunks[number].cut else None
+        outline, number = self.run.outline, len(self._firsts)
+        is_there = number < len(outline.chunks) - outline.ends_cut
+        return outline.chunks[number] if is_there else None
 
     def _read(self, place: ChunkPlace) -> None:
         ports = self.run.channels

@@ -78,6 +78,11 @@ class Outline:
         """Whether it was cut before its first message."""
         return not self.closed and not self.chunks
 
+    @property
+    def ends_cut(self) -> bool:
+        """Whether the last file ends with a chunk that is cut."""
+        return bool(self.chunks) and self.chunks[-1].cut and self.chunks[-1].file == self.file
+
     def go_on(self, other: Outline) -> None:
         """Go on with the outline of a further file."""
         self.file += 1
@@ -146,13 +151,12 @@ def walk_on(outline: Outline, file: BinaryIO) -> None:
     A second call goes on from there, since a file that is being written grows.
     """
     outline.size = size = file.seek(0, SEEK_END)
-    if outline.chunks and outline.chunks[-1].cut:
+    if outline.ends_cut:
         outline.chunks.pop()
     for place in _walk(file, outline.readable_end, size):
         with suppress(*BROKEN):  # A damaged record still tells where the next one begins.
             _take(outline, file, place)
-        chunk_is_cut = bool(outline.chunks) and outline.chunks[-1].cut
-        if place.end > size or chunk_is_cut:
+        if place.end > size or outline.ends_cut:
             break
         outline.readable_end = place.end
         if place.opcode == Opcode.DATA_END:

@@ -26,6 +26,7 @@ from bus_schemas.signals import IMPP, NOTICE, PRODUCTION, RUN, TELEMETRY
 from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from live_page.nodes import NodeStates
+from recordings import open_run
 from recordings.read.series import read_plant_series
 from recordings.record.writer import RunWriter
 from studies.metrics import run_metrics
@@ -176,6 +177,16 @@ def test_a_damaged_part_is_named_and_the_rest_is_shown(tmp_path: Path) -> None:
     follower = followed(path)
     assert follower.cycles == 40
     assert "damage" in [kind for kind, _, _ in kinds(follower)]
+
+
+def test_a_file_that_was_cut_does_not_hide_the_next_one(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(40), is_kept=lambda pair: pair[1].cycle < 20)
+    with open_run(path) as run:
+        chunk = run.outline.chunks[-1]
+    path.write_bytes(path.read_bytes()[: chunk.offset + chunk.length // 2])
+    write_run(tmp_path / "run-2.mcap", whole_run(40), is_kept=lambda pair: pair[1].cycle >= 25)
+    assert followed(path).cycles == 40
 
 
 def test_a_long_run_is_thinned_out_without_losing_a_dip(tmp_path: Path) -> None:
