@@ -101,16 +101,9 @@ class Browser:
 @contextmanager
 def browser(folder: Path, width: int = 1280, height: int = 900) -> Iterator[Browser]:
     """Open a browser that keeps its things in a folder; nothing of it outlives the context."""
-    with subprocess.Popen(
-        ["chromedriver", "--port=0"], stdout=subprocess.PIPE, text=True, process_group=0
-    ) as driver:
+    driver, port = _start_driver()
+    with driver:
         try:
-            assert driver.stdout is not None
-            port = next(
-                line.rpartition(" ")[2].strip(" .\n")
-                for line in driver.stdout
-                if "started successfully on port" in line
-            )
             one = Browser(f"http://127.0.0.1:{port}", folder / "browser", width, height)
             try:
                 yield one
@@ -118,3 +111,21 @@ def browser(folder: Path, width: int = 1280, height: int = 900) -> Iterator[Brow
                 one.close()
         finally:
             driver.kill()
+
+
+def _start_driver() -> tuple[subprocess.Popen[str], str]:
+    """Start the driver of the browser; return it with its port.
+
+    It takes a port that is free on one address family, then ends if another program has it on the
+    other one. So it is asked again.
+    """
+    for _ in range(10):
+        driver = subprocess.Popen(
+            ["chromedriver", "--port=0"], stdout=subprocess.PIPE, text=True, process_group=0
+        )
+        assert driver.stdout is not None
+        for line in driver.stdout:
+            if "started successfully on port" in line:
+                return driver, line.rpartition(" ")[2].strip(" .\n")
+        driver.wait()
+    raise AssertionError("chromedriver did not start")
