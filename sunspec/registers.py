@@ -114,15 +114,15 @@ def no_unit() -> SimDevice:
     return SimDevice(0, nothing, action=refuse)
 
 
-def inverter_registers(
+def inverter_device(
     unit: int,
     name: str,
     inverter: LimitedInverter,
     now: Callable[[], float],
     on_limit: Callable[[], None],
     points: Callable[[LimitedInverter, float], Points],
-) -> Registers:
-    """Return the registers of a simulated inverter with a path in the control tree.
+) -> SimDevice:
+    """Return a simulated inverter with a path in the control tree as a Modbus unit.
 
     on_limit: Called when a limit is written.
     points: Returns its points at a time, such as `inverter_points`.
@@ -144,13 +144,13 @@ def inverter_registers(
         on_limit()
         inverter.told(settings, at, renews=renews)
 
-    return Registers(unit, current, tell)
+    return Registers(unit, current, tell).device
 
 
-def meter_registers(
+def meter_device(
     unit: int, inverters: Iterable[LimitedInverter], now: Callable[[], float]
-) -> Registers:
-    """Return the registers of the meter where a plant is connected: power fed in is positive."""
+) -> SimDevice:
+    """Return the meter where a plant is connected: power fed in is positive."""
     inverters = list(inverters)
     sf = _scale(1e3 * sum(inverter.rating_kw for inverter in inverters))
 
@@ -168,7 +168,7 @@ def meter_registers(
         }  # fmt: skip
         return _common("meter at the point of interconnection", "meter", unit) | {203: measured}
 
-    return Registers(unit, current)
+    return Registers(unit, current).device
 
 
 def inverter_points(inverter: LimitedInverter, at: float) -> Points:
