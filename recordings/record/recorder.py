@@ -12,6 +12,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from itertools import islice
 from math import inf
 from pathlib import Path
@@ -29,7 +30,7 @@ from agents.process import run_guarded, set_up_process
 from agents.session import session_settings
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready, Run
-from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Port, ports
+from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, READY, RUN, Port, ports
 from bus_schemas.tree import PLANT, RECORDER, ROOT, agent_name
 from bus_schemas.zenoh_bus import ZenohTap
 from recordings.read.gaps import due_step
@@ -118,21 +119,16 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
     return run_guarded(RECORDER, link, run)
 
 
+@dataclass
 class RecordingEnd:
     """Whether the recording has been asked to end, and with how many messages, if that is known."""
 
-    def __init__(self) -> None:
-        self.expected: int | None = None
-        self.asked_at: float | None = None
+    expected: int | None = None
+    asked_at: float | None = None
 
     def ask(self) -> None:
         """Let the recording end once nothing comes any more, or soon if something always does."""
         self.asked_at = self.asked_at or time.monotonic()
-
-    def expect(self, messages: int) -> None:
-        """Let the recording end with so many messages."""
-        self.expected = messages
-        self.ask()
 
 
 class Recorder:
@@ -182,7 +178,7 @@ class Recorder:
         self._read = {
             port
             for port in plan.wiring.ports
-            if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.elsewhere
+            if port.signal in {DISPATCH, HELP, PRODUCTION, RUN} or port.publisher in plan.elsewhere
         }
 
     def run(self) -> None:
@@ -219,7 +215,8 @@ class Recorder:
     def _heed_launcher(self) -> None:
         expected = self._link.expected_messages()
         if expected is not None:
-            self._end.expect(expected)
+            self._end.expected = expected
+            self._end.ask()
 
     def _may_end(self) -> bool:
         asked_at, expected = self._end.asked_at, self._end.expected
@@ -288,12 +285,12 @@ class Recorder:
             self.complaints.add(self._plan.wiring.key(port), *wrong)
             if not is_external:
                 self._extra[port.signal.name] += 1
-        elif message is None:
-            self.monitor.see_head(port, head.cycle)
-        elif is_external and (absurd := absurdity(self._plan, port, message, heard_ns)):
-            self.complaints.add(self._plan.wiring.key(port), ABSURD, absurd)
-        else:
-            self._follow(port, message)
+        elif message is not None:
+            absurd = absurdity(self._plan, port, message, heard_ns) if is_external else ""
+            if absurd:
+                self.complaints.add(self._plan.wiring.key(port), ABSURD, absurd)
+            else:
+                self._follow(port, message)
 
     def _follow(self, port: Port[Message], message: Message) -> None:
         if isinstance(message, Run):
