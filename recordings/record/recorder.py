@@ -173,7 +173,6 @@ class Recorder:
         self._first = first
         self._round = Round(plan)
         self._round.answered = first is not None
-        self._port_of = {plan.wiring.key(port): port for port in plan.wiring.ports}
         # These are decoded, the others are only written down.
         self._read = {
             port
@@ -237,7 +236,7 @@ class Recorder:
         return self._writer.heard - self._external.heard - self._extra.total()
 
     def _hear(self, key: str, payload: bytes) -> None:
-        port = self._port_of.get(key)
+        port = self._plan.wiring.port(key)
         if port is None:
             self.complaints.add(key, "unknown", "this run has no such node or signal")
             return
