@@ -12,6 +12,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from itertools import islice
 from math import inf
 from pathlib import Path
@@ -29,7 +30,7 @@ from agents.process import run_guarded, set_up_process
 from agents.session import session_settings
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready, Run
-from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Port, ports
+from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, READY, RUN, Port, ports
 from bus_schemas.tree import PLANT, RECORDER, ROOT, agent_name
 from bus_schemas.zenoh_bus import ZenohTap
 from recordings.read.gaps import due_step
@@ -158,12 +159,11 @@ class Recorder:
         self._first = first
         self._round = Round(plan)
         self._round.answered = first is not None
-        self._port_of = {plan.wiring.key(port): port for port in plan.wiring.ports}
         # These are decoded, the others are only written down.
         self._read = {
             port
             for port in plan.wiring.ports
-            if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.elsewhere
+            if port.signal in {DISPATCH, HELP, PRODUCTION, RUN} or port.publisher in plan.elsewhere
         }
 
     def run(self) -> None:
@@ -230,7 +230,7 @@ class Recorder:
         return self._writer.heard - self._external.heard - self._extra.total()
 
     def _hear(self, key: str, payload: bytes) -> None:
-        port = self._port_of.get(key)
+        port = self._plan.wiring.port(key)
         if port is None:
             self.complaints.add(key, "unknown", "this run has no such node or signal")
             return
@@ -278,12 +278,12 @@ class Recorder:
             self.complaints.add(self._plan.wiring.key(port), *wrong)
             if not is_external:
                 self._extra[port.signal.name] += 1
-        elif message is None:
-            self.monitor.see_head(port, head.cycle)
-        elif is_external and (absurd := absurdity(self._plan, port, message, heard_ns)):
-            self.complaints.add(self._plan.wiring.key(port), ABSURD, absurd)
-        else:
-            self._follow(port, message)
+        elif message is not None:
+            absurd = absurdity(self._plan, port, message, heard_ns) if is_external else ""
+            if absurd:
+                self.complaints.add(self._plan.wiring.key(port), ABSURD, absurd)
+            else:
+                self._follow(port, message)
 
     def _follow(self, port: Port[Message], message: Message) -> None:
         if isinstance(message, Run):
