@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime, time
+from datetime import UTC, datetime, time
 from pathlib import Path
 from typing import Final
 
@@ -303,8 +303,9 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
         if options.duration is not None:
             raise InputError("--to: expected no --duration with it")
         end = _start(table, options.end, "--to", start)
-        where, duration_s = "--to", (end - start).total_seconds()
-        if end <= start:
+        # In UTC: between two times of one zone Python counts the hours of the wall clock.
+        where, duration_s = "--to", (end.astimezone(UTC) - start.astimezone(UTC)).total_seconds()
+        if duration_s <= 0.0:
             raise InputError(f"--to: expected a time after {start}, got {end}")
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
