@@ -42,6 +42,11 @@ STAGES: Final[dict[Kind, tuple[str, ...]]] = {
 USED_SHARE: Final = 0.9
 """Share of the cycle by whose end the plant has its commands, or goes on without."""
 
+FIRST_PARTS: Final = 3
+"""Parts of that time for the first place; each further one has one. In the first the plant wakes
+up and tells every inverter what it measured, and all direct controllers estimate at once: half of
+all that happens in a cycle. What they do not need, the places after it have."""
+
 _ALONE: Final[dict[str, Kind]] = {PLANT: "plant", CENTRAL: "central", RECORDER: "recorder"}
 
 
@@ -70,14 +75,15 @@ def stage_of(port: Port[Message], tree: ControlTree) -> str:
 class Deadlines:
     """When, in real time, each stage of a cycle closes at the latest.
 
-    By default each place has the same share of the cycle; the rest is a margin before the plant's
-    next tick. A run may instead state when the last message of each tier must be out: the stages up
-    to the central controller's solve then share the time before its deadline, and the plant waits
-    for commands until halfway between the last deadline and its next tick.
+    By default 0.9 of the cycle is divided among the places, `FIRST_PARTS` to the first and an equal
+    part to each further one; the rest is a margin before the plant's next tick. A run may instead
+    state when the last message of each tier must be out: the stages up to the central controller's
+    solve then share the time before its deadline in this way, and the plant waits for commands
+    until halfway between the last deadline and its next tick.
 
     cycle_ns: Length of a cycle on the wall clock.
     tiers_ns: Deadline of each tier's last message, the central controller's first and the direct
-        controllers' last. Empty: each place has the same share.
+        controllers' last. Empty: 0.9 of the cycle is divided.
     """
 
     tree: ControlTree
@@ -89,10 +95,10 @@ class Deadlines:
         place = stage_place(agent, stage, self.tree)
         central = stage_place(CENTRAL, "solve", self.tree)
         if not self.tiers_ns:
-            places = stage_place(PLANT, "apply", self.tree)
-            return round(USED_SHARE * place / places * self.cycle_ns)
+            last = stage_place(PLANT, "apply", self.tree)
+            return round(USED_SHARE * self.cycle_ns * _parts(place) / _parts(last))
         if place <= central:
-            return self.tiers_ns[0] * place // central
+            return self.tiers_ns[0] * _parts(place) // _parts(central)
         if agent == PLANT:
             return (self.tiers_ns[-1] + self.cycle_ns) // 2
         # A direct controller may hang from any tier: its deadline is that of its like.
@@ -101,15 +107,23 @@ class Deadlines:
     def slice_ns(self, agent: str, stage: str) -> int:
         """Return a stage's part of the cycle: from the deadline before its own to its own [ns].
 
-        The first place has no deadline before it: it has as much as the next one.
+        The plant's tick has no deadline before it: it has one part.
         """
+        place = stage_place(agent, stage, self.tree)
         central = stage_place(CENTRAL, "solve", self.tree)
+        parts = FIRST_PARTS if place == 1 else 1
         if not self.tiers_ns:
-            return round(USED_SHARE * self.cycle_ns / stage_place(PLANT, "apply", self.tree))
-        if stage_place(agent, stage, self.tree) <= central:
-            return self.tiers_ns[0] // central
+            last = stage_place(PLANT, "apply", self.tree)
+            return round(USED_SHARE * self.cycle_ns * parts / _parts(last))
+        if place <= central:
+            return self.tiers_ns[0] * parts // _parts(central)
         before_ns = self.tiers_ns[-1 if agent == PLANT else depth(agent) - 1]
         return self.deadline_ns(agent, stage) - before_ns
+
+
+def _parts(place: int) -> int:
+    """Return how many parts of the time there are up to the end of a place."""
+    return place + FIRST_PARTS - 1 if place else 0
 
 
 @dataclass(frozen=True)

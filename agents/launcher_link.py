@@ -32,7 +32,7 @@ class LauncherLink:
     events: Socket that keeps packets apart, shared with the other processes of the run.
     expected: Pipe on which the launcher tells the recorder how many messages to expect.
 
-    dismissed: Whether the launcher wants the agent to end: by SIGTERM, see `heed_sigterm`.
+    dismissed: Whether the launcher wants the agent to end: by SIGTERM, see `heed`.
     """
 
     def __init__(
@@ -48,9 +48,10 @@ class LauncherLink:
         """Whether the process was started by hand: no launcher ends it."""
         return self._events is None
 
-    def heed_sigterm(self) -> None:
-        """Treat SIGTERM as the launcher's request to end in order."""
-        signal.signal(signal.SIGTERM, self._dismiss)
+    def heed(self, *numbers: signal.Signals) -> None:
+        """Treat signals as the launcher's request to end in order."""
+        for number in numbers:
+            signal.signal(number, self._dismiss)
 
     def _dismiss(self, *_: object) -> None:
         self.dismissed = True

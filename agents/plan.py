@@ -86,7 +86,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         meet.
     tier_deadlines_ns: In real time: when, after the beginning of a cycle, the last message of each
         tier must be out at the latest; the central controller's first, the direct controllers'
-        last. Empty: each stage has the same share of the cycle.
+        last. Empty: each stage has its part of the cycle.
     machine: What the processes may take of the machine.
     seed: Seed of the synthetic clouds; None where the irradiance is measured.
     restart: What happens when a controller's process ends before the run does.

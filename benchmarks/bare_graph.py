@@ -9,8 +9,7 @@ imported everything and runs one thread; they act on the thread on which Zenoh c
 linked, by TCP on 127.0.0.1, if one puts what the other hears; a recorder hears everything and
 writes the payloads to an MCAP file unread. Nobody decodes, checks or computes anything.
 
-Prints one JSON document. Processor time and context switches are those of the cycles that count,
-in all processes, the recorder included.
+Prints one JSON document, as `harness.run_script` reads it.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ import itertools
 import json
 import multiprocessing
 import os
-import resource
 import socket
 import tempfile
 import threading
@@ -95,41 +93,6 @@ class Graph(msgspec.Struct, frozen=True):
         return [key for process in self.processes for key in process.says()]
 
 
-class Figures(msgspec.Struct, frozen=True):
-    """What a run of the graph came to."""
-
-    cycles_per_s: float
-    startup_s: float
-    processor_ms: float
-    switches_per_message: float
-    messages: int
-    processes: int
-    lost: int
-
-
-class Used(msgspec.Struct, frozen=True):
-    """What a process has used so far, and what the recorder has written."""
-
-    at: float
-    processor_s: float
-    switches: int
-    written: int = 0
-
-    def since(self, before: Used) -> Used:
-        """Return what was used since, and how long that is."""
-        return Used(
-            self.at - before.at,
-            self.processor_s - before.processor_s,
-            self.switches - before.switches,
-            self.written,
-        )
-
-
-def used_so_far(written: int = 0) -> Used:
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return Used(time.monotonic(), used.ru_utime + used.ru_stime, used.ru_nvcsw, written)
-
-
 class Network:
     """Who links with whom, and through which ports."""
 
@@ -170,7 +133,7 @@ class Network:
         return token
 
 
-Work = Callable[[], Used]
+Work = Callable[[], object]
 THREAD: Final = threading.local()
 
 
@@ -197,7 +160,7 @@ class Player:
         self._lock = threading.Lock()
         self._is_over = threading.Event()
         self._surplus: Counter[str] = Counter()
-        self._before = self._after = used_so_far()
+        self._began = self._ended = 0.0
         self._stages = [
             (stage.awaits, [(declare(session, put.key), put.payload) for put in stage.puts])
             for stage in process.stages
@@ -206,8 +169,8 @@ class Player:
         self._missing = self._claim()
         self._kept = [subscribe(session, key, self._hear) for key in process.hears]
 
-    def __call__(self) -> Used:
-        """Begin, if this is the process that begins each cycle; return what all cycles used."""
+    def __call__(self) -> tuple[float, float]:
+        """Begin, if this is the process that begins each cycle; return when all began and ended."""
         with self._lock:
             self._go_on()
         began = self._cycle
@@ -215,7 +178,7 @@ class Player:
             if self._cycle == began:
                 raise TimeoutError(f"nothing came in cycle {began}")
             began = self._cycle
-        return self._after.since(self._before)
+        return self._began, self._ended
 
     def _hear(self, key: str) -> None:
         with self._lock:
@@ -243,19 +206,19 @@ class Player:
     def _end_cycle(self) -> None:
         self._cycle += 1
         if self._cycle == 0:
-            self._before = used_so_far()
+            self._began = time.monotonic()
         elif self._cycle == self._cycles:
-            self._after = used_so_far()
+            self._ended = time.monotonic()
             self._is_over.set()
 
 
 def recorder(graph: Graph, cycles: int, session: zenoh.Session) -> Work:
-    """Return what the recorder does: write each payload until all have come, or nothing more."""
+    """Return what the recorder does: write and count payloads until nothing more comes."""
     subscriber = session.declare_subscriber("**", zenoh.handlers.FifoChannel(65536))
     keys = graph.says()
 
-    def record() -> Used:
-        written, before = 0, used_so_far()
+    def record() -> int:
+        written = 0
         with tempfile.TemporaryFile() as file:
             writer = Writer(file, compression=CompressionType.LZ4)
             writer.start(profile="bare", library="bare graph")
@@ -268,15 +231,13 @@ def recorder(graph: Graph, cycles: int, session: zenoh.Session) -> Work:
                     channel = channels[str(sample.key_expr)]
                     writer.add_message(channel, now_ns, data, now_ns, written)
                     written, heard = written + 1, now
-                    if written == len(keys) * WARM_UP:
-                        before = used_so_far()
                 if now - flushed > FLUSH_S:
                     writer.flush()
                     flushed = now
                 time.sleep(NAP_S)
                 now = time.monotonic()
             writer.finish()
-        return used_so_far(written).since(before)
+        return written
 
     return record
 
@@ -301,7 +262,7 @@ def hear(child: Connection, process: BaseProcess, limit_s: float) -> Any:
     return child.recv()
 
 
-def run(graph: Graph, cycles: int) -> Figures:
+def run(graph: Graph, cycles: int) -> dict[str, object]:
     os.environ["ZENOH_RUNTIME"] = RUNTIME
     network = Network(graph)
     roles: dict[str, Callable[[zenoh.Session], Work]]
@@ -312,7 +273,6 @@ def run(graph: Graph, cycles: int) -> Figures:
     gc.collect()
     gc.freeze()
     fork = multiprocessing.get_context("fork")
-    began = time.monotonic()
     children: list[tuple[Connection, BaseProcess]] = []
     try:
         for name, role in roles.items():
@@ -322,25 +282,16 @@ def run(graph: Graph, cycles: int) -> Figures:
             children.append((child, process))
         for each in children:
             hear(*each, 2 * ARM_LIMIT_S)
-        startup_s = time.monotonic() - began
         for child, _ in reversed(children):
             child.send("go")
-        reports: list[Used] = [hear(*each, RUN_LIMIT_S) for each in children]
+        (began, ended), *_, written = [hear(*each, RUN_LIMIT_S) for each in children]
     finally:
         for _, started in children:
             started.kill()
             started.join()
-    messages = len(graph.says())
-    switches = sum(report.switches for report in reports)
-    return Figures(
-        cycles_per_s=cycles / reports[0].at,
-        startup_s=startup_s,
-        processor_ms=1e3 * sum(report.processor_s for report in reports) / cycles,
-        switches_per_message=switches / (messages * cycles),
-        messages=messages,
-        processes=len(reports),
-        lost=messages * (WARM_UP + cycles) - reports[-1].written,
-    )
+    messages = len(graph.says()) * (WARM_UP + cycles)
+    counts = {"cycles": cycles, "messages": messages, "lost": messages - written}
+    return {"began": began, "ended": ended, **counts}
 
 
 def main() -> None:
@@ -349,7 +300,7 @@ def main() -> None:
     parser.add_argument("--cycles", type=int, default=800)
     options = parser.parse_args()
     graph = msgspec.json.decode(options.graph.read_bytes(), type=Graph)
-    print(msgspec.json.encode(run(graph, options.cycles)).decode())
+    print(json.dumps(run(graph, options.cycles)))
 
 
 if __name__ == "__main__":

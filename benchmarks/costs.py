@@ -20,14 +20,14 @@ import sys
 import tempfile
 import threading
 import urllib.request
-from collections import deque
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from statistics import median
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
-from harness import OURS, die_with_parent, launch, print_table, rounds_of, run
+from harness import OURS, Launch, die_with_parent, launch, run
+from rounds import measured, print_rounds
 
 
 class Way(NamedTuple):
@@ -39,24 +39,25 @@ class Way(NamedTuple):
     browsers: int = 0
 
 
-class Cost(NamedTuple):
-    """What a way has cost in one round, in lockstep and in real time."""
+class Cost(Launch, frozen=True, kw_only=True):
+    """A launch in lockstep, and what one in real time has shown: loop, page and missed inputs."""
 
-    cycles_per_s: float
-    processor_ms: float
-    startup_s: float
     loop_p50_ms: float
     loop_p99_ms: float
-    missed_inputs: float
-    page_ms: float
     page_real_ms: float
-    page_mb: float
 
 
-HEADINGS = (
-    *("", "cycles/s", "ms per\ncycle", "start-up\n[s]", "loop p50\n[ms]", "loop p99\n[ms]"),
-    *("inputs\nmissed", "page in\nlockstep\n[ms/s]", "page in\nreal time\n[ms/s]", "page\n[MB]"),
-)
+COLUMNS: Final = {
+    "cycles_per_s": ("cycles/s", "", 1),
+    "processor_ms": ("processor time", "ms a cycle", 1),
+    "startup_s": ("start-up", "s", 1),
+    "loop_p50_ms": ("loop p50", "ms", 1),
+    "loop_p99_ms": ("loop p99", "ms", 1),
+    "missed_inputs": ("missed inputs", "", 0),
+    "page_ms": ("page, lockstep", "ms/s", 1),
+    "page_real_ms": ("page, real time", "ms/s", 1),
+    "page_mb": ("page", "MB", 1),
+}
 
 
 class Browsers:
@@ -106,10 +107,12 @@ def measure(way: Way, scenario: str, cycles: int, rate: int, seconds: int) -> Co
             for each in msgspec.json.decode(figures.read_bytes())["times"]
             if (each["measure"], each["of"]) == ("loop", "all commands")
         )
+    of_real = {"missed_inputs": real.missed_inputs, "page_mb": max(fast.page_mb, real.page_mb)}
     return Cost(
-        *(fast.cycles_per_s, fast.processor_ms, fast.startup_s),
-        *(loop["p50_us"] / 1e3, loop["p99_us"] / 1e3, real.missed_inputs),
-        *(fast.page_ms, real.page_ms, max(fast.page_mb, real.page_mb)),
+        **msgspec.structs.asdict(fast) | of_real,
+        loop_p50_ms=loop["p50_us"] / 1e3,
+        loop_p99_ms=loop["p99_us"] / 1e3,
+        page_real_ms=real.page_ms,
     )
 
 
@@ -136,25 +139,11 @@ def main() -> None:
             run([str(OURS), "keys", options.scenario, "--out", keys])
             ways += [Way("without keys", OURS)]
             ways += [Way("with keys", OURS, ("--secure", "--keys", keys))]
-        costs: dict[str, list[Cost]] = {way.name: [] for way in ways}
-        in_turn = deque(ways)
-        for _ in rounds_of(options.rounds):
-            in_turn.rotate()  # Other work on the machine comes and goes.
-            for way in in_turn:
-                settings = (options.scenario, options.cycles, options.rate, options.seconds)
-                costs[way.name].append(measure(way, *settings))
-    rows = [
-        (name, *(f"{median(values):,.1f}" for values in zip(*found, strict=True)))
-        for name, found in costs.items()
-    ]
-    print_table(f"{options.scenario}: medians of {options.rounds} rounds", HEADINGS, rows)
-    first, *others = costs.items()
-    for name, found in others:
-        pairs = zip(found, first[1], strict=True)
-        ratios = [one.cycles_per_s / base.cycles_per_s for one, base in pairs]
-        print(
-            f"cycles/s, {name} / {first[0]}, round by round: {min(ratios):.2f} to {max(ratios):.2f}"
+        settings = (options.scenario, options.cycles, options.rate, options.seconds)
+        costs = measured(
+            options.rounds, {way.name: partial(measure, way, *settings) for way in ways}
         )
+    print_rounds(f"{options.scenario}: {options.rounds} rounds", costs, COLUMNS)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import platform
 import resource
 import signal
 import subprocess
@@ -13,19 +12,14 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from importlib.metadata import version
 from math import nan
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 import psutil
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.table import Table
 
 OURS: Final = Path(sys.executable).parent / "heliarch"
-CONSOLE: Final = Console(width=120, highlight=False)
 SAMPLE_S: Final = 0.2
 LIMIT_S: Final = 300.0
 _PR_SET_PDEATHSIG: Final = 1
@@ -49,6 +43,22 @@ class Sample(msgspec.Struct, frozen=True):
     page_mb: float
 
 
+class Figures(msgspec.Struct, frozen=True, kw_only=True):
+    """What a run of a control graph came to, seen from outside.
+
+    startup_s: From the command to cycle 0.
+    processor_ms: User and system time of all its processes for each cycle.
+    switches_per_message: How often a process waited for something, from the command to its end.
+    """
+
+    cycles_per_s: float
+    startup_s: float
+    processor_ms: float
+    switches_per_message: float
+    processes: int
+    lost: int
+
+
 class Watched(msgspec.Struct, frozen=True):
     """A program that has ended: what it printed, when it was started, what was seen of it.
 
@@ -59,6 +69,20 @@ class Watched(msgspec.Struct, frozen=True):
     started: float
     samples: list[Sample]
     switches: int
+
+    def figures(
+        self, began: float, ended: float, cycles: int, messages: float = nan, lost: int = 0
+    ) -> Figures:
+        """Return what its cycles came to, by when they began and ended."""
+        cycles_per_s = cycles / (ended - began)
+        return Figures(
+            cycles_per_s=cycles_per_s,
+            startup_s=began - self.started,
+            processor_ms=1e3 * self.busy(began, ended) / cycles_per_s,
+            switches_per_message=self.switches / messages,
+            processes=max((each.processes for each in self.samples), default=0),
+            lost=lost,
+        )
 
     def busy(self, began: float, ended: float, field: str = "processor_s") -> float:
         """Return the processor time of all its processes for each second of a time.
@@ -73,10 +97,6 @@ class Watched(msgspec.Struct, frozen=True):
         first, last = inside[0], inside[-1]
         used_s: float = getattr(last, field) - getattr(first, field)
         return used_s / (last.at - first.at)
-
-    @property
-    def processes(self) -> int:
-        return max((each.processes for each in self.samples), default=0)
 
 
 def die_with_parent(number: int = signal.SIGKILL) -> None:
@@ -145,24 +165,14 @@ def _sample(pid: int) -> Iterable[Sample]:
     yield Sample(time.monotonic(), processor_s, len(processes), page_s, page_mb)
 
 
-class Launch(msgspec.Struct, frozen=True, kw_only=True):
+class Launch(Figures, frozen=True, kw_only=True):
     """One launch.
 
-    `startup_s` is the time from the command to cycle 0. `processor_ms` is the processor time of all
-    processes for each cycle, seen from outside; `page_ms` that of the live page for each second.
-    `switches_per_message` counts from the command to its end.
     Memory is that of the median direct controller [MB], NaN if unknown: a launcher looks at its
-    processes one after another, and in a short run it may not come round.
+    processes one after another, and in a short run it may not come round. `page_ms` is the
+    processor time of the live page for each second.
     """
 
-    cycles: int
-    cycles_per_s: float
-    startup_s: float
-    processor_ms: float
-    switches_per_message: float
-    processes: int
-    messages: int
-    lost: int
     missed_inputs: int
     resident_mb: float
     own_mb: float
@@ -200,15 +210,9 @@ def _read(summary: dict[str, Any], watched: Watched) -> Launch:
     began = watched.started + summary["startup_s"]
     ended = began + summary["wall_s"]
     messages = sum(each["published"] for each in summary["messages"])
+    seen = watched.figures(began, ended, summary["cycles"], messages, summary["messages_lost"])
     return Launch(
-        cycles=summary["cycles"],
-        cycles_per_s=summary["cycles_per_s"],
-        startup_s=summary["startup_s"],
-        processor_ms=1e3 * watched.busy(began, ended) / summary["cycles_per_s"],
-        processes=watched.processes,
-        messages=messages,
-        switches_per_message=watched.switches / messages,
-        lost=summary["messages_lost"],
+        **msgspec.structs.asdict(seen),
         missed_inputs=summary["missing_inputs"],
         resident_mb=memory.get("resident_median_mb") or nan,
         own_mb=memory.get("own_median_mb") or nan,
@@ -217,29 +221,12 @@ def _read(summary: dict[str, Any], watched: Watched) -> Launch:
     )
 
 
-def rounds_of(count: int) -> Iterable[int]:
-    """Yield the numbers of rounds; say which one begins, and how busy the machine is."""
-    for number in range(count):
-        load = psutil.getloadavg()[0]
-        sys.stderr.write(f"round {number + 1} of {count}, load {load:.1f}\n")
-        yield number
+def run_script(script: str, *words: object) -> tuple[Figures, dict[str, Any]]:
+    """Run a script of this folder that runs a graph; return what that came to, and what it says.
 
-
-def print_table(title: str, headings: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
-    """Print a table, and below it the machine. Columns without a heading are names."""
-    table = Table(title=title, box=SIMPLE)
-    for heading in headings:
-        table.add_column(heading, justify="right" if heading else "left", no_wrap=not heading)
-    for row in rows:
-        table.add_row(*row)
-    CONSOLE.print(table)
-    CONSOLE.print(
-        f"{platform.system()} {platform.release()}, {os.cpu_count()} cores, Python "
-        f"{platform.python_version()}, Zenoh {version('eclipse-zenoh')}"
-    )
-
-
-def write_figures(figures: object, path: Path | None) -> None:
-    """Write all figures as JSON, if they are wanted."""
-    if path is not None:
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(figures), indent=1))
+    It prints a line of JSON with the arguments of `Watched.figures`, and more.
+    """
+    watched = run([sys.executable, str(Path(__file__).with_name(script)), *map(str, words)])
+    said: dict[str, Any] = msgspec.json.decode(watched.output.splitlines()[-1])
+    names = {"began", "ended", "cycles", "messages", "lost"} & said.keys()
+    return watched.figures(**{name: said[name] for name in names}), said

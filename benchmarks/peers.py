@@ -2,11 +2,10 @@
 
     python benchmarks/peers.py --rounds 5 --cycles 300
 
-Each round runs the three in turn, so what else the machine does meets all of them. HELICS
-(`peer_helics.py`) and mosaik (`peer_mosaik.py`) run the graph of `peer_graph.py`: 22 nodes, each a
-process, six serial hops in a cycle, the paper's rule on one number for each message, no recording.
-Heliarch is `heliarch launch oahu --pace max`: its own 22 agents in the same tree, with a header on
-each message, all inputs checked, and everything recorded.
+HELICS (`peer_helics.py`) and mosaik (`peer_mosaik.py`) run the graph of `peer_graph.py`: 22 nodes,
+each a process, six serial hops in a cycle, the paper's rule on one number for each message, no
+recording. Heliarch is `heliarch launch oahu --pace max`: its own 22 agents in the same tree, with a
+header on each message, all inputs checked, and everything recorded.
 
 Power delivered by the two peers is compared with a calculation in one process, cycle by cycle: a
 loop in the wrong order ends the benchmark with status 1. Processor time is that of all processes,
@@ -16,42 +15,32 @@ HELICS's broker, mosaik's scheduler, Heliarch's launcher and recorder included, 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Iterator
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from statistics import median
 from typing import Final
 
-import msgspec
 import peer_graph
-from harness import OURS, Failure, launch, print_table, rounds_of, run, write_figures
+from harness import OURS, Failure, Figures, launch, run_script
+from rounds import measured, print_rounds, write_figures
 
-HERE: Final = Path(__file__).parent
 TOLERANCE_KW: Final = 1e-6
-
-
-class Figures(msgspec.Struct, frozen=True):
-    """What one run of one of the three came to."""
-
-    cycles_per_s: float
-    processor_ms: float
-    processes: int
+COLUMNS: Final = {
+    "cycles_per_s": ("cycles/s", "", 1),
+    "processor_ms": ("processor time", "ms a cycle", 1),
+    "processes": ("processes", "", 0),
+}
 
 
 def peer(script: str, cycles: int, *options: str) -> Figures:
     """Run the graph with a peer and check what it delivered."""
-    watched = run([sys.executable, str(HERE / script), str(cycles), *options])
-    result = json.loads(watched.output.splitlines()[-1])
+    figures, said = run_script(script, cycles, *options)
     expected = peer_graph.expected_kw(cycles)
-    for cycle, (got, want) in enumerate(zip(result["delivered_kw"], expected, strict=True)):
+    for cycle, (got, want) in enumerate(zip(said["delivered_kw"], expected, strict=True)):
         if abs(got - want) > TOLERANCE_KW:
             raise Failure(f"{script}: cycle {cycle} delivered {got:.3f} kW, expected {want:.3f}")
-    began, ended = result["began"], result["ended"]
-    cycles_per_s = cycles / (ended - began)
-    processor_ms = 1e3 * watched.busy(began, ended) / cycles_per_s
-    return Figures(cycles_per_s, processor_ms, watched.processes)
+    return figures
 
 
 def heliarch(cycles: int) -> Figures:
@@ -59,21 +48,7 @@ def heliarch(cycles: int) -> Figures:
     result = launch(OURS, "oahu", cycles)
     if result.lost:
         raise Failure(f"heliarch launch: {result.lost:,} messages lost")
-    return Figures(result.cycles_per_s, result.processor_ms, result.processes)
-
-
-def rows_of(rounds: dict[str, list[Figures]]) -> Iterator[tuple[str, ...]]:
-    for name, figures in rounds.items():
-        rates = [each.cycles_per_s for each in figures]
-        pairs = zip(rounds["Heliarch"], figures, strict=True)
-        ratio = median(ours.cycles_per_s / each.cycles_per_s for ours, each in pairs)
-        yield (
-            name,
-            *(f"{value:,.1f}" for value in (median(rates), min(rates), max(rates))),
-            f"{median(each.processor_ms for each in figures):.1f} ms",
-            str(max(each.processes for each in figures)),
-            "" if name == "Heliarch" else f"{ratio:.1f} times",
-        )
+    return result
 
 
 def main() -> int:
@@ -86,20 +61,19 @@ def main() -> int:
     cycles, core = options.cycles, options.core
     helics = f"HELICS {version('helics')} ({core}), not recorded"
     mosaik = f"mosaik {version('mosaik')}, not recorded"
-    rounds: dict[str, list[Figures]] = {helics: [], mosaik: [], "Heliarch": []}
+    ways = {
+        "Heliarch": partial(heliarch, cycles),
+        helics: partial(peer, "peer_helics.py", cycles, core),
+        mosaik: partial(peer, "peer_mosaik.py", cycles),
+    }
     try:
-        for _ in rounds_of(options.rounds):
-            rounds[helics].append(peer("peer_helics.py", cycles, core))
-            rounds[mosaik].append(peer("peer_mosaik.py", cycles))
-            rounds["Heliarch"].append(heliarch(cycles))
+        found = measured(options.rounds, ways)
     except Failure as failure:
         sys.stderr.write(f"peers: {failure}\n")
         return 1
     title = f"22 nodes, 6 hops in a cycle: {options.rounds} rounds, {cycles:,} cycles each"
-    rates = (f"{which}\ncycles/s" for which in ("median", "min", "max"))
-    others = ("processor time\nin a cycle", "processes", "Heliarch is faster,\nround by round")
-    print_table(title, ("", *rates, *others), rows_of(rounds))
-    write_figures(rounds, options.json)
+    print_rounds(title, found, COLUMNS)
+    write_figures(found, options.json)
     return 0
 
 

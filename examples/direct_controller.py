@@ -24,8 +24,8 @@ PROTOCOL = 1  # Version of docs/wire.md that it was written from.
 METER_TOLERANCE = 0.05  # Share of the rating by which a meter may read above the rating.
 ROUNDING = 1e-9
 BEFORE_ALL = -(2**31)  # No cycle has begun: each message takes it further.
-ESTIMATE_BY = 0.14  # Share of a cycle, after its first message, in which estimate closes.
-ACTUATE_BY = 0.7  # The same for actuate.
+ESTIMATE_BY = 0.32  # Share of a cycle, after its first message, in which estimate closes.
+ACTUATE_BY = 0.77  # The same for actuate.
 NUMBERS = {  # What it needs of each message beside cycle and source.
     "telemetry": ("power_kw", "alpha"),
     "dispatch": ("power_kw", "plant_rating_kw"),

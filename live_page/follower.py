@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from contextlib import suppress
 from math import ceil
@@ -65,7 +65,6 @@ class RunFollower:
         wall_s = self.plan.cycle_wall_ns / 1e9
         self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
         self._firsts: list[int] = []
-        self._lasts: list[int] = []
         self._next_sequence: dict[int, int] = {}
         # Each node states its IMPP in each cycle; a real inverter that is gone has no telemetry.
         self._names: dict[Port[Message], str] = {
@@ -125,11 +124,9 @@ class RunFollower:
 
     def chunks_with(self, cycle: int, before: int = 1) -> list[ChunkPlace]:
         """Return the chunks that can hold messages of a cycle and of some cycles before it."""
-        end = begin = bisect_right(self._firsts, cycle + self._disorder)
-        first = cycle - before - self._disorder
-        while begin > max(end - MOST_CHUNKS, 0) and self._lasts[begin - 1] >= first:
-            begin -= 1
-        return self.run.outline.chunks[begin:end]
+        begin = bisect_left(self._firsts, cycle - before - self._disorder) - 1
+        end = bisect_right(self._firsts, cycle + self._disorder)
+        return self.run.outline.chunks[max(begin, end - MOST_CHUNKS, 0) : end]
 
     def powers(self, cycles: range, points: int) -> dict[str, list[float]]:
         """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
@@ -164,7 +161,6 @@ class RunFollower:
 
     def _read(self, place: ChunkPlace) -> None:
         ports = self.run.channels
-        first = last = max(self.cycles - 1, 0)
         begin = end = b""
         for channel, sequence, _, _, payload in self.run.messages_of(place, ports):
             port = ports[channel]
@@ -179,10 +175,12 @@ class RunFollower:
             begin, end = begin or payload, payload
         if place in self.run.damage:
             self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
-        if begin:
-            first, last = sorted((head_of(begin).cycle, head_of(end).cycle))
+        first = min(head_of(begin).cycle, head_of(end).cycle) if begin else self.cycles - 1
         self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
-        self._lasts.append(last)
+        if self._stop_cycle is not None and self._stop_cycle < self.cycles:
+            text = f"a message said that it was over after {self._stop_cycle:,} cycles"
+            self.events.add("run", self._stop_cycle, PLANT, f"the run goes on, although {text}")
+            self._stop_cycle = None
         self._note_silence()
 
     def _see(self, port: Port[Message], payload: bytes) -> None:
@@ -190,9 +188,6 @@ class RunFollower:
         cycle = message.cycle
         match message:
             case Dispatch() if 0 <= cycle < self.plan.cycles:
-                if self._stop_cycle is not None and self._stop_cycle <= cycle:
-                    self._note_false_stop(self._stop_cycle)
-                    self._stop_cycle = None
                 self._series.commitment_kw[cycle] = message.commitment_kw
                 self._series.regulation_kw[cycle] = message.regulation_kw
             case Production() if 0 <= cycle < self.plan.cycles:
@@ -205,15 +200,9 @@ class RunFollower:
                 self.start_time_ns = message.start_time_ns
                 pace = "in real time" if message.cycle_wall_ns else "in lockstep"
                 self.events.add("run", cycle, PLANT, f"the run begins, {pace}")
-            case Run(state="stop") if cycle < self.cycles:
-                self._note_false_stop(cycle)
             case Run(state="stop"):
                 self._stop_cycle = cycle
                 self.events.add("run", cycle, PLANT, f"the run is over after {cycle:,} cycles")
-
-    def _note_false_stop(self, cycle: int) -> None:
-        text = f"the run goes on, although a message said that it was over after {cycle:,} cycles"
-        self.events.add("run", cycle, PLANT, text)
 
     def _hear(self, port: Port[Message], cycle: int) -> None:
         """Note a message that comes in each cycle."""

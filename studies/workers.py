@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -88,13 +89,26 @@ def _apply(item: object) -> object:
 def _signals_blocked() -> Iterator[None]:
     """Let processes start that ignore, from their first import on, the signals that end this one.
 
-    Ctrl-C and `timeout` send these to every process of a terminal or group; only this one obeys.
+    Ctrl-C and `timeout` send these to every process of a terminal or group; only this one obeys,
+    and only afterwards: a process that is started halfway prints a traceback. For that it is not
+    enough to block them. The kernel gives them to another thread, such as one of a library, and
+    Python calls the handler in the main thread all the same.
     """
+    came: list[int] = []
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():  # No other one may set handlers.
+        handlers = {
+            one: signal.signal(one, lambda number, _: came.append(number)) for one in _SIGNALS
+        }
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in came:
+            signal.raise_signal(number)
 
 
 def share_over_cluster(

@@ -15,32 +15,21 @@ from typing import Final
 
 from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
 from sunspec2.modbus.client import SunSpecModbusClientModel as Model
+from sunspec2.modbus.client import SunSpecModbusClientPoint as Point
 from sunspec2.modbus.modbus import ModbusClientException
 
 from sim_plant.devices import Reading, parse_address
+from sunspec.limited_inverter import LIMIT_POINTS, LONGEST_REVERT_S
 
 _MEASUREMENTS: Final = (701, 103, 102, 101)
-_LIMITS: Final = {
-    704: (
-        "WMaxLimPctEna",
-        "WMaxLimPct",
-        "WMaxLimPctRvrt",
-        "WMaxLimPctEnaRvrt",
-        "WMaxLimPctRvrtTms",
-    ),
-    123: ("WMaxLim_Ena", "WMaxLimPct", "WMaxLimPct_RvrtTms"),
-}
-"""The points that limit the power: first whether a limit is in force, then the limit."""
-
+_LIMITS: Final = (704, 123)
 _ALONG: Final = ("WMaxLimPct_WinTms", "WMaxLimPct_RmpTms")
-"""Points of 123 between these: written back as they are, so that one write does it all."""
+"""Points of 123 among those of a limit: written back as they are, so that one write does it all."""
 
 _RATINGS: Final = ((702, "WMax"), (702, "WMaxRtg"), (121, "WMax"), (120, "WRtg"))
 """What 100 % stands for, in the order of preference."""
 
 _TIMEOUT_S: Final = 2.0
-_LONGEST_REVERT_S: Final = 65_534
-"""Most that the register of model 123 holds."""
 
 
 class DeviceError(Exception):
@@ -80,10 +69,11 @@ class SunSpecInverter:
         self._measured = self._model(*_MEASUREMENTS)
         self._limited = self._model(*_LIMITS)
         self._extended = self._device.models.get(122, (None,))[0]
-        self._points = _LIMITS[self._limited.model_id]
+        self._points: dict[str, Point] = {}
         self._need(self._measured, "W")
-        for name in self._points:
-            if self._needs_revert or "Rvrt" not in name:
+        for name, field in LIMIT_POINTS[self._limited.model_id].items():
+            self._points[field] = self._limited.points[name]
+            if field in {"enabled", "percent"} or (self._needs_revert and "revert" in field):
                 self._need(self._limited, name)
         ratings_kw = [
             self._kw(self._device.models[model][0], name)
@@ -115,7 +105,7 @@ class SunSpecInverter:
             if power_kw is None:
                 number = self._measured.model_id
                 raise DeviceRefusedError(f"{self.address}: model {number} states no power W")
-            enabled, percent = (self._limited.points[name].cvalue for name in self._points[:2])
+            enabled, percent = (self._points[field].cvalue for field in ("enabled", "percent"))
             limit_kw = self.rating_kw
             if enabled == 1 and percent is not None:
                 limit_kw *= min(max(percent, 0.0), 100.0) / 100.0
@@ -132,22 +122,21 @@ class SunSpecInverter:
 
         Raises DeviceError: It does not answer, or refuses.
         """
-        model, points = self._limited, self._limited.points
+        told: dict[str, float] = {"enabled": 1, "percent": self._percent(kw)}
+        if self._needs_revert:
+            told["revert_s"] = min(max(round(revert_s), 1), LONGEST_REVERT_S)
+            told["revert_enabled"] = int(revert_kw is not None)
+            told["revert_percent"] = 100.0 if revert_kw is None else self._percent(revert_kw)
+        elif self._points["revert_s"].value:
+            told["revert_s"] = 0
+        points = self._limited.points
         with self._errors():
-            enabled, percent, revert_time = (points[self._points[place]] for place in (0, 1, -1))
-            enabled.cvalue, percent.cvalue = 1, self._percent(kw)
-            if self._needs_revert:
-                revert_time.cvalue = min(max(round(revert_s), 1), _LONGEST_REVERT_S)
-                if model.model_id == 704:
-                    reverts_to_kw = self.rating_kw if revert_kw is None else revert_kw
-                    points["WMaxLimPctEnaRvrt"].cvalue = 0 if revert_kw is None else 1
-                    points["WMaxLimPctRvrt"].cvalue = self._percent(reverts_to_kw)
-            elif revert_time.value:
-                revert_time.cvalue = 0
+            for field in told.keys() & self._points.keys():
+                self._points[field].cvalue = told[field]
             for name in _ALONG:
                 if name in points and points[name].value is not None:
                     points[name].dirty = True
-            model.write()
+            self._limited.write()
 
     def _percent(self, kw: float) -> float:
         return min(max(100.0 * kw / self.rating_kw, 0.0), 100.0)

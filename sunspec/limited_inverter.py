@@ -5,9 +5,35 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from math import copysign, inf
-from typing import Final
+from typing import Annotated, Final, Literal, TypeAlias
 
 import msgspec
+from msgspec import Meta
+
+LONGEST_REVERT_S: Final = 65_534
+"""Most that the register of model 123 holds; that of 704 could hold more."""
+
+LIMIT_POINTS: Final = {
+    123: {
+        "Conn": "connected",
+        "WMaxLim_Ena": "enabled",
+        "WMaxLimPct": "percent",
+        "WMaxLimPct_RvrtTms": "revert_s",
+    },
+    704: {
+        "WMaxLimPctEna": "enabled",
+        "WMaxLimPct": "percent",
+        "WMaxLimPctRvrtTms": "revert_s",
+        "WMaxLimPctEnaRvrt": "revert_enabled",
+        "WMaxLimPctRvrt": "revert_percent",
+        "WSetEna": "set_enabled",
+        "WSetMod": "set_in_w",
+        "WSet": "set_w",
+    },
+}
+"""Points of SunSpec models, with the fields of `LimitSettings` that they set."""
+
+Percent: TypeAlias = Annotated[float, Meta(ge=0.0, le=100.0)]
 
 _STEP_S: Final = 1.0
 
@@ -20,13 +46,13 @@ class LimitSettings(msgspec.Struct, frozen=True):
     """
 
     enabled: bool = False
-    percent: float = 100.0
-    revert_s: int = 0
+    percent: Percent = 100.0
+    revert_s: Annotated[int, Meta(ge=0, le=LONGEST_REVERT_S)] = 0
     revert_enabled: bool = False
-    revert_percent: float = 100.0
+    revert_percent: Percent = 100.0
     set_enabled: bool = False
-    set_in_w: bool = True
-    set_w: float = 0.0
+    set_in_w: Literal[1] = 1
+    set_w: Annotated[float, Meta(ge=0.0)] = 0.0
     connected: bool = True
 
     def target(self, rating_kw: float) -> float:

@@ -16,7 +16,7 @@ from pymodbus.constants import ExcCodes
 from pymodbus.simulator import DataType, SimData, SimDevice
 from sunspec2.device import Model
 
-from sunspec.limited_inverter import LimitedInverter
+from sunspec.limited_inverter import LIMIT_POINTS, LimitedInverter, LimitSettings
 
 Points: TypeAlias = dict[int, dict[str, float | str]]
 """Points of each model of a unit, by the model's number; scale factors first."""
@@ -30,35 +30,6 @@ _UNSIGNED: Final = 65_535
 _OFF, _SLEEPING, _RUNNING, _THROTTLED = 1, 2, 4, 5
 """States of model 103; those of 701 are one less."""
 
-_LIMIT_POINTS: Final = {
-    123: {
-        "Conn": "connected",
-        "WMaxLim_Ena": "enabled",
-        "WMaxLimPct": "percent",
-        "WMaxLimPct_RvrtTms": "revert_s",
-    },
-    704: {
-        "WMaxLimPctEna": "enabled",
-        "WMaxLimPct": "percent",
-        "WMaxLimPctRvrtTms": "revert_s",
-        "WMaxLimPctEnaRvrt": "revert_enabled",
-        "WMaxLimPctRvrt": "revert_percent",
-        "WSetEna": "set_enabled",
-        "WSetMod": "set_in_w",
-        "WSet": "set_w",
-    },
-}
-"""Points that may be written, with their fields of `LimitSettings`."""
-
-_RANGES: Final = {
-    "percent": (0.0, 100.0),
-    "revert_percent": (0.0, 100.0),
-    "revert_s": (0.0, 65_534.0),  # Model 704 could hold more, but 123 cannot.
-    "set_in_w": (1.0, 1.0),
-    "set_w": (0.0, inf),
-}
-"""Lowest and highest value of fields; all others are from 0 to 1."""
-
 _NO_REVERT: Final = {"revert_enabled": False, "revert_percent": 100.0}
 """Points of model 704 that 123 lacks, as a limit by model 123 sets them."""
 
@@ -68,7 +39,7 @@ class Registers:
 
     points: Returns its present points; the first model is the common one, 1.
     tell: Called with a model's number and the fields of `LimitSettings` that were written to it.
-        Not used for units without a model of `_LIMIT_POINTS`.
+        Not used for units without a model of `LIMIT_POINTS`.
     """
 
     def __init__(
@@ -114,7 +85,7 @@ class Registers:
 
     def _write(self, model: Model, first: int, values: list[int]) -> ExcCodes | None:
         """Take points of a limit, all of them or none."""
-        known = _LIMIT_POINTS.get(model.model_id, {})
+        known = LIMIT_POINTS.get(model.model_id, {})
         data = struct.pack(f">{len(values)}H", *values)
         told: dict[str, Any] = {}
         for name, point in model.points.items():
@@ -125,12 +96,11 @@ class Registers:
                 return ExcCodes.ILLEGAL_ADDRESS
             point.set_mb(data[2 * place : 2 * (place + point.len)])
             told[known[name]] = point.cvalue
-        for field, value in told.items():
-            low, high = _RANGES.get(field, (0.0, 1.0))
-            if value is None or not low <= value <= high:
-                return ExcCodes.ILLEGAL_VALUE
         assert self._tell is not None
-        self._tell(model.model_id, told)
+        try:
+            self._tell(model.model_id, told)
+        except msgspec.ValidationError:
+            return ExcCodes.ILLEGAL_VALUE
         return None
 
 
@@ -144,15 +114,15 @@ def no_unit() -> SimDevice:
     return SimDevice(0, nothing, action=refuse)
 
 
-def inverter_registers(
+def inverter_device(
     unit: int,
     name: str,
     inverter: LimitedInverter,
     now: Callable[[], float],
     on_limit: Callable[[], None],
     points: Callable[[LimitedInverter, float], Points],
-) -> Registers:
-    """Return the registers of a simulated inverter with a path in the control tree.
+) -> SimDevice:
+    """Return a simulated inverter with a path in the control tree as a Modbus unit.
 
     on_limit: Called when a limit is written.
     points: Returns its points at a time, such as `inverter_points`.
@@ -164,21 +134,23 @@ def inverter_registers(
         return _common("simulated inverter", name, unit) | points(inverter, at)
 
     def tell(model: int, told: dict[str, Any]) -> None:
-        on_limit()
         renews = not told.keys() <= {"connected", "set_enabled", "set_in_w", "set_w"}
         if renews and model == 123:
             told |= _NO_REVERT
         at = now()
         inverter.advance(at)  # It may have reverted meanwhile.
-        inverter.told(msgspec.structs.replace(inverter.settings, **told), at, renews=renews)
+        present = msgspec.structs.asdict(inverter.settings)
+        settings = msgspec.convert(present | told, LimitSettings, strict=False)
+        on_limit()
+        inverter.told(settings, at, renews=renews)
 
-    return Registers(unit, current, tell)
+    return Registers(unit, current, tell).device
 
 
-def meter_registers(
+def meter_device(
     unit: int, inverters: Iterable[LimitedInverter], now: Callable[[], float]
-) -> Registers:
-    """Return the registers of the meter where a plant is connected: power fed in is positive."""
+) -> SimDevice:
+    """Return the meter where a plant is connected: power fed in is positive."""
     inverters = list(inverters)
     sf = _scale(1e3 * sum(inverter.rating_kw for inverter in inverters))
 
@@ -196,7 +168,7 @@ def meter_registers(
         }  # fmt: skip
         return _common("meter at the point of interconnection", "meter", unit) | {203: measured}
 
-    return Registers(unit, current)
+    return Registers(unit, current).device
 
 
 def inverter_points(inverter: LimitedInverter, at: float) -> Points:
@@ -217,7 +189,7 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
         state = _THROTTLED if throttled else _RUNNING
     limits = {
         number: {name: getattr(inverter.settings, field) for name, field in fields.items()}
-        for number, fields in _LIMIT_POINTS.items()
+        for number, fields in LIMIT_POINTS.items()
     }
     return {
         103: {

@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 
 import numpy as np
+from anyio.from_thread import start_blocking_portal
 from numpy.typing import NDArray
 from pymodbus.server import ModbusTcpServer
+from pymodbus.simulator import SimDevice
 
 from bus_schemas.errors import InputError
 from sunspec.limited_inverter import LimitedInverter
-from sunspec.registers import (
-    Points,
-    Registers,
-    inverter_points,
-    inverter_registers,
-    meter_registers,
-    no_unit,
-)
+from sunspec.registers import Points, inverter_device, inverter_points, meter_device, no_unit
 
 _MOST_UNITS = 247
 
@@ -55,78 +48,68 @@ class Sky:
         return 0 if self.began_at is None else max(int((at - self.began_at) / self._cycle_s), 0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ServedPlant:
-    """What is served, and where.
+@contextmanager
+def served(
+    inverters: Mapping[str, LimitedInverter],
+    sky: Sky,
+    now: Callable[[], float],
+    host: str = "127.0.0.1",
+    port: int = 0,
+    *,
+    a_port_each: bool = False,
+    points: Callable[[LimitedInverter, float], Points] = inverter_points,
+) -> Iterator[dict[str, str]]:
+    """Serve inverters by their paths, and the `meter`, in a thread; gives the addresses by name.
 
     sky: Begins with the first limit, unless it has begun already.
     host, port: Where to listen. Port 0: any that is free.
     a_port_each: Whether each inverter has its own port instead of its own unit.
     points: Returns the points of an inverter's models at a time.
     """
+    names = [*inverters, "meter"]
+    if len(names) > _MOST_UNITS and not a_port_each:
+        raise InputError(
+            f"inverters: expected up to {_MOST_UNITS - 1} at one port, got {len(inverters)}; "
+            "--base-port gives each a port of its own"
+        )
 
-    inverters: Mapping[str, LimitedInverter]
-    sky: Sky
-    now: Callable[[], float]
-    host: str = "127.0.0.1"
-    port: int = 0
-    a_port_each: bool = False
-    points: Callable[[LimitedInverter, float], Points] = inverter_points
+    def device(unit: int, name: str) -> SimDevice:
+        if name == "meter":
+            return meter_device(unit, inverters.values(), now)
+        return inverter_device(unit, name, inverters[name], now, lambda: sky.begin(now()), points)
 
-    def units(self) -> dict[str, Registers]:
-        """Return the inverters by path, and the `meter`."""
-        if not self.a_port_each and len(self.inverters) >= _MOST_UNITS:
-            raise InputError(
-                f"inverters: expected up to {_MOST_UNITS - 1} at one port, got "
-                f"{len(self.inverters)}; --base-port gives each a port of its own"
-            )
-
-        def begin() -> None:
-            self.sky.begin(self.now())
-
-        found: dict[str, Registers] = {}
-        for place, (name, inverter) in enumerate(self.inverters.items()):
-            unit = 1 if self.a_port_each else place + 1
-            found[name] = inverter_registers(unit, name, inverter, self.now, begin, self.points)
-        unit = 1 if self.a_port_each else len(self.inverters) + 1
-        return found | {"meter": meter_registers(unit, self.inverters.values(), self.now)}
+    of_each_port = [[name] for name in names] if a_port_each else [names]
+    devices = [
+        {name: device(unit, name) for unit, name in enumerate(names, start=1)}
+        for names in of_each_port
+    ]
+    with (
+        start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(_listening(devices, host, port)) as addresses,
+    ):
+        yield addresses
 
 
-@contextmanager
-def served(plant: ServedPlant) -> Iterator[dict[str, str]]:
-    """Serve a plant as long as the context lasts, in a thread; gives the addresses by name."""
-    loop = asyncio.new_event_loop()
-    thread = threading.Thread(target=loop.run_forever, name="Modbus", daemon=True)
-    thread.start()
-    servers: list[ModbusTcpServer] = []
-    try:
-        yield asyncio.run_coroutine_threadsafe(_serve(plant, servers), loop).result()
-    finally:
-        for server in servers:
-            asyncio.run_coroutine_threadsafe(server.shutdown(), loop).result()
-        loop.call_soon_threadsafe(loop.stop)
-        thread.join()
-        loop.close()
-
-
-async def _serve(plant: ServedPlant, servers: list[ModbusTcpServer]) -> dict[str, str]:
-    units = plant.units()
-    shared = [[name] for name in units] if plant.a_port_each else [list(units)]
+@asynccontextmanager
+async def _listening(
+    devices: Iterable[dict[str, SimDevice]], host: str, port: int
+) -> AsyncIterator[dict[str, str]]:
+    """Serve devices at one port after the other; gives their addresses."""
     addresses = {}
-    for number, names in enumerate(shared):
-        wanted = plant.port + number if plant.port else 0
-        devices = [units[name].device for name in names]
-        server = ModbusTcpServer([*devices, no_unit()], address=(plant.host, wanted))
-        servers.append(server)
-        try:
-            await server.serve_forever(background=True)
-        except RuntimeError:
-            raise InputError(
-                f"inverters: expected a free port of this machine, got {plant.host} port {wanted}"
-            ) from None
-        transport = server.transport
-        assert isinstance(transport, asyncio.Server)
-        port = transport.sockets[0].getsockname()[1]
-        for name, device in zip(names, devices, strict=True):
-            addresses[name] = f"modbus://{plant.host}:{port}/{device.id}"
-    return addresses
+    async with AsyncExitStack() as servers:
+        for number, its_devices in enumerate(devices):
+            wanted = port + number if port else 0
+            server = ModbusTcpServer([*its_devices.values(), no_unit()], address=(host, wanted))
+            servers.push_async_callback(server.shutdown)
+            try:
+                await server.serve_forever(background=True)
+            except RuntimeError:
+                raise InputError(
+                    f"inverters: expected a free port of this machine, got {host} port {wanted}"
+                ) from None
+            transport = server.transport
+            assert isinstance(transport, asyncio.Server)
+            found = transport.sockets[0].getsockname()[1]
+            for name, device in its_devices.items():
+                addresses[name] = f"modbus://{host}:{found}/{device.id}"
+        yield addresses

@@ -50,16 +50,22 @@ def process(*words: str | Path, cwd: Path) -> subprocess.Popen[str]:
 
 
 def python(
-    code: str, *words: str | Path, cwd: Path = REPOSITORY, variables: Mapping[str, str] = {}
+    code: str,
+    *words: str | Path,
+    cwd: Path = REPOSITORY,
+    variables: Mapping[str, str] = {},
+    status: int = 0,
 ) -> subprocess.CompletedProcess[str]:
-    """Run Python code in a process of its own, which succeeds."""
+    """Run Python code in a process of its own, which ends with an exit status."""
     paths = f"{REPOSITORY}:{REPOSITORY / 'tests'}"
-    return subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", code, *map(str, words)],
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": paths, **variables},
         capture_output=True,
         text=True,
-        check=True,
+        check=False,
         timeout=120,
     )
+    assert done.returncode == status, done.stderr
+    return done

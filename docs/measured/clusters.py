@@ -10,12 +10,18 @@ from statistics import fmean, median
 from typing import Any, Final
 from unittest.mock import patch
 
+from msgspec import convert
 from tables import WORKERS, Lines, Tables, header, heliarch, hope, plant, row
 
+from agents.control.clusters import ClusterSearch
 from agents.cycle import Periods
 from heliarch import compare, load_scenario
 from launch_scripts.scenarios.scenario import ScenarioFile
+from studies.clusters.results import clusters_table
+from studies.clusters.study import ClusterStudy, ClustersWorth
+from studies.tables import Column, cell_text
 
+PERCENT: Final = Column("", "%", 1)
 HOUR_C: Final = "--set irradiance.currents=hour_c.csv"
 
 
@@ -37,55 +43,29 @@ SYNTHETIC: Final = {"oahu": "oahu", "oahu-day": "oahu-day --random 10"}
 
 
 @cache
-def study(words: str) -> Any:
-    """Return the JSON of `heliarch clusters`."""
-    return heliarch(f"clusters {words} --workers {WORKERS}")
+def study(words: str) -> ClusterStudy:
+    """Return what `heliarch clusters` finds."""
+    found = heliarch(f"clusters {words} --workers {WORKERS}")
+    ways: dict[str, list[ClustersWorth]] = {}
+    for way in found["ways"]:
+        ways.setdefault(way["clusters"], []).append(convert(way, ClustersWorth))
+    orders = {one["order"]: convert(one, ClustersWorth) for one in found["orders"]}
+    return ClusterStudy(found["title"], ways, orders, convert(found["search"], ClusterSearch))
 
 
 def ways(found: dict[str, str]) -> Lines:
-    """Write each way to choose clusters, of each case."""
-    studies = {case: study(words) for case, words in found.items()}
-    periods = [
-        one["central_period_s"] for one in next(iter(studies.values()))["ways"][0]["shortfalls"]
-    ]
-    yield from header(
-        [
-            *("", "clusters", "correlation, past", "run", "to central %, all", "able"),
-            *(f"control-caused %, {period_s:g} s" for period_s in periods),
-            "begun lacking",
-        ]
-    )
-    for case, one in studies.items():
-        of_way: dict[str, list[list[float]]] = {}
-        for way in one["ways"]:
-            of_way.setdefault(way["clusters"], []).append(figures(way))
-        for name, rows in of_way.items():
-            columns = list(zip(*rows, strict=True))
-            means = [written(at, fmean(column)) for at, column in enumerate(columns)]
-            yield row([case, name if len(rows) == 1 else f"{name}, mean of {len(rows)}", *means])
-            if len(rows) > 1:
-                ranges = [
-                    f"{written(at, min(column))} to {written(at, max(column))}"
-                    for at, column in enumerate(columns)
-                ]
-                yield row([case, f"{name}, least to most", *ranges])
+    """Write each way to choose clusters, of each case, as the command prints them."""
+    tables = {case: clusters_table(study(words)) for case, words in found.items()}
+    first, *_ = tables.values()
+    titles = (f"{column.title} {column.unit}".strip() for column in first.columns)
+    yield from header(["", *titles])
+    for case, table in tables.items():
+        yield from (row([case, *texts]) for texts in table.texts())
 
 
-def figures(way: Any) -> list[float]:
-    """Return the figures of one choice of clusters."""
-    return [
-        way["past_correlation"],
-        way["run_correlation"],
-        way["central_percent"],
-        way["central_percent_if_plant_sufficient"],
-        *(one["control_caused_percent"] for one in way["shortfalls"]),
-        way["shortfalls"][-1]["begun_lacking_percent"],
-    ]
-
-
-def written(column: int, value: float) -> str:
-    """Return a figure as it stands in the table: shares of cycles with one decimal."""
-    return f"{value:.1f}" if column in {2, 3} else f"{value:.3f}"
+def missed_percent(worth: ClustersWorth) -> float:
+    """Return what control missed with the longest period of the central controller."""
+    return worth.shortfalls[-1].control_caused_percent
 
 
 def measured_ways(*names: str) -> Callable[[Path], Lines]:
@@ -99,10 +79,10 @@ def better_than_virtual(data: Path) -> Lines:
         ["", "random choices", "call the central controller less", "miss less at 60 s"]
     )
     for case, words in (cases(data) | SYNTHETIC).items():
+        of_way = study(words).ways
         virtual, *others = (
-            (way["central_percent"], way["shortfalls"][-1]["control_caused_percent"])
-            for way in study(words)["ways"]
-            if way["clusters"] in {"virtual", "random"}
+            (worth.help.plant.central_percent, missed_percent(worth))
+            for worth in (*of_way["virtual"], *of_way["random"])
         )
         counts = [sum(other[at] < virtual[at] for other in others) for at in (0, 1)]
         yield row([case, len(others), *counts])
@@ -112,10 +92,9 @@ def orders(data: Path) -> Lines:
     """Write what each order of help misses at 60 s."""
     found = {name: words for name, words in cases(data).items() if "half" not in name} | SYNTHETIC
     studies = {name: study(words) for name, words in found.items()}
-    yield from header(["", *(one["order"] for one in studies["HOPE"]["orders"])])
+    yield from header(["", *studies["HOPE"].orders])
     for name, one in studies.items():
-        missed = [order["shortfalls"][-1]["control_caused_percent"] for order in one["orders"]]
-        yield row([name, *(f"{value:.4f}" for value in missed)])
+        yield row([name, *(f"{missed_percent(worth):.4f}" for worth in one.orders.values())])
 
 
 def search(data: Path) -> Lines:
@@ -123,22 +102,18 @@ def search(data: Path) -> Lines:
     yield from header(["", "best", "median", "worst", "starts at the best, of 20"])
     found = {name: words for name, words in cases(data).items() if "half" not in name} | SYNTHETIC
     for name, words in found.items():
-        starts = study(words)["search"]["correlation_of_starts"]
-        best = sum(value < min(starts) + 1e-9 for value in starts)
-        yield row([name, *(f"{pick(starts):.4f}" for pick in (min, median, max)), best])
+        found_by = study(words).search
+        starts = found_by.correlation_of_starts
+        correlations = [f"{pick(starts):.4f}" for pick in (min, median, max)]
+        yield row([name, *correlations, found_by.starts_at_best])
 
 
 def ten_skies(data: Path) -> Lines:
     """Write the means over ten skies at 60 s."""
     found: dict[str, list[float]] = {}
     for seed in range(1, 11):
-        one = study(f"oahu --random 5 --periods 1,60 --seed {seed}")
-        of_way: dict[str, list[float]] = {}
-        for way in one["ways"]:
-            missed = way["shortfalls"][-1]["control_caused_percent"]
-            of_way.setdefault(way["clusters"], []).append(missed)
-        for name, values in of_way.items():
-            found.setdefault(name, []).append(fmean(values))
+        for name, worths in study(f"oahu --random 5 --periods 1,60 --seed {seed}").ways.items():
+            found.setdefault(name, []).append(fmean(map(missed_percent, worths)))
     virtual = found["virtual"]
     yield from header(
         ["clusters", "control-caused %, 60 s", "skies on which they miss less than virtual"]
@@ -242,19 +217,13 @@ def by_share(data: Path) -> Lines:
             f"hope-melpitz --data {data / 'hope-melpitz-1s'} --scheme paper --periods 1 --random 1 "
             f"--set commitment.share={share}"
         )
-        virtual, geographic = (
-            next(way["help"] for way in one["ways"] if way["clusters"] == name)
-            for name in ("virtual", "geographic")
-        )
-        needy = 100.0 * virtual["plant"]["needy"] / virtual["cycles"]
-        counts = ("plant", "plant_sufficient", "clusters", "clusters_sufficient")
-        pairs = [f"{share_of(virtual[k])} / {share_of(geographic[k])}" for k in counts]
+        virtual, geographic = (one.ways[name][0].help for name in ("virtual", "geographic"))
+        needy = 100.0 * virtual.plant.needy / virtual.cycles
+        pairs = []
+        for which in ("plant", "plant_sufficient", "clusters", "clusters_sufficient"):
+            percents = (getattr(each, which).central_percent for each in (virtual, geographic))
+            pairs.append(" / ".join(cell_text(percent, PERCENT) for percent in percents))
         yield row([share, f"{needy:.1f}", *pairs])
-
-
-def share_of(calls: dict[str, int]) -> str:
-    """Return the share of the needy cycles that reach the central controller."""
-    return f"{100.0 * calls['central'] / calls['needy']:.1f}" if calls["needy"] else "-"
 
 
 FROM_SYNTHETIC: Final[Tables] = {

@@ -25,7 +25,7 @@ static const char *const NAMES[] = {"cycle", "incarnation",     "publish_time_ns
                                     "alpha", "plant_rating_kw", "available_kw"};
 static const int64_t BEFORE_ALL = -(INT64_C(1) << 31), LOOK_NS = 100000000;
 static const double ROUNDING = 1e-9, METER_TOLERANCE = 0.05;
-static const double CLOSES_BY[] = {[ESTIMATE] = 0.14, [ACTUATE] = 0.7}; /* Share of a cycle. */
+static const double CLOSES_BY[] = {[ESTIMATE] = 0.32, [ACTUATE] = 0.77}; /* Share of a cycle. */
 
 typedef struct {
     int signal;

@@ -7,11 +7,12 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Iterator
+import weakref
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import zip_longest
 from types import FrameType
-from typing import Any, Final, NoReturn
+from typing import Any, ClassVar, Final, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -27,6 +28,9 @@ FAILED: Final = 1
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
 """Ctrl-C: 128 and the number of the signal, as shells count. So SIGTERM is 143, SIGHUP 129."""
+
+_LOOK_S: Final = 0.1
+"""How often to look whether an exception that ends the program got lost."""
 
 _BAD_PATH: Final = (
     FileExistsError,
@@ -108,8 +112,12 @@ def boundary() -> Iterator[None]:
         for number, handler in handlers.items()
         if signal.getsignal(number) is not signal.SIG_IGN
     }
+    report, sys.unraisablehook = sys.unraisablehook, _unless_leaving(sys.unraisablehook)
     try:
         yield
+    except _Leave:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        raise
     except BrokenPipeError:  # `heliarch ... | head`: nobody reads on.
         _discard_output()
         sys.exit(FAILED)
@@ -122,6 +130,7 @@ def boundary() -> Iterator[None]:
     except _UsageError as error:
         _end(_usage_text(error), BAD_INPUT)
     finally:
+        sys.unraisablehook = report
         for number, handler in before.items():
             signal.signal(number, handler)
 
@@ -140,13 +149,41 @@ class _Interrupt(KeyboardInterrupt):
     """
 
 
+class _Leave(SystemExit):
+    """The end by SIGTERM or SIGHUP. `newest` returns the newest one while it is on its way."""
+
+    newest: ClassVar[Callable[[], _Leave | None]] = lambda: None
+
+    def __init__(self, number: int) -> None:
+        super().__init__(128 + number)
+        _Leave.newest = weakref.ref(self)
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
     raise _Interrupt
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)  # `timeout` sends its signal twice.
-    sys.exit(128 + number)
+    """Raise `_Leave`, and once more if it gets lost: the program would go on, deaf to the signal.
+
+    Python drops what is raised in a callback of a weak reference, and each import ends with one.
+    Libraries in C may drop any error.
+    """
+    if _Leave.newest() is not None:  # `timeout` sends its signal twice.
+        return
+    signal.signal(signal.SIGALRM, lambda *_: _leave(number, None))
+    signal.setitimer(signal.ITIMER_REAL, _LOOK_S, _LOOK_S)
+    raise _Leave(number)
+
+
+def _unless_leaving(report: Callable[[Any], object]) -> Callable[[Any], None]:
+    """Return the hook that reports what Python has dropped, but without what is raised again."""
+
+    def hook(dropped: Any) -> None:  # noqa: ANN401 - the type exists for type checkers only
+        if not isinstance(dropped.exc_value, _Leave):
+            report(dropped)
+
+    return hook
 
 
 def _text(error: Exception) -> str:

@@ -46,7 +46,7 @@ def inverters(
 
     try:
         from sunspec.limited_inverter import LimitedInverter
-        from sunspec.server import ServedPlant, Sky, served
+        from sunspec.server import Sky, served
     except ModuleNotFoundError as error:
         raise InputError(
             f"inverters: {error.name} is not installed: pip install 'heliarch[modbus]'"
@@ -58,26 +58,22 @@ def inverters(
     plan = prepared.plan
     sky = Sky(prepared.profile.mpp_kw, plan.cycle_ns / 1e9, None if wait else time.monotonic())
 
-    def simulated(place: int, name: str, rating_kw: float) -> LimitedInverter:
-        settings = plan.settings_of(name)
-        ramp = settings.ramp_percent_per_s or inf
-        return LimitedInverter(rating_kw, sky.possible_kw(place), settings.delay_s or 0.0, ramp)
-
+    simulated = {}
+    for place, (name, rating_kw) in enumerate(plan.inverters):
+        follows = plan.settings_of(name)
+        simulated[name] = LimitedInverter(
+            rating_kw,
+            sky.possible_kw(place),
+            follows.delay_s or 0.0,
+            follows.ramp_percent_per_s or inf,
+        )
     first_port = next((given for given in (port, base_port) if given is not None), 5020)
-    plant = ServedPlant(
-        inverters={
-            name: simulated(place, name, rating_kw)
-            for place, (name, rating_kw) in enumerate(plan.inverters)
-        },
-        sky=sky,
-        now=time.monotonic,
-        host=address,
-        port=first_port,
-        a_port_each=base_port is not None,
+    serving = served(
+        simulated, sky, time.monotonic, address, first_port, a_port_each=base_port is not None
     )
-    with suppress(KeyboardInterrupt), served(plant) as addresses:
-        for name, place in addresses.items():
-            typer.echo(f"meter: {place}" if name == "meter" else f"--device {name}={place}")
+    with suppress(KeyboardInterrupt), serving as addresses:
+        for name, where in addresses.items():
+            typer.echo(f"meter: {where}" if name == "meter" else f"--device {name}={where}")
         begins = "stands still until the first limit comes" if wait else "moves on"
         typer.echo(f"the sky of {prepared.local_start()} {begins}")
         sys.stdout.flush()

@@ -131,7 +131,7 @@ class ForkServer:
         try:
             self._set_up(agent, Path(request.logs) / log_name(agent))
             link = LauncherLink(agent, self._control, expected)
-            link.heed_sigterm()
+            link.heed(signal.SIGTERM)
             folder, patience_s = Path(request.plan).parent, request.patience_s
             status = run_process(agent, plan, link, folder, patience_s, rejoins=request.again)
         except BaseException:

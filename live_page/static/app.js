@@ -1,6 +1,6 @@
 // The page of one run: asks for its plan, follows its stream of updates, and shows them.
 
-import {drawOverview, kw, redrawCharts, timeChart} from "./chart.js";
+import {kw, redrawCharts, timeChart} from "./chart.js";
 import {plantMap} from "./map.js";
 import {controlTree} from "./tree.js";
 import {eventList, figures, timingStrip, values} from "./panels.js";
@@ -32,9 +32,7 @@ const json = async path => {
 function setTheme(theme) {
   document.documentElement.dataset.theme = theme;
   redrawCharts();
-  page?.redrawBar();
 }
-let page = null;
 const system = matchMedia("(prefers-color-scheme: dark)");
 setTheme(localStorage.theme ?? (system.matches ? "dark" : "light"));
 system.addEventListener("change", () => localStorage.theme ?? setTheme(system.matches ? "dark" : "light"));
@@ -63,7 +61,7 @@ function showRun(plan) {
   let power = {cycle: [], possible: [], desired: [], delivered: [], unavoidable: [], control_caused: []};
   let history = {cycle: []}, current = {};
   let devices = {};  // What the gateway measured of real inverters.
-  let overview = {}, overviewCycles = -1, dragged = null;
+  let overviewCycles = -1, dragged = null;
 
   const seek = target => { live = false; playing = false; go(target); };
   const chart = (id, lines, height, cursorKey) => timeChart($(id), lines, {height, timezone: plan.timezone, cursorKey, onPick: at => seek((at - seconds(0)) / plan.cycle_s)});
@@ -71,6 +69,7 @@ function showRun(plan) {
   const shortfallChart = chart("shortfall-chart", [{label: "all", color: "--control", fill: "--control", width: 0}, {label: "unavoidable", color: "--unavoidable", fill: "--unavoidable", width: 0}], 100, "plant");
   const nodeChart = chart("node-chart", NODE_POWERS, 300, "node");
   const helpChart = chart("help-chart", [{label: "help", color: "--help", fill: "--help", width: 1}], 130, "node");
+  const overview = timeChart($("overview"), POWERS, {height: 38, timezone: plan.timezone, bare: true});
   const map = plantMap($("map"), $("map-note"), plan, select);
   const tree = controlTree($("tree"), plan, select);
   const events = eventList($("events"), timeOf, seek);
@@ -137,13 +136,13 @@ function showRun(plan) {
   };
 
   async function redrawBar() {
-    const last = Math.max(plan.cycles, cycles);
-    $("position").max = last - 1;
-    if (cycles - overviewCycles > last / 200 || (over && cycles !== overviewCycles)) {
-      overviewCycles = cycles;
-      overview = await json(`window?from=0&to=${cycles}&points=600`);
-    }
-    drawOverview($("overview"), overview, last);
+    const last = Math.max(plan.cycles, cycles) - 1;
+    $("position").max = last;
+    const isOld = cycles - overviewCycles > last / 200 || (over && cycles !== overviewCycles);
+    if (!isOld) return;
+    overviewCycles = cycles;
+    const whole = await json(`window?from=0&to=${cycles}&points=600`);
+    overview.show([whole.cycle.map(seconds), ...POWERS.map(line => whole[line.label])], seconds(0), seconds(Math.max(last, 1)), null);
   }
 
   function select(place) {
@@ -286,8 +285,6 @@ function showRun(plan) {
     event.preventDefault();
     keys[event.key](event);
   });
-  addEventListener("resize", () => redrawBar());
-  page = {redrawBar};
   connect();
 }
 

@@ -17,12 +17,10 @@ class ExternalAgents:
     def __init__(self, plan: RunPlan) -> None:
         self.heard = 0
         self._agent_of = {plan.wiring.alive_key(agent): agent for agent in plan.elsewhere}
-        self._recorded: dict[str, Counter[str]] = {agent: Counter() for agent in plan.elsewhere}
         theirs = [port for port in ports(plan.tree) if port.publisher in plan.elsewhere]
-        self._gaps = {port: PortGaps() for port in theirs}
+        self._found = {port: PortGaps() for port in theirs}
         # Ports whose messages come regularly, with the cycles from one to the next.
         self._steps = {port: step for port in theirs if (step := due_step(plan, port))}
-        self._last_cycle = dict.fromkeys(theirs, -1)
         self._answers: Counter[Port[Message]] = Counter()
         self._outages: dict[str, list[tuple[int, int | None]]] = {}
 
@@ -41,35 +39,33 @@ class ExternalAgents:
     def hear(self, port: Port[Message], message: Message) -> bool:
         """Count a message that is recorded; return whether it is the first of its cycle."""
         self.heard += 1
-        self._recorded[port.publisher][port.signal.name] += 1
-        self._gaps[port].see(message.cycle, message.sequence, message.incarnation)
-        is_first = message.cycle > self._last_cycle[port]
-        if is_first:
-            self._last_cycle[port] = message.cycle
-            self._answers[port] += 1
+        found = self._found[port]
+        is_first = message.cycle > found.newest
+        found.see(message.cycle, message.sequence, message.incarnation)
+        self._answers[port] += is_first
         return is_first
 
     def have_answered(self, cycles: int) -> bool:
         """Return whether the last message due in so many cycles has come on each port."""
         return all(
-            self._last_cycle[port] >= (cycles - 1) // step * step
+            self._found[port].newest >= (cycles - 1) // step * step
             for port, step in self._steps.items()
         )
 
     def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:
         """Return an account of each of them, after so many cycles."""
-        return tuple(self._account(agent, cycles) for agent in self._recorded)
+        return tuple(self._account(agent, cycles) for agent in self._agent_of.values())
 
     def _account(self, agent: str, cycles: int) -> ExternalAccount:
-        due = {
-            port: -(-cycles // step)
-            for port, step in self._steps.items()
-            if port.publisher == agent
-        }
+        own = {port: found for port, found in self._found.items() if port.publisher == agent}
+        due = {port: -(-cycles // step) for port, step in self._steps.items() if port in own}
+        recorded: Counter[str] = Counter()
+        for port, found in own.items():
+            recorded[port.signal.name] += found.messages
         return ExternalAccount(
             agent,
-            recorded=dict(self._recorded[agent]),
-            lost=sum(found.lost for port, found in self._gaps.items() if port.publisher == agent),
+            recorded=dict(+recorded),
+            lost=sum(found.lost for found in own.values()),
             expected=sum(due.values()),
             answered=sum(min(self._answers[port], number) for port, number in due.items()),
             outages=tuple(self._outages.get(agent, ())),

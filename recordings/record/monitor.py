@@ -19,13 +19,8 @@ class RunMonitor:
         if isinstance(message, Production):
             self.cycles += 1
             self._last = message
-        else:
-            self.see_head(port, message.cycle)
-
-    def see_head(self, port: Port[Message], cycle: int) -> None:
-        """Take in a message of which only the cycle is known."""
-        if port.signal is HELP:
-            self._needy[port.node] = cycle
+        elif port.signal is HELP:
+            self._needy[port.node] = message.cycle
 
     def status(self, recorded: int) -> Status:
         """Return where the run stands; its cycle is -1 before the first one is over."""

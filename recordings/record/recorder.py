@@ -29,7 +29,7 @@ from agents.process import run_guarded, set_up_process
 from agents.session import session_settings
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready, Run
-from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Port, ports
+from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, READY, RUN, Port, ports
 from bus_schemas.tree import PLANT, RECORDER, ROOT, agent_name
 from bus_schemas.zenoh_bus import ZenohTap
 from recordings.read.gaps import due_step
@@ -86,10 +86,8 @@ _decode_head = msgspec.msgpack.Decoder(Head).decode
 
 def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
     """Record a run into its folder until the launcher says so or is gone. Returns the status."""
-    end = RecordingEnd()
     # Whatever ends the run, the file must be closed in order.
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: end.ask())
+    link.heed(signal.SIGTERM, signal.SIGHUP)
     set_up_process(plan, RECORDER)
 
     def run() -> None:
@@ -113,26 +111,9 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
             if not plan.lockstep:
                 stand_back()
             so_far = first if path != first else None
-            Recorder(plan, tap, writer, link, end, DropLog(), so_far, last_cycle).run()
+            Recorder(plan, tap, writer, link, DropLog(), so_far, last_cycle).run()
 
     return run_guarded(RECORDER, link, run)
-
-
-class RecordingEnd:
-    """Whether the recording has been asked to end, and with how many messages, if that is known."""
-
-    def __init__(self) -> None:
-        self.expected: int | None = None
-        self.asked_at: float | None = None
-
-    def ask(self) -> None:
-        """Let the recording end once nothing comes any more, or soon if something always does."""
-        self.asked_at = self.asked_at or time.monotonic()
-
-    def expect(self, messages: int) -> None:
-        """Let the recording end with so many messages."""
-        self.expected = messages
-        self.ask()
 
 
 class Recorder:
@@ -147,7 +128,6 @@ class Recorder:
         tap: ZenohTap,
         writer: RunWriter,
         link: LauncherLink,
-        end: RecordingEnd,
         on_wrong: Callable[[str], None],
         first: Path | None = None,
         last_cycle: int = -1,
@@ -158,7 +138,8 @@ class Recorder:
         self._tap = tap
         self._writer = writer
         self._link = link
-        self._end = end
+        self._asked_at: float | None = None
+        self._expected: int | None = None
         self._external = ExternalAgents(plan)
         self._tokens = tap.watch_tokens() if plan.elsewhere else None
         self._newest_cycle = last_cycle
@@ -177,12 +158,11 @@ class Recorder:
         self._first = first
         self._round = Round(plan)
         self._round.answered = first is not None
-        self._port_of = {plan.wiring.key(port): port for port in plan.wiring.ports}
         # These are decoded, the others are only written down.
         self._read = {
             port
             for port in plan.wiring.ports
-            if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.elsewhere
+            if port.signal in {DISPATCH, HELP, PRODUCTION, RUN} or port.publisher in plan.elsewhere
         }
 
     def run(self) -> None:
@@ -194,12 +174,12 @@ class Recorder:
             own_before = self._own_heard
             for key, payload in heard:
                 self._hear(key, payload)
-            if self._end.asked_at is not None:
+            if self._asked_at is not None:
                 self._others_left -= len(heard) - (self._own_heard - own_before)
             if not heard:
                 self._heed_launcher()
                 time.sleep(_NAP_S)
-                if self._end.asked_at is not None:
+                if self._asked_at is not None:
                     self._idle_s += _NAP_S
             now = time.monotonic()
             if now >= flush_at:
@@ -219,10 +199,19 @@ class Recorder:
     def _heed_launcher(self) -> None:
         expected = self._link.expected_messages()
         if expected is not None:
-            self._end.expect(expected)
+            self._expected = expected
+        if expected is not None or self._link.dismissed:
+            self._ask_end()
+
+    def _ask_end(self) -> None:
+        """Let the recording end: with so many messages as are expected, if that is known.
+
+        Else once nothing comes any more, or soon if something always does.
+        """
+        self._asked_at = self._asked_at or time.monotonic()
 
     def _may_end(self) -> bool:
-        asked_at, expected = self._end.asked_at, self._end.expected
+        asked_at, expected = self._asked_at, self._expected
         if asked_at is None:
             return False
         if expected is None:
@@ -240,7 +229,7 @@ class Recorder:
         return self._writer.heard - self._external.heard - self._extra.total()
 
     def _hear(self, key: str, payload: bytes) -> None:
-        port = self._port_of.get(key)
+        port = self._plan.wiring.port(key)
         if port is None:
             self.complaints.add(key, "unknown", "this run has no such node or signal")
             return
@@ -288,12 +277,12 @@ class Recorder:
             self.complaints.add(self._plan.wiring.key(port), *wrong)
             if not is_external:
                 self._extra[port.signal.name] += 1
-        elif message is None:
-            self.monitor.see_head(port, head.cycle)
-        elif is_external and (absurd := absurdity(self._plan, port, message, heard_ns)):
-            self.complaints.add(self._plan.wiring.key(port), ABSURD, absurd)
-        else:
-            self._follow(port, message)
+        elif message is not None:
+            absurd = absurdity(self._plan, port, message, heard_ns) if is_external else ""
+            if absurd:
+                self.complaints.add(self._plan.wiring.key(port), ABSURD, absurd)
+            else:
+                self._follow(port, message)
 
     def _follow(self, port: Port[Message], message: Message) -> None:
         if isinstance(message, Run):
@@ -312,7 +301,7 @@ class Recorder:
                 return
             self._stop_cycle = message.cycle
             if self._link.by_hand:  # No launcher will ask it to end.
-                self._end.ask()
+                self._ask_end()
             if PLANT in self._plan.external:
                 wait_s = _STOP_WAIT_S + 1.5e-9 * self._plan.cycle_wall_ns
                 is_early = message.cycle < self._plan.cycles

@@ -67,7 +67,9 @@ class ReplayBus:
     @property
     def has_subscriber(self) -> bool:
         """Whether anybody subscribes to any of the keys."""
-        return any(_has_match(publisher) for publisher in self._publishers.values())
+        # The type stub says that a status is a bool, which it is not.
+        statuses: list[Any] = [one.matching_status for one in self._publishers.values()]
+        return any(status.matching for status in statuses)
 
     def __enter__(self) -> Self:
         return self
@@ -119,8 +121,3 @@ def await_subscriber(bus: ReplayBus, interruption: Interruption, out: TextIO) ->
 def say(out: TextIO, text: str) -> None:
     out.write(f"{text}\n")
     out.flush()
-
-
-def _has_match(publisher: zenoh.Publisher) -> bool:
-    status: Any = publisher.matching_status  # Its type stub says bool, which it is not.
-    return bool(status.matching)

@@ -29,7 +29,6 @@ from launch_scripts.launcher.supervision import Children, RunFailure, who_waits
 from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus
-from recordings.replay.publish_order import in_publish_order
 from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Findings
 from sim_plant.plant_run import FIRST_ROUND, longest_round_s
@@ -193,11 +192,10 @@ class LiveBus(ReplayBus):
         others = (port for port in self._plan.wiring.ports if port.publisher not in self._live)
         wanted = {port for port in others if due_step(self._plan, port)}
         first: dict[Port[Message], Message] = {}
-        for record in in_publish_order(reader, wanted, before_cycle=_EARLY_CYCLES):
-            if record.port not in first:
-                first[record.port] = record.message()
-                if len(first) == len(wanted):
-                    break
+        for port, message in reader.on(wanted, range(_EARLY_CYCLES)):
+            first.setdefault(port, message)
+            if len(first) == len(wanted):
+                break
         return first
 
     def _complete(self, cycles: int) -> None:

@@ -147,25 +147,17 @@ class Playback:
 
     def timing_error(self) -> dict[str, float] | None:
         """Print how late messages were sent; return it for JSON, None if it is not known."""
-        late, count = self._late, self._late.get_total_count()
+        count = self._late.get_total_count()
         if not count:
             return None
-        p50_us, p99_us, p99_9_us = (
-            late.get_value_at_percentile(percent) / 1e3 for percent in (50.0, 99.0, 99.9)
-        )
-        max_us = late.get_max_value() / 1e3
-        say(
-            self.out,
-            f"sent later than due: p50 {p50_us:,.0f} µs, p99 {p99_us:,.0f} µs, "
-            f"p99.9 {p99_9_us:,.0f} µs, max {max_us:,.0f} µs",
-        )
-        return {
-            "count": count,
-            "p50_us": p50_us,
-            "p99_us": p99_us,
-            "p99_9_us": p99_9_us,
-            "max_us": max_us,
+        shares = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
+        late_us = {
+            name: self._late.get_value_at_percentile(share) / 1e3 for name, share in shares.items()
         }
+        texts = [f"{name} {value:,.0f} µs" for name, value in late_us.items()]
+        say(self.out, f"sent later than due: {', '.join(texts)}")
+        figures = {f"{name.replace('.', '_')}_us": value for name, value in late_us.items()}
+        return {"count": count, **figures}
 
     @property
     def _here(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Final
 
 from msgspec.structs import replace
@@ -69,6 +70,8 @@ class RecordedCycles:
         self._waiting_messages = 0
         self._next = 0
         self._incarnation: dict[Port[Message], int] = {}
+        # The newest cycle of each process of each agent.
+        self._spoke: dict[str, dict[int, int]] = {agent: {} for agent in plan.tree.agents()}
         self.takeovers: dict[tuple[str, int], Takeover] = {}
         self.heard: dict[Port[Message], dict[int, list[Message]]] = {
             port: {} for port in plan.wiring.ports
@@ -84,6 +87,14 @@ class RecordedCycles:
         return port.publisher not in self._external and any(
             _of_two_senders(first, other) for other in others
         )
+
+    def may_lack(self, publisher: str, cycle: int) -> bool:
+        """Whether a process of an agent may have spoken in a cycle unheard by the recorder.
+
+        A process that is killed as it sends may reach some of its listeners, and not the recorder.
+        """
+        processes = sorted(self._spoke[publisher].items())
+        return any(spoke <= cycle <= joined for (_, spoke), (joined, _) in pairwise(processes))
 
     def __iter__(self) -> Iterator[RecordedCycle]:
         for port, message in self._deliveries:
@@ -118,6 +129,8 @@ class RecordedCycles:
         cycle = self._waiting.setdefault(number, RecordedCycle(number))
         newest = self._incarnation.get(port, 0)
         self._incarnation[port] = max(newest, message.incarnation)
+        spoke = self._spoke[agent]
+        spoke[message.incarnation] = max(number, spoke.get(message.incarnation, -1))
         # What a process that was replaced sends later, nobody uses.
         if port in cycle.messages or message.incarnation < newest:
             cycle.repeated.append((port, message))

@@ -134,11 +134,16 @@ def _remarks(found: Verification) -> Iterator[str]:
             f"the run or its recording broke off: {found.cut_off:,} messages of incomplete cycles "
             "left out"
         )
+    later = sum(one.not_compared for one in found.agents.values() if one.first is None)
     if found.unrecorded_cycles is not None:
-        later = sum(one.not_compared for one in found.agents.values() if one.first is None)
         yield (
             f"the recorder was started again: {found.unrecorded_cycles:,} cycles were not recorded "
             f"and are not compared, nor are {later:,} later messages of agents that remember them"
+        )
+    elif later:
+        yield (
+            f"{later:,} messages are not compared: they follow from what a process sent as it was "
+            "killed, which the recorder did not hear"
         )
     if found.misplaced:
         yield f"{found.misplaced:,} messages belong to no cycle of the run, or come long after it"

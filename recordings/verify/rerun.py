@@ -9,8 +9,9 @@ its agent begins again, or, if it was a standby, with what the standby says that
 was killed may have sent a part of its last messages. In the cycle of a takeover both processes may
 have spoken: each listener used what it heard first, and its outputs show which that was.
 
-What is missing because the recorder was away is no difference. An agent that remembers earlier
-cycles is not compared after that, until another process takes its place.
+What is missing because the recorder was away is no difference, nor what a process that was killed
+said to others alone. An agent that remembers earlier cycles is not compared after that, until
+another process takes its place.
 """
 
 from __future__ import annotations
@@ -68,6 +69,7 @@ class AgentRerun:
         self._rivals: dict[Port[Message], list[Message]] = {}
         self._inputs: Messages = {}
         self._choices: dict[Port[Message], list[Message]] = {}
+        self._doubtful: set[Port[Message]] = set()
         self._compared = ""
 
     def take(self, cycle: int) -> None:
@@ -77,6 +79,7 @@ class AgentRerun:
             try:
                 for self._incarnation, of_stages in sorted(outputs.items()):
                     self._inputs, self._choices, self._compared = {}, {}, ""
+                    self._doubtful = set()
                     if self._incarnation not in self._processes:
                         self._processes[self._incarnation] = self._begin(self._incarnation)
                     self._run(cycle, of_stages, is_last=self._incarnation == max(outputs))
@@ -180,8 +183,11 @@ class AgentRerun:
             stage.name: self._find_inputs(cycle, stage, recorded.get(stage.name, {}), inputs)
             for stage in stages
         }
-        if self._choices and any(recorded.get(stage.name) for stage in stages):
-            self._choose_inputs(cycle, first, inputs, recorded)
+        if (self._choices or self._doubtful) and any(recorded.get(stage.name) for stage in stages):
+            is_explained = self._choose_inputs(cycle, first, inputs, recorded)
+            if not is_explained:
+                for ports in lost.values():
+                    ports.update(dict.fromkeys(self._doubtful, ""))
         self._inputs |= inputs
         process.close(cycle, first, inputs)
         for stage in stages:
@@ -199,7 +205,7 @@ class AgentRerun:
     ) -> dict[Port[Message], str]:
         """Add the messages that a stage used to `inputs`; return the ports of unknown ones.
 
-        Each port comes with what is wrong; empty: nothing, the recorder was away.
+        Each port comes with what is wrong; empty: nothing, the recorder could not hear it.
         """
         process = self._process
         missing = next(iter(recorded.values())).missing if recorded else ()
@@ -212,10 +218,14 @@ class AgentRerun:
                 continue
             messages = self.recorded.heard[port].get(used)
             if messages is None:
-                was_away = self._was_away(port.publisher, used)
-                lost[port] = "" if was_away else "input not recorded"
+                is_excused = self._was_away(port.publisher, used) or self.recorded.may_lack(
+                    port.publisher, used
+                )
+                lost[port] = "" if is_excused else "input not recorded"
                 continue
             first = messages[0]
+            if first.incarnation == used > 0:  # What it replaced may have said this cycle's, too.
+                self._doubtful.add(port)
             if len(messages) > 1:
                 if self.recorded.has_two_senders(port, used):
                     lost[port] = "input of two senders"
@@ -228,10 +238,11 @@ class AgentRerun:
 
     def _choose_inputs(
         self, cycle: int, stage: str, inputs: Messages, recorded: dict[str, Messages]
-    ) -> None:
+    ) -> bool:
         """If two processes of an agent sent an input, choose the one that gives the outputs.
 
-        An earlier stage of the cycle may have heard it already without showing which it was.
+        Returns whether there is one. An earlier stage of the cycle may have heard it already
+        without showing which it was.
         """
         for chosen in islice(product(*self._choices.values()), _MOST_CHOICES):
             tried = dict(zip(self._choices, chosen, strict=True))
@@ -244,10 +255,10 @@ class AgentRerun:
                 for port, new in trial.sent(cycle, name)
                 if port in messages
             ):
-                break
-        else:
-            tried = {port: first for port, (first, *_) in self._choices.items()}
-        _use(tried, self._process, inputs)
+                _use(tried, self._process, inputs)
+                return True
+        _use({port: first for port, (first, *_) in self._choices.items()}, self._process, inputs)
+        return False
 
     def _doubt(self, cycle: int, stage: Stage, lost: dict[Port[Message], str]) -> None:
         """Note that a stage used or sent a message that is not recorded.

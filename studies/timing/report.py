@@ -136,15 +136,16 @@ def report_on(
         ended = reader.stop_cycle is not None
     summary = summary or summary_in(folder, plan, RunSummary)
     remarks: tuple[str, ...] = (_NO_SUMMARY,)
-    wall_s, processes = timing.cycles * plan.cycle_wall_ns / 1e9, timing.processes
+    wall_s = timing.cycles * plan.cycle_wall_ns / 1e9
     seen: dict[str, Any] = {}
     if summary is not None:
         remarks = (*summary.remarks, *filter(None, [summary.recording_ended]))
         wall_s = summary.wall_s
-        processes = with_accounts(processes, summary.processes, wall_s, plan.tree)
+        accounts = with_accounts(timing.processes, summary.processes, wall_s, plan.tree)
+        timing = timing._replace(processes=accounts)
         names = ("interrupted", "external", "devices", "wrong", "faults")
         seen = {name: getattr(summary, name) for name in names} | {"lost_messages": summary.lost}
-    tiers = tier_timings(processes)
+    tiers = tier_timings(timing.processes)
     return TimingReport(
         scenario=plan.plant,
         run_id=plan.run_id,
@@ -152,18 +153,13 @@ def report_on(
         host=_host(plan, metadata, remarks, load),
         rate_hz=1e9 / plan.cycle_wall_ns,
         cycles=timing.cycles,
-        late_cycles=timing.late_cycles,
-        clocks=timing.clocks,
         wall_s=wall_s,
         ended=ended,
         remarks=remarks,
-        times=timing.times,
         tiers=tiers,
-        processes=processes,
         verdicts=judge(plan, table, timing.times, tiers, seen.get("lost_messages")),
-        slowest=timing.slowest,
-        loop_ns=timing.loop_ns,
         tree=plan.tree,
+        **timing._asdict(),
         **seen,
     )
 

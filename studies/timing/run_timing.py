@@ -6,8 +6,9 @@ docs/timing.md defines each measure.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
+from operator import itemgetter
 from typing import Final, NamedTuple, TypeVar
 
 import msgspec
@@ -110,12 +111,17 @@ def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
         messages = on_one_clock(messages, clocks)
         stages = stage_times(messages)
     plan = messages.plan
-    durations = _Durations(plan, clocks)
+    production = PRODUCTION.of(ROOT)
+    loop_ns = messages.publish_ns[production].dropna()
+    slowest = loop_ns.nlargest(SLOWEST).index
+    if PLANT not in plan.external:
+        loop_ns = messages.ready_ns[production].loc[loop_ns.index]
+    durations = [*_loop_durations(messages, loop_ns)]
     processes: list[ProcessTiming] = []
     late: set[int] = set()
     for agent, group in groupby(stages, key=lambda stage: stage.agent):
         own = list(group)
-        durations.see_agent(own)
+        durations += _stage_durations(plan, own, {clock.name for clock in clocks})
         if agent in plan.external:
             continue
         closed = pd.concat([stage.closed for stage in own])
@@ -134,12 +140,10 @@ def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
                 slowest_decision_us=max(0.0, float((closed.last_ns - closed.ready_ns).max())) / 1e3,
             )
         )
-    loop_ns = durations.see_loop(messages)
-    slowest = messages.publish_ns[PRODUCTION.of(ROOT)].dropna().nlargest(SLOWEST).index
     if by_agent:
-        processes = [replace(one, times=durations.rows_of(one)) for one in processes]
+        processes = [replace(one, times=_rows_of(one, durations, plan)) for one in processes]
     return RunTiming(
-        times=durations.rows(),
+        times=_rows(durations, plan),
         processes=tuple(processes),
         slowest=tuple(cycle_waits(messages, stages, cycle) for cycle in slowest.tolist()),
         late_cycles=len(late),
@@ -153,115 +157,94 @@ def _counts(by_stage: dict[str, pd.Series]) -> dict[str, int]:
     return {stage: int(holds.sum()) for stage, holds in by_stage.items() if holds.any()}
 
 
-class _Row(NamedTuple):
-    """A row of durations, and its place among the rows of its measure."""
+class _Durations(NamedTuple):
+    """Durations, and where they are reported.
+
+    They are in a row for all agents, with its place among the rows of its measure, and in the row
+    `own` of one agent.
+    """
 
     measure: str
     place: int
     of: str
     kind: str
+    ns: pd.Series
+    agent: str = ""
+    own: str = ""
 
 
-class _Durations:
-    """The durations of a run, in rows for all agents together, and in rows for each agent."""
+def _loop_durations(messages: MessageTimes, loop_ns: pd.Series) -> Iterator[_Durations]:
+    yield _Durations(LOOP, 0, WHOLE_LOOP, "", loop_ns, PLANT)
+    for leaf in messages.plan.tree.leaves:
+        command_ns = messages.publish_ns[COMMAND.of(leaf)]
+        yield _Durations(LOOP, 1, EVERY_COMMAND, "", command_ns, PLANT, leaf)
 
-    def __init__(self, plan: RunPlan, clocks: Sequence[ClockOffset]) -> None:
-        self._plan, self._tree = plan, plan.tree
-        self._clocks = {clock.name for clock in clocks}
-        self._found: dict[_Row, list[pd.Series]] = defaultdict(list)
-        self._found_of: dict[str, dict[_Row, list[pd.Series]]] = defaultdict(
-            lambda: defaultdict(list)
-        )
 
-    def see_agent(self, stages: Sequence[StageTimes]) -> None:
-        """Measure the stages of an agent; of a device only what can be seen from outside."""
-        cycle_ns = self._plan.cycle_wall_ns
-        # When the agent had last published before each stage of each cycle.
-        spoke_ns = pd.DataFrame(
-            {at: one.closed.last_ns + one.closed.index * cycle_ns for at, one in enumerate(stages)}
-        )
-        latest_ns = np.fmax.accumulate([-np.inf, *spoke_ns.to_numpy().flat])
-        before_ns = pd.DataFrame(latest_ns[:-1].reshape(spoke_ns.shape), spoke_ns.index)
-        for place, stage in enumerate(stages):
-            closed = stage.closed
-            self._add_stage("jitter", stage, closed.first_ns.diff().abs())
-            if stage.agent in self._plan.external:
-                self._add_response(stage)
-                continue
-            self._add_stage("decision", stage, closed.last_ns - closed.ready_ns)
-            by_clock = closed if stage.timed else closed[closed.lacking]
-            self._add_stage("lateness", stage, by_clock.first_ns - stage.deadline_ns)
-            self._add_stage("age", stage, closed.ready_ns - closed.oldest_ns)
-            was_free = (
-                closed.ready_ns + closed.index * cycle_ns >= before_ns.loc[closed.index, place]
-            )
-            self._add_hops(stage, closed[was_free & ~closed.lacking])
+def _stage_durations(
+    plan: RunPlan, stages: Sequence[StageTimes], clocks: set[str]
+) -> Iterator[_Durations]:
+    """Measure the stages of an agent; of a device only what can be seen from outside."""
+    cycle_ns, agent = plan.cycle_wall_ns, stages[0].agent
+    # When the agent had last published before each stage of each cycle.
+    spoke_ns = pd.DataFrame(
+        {at: one.closed.last_ns + one.closed.index * cycle_ns for at, one in enumerate(stages)}
+    )
+    latest_ns = np.fmax.accumulate([-np.inf, *spoke_ns.to_numpy().flat])
+    before_ns = pd.DataFrame(latest_ns[:-1].reshape(spoke_ns.shape), spoke_ns.index)
+    tier, kind = tier_of(agent, plan.tree), kind_of(agent, plan.tree)
+    for at, stage in enumerate(stages):
+        closed, own = stage.closed, (agent, stage.name)
+        place = stage_place(agent, stage.name, plan.tree)
+        row = place, f"{tier} {stage.name}", kind
+        yield _Durations("jitter", *row, closed.first_ns.diff().abs(), *own)
+        if agent in plan.external:
+            answered = closed if stage.timed else closed[closed.completed_ns.notna()]
+            took_ns = answered.last_ns - answered.completed_ns.fillna(0.0)
+            yield _Durations("response", place, f"{agent} {stage.name}", kind, took_ns)
+            continue
+        yield _Durations("decision", *row, closed.last_ns - closed.ready_ns, *own)
+        by_clock = closed if stage.timed else closed[closed.lacking]
+        yield _Durations("lateness", *row, by_clock.first_ns - stage.deadline_ns, *own)
+        yield _Durations("age", *row, closed.ready_ns - closed.oldest_ns, *own)
+        was_free = closed.ready_ns + closed.index * cycle_ns >= before_ns.loc[closed.index, at]
+        yield from _hop_durations(plan, agent, closed[was_free & ~closed.lacking], clocks)
 
-    def _add_hops(self, stage: StageTimes, waited: pd.DataFrame) -> None:
-        """Measure the hop of the input that completed a stage, if the agent waited for it."""
-        hops_ns = (waited.ready_ns - waited.completed_ns).dropna()
-        for port, hop_ns in hops_ns.groupby(waited.cause, sort=False):
-            signal, publisher = port.signal.name, port.publisher
-            ends = {clock_of(agent, self._plan) for agent in (stage.agent, publisher)}
-            mark = ACROSS if len(ends) > 1 and ends & self._clocks else ""
-            row = _Row("hop", SIGNALS.index(port.signal), f"{signal}{mark}", f"{signal}{mark}")
-            self._add(row, hop_ns, stage.agent, f"{port}{mark}")
-            if publisher in self._plan.external and publisher != PLANT:
-                self._add(row._replace(of=f"{signal} of {publisher}{mark}"), hop_ns)
 
-    def _add_response(self, stage: StageTimes) -> None:
-        """Measure from outside how long a device took to answer."""
-        closed = stage.closed if stage.timed else stage.closed[stage.closed.completed_ns.notna()]
-        place = stage_place(stage.agent, stage.name, self._tree)
-        kind = kind_of(stage.agent, self._tree)
-        row = _Row("response", place, f"{stage.agent} {stage.name}", kind)
-        self._add(row, closed.last_ns - closed.completed_ns.fillna(0.0))
+def _hop_durations(
+    plan: RunPlan, agent: str, waited: pd.DataFrame, clocks: set[str]
+) -> Iterator[_Durations]:
+    """Measure the hop of the input that completed a stage, if the agent waited for it."""
+    hops_ns = (waited.ready_ns - waited.completed_ns).dropna()
+    for port, hop_ns in hops_ns.groupby(waited.cause, sort=False):
+        signal, publisher, place = port.signal.name, port.publisher, SIGNALS.index(port.signal)
+        ends = {clock_of(one, plan) for one in (agent, publisher)}
+        mark = ACROSS if len(ends) > 1 and ends & clocks else ""
+        kind = f"{signal}{mark}"
+        yield _Durations("hop", place, kind, kind, hop_ns, agent, f"{port}{mark}")
+        if publisher in plan.external and publisher != PLANT:
+            yield _Durations("hop", place, f"{signal} of {publisher}{mark}", kind, hop_ns)
 
-    def see_loop(self, messages: MessageTimes) -> pd.Series:
-        """Measure the loop; return the loop times of the cycles that the plant ended."""
-        for leaf in self._tree.leaves:
-            row = _Row(LOOP, 1, EVERY_COMMAND, "")
-            self._add(row, messages.publish_ns[COMMAND.of(leaf)], PLANT, leaf)
-        production = PRODUCTION.of(ROOT)
-        loop_ns = messages.publish_ns[production].dropna()
-        if PLANT not in self._plan.external:
-            loop_ns = messages.ready_ns[production].loc[loop_ns.index]
-        self._add(_Row(LOOP, 0, WHOLE_LOOP, ""), loop_ns, PLANT)
-        return loop_ns
 
-    def _add_stage(self, measure: str, stage: StageTimes, durations_ns: pd.Series) -> None:
-        tier, kind = tier_of(stage.agent, self._tree), kind_of(stage.agent, self._tree)
-        place = stage_place(stage.agent, stage.name, self._tree)
-        row = _Row(measure, place, f"{tier} {stage.name}", kind)
-        self._add(row, durations_ns, stage.agent, stage.name)
+def _rows(found: Iterable[_Durations], plan: RunPlan) -> tuple[Times, ...]:
+    """Return the rows of durations: by measure, then by place and name."""
+    outside = {"response", LOOP} if PLANT in plan.external else {"response"}
+    rows: dict[tuple[int, int, str, str], list[pd.Series]] = defaultdict(list)
+    for measure, place, of, kind, ns, *_ in found:
+        if len(known_ns := ns.dropna()):
+            rows[MEASURES.index(measure), place, of, kind].append(known_ns)
+    times = []
+    for (number, _, of, kind), many_ns in sorted(rows.items(), key=itemgetter(0)):
+        summary = distribution(np.concatenate(many_ns).astype(np.int64))
+        times.append(Times(MEASURES[number], of, kind, summary, MEASURES[number] in outside))
+    return tuple(times)
 
-    def _add(self, row: _Row, durations_ns: pd.Series, agent: str = "", own: str = "") -> None:
-        """Add durations to a row, and to the row `own` of one agent."""
-        if len(known_ns := durations_ns.dropna()):
-            self._found[row].append(known_ns)
-            self._found_of[agent][_Row(row.measure, 0, own, "")].append(known_ns)
 
-    def rows(self) -> tuple[Times, ...]:
-        """Return the rows by tier and signal: by measure, then in the order of a cycle."""
-        return self._times(self._found)
-
-    def rows_of(self, process: ProcessTiming) -> tuple[Times, ...]:
-        """Return the rows of one process: by measure, then by name."""
-        rows = self._times(self._found_of[process.agent])
-        return tuple(replace(row, kind=process.kind) for row in rows)
-
-    def _times(self, found: dict[_Row, list[pd.Series]]) -> tuple[Times, ...]:
-        outside = {"response", LOOP} if PLANT in self._plan.external else {"response"}
-        return tuple(
-            Times(
-                row.measure,
-                row.of,
-                row.kind,
-                distribution(np.concatenate(found[row]).astype(np.int64)),
-                row.measure in outside,
-            )
-            for row in sorted(found, key=lambda row: (MEASURES.index(row.measure), *row[1:]))
-        )
+def _rows_of(
+    process: ProcessTiming, found: Iterable[_Durations], plan: RunPlan
+) -> tuple[Times, ...]:
+    """Return the rows of one process: by measure, then by name."""
+    own = (one for one in found if one.agent == process.agent)
+    return _rows((one._replace(place=0, of=one.own, kind=process.kind) for one in own), plan)
 
 
 def tier_of(agent: str, tree: ControlTree) -> str:

@@ -71,17 +71,19 @@ def sender_stage(signal: str, publisher: str, tree: ControlTree) -> str:
     return "estimate" if tree.is_leaf(publisher) else "report"
 
 
-def test_by_default_each_place_has_the_same_share_of_the_cycle() -> None:
+def test_by_default_the_first_place_has_three_parts_of_the_cycle_and_each_other_one() -> None:
     deadlines = Deadlines(THREE_TIERS, 1_200 * MS)
     found = [deadlines.deadline_ns(*place) for place in STAGES_IN_ORDER]
-    assert found == [180 * MS * place for place in range(7)]
+    assert found == [0, *(135 * MS * parts for parts in range(3, 9))]
+    slices = [deadlines.slice_ns(*place) for place in STAGES_IN_ORDER]
+    assert slices == [135 * MS, 405 * MS, *[135 * MS] * 5]
     assert found[-1] == USED_SHARE * 1_200 * MS
 
 
 def test_a_tiers_deadline_is_that_of_its_last_message() -> None:
     deadlines = Deadlines(THREE_TIERS, 1_000 * MS, (300 * MS, 500 * MS, 600 * MS))
     found = [deadlines.deadline_ns(*place) for place in STAGES_IN_ORDER]
-    assert found == [0, 100 * MS, 200 * MS, 300 * MS, 500 * MS, 600 * MS, 800 * MS]
+    assert found == [0, 180 * MS, 240 * MS, 300 * MS, 500 * MS, 600 * MS, 800 * MS]
 
 
 def test_a_direct_controller_has_the_deadline_of_its_like_from_whatever_tier_it_hangs() -> None:

@@ -25,6 +25,7 @@ from launch_scripts.launcher.tcp_ports import reserved_ports
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
+from recordings.read.run_file import log_name
 
 pytestmark = pytest.mark.processes
 
@@ -94,6 +95,36 @@ def test_a_killed_launcher_leaves_no_process_and_a_whole_recording(
     run.wait()
     assert_none_left(run.folder)
     assert processes < 10 or is_whole(run)
+
+
+BEGINS_LATE = """
+import os, time
+from recordings.record import recorder
+
+run_recorder = recorder.run_recorder
+
+def begin_late(*arguments):
+    server = os.getppid()
+    print("begun", flush=True)
+    while os.getppid() == server:
+        time.sleep(0.01)
+    return run_recorder(*arguments)
+
+recorder.run_recorder = begin_late
+"""
+
+
+def test_a_recorder_that_has_hardly_begun_when_its_launcher_is_killed_ends_too(
+    heliarch: Start, plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text(BEGINS_LATE, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    run = heliarch("launch", plant)
+    log = run.folder / "logs" / log_name(RECORDER)
+    run.until(lambda: log.exists() and "begun" in log.read_text(), "the recorder's beginning")
+    run.process.send_signal(signal.SIGKILL)
+    run.wait()
+    assert_none_left(run.folder)
 
 
 # Frozen -------------------------------------------------------------------------------------------

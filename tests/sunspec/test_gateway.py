@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -26,15 +26,17 @@ from studies.report.tables import devices_tables
 from sunspec.gateway import Gateway
 from sunspec.limited_inverter import LimitedInverter, LimitSettings
 from sunspec.process import read_accounts
-from sunspec.server import ServedPlant, Sky, served
+from sunspec.server import Sky, served
 
 PLAN = plan_of({"c1/a": 100.0}, actuator="limit", cycle_ns=50_000_000, cycle_wall_ns=50_000_000)
 
 
-def one_inverter(port: int = 0) -> ServedPlant:
+def one_inverter(
+    port: int = 0, kind: type[LimitedInverter] = LimitedInverter
+) -> AbstractContextManager[dict[str, str]]:
+    """Serve an inverter of 100 kW that could give 80 kW."""
     sky = Sky(np.array([[80.0]]), 1.0, None)
-    inverters = {"c1/a": LimitedInverter(100.0, sky.possible_kw(0))}
-    return ServedPlant(inverters=inverters, sky=sky, now=time.monotonic, port=port)
+    return served({"c1/a": kind(100.0, sky.possible_kw(0))}, sky, time.monotonic, port=port)
 
 
 def with_device(address: str, revert: Revert | None = None) -> RunPlan:
@@ -76,7 +78,7 @@ def command(cycle: int, kw: float) -> Command:
 
 def test_readings_and_commands_pass_and_are_measured(tmp_path: Path) -> None:
     with (
-        served(one_inverter()) as addresses,
+        one_inverter() as addresses,
         gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, _),
     ):
         assert newest(devices).power_kw == 80.0
@@ -97,7 +99,7 @@ def test_readings_and_commands_pass_and_are_measured(tmp_path: Path) -> None:
 
 def test_a_limit_is_renewed_only_as_long_as_it_is_commanded(tmp_path: Path) -> None:
     plan = with_device("", Revert(after_s=1.0, to="release"))
-    with served(one_inverter()) as addresses:
+    with one_inverter() as addresses:
         plan = replace(plan, devices=(("c1/a", addresses["c1/a"]),))
         with gateway(plan, tmp_path) as (devices, _):
             until = time.monotonic() + 1.5
@@ -113,7 +115,7 @@ def test_a_limit_is_renewed_only_as_long_as_it_is_commanded(tmp_path: Path) -> N
 
 
 def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -> None:
-    with served(one_inverter()) as addresses:
+    with one_inverter() as addresses:
         address = addresses["c1/a"]
         port = parse_address(address, "")[1]
         running = gateway(with_device(address), tmp_path)
@@ -122,7 +124,7 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
         eventually(lambda: newest(devices).power_kw == 30.0)
     eventually(lambda: any(told))
     eventually(lambda: devices.silent(1) == {0})
-    with served(one_inverter(port)):  # It comes back without its limit.
+    with one_inverter(port):  # It comes back without its limit.
         eventually(lambda: newest(devices).power_kw == 80.0 and not devices.silent(1))
         devices.command(0, command(1, 30.0))
         eventually(lambda: newest(devices).power_kw == 30.0)
@@ -132,7 +134,7 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
 
 
 def test_an_inverter_that_never_comes_back_is_gone_at_the_end(tmp_path: Path) -> None:
-    with served(one_inverter()) as addresses:
+    with one_inverter() as addresses:
         running = gateway(with_device(addresses["c1/a"]), tmp_path)
         _, told = running.__enter__()
     eventually(lambda: any(told))
@@ -158,11 +160,8 @@ class Busy(LimitedInverter):
 
 
 def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path: Path) -> None:
-    sky = Sky(np.array([[80.0]]), 1.0, None)
-    inverters = {"c1/a": Busy(100.0, sky.possible_kw(0))}
-    plant = ServedPlant(inverters=inverters, sky=sky, now=time.monotonic)
     with (
-        served(plant) as addresses,
+        one_inverter(kind=Busy) as addresses,
         gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, told),
     ):
         devices.command(0, command(0, 30.0))

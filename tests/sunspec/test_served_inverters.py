@@ -20,7 +20,7 @@ from sunspec2.modbus.modbus import ModbusClientException
 from bus_schemas.errors import InputError
 from sim_plant.devices import parse_address
 from sunspec.limited_inverter import LimitedInverter
-from sunspec.server import ServedPlant, Sky, served
+from sunspec.server import Sky, served
 
 RATING_KW = 100.0
 SKY_KW = np.array([[80.0, 60.0], [90.0, 70.0]])
@@ -46,8 +46,8 @@ class Site:
             name: LimitedInverter(RATING_KW, sky.possible_kw(place), delay_s, ramp)
             for place, name in enumerate(("c1/a", "c1/b"))
         }
-        plant = ServedPlant(inverters=inverters, sky=sky, now=self.seconds, **where)
-        self.addresses = self._stack.enter_context(served(plant))
+        serving = served(inverters, sky, self.seconds, **where)
+        self.addresses = self._stack.enter_context(serving)
         return self.addresses
 
     def client(self, name: str = "c1/a") -> Device:

@@ -16,7 +16,7 @@ from clock_by_hand import ClockByHand
 from sunspec.client import DeviceError, SunSpecInverter
 from sunspec.limited_inverter import LimitedInverter
 from sunspec.registers import Points, inverter_points
-from sunspec.server import ServedPlant, Sky, served
+from sunspec.server import Sky, served
 
 OLD = (103, 120, 121, 122, 123)
 NEW = (701, 702, 704)
@@ -43,14 +43,8 @@ def serve(clock: ClockByHand) -> Iterator[Serve]:
             }
 
         sky = Sky(np.array([[80.0]]), 1.0, None)
-        context = served(
-            ServedPlant(
-                inverters={"c1/a": LimitedInverter(100.0, sky.possible_kw(0))},
-                sky=sky,
-                now=lambda: clock() / 1e9,
-                points=points,
-            )
-        )
+        inverters = {"c1/a": LimitedInverter(100.0, sky.possible_kw(0))}
+        context = served(inverters, sky, lambda: clock() / 1e9, points=points)
         contexts.append(context)
         return SunSpecInverter(context.__enter__()["c1/a"]), sky
 

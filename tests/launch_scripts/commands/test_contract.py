@@ -18,7 +18,7 @@ from typing import Final, TextIO
 
 import psutil
 import pytest
-from command_line import heliarch, process, refusal
+from command_line import heliarch, process, python, refusal
 from msgspec.structs import replace
 from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 from replayed_runs import PLAN, run_in_memory, write
@@ -455,3 +455,42 @@ def test_a_signal_ends_a_command_with_its_status_and_leaves_nothing_behind(
     assert not alive
     new = {path.name for path in folder.iterdir()} - {path.name for path in before}
     assert new <= {"runs"}
+
+
+IN_A_CALLBACK = """
+import os, signal, time, weakref
+from launch_scripts.commands.boundary import boundary
+
+class Module:
+    pass
+
+with boundary():
+    module = Module()
+    callback = weakref.ref(module, lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    del module
+    while True:
+        time.sleep(0.1)
+"""
+IN_A_LIBRARY = """
+import os, signal, time
+import msgspec
+from launch_scripts.commands.boundary import boundary
+
+class Type(type):
+    def __hash__(cls):
+        os.kill(os.getpid(), signal.SIGTERM)
+        return 0
+
+with boundary():
+    try:
+        msgspec.json.decode(b"1", type=Type("Type", (), {}))
+    except Exception:
+        pass
+    while True:
+        time.sleep(0.1)
+"""
+
+
+@pytest.mark.parametrize("code", [IN_A_CALLBACK, IN_A_LIBRARY])
+def test_so_does_a_signal_whose_exception_is_dropped_by_python_or_by_a_library(code: str) -> None:
+    assert python(code, status=143).stderr == ""

@@ -89,7 +89,7 @@ def test_one_that_stood_still_is_refused_and_stands_by(oahu: Preparation) -> Non
 
 
 def test_where_both_are_gone_one_takes_over_after_its_return(oahu: Preparation) -> None:
-    run = Run(oahu, "kill=c2,at=20s", "kill=c2,at=20.4s")
+    run = Run(oahu, "kill=c2,at=20s", "kill=c2,at=20.8s")
     assert [agent for agent, _ in run.takeovers] == ["c2", "c2"]
     assert run.memory.restarts == {"c2": 1, "c2+standby": 1}
     speaking = [name for name in ("c2", "c2+standby") if not run.memory.loops[name].silent]

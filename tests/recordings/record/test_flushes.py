@@ -16,7 +16,7 @@ from recordings_by_hand import PLAN, SCENARIO, whole_run
 from agents.events import Event, Status
 from agents.plan import RunPlan
 from bus_schemas.codec import encode
-from recordings.record.recorder import FLUSH_S, Recorder, RecordingEnd, longest_pause_s
+from recordings.record.recorder import FLUSH_S, Recorder, longest_pause_s
 from recordings.record.writer import RunWriter
 
 MESSAGE_S = 20e-6
@@ -33,7 +33,7 @@ def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
     began_ns = clock.now_ns
     ends_ns, bursts_ns = began_ns + round(LASTS_S * 1e9), round(bursts_s * 1e9)
     said = cycle((PLAN.wiring.key(port), encode(message)) for port, message in whole_run(5))
-    end = RecordingEnd()
+    link = Mock(expected_messages=lambda: None, by_hand=False, dismissed=False)
 
     def drain() -> Iterator[tuple[str, bytes]]:
         """There is always one more message, or bursts of them, until the recording is to end."""
@@ -42,7 +42,7 @@ def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
                 return
             clock.sleep(MESSAGE_S)
             yield next(said)
-        end.ask()
+        link.dismissed = True
 
     flushed_s: list[float] = []
 
@@ -52,7 +52,7 @@ def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
             super().flush()
 
     writer = NotedWriter(tmp_path / "run.mcap", PLAN, SCENARIO, "launch")
-    record(clock, drain, writer, end)
+    record(clock, drain, writer, link)
     # What it takes in at once, 2000 messages, is all that can come between.
     longest_s = FLUSH_S + 2000 * MESSAGE_S
     gaps_s = [later - earlier for earlier, later in pairwise([0.0, *flushed_s, LASTS_S])]
@@ -66,7 +66,7 @@ def test_who_answered_the_arming_round_is_not_silent_when_cycle_0_begins(tmp_pat
     clock = ClockByHand()
     joined_ns = clock.now_ns + round(10.0 * longest_pause_s(IN_REAL_TIME) * 1e9)
     ends_ns = joined_ns + round(0.5 * longest_pause_s(IN_REAL_TIME) * 1e9)
-    end = RecordingEnd()
+    link = Mock(expected_messages=lambda: None, by_hand=False, dismissed=False)
     coming = [
         (PLAN.wiring.key(port), encode(replace(message, cycle=-1)))
         for port, message in whole_run(1)
@@ -78,10 +78,10 @@ def test_who_answered_the_arming_round_is_not_silent_when_cycle_0_begins(tmp_pat
             while coming:
                 yield coming.pop()
         if clock.now_ns >= ends_ns:
-            end.ask()
+            link.dismissed = True
 
     writer = RunWriter(tmp_path / "run.mcap", IN_REAL_TIME, SCENARIO, "launch")
-    said = record(clock, drain, writer, end, IN_REAL_TIME)
+    said = record(clock, drain, writer, link, IN_REAL_TIME)
     silent = [event.silent for event in said if isinstance(event, Status)]
     assert silent[0] == []
     assert PLAN.tree.leaves[0] in max(silent, key=len), "before it answers it is silent"
@@ -92,14 +92,14 @@ def record(
     clock: ClockByHand,
     drain: Callable[[], Iterator[tuple[str, bytes]]],
     writer: RunWriter,
-    end: RecordingEnd,
+    link: Mock,
     plan: RunPlan = PLAN,
 ) -> list[Event]:
     """Record what comes, at the time of a clock by hand. Returns what the launcher is told."""
     said: list[Event] = []
     tap = Mock(drain=drain)
-    link = Mock(expected_messages=lambda: None, by_hand=False, tell=said.append)
+    link.tell = said.append
     time = Mock(monotonic=lambda: clock.now_ns / 1e9, monotonic_ns=clock, sleep=clock.sleep)
     with patch("recordings.record.recorder.time", time):
-        Recorder(plan, tap, writer, link, end, lambda text: None).run()
+        Recorder(plan, tap, writer, link, lambda text: None).run()
     return said

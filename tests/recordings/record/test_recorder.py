@@ -20,7 +20,7 @@ from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
 from recordings.record.message_complaints import Complaints
-from recordings.record.recorder import Recorder, RecordingEnd
+from recordings.record.recorder import Recorder
 from recordings.record.second_senders import SecondSenders
 from recordings.record.writer import RunWriter
 
@@ -54,12 +54,9 @@ def recorded(
     )
     tap = Mock(drain=lambda: waiting)
     tap.watch_tokens.return_value.changes.return_value = ()
-    link = Mock(expected_messages=lambda: expected, by_hand=False)
+    link = Mock(expected_messages=lambda: expected, by_hand=False, dismissed=expected is None)
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
-    end = RecordingEnd()
-    if expected is None:
-        end.ask()
-    Recorder(IN_LOCKSTEP, tap, writer, link, end, lambda text: None).run()
+    Recorder(IN_LOCKSTEP, tap, writer, link, lambda text: None).run()
     told = [call.args[0] for call in link.tell.call_args_list]
     (account,) = [event for event in told if isinstance(event, Recorded)]
     with RunReader(folder) as reader:

@@ -12,6 +12,7 @@ from recorded_runs import (
     TWO_TIERS,
     cloudy_profile,
     faulty_plan,
+    of_publisher,
     plan_of,
     published,
     record,
@@ -169,6 +170,42 @@ def test_what_only_a_later_stage_shows_of_its_inputs_is_taken(tmp_path: Path) ->
         messages.insert(place, (port, unused))
     folder = record(tmp_path / "run", plan, messages)
     assert verify(folder, "c1", Comparison()).equal
+
+
+def killed_child(plan: RunPlan) -> tuple[list[Delivery], list[int]]:
+    """A run in which c1/a is killed; the places of the messages of its maximum around that."""
+    messages = published(plan, cloudy_profile(plan))
+    places = [place for place, (port, _) in enumerate(messages) if port is IMPP.of("c1/a")]
+    new = next(at for at, place in enumerate(places) if messages[place][1].incarnation)
+    return messages, places[new - 1 : new + 2]
+
+
+KILLED_CHILD = faulty_plan(FaultRule(kill="c1/a", at=(12.2,)))
+
+
+def test_what_a_killed_process_said_to_others_alone_is_no_difference(tmp_path: Path) -> None:
+    messages, (last, *_) = killed_child(KILLED_CHILD)
+    port, said = messages.pop(last)
+    used_it = f"{port}@{said.cycle}"
+    found = verify(record(tmp_path / "run", KILLED_CHILD, messages), "c1", Comparison())
+    assert found.equal
+    own = [message for _, message in of_publisher(messages, "c1")]
+    based_on_it = [m for m in own if m.cycle == said.cycle or used_it in m.missing]
+    assert found.total("not_compared") == len(based_on_it)
+
+
+@pytest.mark.parametrize(("at", "cycles_apart"), [(1, []), (2, [1])])
+def test_what_a_killed_process_said_instead_of_its_successor_is_no_difference(
+    at: int, cycles_apart: list[int], tmp_path: Path
+) -> None:
+    messages, places = killed_child(KILLED_CHILD)
+    port, said = messages[places[at]]
+    assert isinstance(said, Impp)
+    messages[places[at]] = port, replace(said, power_kw=said.power_kw + 1.0)
+    found = verify(record(tmp_path / "run", KILLED_CHILD, messages), "c1", Comparison())
+    first = found.agents["c1"].first
+    apart = [] if first is None else [first.cycle - said.incarnation]
+    assert apart == cycles_apart, "in the successor's first cycle the recording may mislead"
 
 
 # The recorder was away ----------------------------------------------------------------------------
