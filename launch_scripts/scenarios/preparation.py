@@ -55,6 +55,9 @@ _HOUR_NS: Final = 3_600_000_000_000
 _LARGEST_INVERTER_KW: Final = 10_000.0
 """Larger than any on the market: a larger rating is probably in W."""
 
+_LARGEST_DISTANCE_M: Final = 100_000.0
+"""Farther from the middle than in any plant: a larger distance is probably a mistyped position."""
+
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
@@ -178,6 +181,13 @@ def _doubts(day: _Day) -> Iterator[str]:
         yield (
             f"plant: expected inverters of {_LARGEST_INVERTER_KW:,.0f} kW at most, got "
             f"{sites.names[largest]} of {sites.rating_kw[largest]:,.0f} kW; ratings are in kW"
+        )
+    away_m = np.hypot(*east_north_m(sites.lat_deg, sites.lon_deg))
+    farthest = int(away_m.argmax())
+    if away_m[farthest] > _LARGEST_DISTANCE_M:
+        yield (
+            f"plant: expected inverters within {_LARGEST_DISTANCE_M / 1e3:g} km of its middle, got "
+            f"{sites.names[farthest]} {away_m[farthest] / 1e3:,.0f} km away; check lat and lon"
         )
     if highest_kw > sites.rating_kw.sum() * (1.0 + 1e-9):
         yield (
