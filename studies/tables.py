@@ -103,7 +103,7 @@ class Table:
         if len(groups) == 1:
             return [self]
         # Even parts look better than a last one of a single column.
-        while len(evener := self._groups(width - 1)) == len(groups):
+        while width and len(evener := self._groups(width - 1)) == len(groups):
             groups, width = evener, width - 1
         return [
             replace(

@@ -103,7 +103,7 @@ async def _listening(
             servers.push_async_callback(server.shutdown)
             try:
                 await server.serve_forever(background=True)
-            except RuntimeError:
+            except (RuntimeError, OverflowError):  # No port is above 65535.
                 raise InputError(
                     f"inverters: expected a free port of this machine, got {host} port {wanted}"
                 ) from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, is_dataclass
@@ -26,6 +27,10 @@ def file_in_folder(option: typer.CallbackParam, value: str | None) -> str | None
     path = Path(str(value))
     if path.is_dir() or not path.absolute().parent.is_dir():
         raise InputError(f"{option.opts[0]}: expected a file in an existing folder, got {path}")
+    if not os.access(path if path.exists() else path.absolute().parent, os.W_OK):
+        raise InputError(f"{option.opts[0]}: expected a file that can be written, got {path}")
+    if path.suffix in {".toml", ".mcap"}:  # As if `--json` were a switch: `--json plant.toml`.
+        raise InputError(f"{option.opts[0]}: expected a file for the result, got {path}")
     return value
 
 

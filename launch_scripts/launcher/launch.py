@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Final
 
@@ -377,5 +377,6 @@ def launch(
         try:
             return _Launch(preparation, folder, view, began_at, server, gateway).run()
         except FailureError as failure:
-            folder.failure.write_text(f"{failure}\n", encoding="utf-8")
+            with suppress(OSError):  # The disk may be full: that must not hide the failure.
+                folder.failure.write_text(f"{failure}\n", encoding="utf-8")
             raise

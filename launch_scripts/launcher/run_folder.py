@@ -19,7 +19,7 @@ from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepar
 from launch_scripts.scenarios.scenario import ScenarioFile
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
-from recordings.read.whole_file import whole_file
+from recordings.read.whole_file import named_in_errors, whole_file
 
 _NUMBERS: Final = count(1)
 """Runs of this process: a script can start several in one second."""
@@ -67,16 +67,17 @@ class RunFolder:
         """
         self.make()
         plan = preparation.plan
-        if tcp_ports:
-            file = self.path.absolute() / "users"
-            new = {"secret": secrets.token_hex(16), "users_file": str(file)}
-            ports = {"tcp_ports": tcp_ports, "agent_ports": agent_ports or {}}
-            plan = msgspec.structs.replace(plan, **ports, **new)
-            file.touch(mode=0o600)
-            file.write_text(users(plan), encoding="utf-8")
-        preparation.profile.save(self.path / "profile.npz")
-        (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
-        self.write_plan(plan)
+        with named_in_errors(self.path):
+            if tcp_ports:
+                file = self.path.absolute() / "users"
+                new = {"secret": secrets.token_hex(16), "users_file": str(file)}
+                ports = {"tcp_ports": tcp_ports, "agent_ports": agent_ports or {}}
+                plan = msgspec.structs.replace(plan, **ports, **new)
+                file.touch(mode=0o600)
+                file.write_text(users(plan), encoding="utf-8")
+            preparation.profile.save(self.path / "profile.npz")
+            (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
+            self.write_plan(plan)
         return plan
 
     def write_summary(self, document: bytes) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime, time
+from datetime import UTC, datetime, time
 from pathlib import Path
 from typing import Final
 
@@ -54,6 +54,9 @@ _HOUR_NS: Final = 3_600_000_000_000
 
 _LARGEST_INVERTER_KW: Final = 10_000.0
 """Larger than any on the market: a larger rating is probably in W."""
+
+_LARGEST_DISTANCE_M: Final = 100_000.0
+"""Farther from the middle than in any plant: a larger distance is probably a mistyped position."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +182,13 @@ def _doubts(day: _Day) -> Iterator[str]:
             f"plant: expected inverters of {_LARGEST_INVERTER_KW:,.0f} kW at most, got "
             f"{sites.names[largest]} of {sites.rating_kw[largest]:,.0f} kW; ratings are in kW"
         )
+    away_m = np.hypot(*east_north_m(sites.lat_deg, sites.lon_deg))
+    farthest = int(away_m.argmax())
+    if away_m[farthest] > _LARGEST_DISTANCE_M:
+        yield (
+            f"plant: expected inverters within {_LARGEST_DISTANCE_M / 1e3:g} km of its middle, got "
+            f"{sites.names[farthest]} {away_m[farthest] / 1e3:,.0f} km away; check lat and lon"
+        )
     if highest_kw > sites.rating_kw.sum() * (1.0 + 1e-9):
         yield (
             f"commitment: expected the plant's rating of {sites.rating_kw.sum():,.0f} kW at most, "
@@ -303,8 +313,9 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
         if options.duration is not None:
             raise InputError("--to: expected no --duration with it")
         end = _start(table, options.end, "--to", start)
-        where, duration_s = "--to", (end - start).total_seconds()
-        if end <= start:
+        # In UTC: between two times of one zone Python counts the hours of the wall clock.
+        where, duration_s = "--to", (end.astimezone(UTC) - start.astimezone(UTC)).total_seconds()
+        if duration_s <= 0.0:
             raise InputError(f"--to: expected a time after {start}, got {end}")
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:

@@ -72,7 +72,7 @@ def export(
         if form == "json-mcap":
             out = ViewerFile(beside, reader, signals, clock)
         else:
-            anchor = ClockAnchor.of(reader.metadata)
+            anchor = ClockAnchor.of(reader.metadata, reader.path)
             out = TableFolder(beside, reader.plan, signals, anchor, form)
         with out:
             for record in reader.records(ports, cycles):

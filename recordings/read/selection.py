@@ -67,7 +67,10 @@ def _agents(
 
 
 def _words(text: str) -> list[str]:
-    return [word.strip() for word in text.split(",") if word.strip()]
+    words = [word.strip() for word in text.split(",") if word.strip()]
+    if text and not words:  # As `--nodes "$A,$B"` has it if these are not set.
+        raise InputError(f"expected names with commas between them, got {text!r}")
+    return words
 
 
 def _expected(name: str, known: Iterable[str]) -> str:

@@ -20,7 +20,7 @@ def whole_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     `/dev/stdout` is a link, which leads to a file where standard output goes to one. `mode` is that
     of a new file, less the process's mask.
     """
-    try:
+    with named_in_errors(path):
         if path.is_symlink() or (path.exists() and not path.is_file()):
             with path.open("wb") as file:
                 yield file
@@ -30,8 +30,16 @@ def whole_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
             with beside.open("wb") as file:
                 yield file
             beside.replace(path)
-    except OSError as error:  # That a disk is full is often found by a call that knows no name.
-        raise OSError(error.errno, error.strerror, error.filename or str(path)) from None
+
+
+@contextmanager
+def named_in_errors(path: Path) -> Iterator[None]:
+    """Name a path in errors that name none: a call that finds the disk full often knows no name."""
+    try:
+        yield
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise OSError(error.errno, why, error.filename or str(path)) from None
 
 
 def check_new(path: Path) -> None:
@@ -40,13 +48,15 @@ def check_new(path: Path) -> None:
         raise InputError(f"--out {path}: it exists already, expected a new name")
     if not path.absolute().parent.is_dir():
         raise InputError(f"--out {path}: expected a new name in an existing folder")
+    if not os.access(path.absolute().parent, os.W_OK):
+        raise InputError(f"--out {path}: expected a new name in a folder that can be written to")
 
 
 @contextmanager
 def new_path(path: Path) -> Iterator[Path]:
     """Give a name to write a new file or folder under; it gets `path` when it is complete."""
     check_new(path)
-    with _beside(path) as beside:
+    with named_in_errors(path), _beside(path) as beside:
         yield beside
         check_new(path)
         beside.rename(path)

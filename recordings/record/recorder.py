@@ -104,7 +104,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
             path = further_file(first, number)
         if path != first:
             with RunReader(first) as before:
-                anchor, last_cycle = ClockAnchor.of(before.metadata), before.last_cycle
+                anchor, last_cycle = ClockAnchor.of(before.metadata, before.path), before.last_cycle
         writer = RunWriter(path, plan, scenario, driver="launch", anchor=anchor, on_end=on_end)
         with ZenohTap(RECORDER, plan.wiring, session_settings(plan, RECORDER)) as tap:
             link.tell(Joined())

@@ -42,14 +42,15 @@ class ClockAnchor:
         return cls(time.monotonic_ns(), time.time_ns())
 
     @classmethod
-    def of(cls, metadata: Mapping[str, Mapping[str, str]]) -> ClockAnchor:
-        """Return the one that a recording keeps in its metadata; InputError if it has none."""
+    def of(cls, metadata: Mapping[str, Mapping[str, str]], path: Path) -> ClockAnchor:
+        """Return the one that the recording at a path has in its metadata; InputError if none."""
         found = metadata.get("clock_anchor", {})
         try:
             return cls(int(found["monotonic_ns"]), int(found["wall_ns"]))
         except (KeyError, ValueError):
             raise InputError(
-                f"metadata clock_anchor: expected monotonic_ns and wall_ns, got {dict(found)}"
+                f"{path}: metadata clock_anchor: expected monotonic_ns and wall_ns, got "
+                f"{dict(found)}"
             ) from None
 
     def wall(self, monotonic_ns: int) -> int:

@@ -35,7 +35,11 @@ def compiled(
             digest.update(file.read_bytes())
     name = digest.hexdigest()[:16]
     copy = _copy(cast(FunctionType, function), name, constants, {})
-    return cast(Callable[P, R], njit(cache=True)(copy))
+    try:
+        fast = njit(cache=True)(copy)
+    except RuntimeError:  # Nothing can be written, as in a container without a home.
+        fast = njit(copy)
+    return cast(Callable[P, R], fast)
 
 
 def _is_ours(used: object) -> TypeGuard[FunctionType]:

@@ -31,15 +31,20 @@ BOUNDS: Final = ("uncontrolled", "physical-limit")
 """Schemes that command nothing: they have no actuator, and say what is possible."""
 
 
+_SIZES: Final = (1, 2, 3, 4, 6, 8)
+"""Sizes of the reference groups that are tried if none are given."""
+
+
 @dataclass(frozen=True, slots=True)
 class ReferenceGroups:
     """The reference groups that grouping control is tried with.
 
-    So many choices of each size are drawn at random; of size 1, every single inverter. `members`
-    names the inverters of one group in place of all these.
+    So many choices of each size are drawn at random; of size 1, every single inverter. Without
+    sizes, all that the plant is large enough for are tried. `members` names the inverters of one
+    group in place of all these.
     """
 
-    sizes: tuple[int, ...] = (1, 2, 3, 4, 6, 8)
+    sizes: tuple[int, ...] = ()
     choices: int = 12
     seed: int = 1
     members: tuple[str, ...] = ()
@@ -56,7 +61,7 @@ class ReferenceGroups:
             yield np.isin(names, self.members)
             return
         generator = np.random.default_rng(self.seed)
-        for size in self.sizes:
+        for size in self.sizes or [size for size in _SIZES if size < inverters]:
             if not 0 < size < inverters:
                 raise InputError(
                     f"--reference: expected groups of 1 to {inverters - 1} inverters, got {size}"

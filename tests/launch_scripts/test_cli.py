@@ -81,3 +81,16 @@ def test_the_shell_completes_commands_and_options(typed: str, offered: set[str])
         "COMP_CWORD": str(typed.count(" ")),
     }
     assert set(python(code, variables=completion).stdout.split()) == offered
+
+
+MAIN = "import sys; from launch_scripts.cli import main; main()"
+
+
+def test_a_terminal_without_the_lines_of_a_tree_gets_the_rest() -> None:
+    run = REPOSITORY / "recordings" / "golden" / "oahu-limit"
+    words = ("inspect", run, "--cycle", "3")
+    assert "central" in python(MAIN, *words, variables={"PYTHONIOENCODING": "ascii"}).stdout
+
+
+def test_a_command_needs_no_standard_output() -> None:
+    assert python(f"import sys; sys.stdout = None; {MAIN}", "scenarios").stderr == ""

@@ -30,7 +30,7 @@ def lines_of(table: Table, width: int) -> list[str]:
     return printed(lambda console: print_table(console, table), width).splitlines()
 
 
-@pytest.mark.parametrize("width", [100, 80, 50])
+@pytest.mark.parametrize("width", [100, 80, 50, 30])
 @pytest.mark.parametrize("columns", [1, 7, 30])
 def test_every_cell_is_printed_beside_what_tells_its_row_apart(width: int, columns: int) -> None:
     lines = lines_of(many_columns(columns), width)

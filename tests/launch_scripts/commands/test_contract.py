@@ -116,7 +116,11 @@ def test_every_command_is_held_to_the_contract() -> None:
 @pytest.mark.parametrize(
     ("name", "option", "place"),
     [
-        *((name, "--json", place) for name in with_json(NAMES) for place in ("nowhere/x", "run")),
+        *(
+            (name, "--json", place)
+            for name in with_json(NAMES)
+            for place in ("nowhere/x", "run", "small.toml", "run/run.mcap")
+        ),
         *((name, "--report", "nowhere/x.html") for name in ("launch", "timing", "delays")),
     ],
 )
@@ -126,6 +130,17 @@ def test_a_file_that_cannot_be_is_refused_before_any_work(
     before = sorted(folder.rglob("*"))
     assert option in refusal(*words_of(name, folder), option, place)
     assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+@pytest.mark.parametrize(
+    "words", ["inspect run --json locked/x", "export run --format csv --out locked/x"]
+)
+def test_a_folder_that_cannot_be_written_to_is_refused_before_any_work(
+    words: str, folder: Path
+) -> None:
+    (folder / "locked").mkdir(mode=0o555)
+    assert "locked/x" in refusal(*words.split())
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -157,10 +172,10 @@ BAD: Final = {
     "conform": "--pace 0, --tolerance -1, --external-timeout 0, --command {plan",
     "view": "--page-port -1, --page-address moon",
     "report": "--report nowhere/report.html",
-    "inspect": "--nodes c9, --from 18:00, --to noonish, --cycle 3",
+    "inspect": "--nodes c9, --nodes ,, --from 18:00, --to noonish, --cycle 3",
     "verify": "--nodes c1/aa, --from 18:00, --tolerance -1, --ignore powr_kw",
     "replay": "--from 18:00, --from noon, --nodes c9, --pace -1, --pace nan, --clock moon, "
-    "--signals imp, --exclude wind, --listen 7447, --plan plan.json, --live c1/x, --live plant",
+    "--signals imp, --signals ,, --exclude wind, --listen 7447, --plan plan.json, --live c1/x, --live plant",
     "compare": "--schemes magic, --show beauty, --workers 0, --seeds x, --days x, --set x, "
     "--scheduler x, --actuator magic",
     "clusters": "--periods 1.5, --periods inf, --random 0, --learn 1h, --learn x",
@@ -231,6 +246,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "compare small.toml --seeds 1,2 --csv nowhere/summary.csv",
         "conform c9 --scenario small.toml",
         "node --plan here.json --host 127.0.0.2",
+        "inverters small.toml --base-port 65534 --duration 1",
         "nonsense",
     ],
 )

@@ -121,6 +121,24 @@ def test_the_command_line_may_change_time_and_pace(folder: Folder) -> None:
     assert folder.prepare(start="2024-05-12T10:00:00Z").local_start() == "2024-05-12 12:00:00 CEST"
 
 
+@pytest.mark.parametrize(
+    ("start", "end", "hours"),
+    [("03-31", "04-01", 23), ("05-12", "05-13", 24), ("10-27", "10-28", 25)],
+)
+def test_a_day_is_as_long_as_its_clocks_make_it(
+    folder: Folder, start: str, end: str, hours: int
+) -> None:
+    folder.change("duration_s = 30", "duration_s = 60\ncycle_s = 60")
+    found = folder.prepare(start=f"2024-{start}T00:00", end=f"2024-{end}T00:00")
+    assert found.plan.cycles == 60 * hours
+
+
+def test_a_file_may_begin_with_a_byte_order_mark(folder: Folder) -> None:
+    text = folder.scenario.read_text(encoding="utf-8")
+    folder.scenario.write_text(text, encoding="utf-8-sig")
+    assert folder.prepare().plan.plant == "small"
+
+
 def test_some_fields_come_as_they_are_into_the_plan(folder: Folder) -> None:
     before = folder.prepare(pace=1.0).plan
     assert (before.tier_deadlines_ns, before.available_bias) == ((), None)
@@ -227,6 +245,13 @@ def test_what_is_hardly_meant_is_run_with_a_warning(
     folder.change(old, new)
     (warning,) = folder.prepare().remarks
     assert warning.startswith(f"warning: {place}: expected")
+
+
+def test_an_inverter_far_from_all_others_is_named(folder: Folder) -> None:
+    folder.write("plant.csv", INVERTERS.replace("37.102", "3.7102"))
+    (warning,) = folder.prepare().remarks
+    assert warning.startswith("warning: plant: expected inverters within")
+    assert "got c " in warning
 
 
 # Bad scenario files -------------------------------------------------------------------------------

@@ -48,7 +48,7 @@ def write_tables(
     run: Path, folder: Path, form: TableForm, plan: RunPlan = PLAN, batch_rows: int = 1000
 ) -> dict[str, int]:
     with RunReader(run) as reader:
-        anchor = ClockAnchor.of(reader.metadata)
+        anchor = ClockAnchor.of(reader.metadata, reader.path)
         with TableFolder(folder, plan, RECORDED, anchor, form, batch_rows) as tables:
             for record in reader.records():
                 tables.add(record, record.message())

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, get_args
 
 import msgspec
+import numba
 import numpy as np
 import pytest
 
@@ -186,3 +187,14 @@ def test_meters_that_read_a_little_low_do_not_set_all_inverters_free_again_and_a
     assert usual < 0.5
     assert over_delivered_percent({"LOW_READING": 0.0}) > 10.0
     assert over_delivered_percent({}) == usual, "other constants count for their own run alone"
+
+
+def test_where_nothing_can_be_written_functions_are_compiled_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def twice(power_kw: float) -> float:
+        return 2.0 * power_kw
+
+    monkeypatch.setattr(numba.config, "CACHE_LOCATOR_CLASSES", "UserProvidedCacheLocator")
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "/dev/null/nowhere")
+    assert compiled(twice)(3.0) == 6.0
