@@ -7,6 +7,7 @@ import sys
 from importlib import import_module
 from importlib.metadata import version
 from io import TextIOWrapper
+from pathlib import Path
 from typing import Annotated, Final
 
 import typer
@@ -56,7 +57,7 @@ for _heading, _names in COMMANDS.items():
 def main() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # As `>&-` has it, in a script that a service starts.
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # Not every terminal has the lines of a tree.
     app()

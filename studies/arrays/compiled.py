@@ -36,10 +36,9 @@ def compiled(
     name = digest.hexdigest()[:16]
     copy = _copy(cast(FunctionType, function), name, constants, {})
     try:
-        fast = njit(cache=True)(copy)
+        return cast(Callable[P, R], njit(cache=True)(copy))
     except RuntimeError:  # Nothing can be written, as in a container without a home.
-        fast = njit(copy)
-    return cast(Callable[P, R], fast)
+        return cast(Callable[P, R], njit(copy))
 
 
 def _is_ours(used: object) -> TypeGuard[FunctionType]:

@@ -175,7 +175,8 @@ BAD: Final = {
     "inspect": "--nodes c9, --nodes ,, --from 18:00, --to noonish, --cycle 3",
     "verify": "--nodes c1/aa, --from 18:00, --tolerance -1, --ignore powr_kw",
     "replay": "--from 18:00, --from noon, --nodes c9, --pace -1, --pace nan, --clock moon, "
-    "--signals imp, --signals ,, --exclude wind, --listen 7447, --plan plan.json, --live c1/x, --live plant",
+    "--signals imp, --signals ,, --exclude wind, --listen 7447, --plan plan.json, --live c1/x, "
+    "--live plant",
     "compare": "--schemes magic, --show beauty, --workers 0, --seeds x, --days x, --set x, "
     "--scheduler x, --actuator magic",
     "clusters": "--periods 1.5, --periods inf, --random 0, --learn 1h, --learn x",
