@@ -57,7 +57,7 @@ for _heading, _names in COMMANDS.items():
 def main() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # As `>&-` has it, in a script that a service starts.
-            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # Not every terminal has the lines of a tree.
     app()
