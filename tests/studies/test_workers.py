@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from operator import neg
 from pathlib import Path
 
@@ -56,7 +57,9 @@ def test_an_interruption_ends_the_workers() -> None:
 
 
 def words(one: psutil.Process) -> str:
-    return " ".join(one.cmdline())
+    with suppress(psutil.NoSuchProcess):  # A child that has ended since is no worker.
+        return " ".join(one.cmdline())
+    return ""
 
 
 @pytest.fixture
