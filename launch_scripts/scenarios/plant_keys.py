@@ -127,6 +127,8 @@ def _check(
         raise InputError(f"{files.key}: no such file, expected the key of {agent}")
     if files.key.stat().st_mode & 0o077:
         raise InputError(f"{files.key}: expected a key that its owner alone can read (mode 600)")
+    if _read_key(files.key).public_key() != certificate.public_key():
+        raise InputError(f"{files.key}: expected the key of {path}, got another one")
 
 
 def _read(path: Path) -> x509.Certificate:

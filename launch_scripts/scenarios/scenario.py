@@ -316,9 +316,8 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         raise InputError(f"--data: expected a folder with data files, got {data_folder}")
     path = _find(name_or_path)
     try:
-        text = path.read_text(
-            encoding="utf-8-sig"
-        )  # An editor may have put a byte order mark first.
+        # An editor may have put a byte order mark first.
+        text = path.read_text(encoding="utf-8-sig")
         scenario = msgspec.toml.decode(text, type=Scenario)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected UTF-8, got byte {error.start} that is not") from None

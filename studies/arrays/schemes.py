@@ -52,6 +52,8 @@ class ReferenceGroups:
     def groups(self, names: Sequence[str]) -> Iterator[NDArray[np.bool_]]:
         """Yield each group as a mask over the inverters of these names."""
         inverters = len(names)
+        if inverters < 2:
+            raise InputError("--schemes: expected two inverters or more with grouping, got one")
         if self.members:
             for name in self.members:
                 if name not in names:

@@ -60,6 +60,11 @@ def for_everybody(folder: Path, plant: str) -> None:
     (folder / "c1.key").chmod(0o644)
 
 
+def of_older_keys(folder: Path, plant: str) -> None:
+    done("keys", plant, "--out", "other")
+    shutil.copy("other/c1.key", folder / "c1.key")
+
+
 def gone(folder: Path, plant: str) -> None:
     (folder / "c1.pem").unlink()
 
@@ -81,6 +86,7 @@ def never_made(folder: Path, plant: str) -> None:
         (of_another_plant, (*SHORT, "--external", "c1"), "c1.pem"),
         (of_another_agent, SHORT, "a certificate for c1, got c2"),
         (for_everybody, SHORT, "c1.key"),
+        (of_older_keys, SHORT, "c1.key: expected the key of"),
         (gone, SHORT, "c1.pem: no such file"),
         (broken, SHORT, "c1.pem"),
         (never_made, SHORT, "heliarch keys"),
