@@ -92,36 +92,40 @@ class Deadlines:
 
     def deadline_ns(self, agent: str, stage: str) -> int:
         """Return the deadline of an agent's stage after the beginning of its cycle [ns]."""
-        place = stage_place(agent, stage, self.tree)
-        central = stage_place(CENTRAL, "solve", self.tree)
-        if not self.tiers_ns:
-            last = stage_place(PLANT, "apply", self.tree)
-            return round(USED_SHARE * self.cycle_ns * _parts(place) / _parts(last))
-        if place <= central:
-            return self.tiers_ns[0] * _parts(place) // _parts(central)
-        if agent == PLANT:
-            return (self.tiers_ns[-1] + self.cycle_ns) // 2
-        # A direct controller may hang from any tier: its deadline is that of its like.
-        return self.tiers_ns[-1] if stage == "actuate" else self.tiers_ns[depth(agent)]
+        # A direct controller may hang from any tier: its stated deadline is that of its like.
+        if self.tiers_ns and stage == "actuate":
+            return self.tiers_ns[-1]
+        return self._of_place(stage_place(agent, stage, self.tree))
 
     def slice_ns(self, agent: str, stage: str) -> int:
         """Return a stage's part of the cycle: from the deadline before its own to its own [ns].
 
         The plant's tick has no deadline before it: it has one part.
         """
-        place = stage_place(agent, stage, self.tree)
-        central = stage_place(CENTRAL, "solve", self.tree)
-        parts = FIRST_PARTS if place == 1 else 1
-        if not self.tiers_ns:
-            last = stage_place(PLANT, "apply", self.tree)
-            return round(USED_SHARE * self.cycle_ns * parts / _parts(last))
-        if place <= central:
-            return self.tiers_ns[0] * parts // _parts(central)
-        before_ns = self.tiers_ns[-1 if agent == PLANT else depth(agent) - 1]
+        if stage == "sense":
+            return self._of_place(2) - self._of_place(1)
+        before_ns = self._of_place(stage_place(agent, stage, self.tree) - 1)
         return self.deadline_ns(agent, stage) - before_ns
 
+    def room_ns(self, parent: str, stage: str) -> int:
+        """Return how much later than a parent's stage those close that hear of it, at least [ns]."""
+        place = stage_place(parent, stage, self.tree)
+        return self._of_place(place + 1) - self._of_place(place)
 
-def _parts(place: int) -> int:
+    def _of_place(self, place: int) -> int:
+        """Return the deadline of a place in the order of a cycle [ns]."""
+        central = stage_place(CENTRAL, "solve", self.tree)
+        last = stage_place(PLANT, "apply", self.tree)
+        if not self.tiers_ns:
+            return round(USED_SHARE * self.cycle_ns * parts_up_to(place) / parts_up_to(last))
+        if place <= central:
+            return self.tiers_ns[0] * parts_up_to(place) // parts_up_to(central)
+        if place == last:
+            return (self.tiers_ns[-1] + self.cycle_ns) // 2
+        return self.tiers_ns[place - central]
+
+
+def parts_up_to(place: int) -> int:
     """Return how many parts of the time there are up to the end of a place."""
     return place + FIRST_PARTS - 1 if place else 0
 

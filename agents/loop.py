@@ -46,8 +46,8 @@ _PLANT_HORIZON: Final = 1_000
 
 _STANDBY_WAITS: Final = 0.5
 _DEPOSED_WAITS: Final = 0.75
-"""Part of its stage's time that a silent process waits after the deadline: a standby, and a process
-that it replaced. If both are silent, both do not speak at once."""
+"""Part of the time up to its listeners' deadline that a silent process waits after its own: a
+standby, and a process that it replaced. If both are silent, both do not speak at once."""
 
 Cause: TypeAlias = Literal[
     "late",
@@ -382,7 +382,7 @@ class AgentLoop(Generic[S]):
 
     def _grace_ns(self, stage: Stage) -> int:
         """How long after the deadline of a stage a silent process waits for the other one."""
-        return round(self._waits * self._plan.deadlines.slice_ns(self.agent.name, stage.name))
+        return round(self._waits * self._plan.deadlines.room_ns(self.agent.name, stage.name))
 
     def _deadline_after_ns(self, stage: str) -> int:
         after_ns = self._deadlines_ns.get(stage)

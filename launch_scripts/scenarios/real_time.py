@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Literal
 
-from agents.cycle import stage_place
+from agents.cycle import parts_up_to, stage_place
 from bus_schemas.errors import InputError
 from bus_schemas.tree import CENTRAL, ControlTree
 
@@ -72,7 +72,7 @@ def tier_deadlines_ns(
         )
     found = tuple(round(deadline_ms * 1e6) for deadline_ms in deadlines_ms)
     # The stages up to the central controller's solve share the time before its deadline.
-    earliest_ns = stage_place(CENTRAL, "solve", tree) * SHORTEST_CYCLE_NS
+    earliest_ns = parts_up_to(stage_place(CENTRAL, "solve", tree)) * SHORTEST_CYCLE_NS
     for tier, deadline_ns in enumerate(found):
         if deadline_ns < earliest_ns:
             raise _misplaced(tier, deadline_ns, f"{earliest_ns / 1e6:.10g} ms or more")

@@ -156,7 +156,7 @@ def test_some_fields_come_as_they_are_into_the_plan(folder: Folder) -> None:
         ([], ": expected 3 entries"),
         ([100.0, 100.0, 200.0], "[1]: expected 100.1 ms or more"),
         ([100.0, 200.0, 150.0], "[2]: expected 200.1 ms or more"),
-        ([0.1, 500.0, 900.0], "[0]: expected 0.3 ms or more"),
+        ([0.1, 500.0, 900.0], "[0]: expected 0.5 ms or more"),
         ([100.0, 500.0, 999.81], "[2]: expected at most 999.8 ms"),
         ([0.5, 0.6, 0.7], ""),
         ([100.0, 500.0, 999.8], ""),
