@@ -112,7 +112,7 @@ def boundary() -> Iterator[None]:
         for number, handler in handlers.items()
         if signal.getsignal(number) is not signal.SIG_IGN
     }
-    report, sys.unraisablehook = sys.unraisablehook, _unless_leaving(sys.unraisablehook)
+    report, sys.unraisablehook = sys.unraisablehook, _unless_ending(sys.unraisablehook)
     try:
         yield
     except _Leave:
@@ -176,11 +176,18 @@ def _leave(number: int, frame: FrameType | None) -> None:
     raise _Leave(number)
 
 
-def _unless_leaving(report: Callable[[Any], object]) -> Callable[[Any], None]:
-    """Return the hook that reports what Python has dropped, but without what is raised again."""
+def _unless_ending(report: Callable[[Any], object]) -> Callable[[Any], None]:
+    """Return the hook that reports what Python has dropped, but without what ends the program.
+
+    A Ctrl-C that got lost is sent once more: unlike `_Leave` it may also be caught, so only what
+    Python has dropped is known to be lost.
+    """
 
     def hook(dropped: Any) -> None:  # noqa: ANN401 - the type exists for type checkers only
-        if not isinstance(dropped.exc_value, _Leave):
+        if isinstance(dropped.exc_value, _Interrupt):
+            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+            signal.setitimer(signal.ITIMER_REAL, _LOOK_S)
+        elif not isinstance(dropped.exc_value, _Leave):
             report(dropped)
 
     return hook

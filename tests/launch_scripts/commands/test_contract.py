@@ -475,7 +475,7 @@ def test_a_signal_ends_a_command_with_its_status_and_leaves_nothing_behind(
 
 
 IN_A_CALLBACK = """
-import os, signal, time, weakref
+import os, signal, sys, time, weakref
 from launch_scripts.commands.boundary import boundary
 
 class Module:
@@ -483,19 +483,19 @@ class Module:
 
 with boundary():
     module = Module()
-    callback = weakref.ref(module, lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    callback = weakref.ref(module, lambda _: os.kill(os.getpid(), int(sys.argv[1])))
     del module
     while True:
         time.sleep(0.1)
 """
 IN_A_LIBRARY = """
-import os, signal, time
+import os, signal, sys, time
 import msgspec
 from launch_scripts.commands.boundary import boundary
 
 class Type(type):
     def __hash__(cls):
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), int(sys.argv[1]))
         return 0
 
 with boundary():
@@ -508,6 +508,11 @@ with boundary():
 """
 
 
-@pytest.mark.parametrize("code", [IN_A_CALLBACK, IN_A_LIBRARY])
-def test_so_does_a_signal_whose_exception_is_dropped_by_python_or_by_a_library(code: str) -> None:
-    assert python(code, status=143).stderr == ""
+@pytest.mark.parametrize(
+    ("code", "number"), [(IN_A_CALLBACK, SIGTERM), (IN_A_CALLBACK, SIGINT), (IN_A_LIBRARY, SIGTERM)]
+)
+def test_so_does_a_signal_whose_exception_is_dropped_by_python_or_by_a_library(
+    code: str, number: signal.Signals
+) -> None:
+    said = "heliarch: interrupted\n" if number == SIGINT else ""
+    assert python(code, str(int(number)), status=128 + number).stderr == said
