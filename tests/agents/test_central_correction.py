@@ -43,15 +43,26 @@ def test_a_late_reading_counts_for_less() -> None:
     assert set_kw[0] > set_kw[1] > set_kw[2] > 50.0
 
 
+def test_it_begins_anew_after_a_cycle_in_which_every_inverter_is_free() -> None:
+    central = AtWork(central_plan(), "central")
+    cycle_with_meter(central, 0, 50.0)
+    assert cycle_with_meter(central, 1, 40.0) == pytest.approx(55.0)
+    cycle_with_meter(central, 2, 40.0, impp_kw=20.0)
+    assert cycle_with_meter(central, 3, 50.0) == pytest.approx(50.0)
+
+
 def central_plan(**changes: object) -> RunPlan:
     """Two inverters below a central controller that corrects, by the clock."""
     plan = plan_of({"a": 100.0, "b": 100.0}, cycles=300, correction=True, cycle_wall_ns=REAL_TIME)
     return msgspec.structs.replace(plan, **changes)
 
 
-def cycle_with_meter(central: AtWork, cycle: int, metered_kw: float | None) -> float:
+def cycle_with_meter(
+    central: AtWork, cycle: int, metered_kw: float | None, impp_kw: float = 80.0
+) -> float:
     """Let a cycle go by in which 50 kW are dispatched; return what is set in all."""
-    reports = report("a", cycle, 80.0, 55.0) + report("b", cycle, 80.0, 55.0)
+    residual_kw = impp_kw - 25.0
+    reports = report("a", cycle, impp_kw, residual_kw) + report("b", cycle, impp_kw, residual_kw)
     sent = central.hear(dispatch(cycle, 50.0, 200.0), *reports)
     if metered_kw is None:
         sent |= central.at_deadline("solve")
