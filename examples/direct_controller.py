@@ -24,8 +24,7 @@ PROTOCOL = 1  # Version of docs/wire.md that it was written from.
 METER_TOLERANCE = 0.05  # Share of the rating by which a meter may read above the rating.
 ROUNDING = 1e-9
 BEFORE_ALL = -(2**31)  # No cycle has begun: each message takes it further.
-ESTIMATE_BY = 0.32  # Share of a cycle, after its first message, in which estimate closes.
-ACTUATE_BY = 0.77  # The same for actuate.
+EARLIER = 0.98  # It closes a stage by so much of its time: its cycle begins with a message.
 NUMBERS = {  # What it needs of each message beside cycle and source.
     "telemetry": ("power_kw", "alpha"),
     "dispatch": ("power_kw", "plant_rating_kw"),
@@ -43,6 +42,7 @@ class DirectController:
         self.parent_period: int = plan["period_cycles"][node.count("/")]
         self.parent = node.rpartition("/")[0] or "central"
         self.prefix = f"{plan['plant']}/{node}"
+        self.deadlines_s = deadlines_s(plan, node)
         self.cycle = BEFORE_ALL
         self.forget()
 
@@ -132,11 +132,10 @@ class DirectController:
 
         So it is in lockstep, in arming rounds, and between command and telemetry.
         """
-        cycle_s: float = self.plan["cycle_wall_ns"] / 1e9
-        if not cycle_s or self.cycle < 0 or not self.stage:
+        if not self.plan["cycle_wall_ns"] or self.cycle < 0 or not self.stage:
             return None
-        share = ESTIMATE_BY if self.stage == "estimate" else ACTUATE_BY
-        return max(self.entered_at + share * cycle_s - time.monotonic(), 0.0)
+        close_at = self.entered_at + EARLIER * self.deadlines_s[self.stage]
+        return max(close_at - time.monotonic(), 0.0)
 
     def inputs(self, *signals: str) -> list[dict[str, Any] | None]:
         """Return the newest message of each input, None if it is silent. Say so in `missing`."""
@@ -239,6 +238,15 @@ class DirectController:
             encoding="application/msgpack",
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
+
+
+def deadlines_s(plan: dict[str, Any], node: str) -> dict[str, float]:
+    """Return by when after the tick each stage closes [s]."""
+    tiers = 1 + max(path.count("/") for path, _ in plan["inverters"])
+    if stated_ns := plan["tier_deadlines_ns"]:
+        return {"estimate": stated_ns[0] * 3 / (tiers + 3) / 1e9, "actuate": stated_ns[-1] / 1e9}
+    part_s = 0.9 * plan["cycle_wall_ns"] / (2 * tiers + 4) / 1e9
+    return {"estimate": 3 * part_s, "actuate": (tiers + node.count("/") + 4) * part_s}
 
 
 def read_plan(path: Path) -> dict[str, Any]:

@@ -25,7 +25,7 @@ static const char *const NAMES[] = {"cycle", "incarnation",     "publish_time_ns
                                     "alpha", "plant_rating_kw", "available_kw"};
 static const int64_t BEFORE_ALL = -(INT64_C(1) << 31), LOOK_NS = 100000000;
 static const double ROUNDING = 1e-9, METER_TOLERANCE = 0.05;
-static const double CLOSES_BY[] = {[ESTIMATE] = 0.32, [ACTUATE] = 0.77}; /* Share of a cycle. */
+static const double EARLIER = 0.98; /* It closes a stage by so much of its time: its cycle begins with a message. */
 
 typedef struct {
     int signal;
@@ -37,6 +37,7 @@ typedef struct {
 static struct { /* What the controller needs of the plan. */
     char prefix[512], node[256], parent[256], endpoints[LINKS][256];
     int64_t start_ns, cycle_ns, cycle_wall_ns, cycles, hold, parent_period;
+    double deadline_ns[ACTUATE + 1]; /* By when each stage closes, after the tick. */
     double rating_kw, alpha_min;
     bool reverts;
 } plan;
@@ -319,7 +320,23 @@ static const char *value_of(const char *json, const char *name) {
     return *found == '"' ? found + 1 : found;
 }
 
+static void read_deadlines(const char *json, int level) {
+    const char *at = value_of(json, "inverters"), *stated = value_of(json, "tier_deadlines_ns");
+    int tiers = 1; /* Below the central controller: one more than a path has slashes. */
+    for (int closed = 0, slashes = 0; *at && closed < 2; at++) {
+        closed = *at == '[' ? 0 : closed + (*at == ']');
+        slashes = *at == '"' ? 0 : slashes + (*at == '/');
+        if (slashes >= tiers) tiers = slashes + 1;
+    }
+    double part_ns = 0.9 * (double)plan.cycle_wall_ns / (2 * tiers + 4);
+    plan.deadline_ns[ESTIMATE] = 3 * part_ns, plan.deadline_ns[ACTUATE] = (tiers + level + 3) * part_ns;
+    if (atof(stated) > 0.0) plan.deadline_ns[ESTIMATE] = atof(stated) * 3 / (tiers + 3);
+    for (; atof(stated) > 0.0; stated += strspn(stated, ", \n")) /* Its own is the last one. */
+        plan.deadline_ns[ACTUATE] = strtod(stated, (char **)&stated);
+}
+
 static void read_plan(const char *json, const char *node, char **endpoints) {
+    int level = 1;
     const char *slash = strrchr(node, '/'), *period = value_of(json, "period_cycles"), *run, *plant, *port;
     char standby[sizeof plan.parent + 8];
     run = value_of(json, *value_of(json, "namespace") == '"' ? "run_id" : "namespace");
@@ -338,9 +355,10 @@ static void read_plan(const char *json, const char *node, char **endpoints) {
     plan.start_ns = atoll(value_of(json, "start_time_ns")), plan.cycle_ns = atoll(value_of(json, "cycle_ns"));
     plan.cycle_wall_ns = atoll(value_of(json, "cycle_wall_ns")), plan.cycles = atoll(value_of(json, "cycles"));
     plan.hold = atoll(value_of(json, "hold_cycles"));
-    while ((node = strchr(node, '/'))) node++, period += strcspn(period, ",") + 1; /* One entry a tier. */
+    while ((node = strchr(node, '/'))) node++, level++, period += strcspn(period, ",") + 1; /* One entry a tier. */
     plan.parent_period = atoll(period);
     plan.reverts = *value_of(json, "revert") == '{';
+    read_deadlines(json, level);
 }
 
 int main(int count, char **words) {
@@ -359,7 +377,7 @@ int main(int count, char **words) {
     for (int64_t look_ns = 0;;) {
         if (now_ns() >= look_ns) look_after_links(), look_ns = now_ns() + LOOK_NS;
         bool is_timed = plan.cycle_wall_ns && self.cycle >= 0 && self.stage != IDLE;
-        int64_t up_ns = self.entered_ns + (int64_t)(CLOSES_BY[self.stage] * (double)plan.cycle_wall_ns);
+        int64_t up_ns = self.entered_ns + (int64_t)(EARLIER * plan.deadline_ns[self.stage]);
         bool any = take(&new, is_timed && up_ns < look_ns ? up_ns : look_ns);
         if (any && new.signal == RUN && new.stops) break;
         if (any && new.signal != RUN) take_in(&new);

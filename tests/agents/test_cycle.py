@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import runpy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +22,7 @@ FLAT = ControlTree((("a", 1.0), ("b", 1.0)))
 THREE_TIERS = ControlTree((("c1/a", 100.0), ("c1/b", 100.0), ("c2/a", 100.0)))
 RAGGED = ControlTree((("a", 1.0), ("c1/b", 1.0), ("z1/c1/d", 1.0), ("z1/y1/x1/e", 1.0)))
 MS = 1_000_000
+EXAMPLE = Path(__file__).parents[2] / "examples" / "direct_controller.py"
 
 
 def team(tree: ControlTree) -> list[Agent[Any]]:
@@ -91,3 +95,18 @@ def test_a_direct_controller_has_the_deadline_of_its_like_from_whatever_tier_it_
     leaves = ("a", "c1/b", "z1/c1/d", "z1/y1/x1/e")
     assert {deadlines.deadline_ns(leaf, "actuate") for leaf in leaves} == {50_000}
     assert deadlines.deadline_ns("z1/y1", "solve") == 30_000
+
+
+@pytest.mark.parametrize("tree", [FLAT, THREE_TIERS, RAGGED])
+@pytest.mark.parametrize("by_tier", [False, True])
+def test_the_example_works_out_the_same_deadlines(tree: ControlTree, by_tier: bool) -> None:
+    tiers_ns = tuple(500 * MS + 50 * MS * tier for tier in range(tree.height + 1))
+    plan = plan_of(
+        dict(tree.inverters),
+        cycle_wall_ns=1_000 * MS,
+        tier_deadlines_ns=tiers_ns if by_tier else (),
+    )
+    deadlines_s = runpy.run_path(str(EXAMPLE))["deadlines_s"]
+    for leaf in tree.leaves:
+        for stage, found_s in deadlines_s(json.loads(plan.as_json()), leaf).items():
+            assert found_s == pytest.approx(plan.deadlines.deadline_ns(leaf, stage) / 1e9)
