@@ -108,7 +108,7 @@ class Deadlines:
         return self.deadline_ns(agent, stage) - before_ns
 
     def room_ns(self, parent: str, stage: str) -> int:
-        """Return how much later than a parent's stage those of its listeners close, at least [ns]."""
+        """Return how much later than a parent's stage its listeners' stages close [ns]."""
         place = stage_place(parent, stage, self.tree)
         return self._of_place(place + 1) - self._of_place(place)
 
