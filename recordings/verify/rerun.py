@@ -224,7 +224,7 @@ class AgentRerun:
                 lost[port] = "" if is_excused else "input not recorded"
                 continue
             first = messages[0]
-            if first.incarnation == used > 0:  # What it replaced may have said this cycle's, too.
+            if first.incarnation == used > 0 and self._may_overlap(port.publisher):
                 self._doubtful.add(port)
             if len(messages) > 1:
                 if self.recorded.has_two_senders(port, used):
@@ -235,6 +235,13 @@ class AgentRerun:
             process.heard[port] = used
             inputs[port] = first
         return lost
+
+    def _may_overlap(self, publisher: str) -> bool:
+        """Whether a process may have said, unheard by the recorder, what its successor says anew.
+
+        By the clock a process without a standby joins with a dispatch sent after the other's death.
+        """
+        return self.plan.lockstep or publisher in self.plan.standbys
 
     def _choose_inputs(
         self, cycle: int, stage: str, inputs: Messages, recorded: dict[str, Messages]

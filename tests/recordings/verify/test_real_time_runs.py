@@ -172,19 +172,20 @@ def test_what_only_a_later_stage_shows_of_its_inputs_is_taken(tmp_path: Path) ->
     assert verify(folder, "c1", Comparison()).equal
 
 
-def killed_child(plan: RunPlan) -> tuple[list[Delivery], list[int]]:
-    """A run in which c1/a is killed; the places of the messages of its maximum around that."""
+def killed(plan: RunPlan, victim: str) -> tuple[list[Delivery], list[int]]:
+    """A run in which a node is killed; the places of the messages of its maximum around that."""
     messages = published(plan, cloudy_profile(plan))
-    places = [place for place, (port, _) in enumerate(messages) if port is IMPP.of("c1/a")]
+    places = [place for place, (port, _) in enumerate(messages) if port is IMPP.of(victim)]
     new = next(at for at, place in enumerate(places) if messages[place][1].incarnation)
     return messages, places[new - 1 : new + 2]
 
 
 KILLED_CHILD = faulty_plan(FaultRule(kill="c1/a", at=(12.2,)))
+TAKEN_OVER = faulty_plan(FaultRule(kill="c1", at=(12.2,)), standby=("c1",))
 
 
 def test_what_a_killed_process_said_to_others_alone_is_no_difference(tmp_path: Path) -> None:
-    messages, (last, *_) = killed_child(KILLED_CHILD)
+    messages, (last, *_) = killed(KILLED_CHILD, "c1/a")
     port, said = messages.pop(last)
     used_it = f"{port}@{said.cycle}"
     found = verify(record(tmp_path / "run", KILLED_CHILD, messages), "c1", Comparison())
@@ -194,18 +195,30 @@ def test_what_a_killed_process_said_to_others_alone_is_no_difference(tmp_path: P
     assert found.total("not_compared") == len(based_on_it)
 
 
-@pytest.mark.parametrize(("at", "cycles_apart"), [(1, []), (2, [1])])
-def test_what_a_killed_process_said_instead_of_its_successor_is_no_difference(
-    at: int, cycles_apart: list[int], tmp_path: Path
+@pytest.mark.parametrize(
+    ("plan", "victim", "listener", "at", "cycles_apart"),
+    [
+        (TAKEN_OVER, "c1", "central", 1, []),
+        (TAKEN_OVER, "c1", "central", 2, [1]),
+        (KILLED_CHILD, "c1/a", "c1", 1, [0]),
+    ],
+)
+def test_in_the_cycle_of_a_takeover_alone_the_recording_may_mislead(
+    plan: RunPlan,
+    victim: str,
+    listener: str,
+    at: int,
+    cycles_apart: list[int],
+    tmp_path: Path,
 ) -> None:
-    messages, places = killed_child(KILLED_CHILD)
+    messages, places = killed(plan, victim)
     port, said = messages[places[at]]
     assert isinstance(said, Impp)
     messages[places[at]] = port, replace(said, power_kw=said.power_kw + 1.0)
-    found = verify(record(tmp_path / "run", KILLED_CHILD, messages), "c1", Comparison())
-    first = found.agents["c1"].first
-    apart = [] if first is None else [first.cycle - said.incarnation]
-    assert apart == cycles_apart, "in the successor's first cycle the recording may mislead"
+    found = verify(record(tmp_path / "run", plan, messages), listener, Comparison())
+    first = found.agents[listener].first
+    joined = next(m.incarnation for p, m in messages if p is port and m.incarnation)
+    assert ([] if first is None else [first.cycle - joined]) == cycles_apart
 
 
 # The recorder was away ----------------------------------------------------------------------------
