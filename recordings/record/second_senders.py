@@ -1,7 +1,8 @@
 """Tells whether more than one program speaks on a key.
 
 A publisher says one thing in a cycle, and numbers its messages upwards. A process that replaces it
-says so by its incarnation, and the one it replaced is silent from then on.
+says so by its incarnation, and the one it replaced is silent from then on. Only in lockstep a third
+may join in the same cycle, with the same incarnation: what it says again is as it was said before.
 """
 
 from __future__ import annotations
@@ -69,7 +70,8 @@ def _compare(port: Port[Message], first: bytes, second: bytes) -> tuple[str, str
         if field not in _UNDECIDED and repr(values[0]) != repr(values[1]):
             told = " and ".join(str(value)[:60] for value in values)
             return TWO_SENDERS, f"two messages in cycle {cycle}, {field} {told}"
-    if first != second and other.sequence <= one.sequence:
+    has_just_joined = 0 < cycle == one.incarnation
+    if first != second and other.sequence <= one.sequence and not has_just_joined:
         numbers = f"numbers {one.sequence} and {other.sequence}"
         return TWO_SENDERS, f"two messages in cycle {cycle} that do not count up, {numbers}"
     return REPEATED, f"it came again for cycle {cycle}"

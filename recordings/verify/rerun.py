@@ -123,6 +123,8 @@ class AgentRerun:
                 if self.recorded.has_two_senders(port, cycle):
                     self._rivals.setdefault(port, []).append(message)
                     kind = "two senders"
+                elif 0 < cycle == message.incarnation:
+                    continue  # It was killed in the cycle in which it had joined: one more joined.
                 if cycle >= self.findings.from_cycle:
                     self._add(kind, cycle, stage, port, message)
         return found or {self._incarnation: {}}

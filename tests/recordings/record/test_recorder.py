@@ -139,12 +139,16 @@ FORGED = {"power_kw": 6.0}
         ([{"publish_time_ns": 9}, NEXT], ["two senders", None]),
         ([{}, NEXT], ["repeated", None]),
         ([{"incarnation": 3}, NEXT | {"incarnation": 3}], [None, None]),
+        (
+            [{"incarnation": 3}, {"incarnation": 3, "publish_time_ns": 9}, NEXT],
+            [None, "repeated", "two senders"],
+        ),
         ([NEXT | {"incarnation": 4}, NEXT, {"cycle": 5}], [None, None, "two senders"]),
         ([{"cycle": 6} | FORGED, NEXT, {"cycle": 5}, {"cycle": 6}], [None] * 3 + ["two senders"]),
     ],
     ids=[
         *("says another thing", "does not count up", "came again", "replaces its predecessor"),
-        *("was replaced and goes on", "forged for a cycle to come"),
+        *("replaced in its first cycle", "was replaced and goes on", "forged for a cycle to come"),
     ],
 )
 def test_a_second_message_of_a_key_in_a_cycle_is_named(

@@ -221,6 +221,12 @@ def test_in_the_cycle_of_a_takeover_alone_the_recording_may_mislead(
     assert ([] if first is None else [first.cycle - joined]) == cycles_apart
 
 
+def test_what_the_successor_of_a_successor_says_again_is_no_difference(tmp_path: Path) -> None:
+    messages, (_, first, _) = killed(KILLED_CHILD, "c1/a")
+    messages.insert(first + 1, messages[first])
+    assert verified(tmp_path / "run", KILLED_CHILD, messages).equal
+
+
 # The recorder was away ----------------------------------------------------------------------------
 
 
