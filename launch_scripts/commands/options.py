@@ -96,7 +96,7 @@ class ResultOptions:
 
 @dataclass(frozen=True, slots=True)
 class FileOptions(ResultOptions):
-    """The same of a run, which has a folder.
+    """The same, and the folder of a run.
 
     --out DIR: Folder of the run; default runs/NAME-TIME.
     """
@@ -105,7 +105,7 @@ class FileOptions(ResultOptions):
 
 
 def refuse_others(context: typer.Context, allowed: Collection[str], why: str) -> None:
-    """Refuse what the command line has beside the options that are allowed here."""
+    """Refuse options other than the allowed ones."""
     for option in context.command.params:
         name = str(option.name)
         source = context.get_parameter_source(name)
