@@ -1,8 +1,9 @@
 """Tells whether more than one program speaks on a key.
 
-A publisher says one thing in a cycle, and numbers its messages upwards. A process that replaces it
-says so by its incarnation, and the one it replaced is silent from then on. Only in lockstep a third
-may join in the same cycle, with the same incarnation: what it says again is as it was said before.
+A publisher sends one message in a cycle, and numbers its messages upwards. A process that replaces
+it has a higher incarnation, and the replaced one publishes nothing more. Only in lockstep it may be
+replaced in the cycle in which it joined: then the next process has the same incarnation, and sends
+the same messages once more.
 """
 
 from __future__ import annotations
