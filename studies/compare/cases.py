@@ -177,11 +177,14 @@ def _toml(text: str) -> object:
 
 
 def _split(values: str) -> Iterator[str]:
-    """Split at the commas that stand outside of brackets."""
-    depth, part = 0, ""
+    """Split at the commas that stand outside of brackets and quotes."""
+    depth, quote, part = 0, "", ""
     for letter in values:
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(letter, 0)
-        if letter == "," and depth == 0:
+        if letter in {"'", '"'} and quote in {"", letter}:
+            quote = "" if quote else letter
+        elif not quote:
+            depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(letter, 0)
+        if letter == "," and depth == 0 and not quote:
             yield part.strip()
             part = ""
         else:

@@ -257,6 +257,11 @@ def test_options_that_do_not_go_together_are_refused(words: str, folder: Path) -
     assert sorted(folder.rglob("*")) == before
 
 
+@pytest.mark.parametrize("words", ["timing runs/typo", "compare run runs/typo"])
+def test_a_mistyped_run_is_named_and_not_taken_for_a_scenario(words: str, folder: Path) -> None:
+    assert "runs/typo: no such file" in refusal(*words.split())
+
+
 @pytest.mark.parametrize(
     "words", ["keys small.toml --out", "export run --format csv --nodes", "simulate --data"]
 )
