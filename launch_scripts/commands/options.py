@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 def file_in_folder(option: typer.CallbackParam, value: str | None) -> str | None:
     """Refuse a place where no file can be written, before any work is done."""
-    if value in (None, "", "-"):
+    if value in {None, ""} or (value == "-" and option.name == "json"):
         return value
     path = Path(str(value))
-    if path.is_dir() or not path.absolute().parent.is_dir():
+    if value == "-" or path.is_dir() or not path.absolute().parent.is_dir():
         raise InputError(f"{option.opts[0]}: expected a file in an existing folder, got {path}")
     if not os.access(path if path.exists() else path.absolute().parent, os.W_OK):
         raise InputError(f"{option.opts[0]}: expected a file that can be written, got {path}")
@@ -58,7 +58,7 @@ SCENARIO: A shipped scenario (see `heliarch scenarios`) or a TOML file.
 an empty value is the default file."""
 
 _WRITTEN: Final = {"report", "json", "csv"}
-"""Options that name a file to write, with `-` for standard output."""
+"""Options that name a file to write; for JSON, `-` is standard output."""
 
 # Groups, for the commands that run a plant -------------------------------------------------------
 

@@ -172,7 +172,7 @@ def _toml(text: str) -> object:
     """Value of a TOML expression; what is none is taken for text, so that quotes are not needed."""
     try:
         return msgspec.toml.decode(f"value = {text}")["value"]
-    except msgspec.DecodeError:
+    except (msgspec.DecodeError, RecursionError):
         return text
 
 

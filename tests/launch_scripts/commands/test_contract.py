@@ -122,6 +122,7 @@ def test_every_command_is_held_to_the_contract() -> None:
             for place in ("nowhere/x", "run", "small.toml", "run/run.mcap")
         ),
         *((name, "--report", "nowhere/x.html") for name in ("launch", "timing", "delays")),
+        ("compare", "--csv", "-"),
     ],
 )
 def test_a_file_that_cannot_be_is_refused_before_any_work(
@@ -273,6 +274,13 @@ def test_an_empty_value_is_refused(words: str, folder: Path) -> None:
     assert sorted(folder.rglob("*")) == before
 
 
+@pytest.mark.parametrize("words", ["--set title=caf\udce9", "--out caf\udce9"])
+def test_a_word_that_is_not_utf_8_is_refused_before_any_work(words: str, folder: Path) -> None:
+    before = sorted(folder.rglob("*"))
+    assert "UTF-8" in refusal(*words_of("simulate", folder), *words.split())
+    assert sorted(folder.rglob("*")) == before
+
+
 def test_no_name_of_a_run_does_not_mean_the_current_folder(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -340,6 +348,8 @@ def test_a_file_on_a_full_disk_is_a_failure_in_one_line(
     (line,) = result.stderr.splitlines()
     assert str(FULL) in line
     assert FULL.is_char_device()
+    quick = {"doctor", "keys", "scenarios"}
+    assert result.stdout or name in quick, "what took long to find is not lost"
 
 
 @full_disk

@@ -75,6 +75,7 @@ def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile, start: str, clock: str)
         (("commitment.share=",), "--set: expected"),
         (("commitment.share=two",), "commitment.share: expected"),
         (("plant.actuator=wheel",), "got 'wheel'"),
+        ((f"plant.actuator={'[' * 10_000}",), "plant.actuator: expected"),
         (("nothing.at.all=1",), "got nothing"),
         (("commitment.share=0.6", "foo.bar=2"), "--set foo.bar=2: "),
         (("plant.actuator=limit", "commitment.shares=0.5"), "--set commitment.shares=0.5: "),
