@@ -104,8 +104,10 @@ def compare(
     else:
         results = shared(partial(run_case, comparison), found, workers, "cases", scheduler)
         result = _cases_result(results, shown)
-    _write_summary(results, csv)
-    publish(result, files, "compare.html")
+    try:
+        _write_summary(results, csv)
+    finally:
+        publish(result, files, "compare.html")
 
 
 def _names(option: str, text: str, known: Collection[str]) -> tuple[str, ...]:

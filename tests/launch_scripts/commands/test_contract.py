@@ -336,6 +336,7 @@ full_disk = pytest.mark.skipif(not FULL.exists(), reason="this system has no dev
     [
         *((name, "--json") for name in with_json(NAMES)),
         *((name, "--report") for name in ("simulate", "timing", "compare", "delays")),
+        ("compare", "--csv"),
     ],
 )
 def test_a_file_on_a_full_disk_is_a_failure_in_one_line(
