@@ -34,8 +34,8 @@ def study(
 def test_a_setting_is_a_field_and_its_values() -> None:
     found = parse_setting("control.period_cycles=[1, 1], [10, 1]")
     assert (found.field, found.values) == ("control.period_cycles", ("[1, 1]", "[10, 1]"))
-    titles = parse_setting("title=\"Clouds, it's windy\", calm")
-    assert titles.values == ("\"Clouds, it's windy\"", "calm")
+    titles = parse_setting('title="Clouds, it\'s windy", calm')
+    assert titles.values == ('"Clouds, it\'s windy"', "calm")
 
 
 def test_seeds_and_days_are_lists_and_ranges() -> None:
