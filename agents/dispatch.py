@@ -1,4 +1,4 @@
-"""What the dispatch asks of one node: every controller hears it and works this out for itself."""
+"""A node's request, which every controller works out from the dispatch."""
 
 from __future__ import annotations
 

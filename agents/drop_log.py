@@ -1,4 +1,4 @@
-"""The log of dropped messages: named once, and then more and more rarely."""
+"""The log of dropped messages: the first few of a kind, then fewer and fewer."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _MOST_KINDS: Final = 200
 
 
 class DropLog:
-    """Names dropped messages in the log: the first few of a kind, then more and more rarely.
+    """Logs dropped messages: the first ten of a kind, then the 16th, 32nd, 64th and so on.
 
-    Two texts are of a kind if they differ in their numbers alone: a flood of one kind must not
-    hide another.
+    Two texts are of a kind if they differ only in digits. A flood of one kind does not hide
+    another.
     """
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class DropLog:
         self._of_kind: Counter[str] = Counter()
 
     def __call__(self, text: str) -> None:
-        """Count a drop, and log it if it is its turn."""
+        """Count a drop, and log it if it is due."""
         self.total += 1
         kind = text.translate(_WITHOUT_DIGITS)
         if kind not in self._of_kind and len(self._of_kind) >= _MOST_KINDS:

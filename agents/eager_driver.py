@@ -1,4 +1,4 @@
-"""Drives one controller on Zenoh's own thread: an answer goes out from where its cause came in.
+"""Drives one controller on Zenoh's own thread.
 
 The thread that receives a stage's last message closes the stage and publishes what it decides. No
 other thread is woken for it, which saves a fifth of the processor time of a cycle. The agent's own

@@ -1,15 +1,14 @@
 """Takes one agent through its cycles: keeps its inputs, closes its stages, goes on.
 
-There is one rule for time. Of each input the newest message is kept. A stage closes when every
-input that it awaits is of this cycle, or at its deadline. Its decision rests on the newest
-messages; an input older than `hold_cycles` is silent. What the agent sends names, in `missing`, the
-inputs that were older than they should have been. Lockstep has no deadlines: that is the whole
-difference.
+There is one rule for time. The newest message of each input is kept. A stage closes when every
+input that it awaits is of this cycle, or at its deadline. The agent decides on the newest messages;
+an input older than `hold_cycles` is silent. Its messages name, in `missing`, the inputs that were
+older than they should have been. Lockstep has no deadlines: that is the whole difference.
 
-A standby is a second process of an agent. It goes through the same stages in silence, and awaits in
-each one the other process's last message of that stage as well. If that has not come some time
-after the stage's deadline, it takes over: it publishes, from this stage on, and the other process
-falls silent as soon as it hears of it.
+A standby is a second process of an agent. It goes through the same stages without publishing,
+and in each one also awaits the other process's last message of that stage. If that has not come
+some time after the stage's deadline, it takes over: it publishes from this stage on, and the other
+process stops publishing as soon as it hears it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The machine below a process: what the process takes of it, and how the kernel treats it."""
+"""Processors, scheduling and memory of a process."""
 
 from __future__ import annotations
 

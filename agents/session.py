@@ -1,4 +1,4 @@
-"""How an agent of a plan joins the bus: its links, its identity, and what it lets the others do.
+"""How an agent of a plan joins the bus: its links, its identity, and what it accepts.
 
 Every agent enforces its own rules on each of its links. Each pair of agents has a link of its own
 and peers do not relay, so the agent at the other end has published whatever comes over a link.

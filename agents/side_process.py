@@ -1,4 +1,4 @@
-"""A process of our own beside a run, such as the page: its launcher's hold on it."""
+"""Starts and ends a process beside a run, such as the page."""
 
 from __future__ import annotations
 

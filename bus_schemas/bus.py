@@ -1,4 +1,4 @@
-"""The bus, as the driver sees it, and what every kind of bus does with a message on its way out."""
+"""The bus, as the driver sees it, and what every kind of bus does with a message it sends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages to bytes and back. The wire format is plain msgpack: one map for each message."""
+"""Messages to bytes and back: plain msgpack, one map for each message."""
 
 from __future__ import annotations
 

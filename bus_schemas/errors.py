@@ -1,4 +1,4 @@
-"""The errors that a command tells in one line."""
+"""The errors that a command reports in one line."""
 
 
 class InputError(ValueError):

@@ -1,4 +1,4 @@
-"""Faults: rules that delay, lose, double or hold back messages on links, and stop processes.
+"""Faults: rules that delay, lose, duplicate or hold back messages on links, and stop processes.
 
 A link goes from the publisher of a port to one of its listeners. The faults act on the way to the
 listener who acts on the message. The recorder hears everything: a recording says what was sent, and
@@ -6,8 +6,7 @@ the inputs that its messages name as `missing` say what did not come.
 
 The words are those of network emulation in Linux, `tc netem` [1]_: delay, jitter, distribution,
 loss, duplicate, reorder. Two differ. `reorder` there lets a share of delayed packets pass at once;
-here it holds a share back, so that later messages overtake them, since a message of each cycle
-that came early would overtake nothing. And `silent` is not there: netem is switched from outside.
+here it holds a share back, so that later messages overtake them. netem has no `silent`.
 
 References
 ----------

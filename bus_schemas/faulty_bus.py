@@ -1,4 +1,4 @@
-"""An imperfect network between processes: what arrives is lost, late or double, by the rules.
+"""An imperfect network between processes: loses, delays and duplicates what arrives.
 
 The faults act where messages come in. So a message goes over the real network first, and what the
 rules take from it or add to its time comes on top.

@@ -1,9 +1,8 @@
-"""The message types: one struct for each kind of thing that travels on the bus.
+"""The message types: one struct for each kind of message.
 
-Every message begins with the same head (cycle, simulated time, source, which inputs were old, when
-it could be decided, when it was published, its number on its key) and goes on with the fields of
-its own kind. Units stand in the field names. On the wire a message is one flat msgpack
-map from field name to value, so a reader without this package can still take it apart.
+Every message begins with the same fields (`Message`) and goes on with those of its own kind. Units
+are in the field names. On the wire a message is one flat msgpack map from field name to value, so a
+reader without this package can take it apart.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""The faults of a run at work on its links: what becomes of each message, and how often.
+"""What the faults of a run do to each message, and how often.
 
-It is drawn from a hash of the seed, the rule, the link and the message's cycle, and from nothing
-else: not from the order in which things happen. So a message has the same fate over processes, in
-memory, and when the run is repeated.
+A hash of seed, rule, link and cycle alone decides it, not the order of events. So a message has the
+same fate over processes, in memory, and when the run is repeated.
 """
 
 from __future__ import annotations

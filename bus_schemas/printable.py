@@ -1,4 +1,4 @@
-"""Text that came over the bus or out of a file, made safe to show."""
+"""Makes text from the bus or a file safe to show."""
 
 from __future__ import annotations
 

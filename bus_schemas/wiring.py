@@ -1,8 +1,8 @@
 """Who publishes and hears what in a run, under which key, and who is linked with whom.
 
 All of it follows from the table of signals. A key is `<plant>/<path of the node>/<signal>`; a Zenoh
-session adds the run's namespace before it by itself, so that two runs that happen to meet on one
-network do not hear each other. Zenoh peers do not relay, so each pair that talks needs a link of
+session adds the run's namespace before it by itself, so that two runs on one network do not hear
+each other. Zenoh peers do not relay, so each pair that talks needs a link of
 its own (see docs/decisions/0002-explicit-links.md for the alternatives, measured).
 """
 

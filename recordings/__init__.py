@@ -1,4 +1,4 @@
-"""What is kept of a run: the recorder, the reader, and the figures that are drawn from it."""
+"""Recordings of runs: recorder, reader, inspect, verify, replay, export, recover."""
 
 from recordings.read.reader import RunReader, open_run
 

@@ -1,1 +1,1 @@
-"""What control is worth: figures of merit, comparisons, timing, and their pages."""
+"""Studies of control: figures of merit, comparisons, timing, conformance, and their pages."""

@@ -1,4 +1,4 @@
-"""The one pool of processes that studies share their work over."""
+"""The pool of processes that share the work of a study."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 The paper selects clusters "such that the correlation between inverters within a cluster is at a
 minimum, so the probability of available headroom within a cluster is maximized" and gives no
-method. Here the sum over all pairs inside the clusters is made least by swapping members between
-clusters for as long as a swap helps (steepest descent), from several random starts.
+method. Here steepest descent from several random starts minimises the sum over all pairs inside the
+clusters: it swaps members between clusters for as long as a swap helps.
 """
 
 from collections.abc import Sequence

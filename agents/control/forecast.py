@@ -1,8 +1,8 @@
 """Step 1, ahead of the paper: the IMPP as a forecast of the interval that is about to begin.
 
-The paper's IMPP is the maximum of the interval that just ended. Meanwhile the edge of a cloud moves
-on, and the power that it takes in one cycle is the shortfall that the paper's rule causes. The
-direct controller reduces it in three ways:
+The paper's IMPP is the maximum of the interval that just ended. The power that a moving cloud edge
+takes in the next cycle is the shortfall that the paper's rule causes. The direct controller reduces
+it in three ways:
 
 * the maximum is extrapolated along its last change (damped trend: Gardner and McKenzie, Management
   Science 31 (1985), doi:10.1287/mnsc.31.10.1237);

@@ -1,4 +1,4 @@
-"""Grouping control, for comparison: a reference group at full power tells what the rest could give.
+"""Grouping control, for comparison: a reference group at full power shows what others could give.
 
 A part of the inverters, the reference group R, is never curtailed. Its power, scaled by capacity,
 is taken for the plant's potential; the others, the control group, get one common curtailment level,

@@ -1,4 +1,4 @@
-"""Step 3: virtual neighbours, the order in which a child in need asks its siblings."""
+"""Step 3: virtual neighbours, the order in which a child in need asks its siblings for help."""
 
 from __future__ import annotations
 

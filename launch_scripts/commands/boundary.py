@@ -144,10 +144,10 @@ def complain(text: object, status: int) -> int:
 
 
 class _Interrupt(KeyboardInterrupt):
-    """Ctrl-C, not to be taken for the plain exception.
+    """Ctrl-C, as a subclass of KeyboardInterrupt.
 
-    Python ends itself by SIGINT in place of an exit status if that one ever passed through the
-    `exec` with which named tuples and data classes are made while modules are imported.
+    If a plain KeyboardInterrupt passes through an `exec`, which makes named tuples and data classes
+    while modules are imported, Python ends itself by SIGINT, without an exit status.
     """
 
 
@@ -166,7 +166,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
-    """Raise `_Leave`, and once more if it gets lost: the program would go on, deaf to the signal.
+    """Raise `_Leave`, and once more if it gets lost: otherwise the program would go on.
 
     Python drops what is raised in a callback of a weak reference, and each import ends with one.
     Libraries in C may drop any error.
@@ -179,7 +179,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 def _unless_leaving(report: Callable[[Any], object]) -> Callable[[Any], None]:
-    """Return the hook that reports what Python has dropped, but without what is raised again."""
+    """Return the hook that reports what Python has dropped, except what is raised again."""
 
     def hook(dropped: Any) -> None:  # noqa: ANN401 - the type exists for type checkers only
         if not isinstance(dropped.exc_value, _Leave):

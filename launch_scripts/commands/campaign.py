@@ -28,10 +28,10 @@ def campaign(
 ) -> int:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
 
-    Each seed is one simulated run. For a run that breaks an invariant
+    Each seed is one simulated run. If a run breaks an invariant
     (docs/resilience.md), prints a command that repeats it with the shortest
-    list of faults that still breaks the invariant. Exit status 1: an invariant
-    was broken. --report writes campaign.html by default.
+    list of faults that still breaks it. Exit status 1: an invariant was
+    broken. --report writes campaign.html by default.
 
     --seeds SEEDS: Seeds of the faults, such as 1..1000.
     --from TIME (start): Local time of the first cycle: 12:30, or 2010-04-01T12:30.

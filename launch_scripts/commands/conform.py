@@ -31,8 +31,8 @@ def conform(
     """Test your own device against each requirement of the wire document.
 
     Plays the agents around the device: a normal run, inputs at their limits,
-    wrong messages, random inputs, inputs that are late or missing, random
-    faults, links that close, a restart. Compares each answer with that of
+    wrong, random, late or missing inputs, random faults, links that close, a
+    restart. Compares each answer with that of
     Heliarch's own agent. Exit status 1: a requirement is not met.
 
     AGENT: The agent that the device replaces: c2/inv07, c2, central or plant.

@@ -124,7 +124,7 @@ def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) 
 
 
 def _plant_text(central: NodeCycle) -> str:
-    """Say what was wanted of the plant, what it could have given and what it gave."""
+    """Return desired, possible and produced power of the plant as a line."""
 
     def text(value_kw: float | None) -> str:
         return "not recorded" if value_kw is None else f"{value_kw:.2f} kW"

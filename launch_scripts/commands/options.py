@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def file_in_folder(option: typer.CallbackParam, value: str | None) -> str | None:
     """Refuse a place where no file can be written, before any work is done."""
-    if value in {None, ""} or (value == "-" and option.name == "json"):
+    if value in (None, "") or (value == "-" and option.name == "json"):
         return value
     path = Path(str(value))
     if value == "-" or path.is_dir() or not path.absolute().parent.is_dir():
@@ -58,7 +58,7 @@ SCENARIO: A shipped scenario (see `heliarch scenarios`) or a TOML file.
 an empty value is the default file."""
 
 _WRITTEN: Final = {"report", "json", "csv"}
-"""Options that name a file to write; for JSON, `-` is standard output."""
+"""Options that name a file to write."""
 
 # Groups, for the commands that run a plant -------------------------------------------------------
 
@@ -96,7 +96,7 @@ class ResultOptions:
 
 @dataclass(frozen=True, slots=True)
 class FileOptions(ResultOptions):
-    """The same of a run, which has a folder.
+    """The same, and the folder of a run.
 
     --out DIR: Folder of the run; default runs/NAME-TIME.
     """
@@ -105,7 +105,7 @@ class FileOptions(ResultOptions):
 
 
 def refuse_others(context: typer.Context, allowed: Collection[str], why: str) -> None:
-    """Refuse what the command line has beside the options that are allowed here."""
+    """Refuse options other than the allowed ones."""
     for option in context.command.params:
         name = str(option.name)
         source = context.get_parameter_source(name)

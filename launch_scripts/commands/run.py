@@ -96,7 +96,7 @@ def _print_result(
 def _write_summary(summary: RunSummary, folder: RunFolder, json: str | None) -> str:
     """Write a summary into its folder, and where `--json` says.
 
-    Return what to complain of if the disk is full: the result is to be printed all the same.
+    Returns the error if the disk is full: the result is still to be printed.
     """
     document = summary.as_json()
     try:

@@ -15,7 +15,7 @@ def simulate(
     page: PageOptions,
     files: FileOptions,
 ) -> int:
-    """Run the same agents in one process, with the same messages and recording.
+    """Run a plant's agents in one process: the same messages and recording as `launch`.
 
     Example: heliarch simulate valley --seed 8 --set commitment.share=0.4 --report
     """

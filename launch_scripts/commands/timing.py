@@ -41,7 +41,7 @@ def timing(
 ) -> int:
     """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
 
-    With a recorded run instead of a scenario, report on that. --report writes timing.html into the
+    Given a recorded run instead of a scenario, report on that. --report writes timing.html into the
     run's folder by default.
 
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
@@ -50,8 +50,8 @@ def timing(
     SCENARIO: A shipped scenario or a TOML file; or the folder or run.mcap of a real-time run, to
         report on it without a new run.
     --rate RATES: Cycles a second: one rate (20), several (5,10,20), or a range (1..200, auto) in
-        which to find the highest rate that the plant keeps up with. Without --to and --duration a
-        run takes 60 s, 15 s for each of several rates.
+        which to find the highest rate that the plant keeps up with. A run takes 60 s, or 15 s at
+        each of several rates, unless --to or --duration says otherwise.
     --processes: Show each process as well as the tiers.
     Example: heliarch timing oahu --rate 20 --duration 60s --report
     """

@@ -254,7 +254,7 @@ class _Launch:
         silent_s = time.monotonic() - children[RECORDER].heard_at
         if late and silent_s > HEARTBEAT_S:
             # In lockstep all agents wait for a recorder that hangs.
-            raise children.failure(RECORDER, f"recorder has not been heard of for {silent_s:.0f} s")
+            raise children.failure(RECORDER, f"recorder has been silent for {silent_s:.0f} s")
         if late:
             names = some_of([child.agent for child in late])
             raise children.failure(late[0].agent, f"{names} did not end with the run")

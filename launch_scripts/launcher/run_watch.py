@@ -1,4 +1,4 @@
-"""Whether a run is alive: when its recorder was last heard of, and when its plant went on.
+"""Whether a run is alive: when its recorder was last heard from, and when its plant went on.
 
 The launcher sees the plant through the recorder. While the recorder is silent, the plant counts as
 alive, since nothing is known of it. A time in which the launcher itself stood still does not count
@@ -82,10 +82,10 @@ class RunWatch:
         """
         silent_s = self.recorder_silent_s(now_s)
         if silent_s > self._patience_s:
-            return RECORDER, f"recorder has not been heard of for {self._patience_s:g} s"
+            return RECORDER, f"recorder has been silent for {self._patience_s:g} s"
         if silent_s > HEARTBEAT_S and not self._is_silent:
             self._is_silent = True
-            self._say(f"recorder has not been heard of for {HEARTBEAT_S:g} s; {self._what_next}")
+            self._say(f"recorder has been silent for {HEARTBEAT_S:g} s; {self._what_next}")
         if not self._is_silent and now_s - self._went_on_at > self._cycle_s:
             return PLANT, f"plant has not completed a cycle for {self._cycle_s:g} s"
         return None

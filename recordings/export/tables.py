@@ -1,7 +1,7 @@
 """A recording as tidy tables in CSV or Parquet: one observation in a row, one value in a cell.
 
-Every signal has a table of its own, named after it. What is a list inside a message has one too:
-help given, the inverters of a production, the inputs that were not due. Both formats are written by
+Every signal has a table of its own, named after it. So has each list inside messages: help given,
+the inverters of a production, the inputs that were not due. Both formats are written by
 pyarrow, a batch of rows at a time, so memory does not grow with the recording.
 """
 

@@ -1,4 +1,4 @@
-"""What an MCAP file consists of: found by its index, or by walking from record to record.
+"""The parts of an MCAP file, found by its index or by walking from record to record.
 
 A file that was cut has no index. Its chunks are found by their lengths, without unpacking them, so
 a cut recording is read like a whole one, up to the cut.

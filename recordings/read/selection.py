@@ -1,4 +1,4 @@
-"""What a user names of a run, signals and nodes, found in its table and its control tree."""
+"""Finds the signals and nodes of a run that a user names."""
 
 from __future__ import annotations
 

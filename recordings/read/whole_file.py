@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: they get their name when they are complete."""
+"""Files that exist whole or not at all: they get their name when they are complete."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The recorder's account of external agents, which give none of themselves."""
+"""What the recorder counts of external agents, which report nothing themselves."""
 
 from __future__ import annotations
 

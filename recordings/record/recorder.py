@@ -1,8 +1,8 @@
 """The recorder: hears everything on the bus of a run and writes it down. A process of its own.
 
-If the disk is full it goes on to hear, because in lockstep publishers wait for a listener that
-falls behind. It sees the whole run, so it also tells the launcher where the run stands, and in the
-arming rounds it tells the plant that it hears everybody.
+If the disk is full it keeps listening, because in lockstep publishers wait for a listener that
+falls behind. It also tells the launcher where the run stands, and in the arming rounds it tells the
+plant that it hears everybody.
 """
 
 from __future__ import annotations

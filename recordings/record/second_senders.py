@@ -1,7 +1,7 @@
 """Tells whether more than one program speaks on a key.
 
-A publisher says one thing in a cycle, and numbers its messages upwards. A process that replaces it
-says so by its incarnation, and the one it replaced is silent from then on.
+A publisher sends one message in a cycle, and numbers its messages upwards. A process that replaces
+it has a higher incarnation, and the replaced one publishes nothing more.
 """
 
 from __future__ import annotations

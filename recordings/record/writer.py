@@ -1,7 +1,7 @@
 """Writes a run as an MCAP file: each message as it was on the wire, with its schema.
 
-Log and publish times are nanoseconds of the wall clock. They are derived from the host's monotonic
-clock by one pair of readings, which the metadata keeps, so they never jump with the wall clock.
+Log and publish times are nanoseconds of the wall clock. They follow from the host's monotonic
+clock by one pair of readings, kept in the metadata, so they never jump with the wall clock.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Live controllers among recorded agents: gives them their inputs, compares what they publish.
 
 The other agents do what they did, whatever the live ones publish: the loop is open. In lockstep a
-cycle begins when the live controllers have published all of the earlier ones. In real time every
-message is sent when it was, and the live controllers have their deadlines.
+cycle begins when the live controllers have finished the earlier ones. In real time every message
+goes out at its recorded time, and the live controllers have their deadlines.
 """
 
 from __future__ import annotations

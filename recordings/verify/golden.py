@@ -1,4 +1,4 @@
-"""Golden recordings: short simulated runs to which the agents are held.
+"""Golden recordings: short simulated runs that the agents must repeat.
 
 `heliarch verify --accept` records a run again with its own plan and profile, so that sky and
 clusters stay as they are. `make golden` simulates all golden runs from their scenarios.

@@ -1,4 +1,4 @@
-"""A process of an agent, whose recorded stages the driver runs again."""
+"""One process of an agent, whose recorded stages are run again."""
 
 from __future__ import annotations
 

@@ -5,13 +5,14 @@ due, and every other one was. So a run in real time is repeated as exactly as on
 
 In lockstep an agent closes every stage of every cycle. In real time it may skip cycles: a stage
 without recorded outputs was not closed. A process that replaced another says so in its messages:
-its agent begins again, or, if it was a standby, with what the standby says that it knew. One that
-was killed may have sent a part of its last messages. In the cycle of a takeover both processes may
-have spoken: each listener used what it heard first, and its outputs show which that was.
+its agent begins from the initial state, or, if it was a standby, from the state in its `takeover`.
+A killed process may have sent a part of its last messages. In the cycle of a takeover both
+processes may have published: each listener used what it heard first, and its outputs show which
+that was.
 
-What is missing because the recorder was away is no difference, nor what a process that was killed
-said to others alone. An agent that remembers earlier cycles is not compared after that, until
-another process takes its place.
+Messages that are missing because the recorder was restarted are no difference, nor are those that a
+killed process sent to others but not to the recorder. An agent that remembers earlier cycles is not
+compared after that, until another process takes its place.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Verifies a recorded run: which agents, on which recording, with what result."""
+"""Verifies a recorded run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figure of a comparison: what control caused to be missing against what was too much."""
+"""The figure of a comparison: control-caused shortfall against over-delivery."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables of a comparison, and its rows for other programs."""
+"""The tables of a comparison, and its rows for JSON and CSV."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A device in the plant's place: it conducts launched runs, whose recordings are looked at."""
+"""Tests a device in the plant's place by the recordings of runs that it conducts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What docs/wire.md asks of a device, and what a trial has found of it."""
+"""What docs/wire.md requires of a device, and what a trial has found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One run around a device: plays its inputs, and holds its answers against our own agent's."""
+"""One run around a device: plays its inputs, and compares its answers with our own agent's."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """How often inverters in need got help inside their own cluster, and how often from above.
 
 An inverter is in need if its residual (IMPP - request; paper, eq. 4) is negative. Its supervisor
-settles that while the residuals of its own inverters add up to zero or more. Otherwise it asks its
-parent, up to the central controller. So it all follows from the residuals.
+can help while the residuals of its own inverters add up to zero or more. Otherwise it asks its
+parent, up to the central controller.
 """
 
 from __future__ import annotations

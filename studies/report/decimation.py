@@ -1,4 +1,4 @@
-"""Thins long series out to what a screen can show, without losing a peak or a dip."""
+"""Thins out long series to what a screen can show, without losing a peak or a dip."""
 
 from __future__ import annotations
 

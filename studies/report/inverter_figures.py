@@ -1,4 +1,4 @@
-"""Figures of the inverters: what each could spare or lacked, and how they helped each other."""
+"""Figures of the inverters: their residuals, and who helped whom."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of the plant as a whole: what was possible, promised, asked and delivered.
+"""Figures of the plant: possible, committed, desired and delivered power.
 
 All take runs of the same plant in the same cycles, with the same desired power.
 """

@@ -1,4 +1,4 @@
-"""What a command has found: the one model behind its terminal output, its JSON and its page."""
+"""The result of a command: one model for terminal, JSON and page."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a command has found: printed, written as JSON, and drawn as a page.
+    """The result of a command, printed, written as JSON, and drawn as a page.
 
     title: Heading of the page.
     document: Content of the JSON.

@@ -1,4 +1,4 @@
-"""The tables of a report: how a run and its devices fared, and figures of merit of runs."""
+"""The tables of a report: health of a run and its devices, figures of merit of runs."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """How far the clocks of other hosts are from the launcher's, worked out from a recording.
 
-A message that goes from host to host seems to take its time on the way plus what the listener's
-clock is ahead. So the fastest messages each way tell both, if the network is equally fast each
-way: the clock is ahead by half their difference, and half their sum is the time on the way. If the
-network is not, the clock may be off by as much as that.
+A message from host to host seems to take its travel time plus the time by which the listener's
+clock is ahead. If the network is equally fast both ways, the fastest messages each way give both:
+half their difference is how far the clock is ahead, half their sum the travel time. If it is not,
+the clock may be off by as much as the travel time.
 """
 
 from __future__ import annotations

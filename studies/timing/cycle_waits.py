@@ -1,9 +1,9 @@
 """Who waited for whom in a cycle, worked out from the publish times of its messages.
 
-A stage closes when it has every input that it awaits, so the input published last is its cause.
-From the plant's production, which ends a cycle, the causes lead back to the tick: this chain made
-the cycle as long as it was. A wait lasts from the publishing of the cause to the publishing of the
-message; it includes the hop between the two agents and the decision.
+The cause of a stage is the input published last. From the plant's production, which ends a cycle,
+the causes lead back to the tick: this chain made the cycle as long as it was. A wait lasts
+from the publishing of the cause to the publishing of the message; it includes the hop between the
+two agents and the decision.
 """
 
 from __future__ import annotations

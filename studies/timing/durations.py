@@ -1,4 +1,4 @@
-"""The figures of many durations, and their HDR histogram."""
+"""Percentiles of durations, and their HDR histogram."""
 
 from __future__ import annotations
 

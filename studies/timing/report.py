@@ -1,4 +1,4 @@
-"""The timing of one run as one document: everything that tables, JSON and page show."""
+"""The timing of one run: everything that tables, JSON and page show."""
 
 from __future__ import annotations
 

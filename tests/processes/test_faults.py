@@ -135,7 +135,7 @@ def test_a_recorder_that_has_hardly_begun_when_its_launcher_is_killed_ends_too(
     [
         # Where in its cycle it froze decides whether its parent or the plant misses it first.
         (INVERTER, rf"stopped by a signal: {INVERTER}(.|\n)*(c2|plant) waits for {INVERTER}/"),
-        ("recorder", "recorder has not been heard of"),
+        ("recorder", "recorder has been silent"),
     ],
 )
 def test_in_lockstep_a_frozen_process_ends_the_run_and_is_named_with_those_who_wait_for_it(

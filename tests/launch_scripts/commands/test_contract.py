@@ -238,6 +238,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "compare run oahu",
         "compare run run --seeds 1,2",
         "compare small.toml --seeds 1,2 --report",
+        "compare small.toml --seeds 1,2 --csv -",
         "compare small.toml --schemes grouping --reference few",
         "compare small.toml --days 2010-04-01 --from 2010-04-01T12:00",
         "timing small.toml --rate 0.1..5 --duration 5s",
