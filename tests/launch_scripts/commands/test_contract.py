@@ -122,7 +122,6 @@ def test_every_command_is_held_to_the_contract() -> None:
             for place in ("nowhere/x", "run", "small.toml", "run/run.mcap")
         ),
         *((name, "--report", "nowhere/x.html") for name in ("launch", "timing", "delays")),
-        ("compare", "--csv", "-"),
     ],
 )
 def test_a_file_that_cannot_be_is_refused_before_any_work(

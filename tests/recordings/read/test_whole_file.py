@@ -19,6 +19,13 @@ def write(path: Path, document: bytes) -> None:
         file.write(document)
 
 
+def test_an_error_names_the_file_and_no_temporary_name(tmp_path: Path) -> None:
+    path = tmp_path / "nowhere" / "page.html"
+    with pytest.raises(FileNotFoundError) as caught, whole_file(path):
+        pass
+    assert caught.value.filename == str(path)
+
+
 def test_a_file_is_replaced_when_it_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(b"longer than the new one")
@@ -59,13 +66,6 @@ def test_an_interruption_leaves_all_as_it_was(
 
 
 @pytest.mark.parametrize("exists", [True, False])
-def test_an_error_names_the_file_and_no_temporary_name(tmp_path: Path) -> None:
-    path = tmp_path / "nowhere" / "page.html"
-    with pytest.raises(FileNotFoundError) as caught, whole_file(path):
-        pass
-    assert caught.value.filename == str(path)
-
-
 def test_a_link_stays_one_and_its_target_is_written(tmp_path: Path, exists: bool) -> None:
     kept, link = tmp_path / "kept.json", tmp_path / "link.json"
     if exists:
