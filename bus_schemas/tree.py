@@ -37,7 +37,7 @@ LARGEST_RATING_KW: Final = 1e9
 """Of one inverter."""
 
 RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, "alive"})
-_NAME = re.compile(r"[A-Za-z0-9_-]+")
+_NAME = re.compile(rf"[A-Za-z0-9_-]{{1,{LONGEST_PATH}}}")
 
 
 _STANDBY: Final = "+standby"
@@ -188,7 +188,8 @@ def some_of(names: Sequence[str], most: int = _MOST_NAMED) -> str:
 def check_name(name: str, where: str) -> None:
     """Refuse a node name that could not stand in a key."""
     if not _NAME.fullmatch(name):
-        raise InputError(f"{where}: name: expected letters, digits, '_' and '-', got {name!r}")
+        expected = f"up to {LONGEST_PATH} characters: letters, digits, '_' and '-'"
+        raise InputError(f"{where}: name: expected {expected}, got {name!r}")
     if name in RESERVED_NAMES:
         reserved = ", ".join(sorted(RESERVED_NAMES))
         raise InputError(

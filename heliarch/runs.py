@@ -77,7 +77,8 @@ def simulate(
     _check_names("scheme", () if scheme is None else (scheme,), get_args(Scheme))
     _check_names("actuator", () if actuator is None else (actuator,), get_args(Actuator))
     options = RunOptions(start, duration, end, seed, scheme, actuator, list(faults))
-    scenario_file = with_settings(_loaded(scenario), _texts(settings))
+    single = {field: [value] for field, value in (settings or {}).items()}
+    scenario_file = with_settings(_loaded(scenario), _texts(single))
     request = RunRequest(scenario_file, options, None if out is None else Path(out))
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         summary, folder = run(request, Console(file=nowhere), time.monotonic())

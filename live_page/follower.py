@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time
 from bisect import bisect_left, bisect_right
-from collections import Counter
+from collections import Counter, defaultdict
 from contextlib import suppress
 from math import ceil
 from pathlib import Path
@@ -26,8 +26,9 @@ from bus_schemas.tree import PLANT, RECORDER, agent_name
 from live_page.event_log import EventLog
 from recordings.inspect.health import FAILURE_NAME
 from recordings.read.chunks import ChunkPlace
+from recordings.read.gaps import PortGaps
 from recordings.read.outline import walk_on
-from recordings.read.reader import RunReader, head_of
+from recordings.read.reader import Head, RunReader, head_of
 from recordings.read.series import RunSeries
 from studies.metrics import RunMetrics, run_metrics
 from studies.report.decimation import extremes
@@ -65,7 +66,7 @@ class RunFollower:
         wall_s = self.plan.cycle_wall_ns / 1e9
         self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
         self._firsts: list[int] = []
-        self._next_sequence: dict[int, int] = {}
+        self._gaps: defaultdict[Port[Message], PortGaps] = defaultdict(PortGaps)
         # Each node states its IMPP in each cycle; a real inverter that is gone has no telemetry.
         self._names: dict[Port[Message], str] = {
             **{IMPP.of(node): agent_name(node) for node in self.plan.tree.nodes},
@@ -161,21 +162,20 @@ class RunFollower:
 
     def _read(self, place: ChunkPlace) -> None:
         ports = self.run.channels
-        begin = end = b""
+        begin: Head | None = None
         for channel, sequence, _, _, payload in self.run.messages_of(place, ports):
             port = ports[channel]
-            if sequence != self._next_sequence.get(channel, 0):
-                self._note_jump(channel, port, sequence, head_of(payload).cycle)
-            self._next_sequence[channel] = sequence + 1
             with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
+                head = head_of(payload)
+                begin = begin or head
+                self._count(port, sequence, head)
                 if port in self._names:
-                    self._hear(port, head_of(payload).cycle)
+                    self._hear(port, head.cycle)
                 elif port.signal in _FOLLOWED:
                     self._see(port, payload)
-            begin, end = begin or payload, payload
         if place in self.run.damage:
             self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
-        first = min(head_of(begin).cycle, head_of(end).cycle) if begin else self.cycles - 1
+        first = min(begin.cycle, head.cycle) if begin else self.cycles - 1
         self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
         if self._stop_cycle is not None and self._stop_cycle < self.cycles:
             text = f"a message said that it was over after {self._stop_cycle:,} cycles"
@@ -220,14 +220,16 @@ class RunFollower:
                 self._silent.add(port)
                 self.events.add("silent", cycle + 1, self._names[port], "silent")
 
-    def _note_jump(self, channel: int, port: Port[Message], sequence: int, cycle: int) -> None:
-        """Note what a message tells whose number is not the next one on its key."""
-        lost = sequence - self._next_sequence.get(channel, 0)
-        if lost > 0:
-            self.events.add("lost", cycle, port.publisher, "messages lost", lost)
-        elif sequence == 0 and port.signal is IMPP:
+    def _count(self, port: Port[Message], sequence: int, head: Head) -> None:
+        """Note what the number of a message tells of those before it on its key."""
+        gaps = self._gaps[port]
+        lost, restarts = gaps.lost, gaps.restarts
+        gaps.see(head.cycle, sequence, head.incarnation)
+        if gaps.restarts > restarts and port.signal is IMPP:
             self.restarts[port.publisher] += 1
-            self.events.add("restart", cycle, port.publisher, "restarted")
+            self.events.add("restart", head.cycle, port.publisher, "restarted")
+        if gaps.lost > lost:
+            self.events.add("lost", head.cycle, port.publisher, "messages lost", gaps.lost - lost)
 
     def _look_for_failure(self) -> None:
         failure = self.run.path.parent / FAILURE_NAME

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isclose
 from pathlib import Path
 
 import numpy as np
 
 from bus_schemas.errors import InputError
-from bus_schemas.tree import check_name
+from bus_schemas.tree import MOST_INVERTERS, check_name
 from sim_plant import Floats
 from sim_plant.csv_tables import read_csv
 
@@ -30,8 +31,11 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
     """
     table = read_csv(path)
     table.check_header(("inverter", "lat", "lon"))
-    if table.fields.empty:
-        raise InputError(f"{path.name}: expected a line for each inverter, got none")
+    if not 0 < len(table.fields) <= MOST_INVERTERS:
+        raise InputError(
+            f"{path.name}: expected a line for each of 1 to {MOST_INVERTERS:,} inverters, got "
+            f"{len(table.fields):,}"
+        )
     names = table.unique_names("inverter")
     for row, name in enumerate(names):
         check_name(name, f"{table.name}: line {row + 2}")
@@ -39,6 +43,11 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
         smallest_kw = float(np.nextafter(0.0, 1.0))
         expected = "a number above 0, up to 1e7"
         rating_kw = table.numbers(("rating_kw",), expected, smallest_kw, 1e7)[:, 0]
+        if plant_rating_kw is not None and not isclose(plant_rating_kw, rating_kw.sum()):
+            raise InputError(
+                f"plant.rating_kw: expected none, or {rating_kw.sum():g}, the sum of the column "
+                f"rating_kw of {path.name}, got {plant_rating_kw:g}"
+            )
     else:
         rating_kw = equal_ratings_kw(plant_rating_kw, len(names), path.name)
     return Sites(names, *table.coordinates(), rating_kw)

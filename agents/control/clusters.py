@@ -144,17 +144,21 @@ def _descend(cost: NDArray[np.float64], label: NDArray[np.intp], count: int) -> 
     """Make the best swap of two members of different clusters until none lowers the cost."""
     label = label.copy()
     index = np.arange(len(label))
+    change, new = np.zeros_like(cost), index
     while True:
         # joined[i, c]: cost of i with all members of cluster c
         joined = cost @ np.eye(count)[label]
         move = joined - joined[index, label][:, None]
         # Each of the two leaves its cluster for the other's, where its partner no longer is.
-        change = move[:, label] + move[:, label].T - 2.0 * cost
-        change[label[:, None] == label[None, :]] = 0.0
+        part = move[:, label[new]] + move[new][:, label].T - 2.0 * cost[:, new]
+        part[label[:, None] == label[new]] = 0.0
+        change[:, new], change[new] = part, part.T
         first, second = np.unravel_index(np.argmin(change), change.shape)
         if change[first, second] >= -_LEAST_GAIN:
             return label
         label[first], label[second] = label[second], label[first]
+        # A swap changes what those would gain who are in one of the two clusters.
+        new = np.flatnonzero((label == label[first]) | (label == label[second]))
 
 
 def _ordered(label: NDArray[np.intp], sizes: Sequence[int]) -> Clusters:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -37,6 +36,7 @@ from sky_statistics import cloud_cover
 from tables import WORKERS, Lines, Tables, header, read_table, row, write_table
 
 from sim_plant import clouds as model
+from studies.workers import share_work
 
 # What is fitted: title, shipped value, and the range. A fit begins in the (geometric) middle of the
 # range and not at the shipped constants, which know all hours.
@@ -187,8 +187,7 @@ def folds(folder: Path) -> Lines:
     Each fit is a column; the first one has the shipped constants.
     """
     skies = hours(folder)
-    with ProcessPoolExecutor(WORKERS) as pool:
-        found = [SHIPPED, *pool.map(partial(fitted, folder), FITS)]
+    found = [SHIPPED, *share_work(partial(fitted, folder), FITS, WORKERS)]
     drawn = drawn_with(found, skies)
     yield from header(TITLES)
     for name, (title, *_) in CONSTANTS.items():
@@ -205,8 +204,7 @@ def folds(folder: Path) -> Lines:
 
 def drawn_with(found: list[Constants], skies: dict[str, Sky]) -> list[dict[str, Drawn]]:
     """Draw the skies by which each set of constants is judged."""
-    with ProcessPoolExecutor(WORKERS) as pool:
-        return list(pool.map(partial(draw, skies, seeds=SEEDS_OF_ERROR), found))
+    return share_work(partial(draw, skies, seeds=SEEDS_OF_ERROR), found, WORKERS)
 
 
 def errors(

@@ -76,6 +76,8 @@ class Command(TyperCommand):
                 raise InputError(f"{arg.rstrip('=')}: expected a value, got nothing")
             if not arg:
                 raise InputError("an argument: expected a value, got nothing")
+            if re.search("[\ud800-\udfff]", arg):  # JSON and TOML could not have it.
+                raise InputError(f"{arg}: expected UTF-8, got bytes that are not")
             is_bare = arg == "--report" and not (following or "").endswith(".html")
             found.append("--report=" if is_bare else arg)
             if is_bare and following and not following.startswith("-"):

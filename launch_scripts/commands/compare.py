@@ -12,7 +12,7 @@ import typer
 
 from agents.settings import Actuator
 from bus_schemas.errors import InputError
-from launch_scripts.commands.options import ResultOptions, refuse_others
+from launch_scripts.commands.options import ResultOptions, is_run, refuse_others
 from launch_scripts.commands.output import publish, shared
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 from studies.report.result import Result
@@ -73,7 +73,7 @@ def compare(
         refuse_others(context, allowed, "expected a scenario to go with it, got two runs")
         publish(_two_runs((Path(scenario), other)), files, "compare.html")
         return
-    if _is_run(Path(scenario)):
+    if is_run(Path(scenario)):
         raise InputError(f"{scenario}: expected a second run to compare it with, or a scenario")
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.arrays.schemes import SCHEMES
@@ -104,12 +104,10 @@ def compare(
     else:
         results = shared(partial(run_case, comparison), found, workers, "cases", scheduler)
         result = _cases_result(results, shown)
-    _write_summary(results, csv)
-    publish(result, files, "compare.html")
-
-
-def _is_run(path: Path) -> bool:
-    return path.suffix == ".mcap" or (path / "run.mcap").exists()
+    try:
+        _write_summary(results, csv)
+    finally:
+        publish(result, files, "compare.html")
 
 
 def _names(option: str, text: str, known: Collection[str]) -> tuple[str, ...]:
@@ -165,7 +163,7 @@ def _two_runs(paths: tuple[Path, Path]) -> Result:
     from studies.tables import json_rows
 
     for path in paths:
-        if not _is_run(path):
+        if not is_run(path):
             raise InputError(
                 f"{path}: expected a recorded run, its folder or run.mcap; schemes are compared on "
                 "one scenario alone"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bus_schemas.errors import InputError
+from launch_scripts.commands.options import changed_scenario
 from launch_scripts.commands.output import say, write_json
 from launch_scripts.scenarios.run_options import RunOptions
 from studies.tables import console_for
@@ -15,6 +16,7 @@ def keys(
     out: Path | None = None,
     days: float = 365.0,
     address: list[str] | None = None,
+    settings: list[str] | None = None,
     data: Path | None = None,
     json: str | None = None,
 ) -> None:
@@ -32,11 +34,10 @@ def keys(
     """
     from launch_scripts.scenarios.plant_keys import make_keys
     from launch_scripts.scenarios.preparation import prepare
-    from launch_scripts.scenarios.scenario import load_scenario
 
     if not days > 0.0:
         raise InputError(f"--days: expected more than 0, got {days:g}")
-    plan = prepare(load_scenario(scenario, data), RunOptions(), "keys").plan
+    plan = prepare(changed_scenario(scenario, data, settings), RunOptions(), "keys").plan
     folder = out or Path("keys") / plan.plant
     agents = plan.tree.agents()
     expires, is_new = make_keys(folder, plan.plant, agents, days, address or ())

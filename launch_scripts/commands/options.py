@@ -113,6 +113,12 @@ def refuse_others(context: typer.Context, allowed: Collection[str], why: str) ->
             raise InputError(f"{option.opts[0]}: {why}")
 
 
+def is_run(path: Path) -> bool:
+    """Whether a path names a run, which may not be there, and no scenario."""
+    is_elsewhere = len(path.parts) > 1 and path.suffix != ".toml"
+    return is_elsewhere or path.suffix == ".mcap" or path.is_dir()
+
+
 def changed_scenario(
     scenario: str, data: Path | None, settings: Sequence[str] | None
 ) -> ScenarioFile:

@@ -76,19 +76,22 @@ def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
 def publish(result: Result, files: ResultOptions, default: Path | str, *more: str) -> None:
     """Write a result as JSON and as a page, if asked to; then print it, and `more` lines.
 
-    The files come first, since a pipe such as `| head` may close before the end of the tables.
+    The files come first, since a pipe such as `| head` may close before the end of the tables. What
+    cannot be written is printed all the same.
     """
-    write_json(result.document, files.json)
-    if files.report is not None:
-        from studies.report.page import html_page
+    try:
+        write_json(result.document, files.json)
+        if files.report is not None:
+            from studies.report.page import html_page
 
-        path = Path(files.report or default)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _write(html_page(result).encode(), path)
-        more += (f"report: {path}",)
-    console = console_for(files.json)
-    print_result(console, result)
-    say(console, *more)
+            path = Path(files.report or default)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _write(html_page(result).encode(), path)
+            more += (f"report: {path}",)
+    finally:
+        console = console_for(files.json)
+        print_result(console, result)
+        say(console, *more)
 
 
 def write_json(content: object, destination: str | None) -> None:

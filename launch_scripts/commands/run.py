@@ -122,7 +122,8 @@ def run(
     Without a server, which starts the processes, the run stays in this process. `began_at` is the
     monotonic time at which the user asked for it [s].
     """
-    preparation, folder = prepare_run(request)
+    with console.status("preparing"):  # Thousands of inverters take minutes to cluster.
+        preparation, folder = prepare_run(request)
     plan = preparation.plan
     if server is not None:
         check_processes(plan)  # Before anything is printed.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import typer
 
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
-from launch_scripts.commands.options import FileOptions, PageOptions, refuse_others
+from launch_scripts.commands.options import FileOptions, PageOptions, is_run, refuse_others
 from launch_scripts.commands.output import publish, say
 from launch_scripts.scenarios.run_options import PlantOptions, ProcessOptions, TimeOptions
 from studies.tables import console_for
@@ -61,7 +61,7 @@ def timing(
     from studies.timing.sweep import parse_rates
 
     console = console_for(files.json)
-    if (path := Path(scenario)).is_dir() or path.suffix == ".mcap":
+    if is_run(path := Path(scenario)):
         allowed = ("scenario", "processes", "report", "json")
         why = f"expected only --processes, --report or --json with {path}, which was run already"
         refuse_others(context, allowed, why)

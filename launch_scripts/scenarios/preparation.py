@@ -52,6 +52,9 @@ __all__ = ["Preparation", "RunOptions", "prepare"]
 
 _HOUR_NS: Final = 3_600_000_000_000
 
+_FINEST_PAST_S: Final = 1.0
+"""Shorter cycles tell no more of the past: clouds take seconds."""
+
 _LARGEST_INVERTER_KW: Final = 10_000.0
 """Larger than any on the market: a larger rating is probably in W."""
 
@@ -361,7 +364,7 @@ def _covariance(scenario: Scenario, source: PowerSource, times: pd.DatetimeIndex
         past = times if measured is None else measured
         history_kw = source.possible_kw(past)
     else:
-        step = pd.Timedelta(seconds=scenario.time.cycle_s)
+        step = pd.Timedelta(seconds=max(scenario.time.cycle_s, _FINEST_PAST_S))
         of_scenario = _whole_hours(_times(scenario, RunOptions()), step)
         whole_hours = of_scenario.union(_whole_hours(times, step))
         past = whole_hours if measured is None else measured

@@ -1,7 +1,7 @@
 """What is missing in a recording: messages, by gaps in their numbers, and cycles without a message.
 
 Every message has a number on its key, from 0 on. This is the one place that counts what the
-numbers leave out: `inspect`, `recover`, `verify` and the recorder all use it.
+numbers leave out: `inspect`, `recover`, `verify`, the recorder and the page all use it.
 """
 
 from __future__ import annotations
@@ -47,19 +47,19 @@ class PortGaps:
     step: Cycles from one due message to the next; 0: messages come when they are needed.
     first_cycle: Messages of earlier cycles do not count as missing.
 
-    messages, lost, repeated: How many messages came, how many numbers were left out, and how many
-        messages came again.
+    messages, lost, repeated, restarts: How many messages came, how many numbers were left out, how
+        many messages came again, and how often the numbers began again.
     missing: Number of cycles in which a message was due and none came.
     newest: Newest cycle of a message; `first_cycle` - 1 if there is none.
     """
 
     __slots__ = (
         *("_due", "_expected", "_incarnation", "_step"),
-        *("lost", "messages", "missing", "newest", "repeated"),
+        *("lost", "messages", "missing", "newest", "repeated", "restarts"),
     )
 
     def __init__(self, step: int = 0, first_cycle: int = 0) -> None:
-        self.messages = self.missing = self.lost = self.repeated = 0
+        self.messages = self.missing = self.lost = self.repeated = self.restarts = 0
         self._step = step
         self._due = -(-first_cycle // step) * step - step if step else 0
         self.newest = first_cycle - 1
@@ -78,6 +78,7 @@ class PortGaps:
                 self.repeated += 1
                 return range(0)
             self._expected = 0
+            self.restarts += 1
         self.lost += sequence - self._expected
         self._expected, self._incarnation = sequence + 1, incarnation
         self.newest = max(cycle, self.newest)

@@ -7,9 +7,11 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 from bus_schemas.errors import InputError
+
+_UNFINISHED: Final = ".unfinished"
 
 
 @contextmanager
@@ -34,12 +36,15 @@ def whole_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
 
 @contextmanager
 def named_in_errors(path: Path) -> Iterator[None]:
-    """Name a path in errors that name none: a call that finds the disk full often knows no name."""
+    """Name a path in errors that name none, or only a temporary name.
+
+    A call that finds the disk full often knows no name.
+    """
     try:
         yield
     except OSError as error:
-        why = error.strerror or str(error)
-        raise OSError(error.errno, why, error.filename or str(path)) from None
+        why, name = error.strerror or str(error), str(error.filename or path)
+        raise OSError(error.errno, why, str(path) if name.endswith(_UNFINISHED) else name) from None
 
 
 def check_new(path: Path) -> None:
@@ -65,7 +70,7 @@ def new_path(path: Path) -> Iterator[Path]:
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     """Give a temporary name in the same folder; what is left under it at the end is removed."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
+    beside = path.with_name(f".{path.name}.{os.getpid()}{_UNFINISHED}")
     try:
         yield beside
     finally:

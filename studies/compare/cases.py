@@ -172,16 +172,19 @@ def _toml(text: str) -> object:
     """Value of a TOML expression; what is none is taken for text, so that quotes are not needed."""
     try:
         return msgspec.toml.decode(f"value = {text}")["value"]
-    except msgspec.DecodeError:
+    except (msgspec.DecodeError, RecursionError):
         return text
 
 
 def _split(values: str) -> Iterator[str]:
-    """Split at the commas that stand outside of brackets."""
-    depth, part = 0, ""
+    """Split at the commas that stand outside of brackets and quotes."""
+    depth, quote, part = 0, "", ""
     for letter in values:
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(letter, 0)
-        if letter == "," and depth == 0:
+        if letter in {"'", '"'} and quote in {"", letter}:
+            quote = "" if quote else letter
+        elif not quote:
+            depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(letter, 0)
+        if letter == "," and depth == 0 and not quote:
             yield part.strip()
             part = ""
         else:

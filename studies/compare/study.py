@@ -96,8 +96,8 @@ def results_of(
 
 
 def remarks_of(preparation: Preparation) -> tuple[str, ...]:
-    """Return what a reader must know about the data of a run."""
-    if not preparation.hindsight:
-        return preparation.remarks
+    """Return what a reader must know about the data of a study over arrays."""
+    perfect = "The faults of the scenario are left out: here the network is perfect."
     hindsight = "Clusters and neighbours were chosen from the run's own data: hindsight."
-    return (*preparation.remarks, hindsight)
+    more = [perfect] * bool(preparation.plan.faults) + [hindsight] * preparation.hindsight
+    return (*preparation.remarks, *more)

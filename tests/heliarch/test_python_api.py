@@ -17,12 +17,14 @@ REPOSITORY = Path(__file__).parents[2]
 
 def test_a_simulation_returns_its_summary_and_its_recording(plant: str, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    run = heliarch.simulate(plant, duration="20s", settings={"commitment.share": 0.4}, out=out)
+    settings = {"commitment.share": 0.4, "control.period_cycles": [2, 1], "title": "Sun, clouds"}
+    run = heliarch.simulate(plant, duration="20s", settings=settings, out=out)
     assert (run.summary.cycles, run.folder) == (20, out)
     assert run.summary.metrics is not None
     with heliarch.open_run(run.folder) as recording:
         assert len(recording.plan.inverters) == 4
         assert "share = 0.4" in recording.scenario
+        assert recording.plan.period_cycles == (2, 1)
 
 
 def test_a_simulation_prints_nothing(

@@ -147,6 +147,19 @@ def test_a_restart_is_told_by_numbers_that_begin_again(tmp_path: Path) -> None:
     assert follower.restarts["c1/a"] == 1
 
 
+def test_what_a_replaced_process_still_says_is_no_loss(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    run = list(chain.from_iterable(map(cycle_of_the_plant, range(10))))
+    anew = list(numbered(run, lambda pair: pair[0].publisher == "c1/a" and pair[1].cycle >= 6))
+    for port, message in anew:
+        message.incarnation = 6 * (port.publisher == "c1/a" and message.cycle >= 6)
+    late = next(pair for pair in anew if pair[0] == IMPP.of("c1/a") and pair[1].cycle == 5)
+    write_messages(path, [*(pair for pair in anew if pair is not late), late])
+    follower = followed(path)
+    assert "lost" not in [kind for kind, _, _ in kinds(follower)]
+    assert follower.restarts["c1/a"] == 1
+
+
 def test_a_stop_that_the_plant_contradicts_does_not_end_the_run(tmp_path: Path) -> None:
     (start, *cycles, stop), told = whole_run(9), (RUN.of(ROOT), PLAN.run_message("stop", 4, 1))
     files = {

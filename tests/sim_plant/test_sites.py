@@ -38,6 +38,9 @@ def test_ratings_are_the_inverters_own_or_a_share_of_the_plants(path: Path) -> N
     sites = read_sites(path, plant_rating_kw=None)
     assert sites.names == ("a", "b")
     assert sites.rating_kw.tolist() == [2500.0, 900.5]
+    assert read_sites(path, plant_rating_kw=3400.5).names == ("a", "b")
+    with pytest.raises(InputError, match=r"plant\.rating_kw: expected none, or 3400\.5, .* 1000"):
+        read_sites(path, plant_rating_kw=1000.0)
 
 
 @pytest.mark.parametrize(
@@ -45,6 +48,7 @@ def test_ratings_are_the_inverters_own_or_a_share_of_the_plants(path: Path) -> N
     [
         (["inverter,lon", "a,1"], "line 1: expected the columns inverter, lat, lon"),
         (["inverter,lat,lon"], "expected a line"),
+        (["inverter,lat,lon", *(f"n{row},1,2" for row in range(5000))], "expected a line"),
         (["inverter,lat,lon", "a,1,2", "b,1,2", "a,3,4"], "line 4, column 'inverter': expected"),
         (["inverter,lat,lon", "a,1,2", ",1,2"], "line 3: name: expected"),
         (["inverter,lat,lon", "a/b,1,2"], "line 2: name: expected"),

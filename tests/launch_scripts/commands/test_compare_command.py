@@ -45,6 +45,11 @@ def test_a_regulation_signal_adds_the_second_table() -> None:
     assert "Regulation signal" in done("compare", "oahu-day", *words)
 
 
+def test_faults_that_do_not_act_here_are_named(small: str) -> None:
+    words = ("--duration", "5", "--schemes", "paper", "--set", "faults=[{loss=0.5}]")
+    assert "faults of the scenario are left out" in done("compare", small, *words)
+
+
 def test_many_cases_have_a_row_each_and_a_summary_as_csv(small: str, tmp_path: Path) -> None:
     summary, document = tmp_path / "summary.csv", tmp_path / "rows.json"
     words = ("--set", "commitment.share=0.3,0.5", "--seeds", "1,2", "--show", "rmse", *GROUPS)

@@ -258,6 +258,11 @@ def test_options_that_do_not_go_together_are_refused(words: str, folder: Path) -
     assert sorted(folder.rglob("*")) == before
 
 
+@pytest.mark.parametrize("words", ["timing runs/typo", "compare run runs/typo"])
+def test_a_mistyped_run_is_named_and_not_taken_for_a_scenario(words: str, folder: Path) -> None:
+    assert "runs/typo: no such file" in refusal(*words.split())
+
+
 @pytest.mark.parametrize(
     "words", ["keys small.toml --out", "export run --format csv --nodes", "simulate --data"]
 )
@@ -266,6 +271,13 @@ def test_an_empty_value_is_refused(words: str, folder: Path) -> None:
     option = words.rpartition(" ")[2]
     assert option in refusal(*words.split(), "")
     assert option in refusal(*f"{words}=".split())
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize("words", ["--set title=caf\udce9", "--out caf\udce9"])
+def test_a_word_that_is_not_utf_8_is_refused_before_any_work(words: str, folder: Path) -> None:
+    before = sorted(folder.rglob("*"))
+    assert "UTF-8" in refusal(*words_of("simulate", folder), *words.split())
     assert sorted(folder.rglob("*")) == before
 
 
@@ -324,6 +336,7 @@ full_disk = pytest.mark.skipif(not FULL.exists(), reason="this system has no dev
     [
         *((name, "--json") for name in with_json(NAMES)),
         *((name, "--report") for name in ("simulate", "timing", "compare", "delays")),
+        ("compare", "--csv"),
     ],
 )
 def test_a_file_on_a_full_disk_is_a_failure_in_one_line(
@@ -336,6 +349,8 @@ def test_a_file_on_a_full_disk_is_a_failure_in_one_line(
     (line,) = result.stderr.splitlines()
     assert str(FULL) in line
     assert FULL.is_char_device()
+    quick = {"doctor", "keys", "scenarios"}
+    assert result.stdout or name in quick, "what took long to find is not lost"
 
 
 @full_disk

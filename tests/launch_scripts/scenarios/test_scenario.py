@@ -302,6 +302,7 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
         ("seed = 7", "clouds.cloud_cover = nan", "irradiance.clouds.cloud_cover: expected"),
         ('title = "', 'pace = 1e7\ntitle = "', "pace: expected number"),
         ('"small"', '"../x"', "name"),
+        ('"small"', f'"{"x" * 300}"', "name: expected up to 200"),
         (
             '[neighbours]\nhistory = "earlier-day"\n',
             "",

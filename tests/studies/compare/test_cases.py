@@ -34,6 +34,8 @@ def study(
 def test_a_setting_is_a_field_and_its_values() -> None:
     found = parse_setting("control.period_cycles=[1, 1], [10, 1]")
     assert (found.field, found.values) == ("control.period_cycles", ("[1, 1]", "[10, 1]"))
+    titles = parse_setting('title="Clouds, it\'s windy", calm')
+    assert titles.values == ('"Clouds, it\'s windy"', "calm")
 
 
 def test_seeds_and_days_are_lists_and_ranges() -> None:
@@ -73,6 +75,7 @@ def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile, start: str, clock: str)
         (("commitment.share=",), "--set: expected"),
         (("commitment.share=two",), "commitment.share: expected"),
         (("plant.actuator=wheel",), "got 'wheel'"),
+        ((f"plant.actuator={'[' * 10_000}",), "plant.actuator: expected"),
         (("nothing.at.all=1",), "got nothing"),
         (("commitment.share=0.6", "foo.bar=2"), "--set foo.bar=2: "),
         (("plant.actuator=limit", "commitment.shares=0.5"), "--set commitment.shares=0.5: "),
