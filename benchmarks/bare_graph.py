@@ -31,9 +31,11 @@ from functools import partial
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from statistics import median
 from typing import Any, Final
 
 import msgspec
+import psutil
 import zenoh
 from harness import die_with_parent
 from mcap.writer import CompressionType, Writer
@@ -285,13 +287,14 @@ def run(graph: Graph, cycles: int) -> dict[str, object]:
         for child, _ in reversed(children):
             child.send("go")
         (began, ended), *_, written = [hear(*each, RUN_LIMIT_S) for each in children]
+        *own, _ = [psutil.Process(each.pid).memory_full_info().uss / 1e6 for _, each in children]
     finally:
         for _, started in children:
             started.kill()
             started.join()
     messages = len(graph.says()) * (WARM_UP + cycles)
     counts = {"cycles": cycles, "messages": messages, "lost": messages - written}
-    return {"began": began, "ended": ended, **counts}
+    return {"began": began, "ended": ended, **counts, "own_mb": median(own)}
 
 
 def main() -> None:

@@ -75,8 +75,15 @@ def describe(scenario: str, folder: Path) -> Path:
     return path
 
 
-def bare(graph: Path, cycles: int) -> Figures:
-    return run_script("bare_graph.py", graph, "--cycles", cycles)[0]
+class Bare(Figures, frozen=True, kw_only=True):
+    """A run of the bare graph, and the memory of the middle one of its processes."""
+
+    own_mb: float
+
+
+def bare(graph: Path, cycles: int) -> Bare:
+    figures, said = run_script("bare_graph.py", graph, "--cycles", cycles)
+    return Bare(**msgspec.structs.asdict(figures), own_mb=said["own_mb"])
 
 
 def main() -> int:
