@@ -46,7 +46,7 @@ _PLANT_HORIZON: Final = 1_000
 _STANDBY_WAITS: Final = 0.5
 _DEPOSED_WAITS: Final = 0.75
 """Part of the time up to its listeners' deadline that a silent process waits after its own: a
-standby, and a process that it replaced. If both are silent, both do not speak at once."""
+standby, and a process that it replaced. They differ, so that not both take over at once."""
 
 Cause: TypeAlias = Literal[
     "late",

@@ -76,7 +76,7 @@ def describe(scenario: str, folder: Path) -> Path:
 
 
 class Bare(Figures, frozen=True, kw_only=True):
-    """A run of the bare graph, and the memory of the middle one of its processes."""
+    """A run of the bare graph, and the median memory of its processes [MB]."""
 
     own_mb: float
 

@@ -6,7 +6,7 @@ the inputs that its messages name as `missing` say what did not come.
 
 The words are those of network emulation in Linux, `tc netem` [1]_: delay, jitter, distribution,
 loss, duplicate, reorder. Two differ. `reorder` there lets a share of delayed packets pass at once;
-here it holds a share back, so that later messages overtake them. netem has no `silent`.
+here it holds a share back, so that later messages overtake it. netem has no `silent`.
 
 References
 ----------

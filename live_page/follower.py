@@ -221,7 +221,7 @@ class RunFollower:
                 self.events.add("silent", cycle + 1, self._names[port], "silent")
 
     def _count(self, port: Port[Message], sequence: int, head: Head) -> None:
-        """Note what the number of a message tells of those before it on its key."""
+        """Count lost messages and restarts by a message's number on its key."""
         gaps = self._gaps[port]
         lost, restarts = gaps.lost, gaps.restarts
         gaps.see(head.cycle, sequence, head.incarnation)

@@ -157,7 +157,7 @@ def _descend(cost: NDArray[np.float64], label: NDArray[np.intp], count: int) -> 
         if change[first, second] >= -_LEAST_GAIN:
             return label
         label[first], label[second] = label[second], label[first]
-        # A swap changes what those would gain who are in one of the two clusters.
+        # A swap changes the gains only of swaps that involve one of its two clusters.
         new = np.flatnonzero((label == label[first]) | (label == label[second]))
 
 

@@ -181,8 +181,8 @@ def _leave(number: int, frame: FrameType | None) -> None:
 def _unless_ending(report: Callable[[Any], object]) -> Callable[[Any], None]:
     """Return the hook that reports what Python has dropped, except what ends the program.
 
-    A dropped Ctrl-C is sent once more. Whether it got lost is not known otherwise: unlike `_Leave`,
-    it may also have been caught.
+    A dropped Ctrl-C is sent once more. Only this hook shows that it was lost: `_Interrupt`, unlike
+    `_Leave`, may also have been caught on purpose.
     """
 
     def hook(dropped: Any) -> None:  # noqa: ANN401 - the type exists for type checkers only

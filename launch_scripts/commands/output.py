@@ -76,8 +76,8 @@ def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
 def publish(result: Result, files: ResultOptions, default: Path | str, *more: str) -> None:
     """Write a result as JSON and as a page, if asked to; then print it, and `more` lines.
 
-    The files come first, since a pipe such as `| head` may close before the end of the tables. What
-    cannot be written is printed all the same.
+    The files come first, since a pipe such as `| head` may close before the end of the tables. If a
+    file cannot be written, the tables are still printed.
     """
     try:
         write_json(result.document, files.json)

@@ -53,7 +53,7 @@ __all__ = ["Preparation", "RunOptions", "prepare"]
 _HOUR_NS: Final = 3_600_000_000_000
 
 _FINEST_PAST_S: Final = 1.0
-"""Shorter cycles tell no more of the past: clouds take seconds."""
+"""Finest step of the past: shorter ones add nothing, since clouds change over seconds."""
 
 _LARGEST_INVERTER_KW: Final = 10_000.0
 """Larger than any on the market: a larger rating is probably in W."""

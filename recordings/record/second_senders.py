@@ -1,7 +1,7 @@
 """Tells whether more than one program speaks on a key.
 
 A publisher sends one message in a cycle, and numbers its messages upwards. A process that replaces
-it has a higher incarnation, and the replaced one publishes nothing more. Only in lockstep it may be
+it has a higher incarnation, and the replaced one publishes nothing more. Only in lockstep may it be
 replaced in the cycle in which it joined: then the next process has the same incarnation, and sends
 the same messages once more.
 """

@@ -125,7 +125,7 @@ class AgentRerun:
                     self._rivals.setdefault(port, []).append(message)
                     kind = "two senders"
                 elif 0 < cycle == message.incarnation:
-                    continue  # It was killed in the cycle in which it had joined: one more joined.
+                    continue  # Killed in the cycle in which it joined: its successor looks alike.
                 if cycle >= self.findings.from_cycle:
                     self._add(kind, cycle, stage, port, message)
         return found or {self._incarnation: {}}
@@ -240,9 +240,10 @@ class AgentRerun:
         return lost
 
     def _may_overlap(self, publisher: str) -> bool:
-        """Whether a process may have said, unheard by the recorder, what its successor says anew.
+        """Whether a process and its successor may both have published the same cycle.
 
-        By the clock a process without a standby joins with a dispatch sent after the other's death.
+        In real time, without a standby, they cannot: the successor joins with a dispatch that was
+        sent after the other one ended.
         """
         return self.plan.lockstep or publisher in self.plan.standbys
 
