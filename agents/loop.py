@@ -431,7 +431,8 @@ class AgentLoop(Generic[S]):
         if self.incarnation and self.cycle <= self.incarnation + 1:
             return False
         newest = max(self._inputs[port].incarnation for port in self._signs)
-        return self.cycle > newest and now_ns <= self.deadline_ns + self._grace_ns(stage)
+        slice_ns = self._plan.deadlines.slice_ns(self.agent.name, stage.name)
+        return self.cycle > newest and now_ns <= self.deadline_ns + self._waits * slice_ns
 
     def _take_over(self, state: S, turn: Turn) -> Delivery:
         """Speak from now on; return the message that says so, with what it knows."""

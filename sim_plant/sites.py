@@ -45,8 +45,8 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
         rating_kw = table.numbers(("rating_kw",), expected, smallest_kw, 1e7)[:, 0]
         if plant_rating_kw is not None and not isclose(plant_rating_kw, rating_kw.sum()):
             raise InputError(
-                f"plant.rating_kw: expected none, or {rating_kw.sum():g}, the sum of the column "
-                f"rating_kw of {path.name}, got {plant_rating_kw:g}"
+                f"plant.rating_kw: expected none, or {rating_kw.sum():.10g}, the sum of the column "
+                f"rating_kw of {path.name}, got {plant_rating_kw:.10g}"
             )
     else:
         rating_kw = equal_ratings_kw(plant_rating_kw, len(names), path.name)

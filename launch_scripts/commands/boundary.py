@@ -117,9 +117,6 @@ def boundary() -> Iterator[None]:
     report, sys.unraisablehook = sys.unraisablehook, _unless_ending(sys.unraisablehook)
     try:
         yield
-    except _Leave:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        raise
     except BrokenPipeError:  # `heliarch ... | head`: nobody reads on.
         _discard_output()
         sys.exit(FAILED)
@@ -132,6 +129,7 @@ def boundary() -> Iterator[None]:
     except _UsageError as error:
         _end(_usage_text(error), BAD_INPUT)
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         sys.unraisablehook = report
         for number, handler in before.items():
             signal.signal(number, handler)

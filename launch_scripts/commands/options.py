@@ -116,7 +116,7 @@ def refuse_others(context: typer.Context, allowed: Collection[str], why: str) ->
 def is_run(path: Path) -> bool:
     """Whether a path names a run rather than a scenario. The run need not exist."""
     is_elsewhere = len(path.parts) > 1 and path.suffix != ".toml"
-    return is_elsewhere or path.suffix == ".mcap" or path.is_dir()
+    return is_elsewhere or path.suffix == ".mcap" or (path / "run.mcap").exists()
 
 
 def changed_scenario(

@@ -63,7 +63,7 @@ def timing(
     console = console_for(files.json)
     if is_run(path := Path(scenario)):
         allowed = ("scenario", "processes", "report", "json")
-        why = f"expected only --processes, --report or --json with {path}, which was run already"
+        why = f"expected only --processes, --report or --json with the recorded run {path}"
         refuse_others(context, allowed, why)
         return _publish_one(report_on(path, by_agent=processes), path, files)
     rates = parse_rates(rate)

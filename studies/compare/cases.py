@@ -26,6 +26,8 @@ from launch_scripts.scenarios.toml_text import toml_text
 
 _MOST: Final = 100_000
 
+_STRING_OR_LETTER: Final = re.compile(r"""(?<!\w)(?:"(?:\\.|[^"\\])*"|'[^']*')|.""", re.DOTALL)
+
 
 @dataclass(frozen=True, slots=True)
 class Setting:
@@ -178,15 +180,12 @@ def _toml(text: str) -> object:
 
 def _split(values: str) -> Iterator[str]:
     """Split at the commas that stand outside of brackets and quotes."""
-    depth, quote, part = 0, "", ""
-    for letter in values:
-        if letter in {"'", '"'} and quote in {"", letter}:
-            quote = "" if quote else letter
-        elif not quote:
-            depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(letter, 0)
-        if letter == "," and depth == 0 and not quote:
+    depth, part = 0, ""
+    for token in _STRING_OR_LETTER.findall(values):
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(token, 0)
+        if token == "," and depth == 0:
             yield part.strip()
             part = ""
         else:
-            part += letter
+            part += token
     yield part.strip()

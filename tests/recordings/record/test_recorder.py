@@ -145,10 +145,12 @@ FORGED = {"power_kw": 6.0}
         ),
         ([NEXT | {"incarnation": 4}, NEXT, {"cycle": 5}], [None, None, "two senders"]),
         ([{"cycle": 6} | FORGED, NEXT, {"cycle": 5}, {"cycle": 6}], [None] * 3 + ["two senders"]),
+        ([{"cycle": 0}, {"cycle": 0, "publish_time_ns": 9}], [None, "two senders"]),
     ],
     ids=[
         *("says another thing", "does not count up", "came again", "replaces its predecessor"),
         *("replaced in its first cycle", "was replaced and goes on", "forged for a cycle to come"),
+        "does not count up in the first cycle",
     ],
 )
 def test_a_second_message_of_a_key_in_a_cycle_is_named(

@@ -36,6 +36,7 @@ def test_a_setting_is_a_field_and_its_values() -> None:
     assert (found.field, found.values) == ("control.period_cycles", ("[1, 1]", "[10, 1]"))
     titles = parse_setting('title="Clouds, it\'s windy", calm')
     assert titles.values == ('"Clouds, it\'s windy"', "calm")
+    assert parse_setting("title=it's windy, calm").values == ("it's windy", "calm")
 
 
 def test_seeds_and_days_are_lists_and_ranges() -> None:
