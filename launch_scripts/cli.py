@@ -55,10 +55,10 @@ for _heading, _names in COMMANDS.items():
 
 
 def main() -> None:
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # As `>&-` has it, in a script that a service starts.
-            nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
-            setattr(sys, name, nowhere)
-    if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # Not every terminal has the lines of a tree.
-    app()
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        for name in ("stdout", "stderr"):
+            if getattr(sys, name) is None:  # As `>&-` has it, in a script that a service starts.
+                setattr(sys, name, nowhere)
+        if isinstance(sys.stdout, TextIOWrapper):
+            sys.stdout.reconfigure(errors="replace")  # Not every terminal has the lines of a tree.
+        app()

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import zip_longest
 from types import FrameType
-from typing import Any, ClassVar, Final, NoReturn
+from typing import Any, ClassVar, Final, NoReturn, TypeAlias
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -31,6 +31,9 @@ INTERRUPTED: Final = 130
 
 _LOOK_S: Final = 0.1
 """How often to look whether an exception that ends the program got lost."""
+
+_Report: TypeAlias = Callable[["sys.UnraisableHookArgs"], object]
+"""What Python calls with an exception that it has dropped."""
 
 _BAD_PATH: Final = (
     FileExistsError,
@@ -176,14 +179,14 @@ def _leave(number: int, frame: FrameType | None) -> None:
     raise _Leave(number)
 
 
-def _unless_ending(report: Callable[[Any], object]) -> Callable[[Any], None]:
+def _unless_ending(report: _Report) -> _Report:
     """Return the hook that reports what Python has dropped, except what ends the program.
 
     A dropped Ctrl-C is sent once more. Only this hook shows that it was lost: `_Interrupt`, unlike
     `_Leave`, may also have been caught on purpose.
     """
 
-    def hook(dropped: Any) -> None:  # noqa: ANN401 - the type exists for type checkers only
+    def hook(dropped: sys.UnraisableHookArgs) -> None:
         if isinstance(dropped.exc_value, _Interrupt):
             signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
             signal.setitimer(signal.ITIMER_REAL, _LOOK_S)
