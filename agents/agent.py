@@ -39,10 +39,9 @@ class Stage:
 class Turn(msgspec.Struct, frozen=True, gc=False):
     """All that an agent sees when a stage closes.
 
-    cycle, sim_time_ns: Number of the cycle and simulated time of its beginning.
     stamp: The first fields of every message that the agent makes now.
-    inputs: The newest message of each port that the stage awaits or uses; None if it is silent:
-        there was none, or it is too old.
+    inputs: The newest message of each port that the stage awaits or uses; None if there was none,
+        or it is too old.
     """
 
     stage: str

@@ -16,8 +16,6 @@ from bus_schemas.signals import Port
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, agent_of, depth
 
 Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "recorder"]
-"""What an agent is."""
-
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 
 PLACES: Final[dict[str, Callable[[int, int], int]]] = {
@@ -43,12 +41,10 @@ USED_SHARE: Final = 0.9
 """Share of the cycle by whose end the plant has its commands, or goes on without."""
 
 FIRST_PARTS: Final = 3
-"""Parts of that time for the first place; each further one has one. In the first the plant wakes
-up and tells every inverter what it measured, and all direct controllers estimate at once: half of
-all that happens in a cycle. What they do not need, the places after it have."""
+"""Parts of that time for the first place, in which all direct controllers estimate at once; each
+further one has one."""
 
 _ALONE: Final[dict[str, Kind]] = {PLANT: "plant", CENTRAL: "central", RECORDER: "recorder"}
-
 
 _LATER: Final = {"setpoint": "solve", "command": "actuate", "production": "apply"}
 """Stage in which a signal is published, where that is not its publisher's first one."""
@@ -75,15 +71,14 @@ def stage_of(port: Port[Message], tree: ControlTree) -> str:
 class Deadlines:
     """When, in real time, each stage of a cycle closes at the latest.
 
-    By default 0.9 of the cycle is divided among the places, `FIRST_PARTS` to the first and an equal
-    part to each further one; the rest is a margin before the plant's next tick. A run may instead
-    state when the last message of each tier must be out: the stages up to the central controller's
-    solve then share the time before its deadline in this way, and the plant waits for commands
-    until halfway between the last deadline and its next tick.
+    By default `USED_SHARE` of the cycle is divided among the places. A run may instead state when
+    the last message of each tier must be out: the stages up to the central controller's solve then
+    share the time before its deadline, and the plant waits for commands until halfway between the
+    last deadline and its next tick.
 
     cycle_ns: Length of a cycle on the wall clock.
     tiers_ns: Deadline of each tier's last message, the central controller's first and the direct
-        controllers' last. Empty: 0.9 of the cycle is divided.
+        controllers' last. Empty: the default.
     """
 
     tree: ControlTree
@@ -98,11 +93,8 @@ class Deadlines:
         return self._of_place(stage_place(agent, stage, self.tree))
 
     def slice_ns(self, agent: str, stage: str) -> int:
-        """Return a stage's part of the cycle: from the deadline before its own to its own [ns].
-
-        The plant's tick has no deadline before it: it has one part.
-        """
-        if stage == "sense":
+        """Return a stage's part of the cycle: from the deadline before its own to its own [ns]."""
+        if stage == "sense":  # The plant's tick has no deadline before it.
             return self._of_place(2) - self._of_place(1)
         before_ns = self._of_place(stage_place(agent, stage, self.tree) - 1)
         return self.deadline_ns(agent, stage) - before_ns
@@ -113,7 +105,6 @@ class Deadlines:
         return self._of_place(place + 1) - self._of_place(place)
 
     def _of_place(self, place: int) -> int:
-        """Return the deadline of a place in the order of a cycle [ns]."""
         central = stage_place(CENTRAL, "solve", self.tree)
         last = stage_place(PLANT, "apply", self.tree)
         if not self.tiers_ns:

@@ -39,11 +39,8 @@ from bus_schemas.tree import ROOT, agent_name, parent_of
 
 
 class Report(NamedTuple):
-    """What a parent knows of a child.
+    """What a parent knows of a child: of a silent one its own request, and nothing beyond it.
 
-    impp_kw, residual_kw: Its IMPP and residual [kW]; of a silent child its own request, and nothing
-        beyond it.
-    stale_cycles: How old its measurements are.
     is_old, is_silent: Whether the report is of an earlier cycle, and whether it is too old to
         count.
     """
@@ -98,8 +95,7 @@ class Parent:
         """Return what each child reports.
 
         The inverters of a silent child serve their own requests, since they do not hear of
-        setpoints either: it gives its own request, no more and no less. A residual counts only if
-        it belongs to the same cycle as the IMPP.
+        setpoints either. A residual counts only if it belongs to the same cycle as the IMPP.
         """
         dispatch = turn.get(self._dispatch)
         return [self._report(turn, child, dispatch) for child in self._children]

@@ -1,7 +1,7 @@
 """How an agent of a plan joins the bus: its links, its identity, and what it accepts.
 
-Every agent enforces its own rules on each of its links. Each pair of agents has a link of its own
-and peers do not relay, so the agent at the other end has published whatever comes over a link.
+Every agent enforces its own rules on each of its links. Peers do not relay, so the agent at the
+other end has published whatever comes over a link.
 """
 
 from __future__ import annotations
@@ -87,10 +87,7 @@ def _settings(
 
 
 def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -> dict[str, object]:
-    """Return an agent's access rules, as in Zenoh's configuration; all else is refused.
-
-    They follow from who publishes and who hears what in the run.
-    """
+    """Return an agent's access rules, as in Zenoh's configuration; all else is refused."""
     wiring = plan.wiring
     rules: list[dict[str, object]] = []
     policies: list[dict[str, object]] = []

@@ -12,7 +12,6 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 _CYCLE: Final = re.compile(r"0|[1-9][0-9]{0,17}")
-"""A cycle as it is written: below 10^18, as cycles are."""
 
 
 class Missing(NamedTuple):
@@ -32,16 +31,8 @@ def parse_missing(entry: str) -> Missing:
 
 
 def in_words(missing: Iterable[str]) -> str:
-    """Say what a decision was based on, for instance `without c1/impp; used c2/impp of cycle 41`.
-
-    Empty: all inputs were those of the cycle.
-    """
-    entries = [parse_missing(entry) for entry in missing]
-    without = [key for key, used in entries if used is None]
-    older = [f"{key} of cycle {used:,}" for key, used in entries if used is not None]
-    parts = []
-    if without:
-        parts.append("without " + ", ".join(without))
-    if older:
-        parts.append("used " + ", ".join(older))
-    return "; ".join(parts)
+    """Say what a decision was based on: `without c1/impp, used c2/impp of cycle 41`."""
+    return ", ".join(
+        f"without {key}" if used is None else f"used {key} of cycle {used:,}"
+        for key, used in map(parse_missing, missing)
+    )

@@ -1,9 +1,8 @@
 """Who publishes and hears what in a run, under which key, and who is linked with whom.
 
 All of it follows from the table of signals. A key is `<plant>/<path of the node>/<signal>`; a Zenoh
-session adds the run's namespace before it by itself, so that two runs on one network do not hear
-each other. Zenoh peers do not relay, so each pair that talks needs a link of
-its own (see docs/decisions/0002-explicit-links.md for the alternatives, measured).
+session adds the run's namespace before it. Zenoh peers do not relay, so each pair that talks needs
+a link of its own (see docs/decisions/0002-explicit-links.md).
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from bus_schemas.tree import RECORDER, ControlTree, agent_of, standby_of
 class Wiring:
     """The wiring of a run.
 
-    ports: Every port, in the order of the table.
-    listeners: Agents that hear each port.
+    listeners: Agents that hear each port, in the order of the table.
     published, heard: Ports of each agent.
     signs: Of an agent with a standby: its last port in each cycle, and in each of its turns. Its
         two processes hear them from each other.
@@ -62,10 +60,7 @@ class Wiring:
         return f"{self.plant}/{agent}/alive"
 
     def links(self) -> Links:
-        """Return one link for each pair of processes of which one publishes what the other hears.
-
-        The recorder hears everything.
-        """
+        """Return a link for each pair of processes of which one publishes what the other hears."""
         place = {process: place for place, process in enumerate(self._processes)}
         pairs = {(RECORDER, process) for process in self._processes if process != RECORDER}
         for port, hearers in self.processes.items():
@@ -81,15 +76,14 @@ class Wiring:
 class Links:
     """The TCP links of a run, or some of them.
 
-    pairs: (listening process, connecting process), each pair that talks once. The one nearer to the
-        top of the list of agents listens, so that few ports are needed and no inverter needs one.
+    pairs: (listening process, connecting process). The one nearer to the top of the list of agents
+        listens, so that few ports are needed and no inverter needs one.
     """
 
     pairs: tuple[tuple[str, str], ...]
 
     @cached_property
     def listening(self) -> tuple[str, ...]:
-        """Agents that need a port."""
         return tuple(dict.fromkeys(listener for listener, _ in self.pairs))
 
     def endpoints(
@@ -98,10 +92,7 @@ class Links:
         tcp_ports: Mapping[str, int],
         host_of: Callable[[str], str] = lambda agent: "tcp/127.0.0.1",
     ) -> tuple[list[str], list[str]]:
-        """Endpoints that an agent listens on, and those it connects to.
-
-        `host_of` gives the protocol and the address of an agent.
-        """
+        """Endpoints that an agent listens on, and those it connects to."""
         tops = [top for top, below in self.pairs if below == agent]
         listens = [f"{host_of(agent)}:{tcp_ports[agent]}"] if agent in self.listening else []
         return listens, [f"{host_of(top)}:{tcp_ports[top]}" for top in tops]

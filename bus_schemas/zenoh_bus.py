@@ -1,8 +1,7 @@
 """The bus between processes: one Zenoh session for each agent, over TCP on the loopback address.
 
-No multicast, no gossip: the endpoints are given. Zenoh calls us on its own thread: the callback
-appends to a queue, and wakes the agent's thread or acts itself (`agents.eager_driver`). See
-docs/decisions for what was measured.
+Zenoh calls us on its own thread: the callback appends to a queue, and wakes the agent's thread or
+acts itself (`agents.eager_driver`). See docs/decisions for what was measured.
 """
 
 from __future__ import annotations
@@ -41,7 +40,6 @@ ZENOH_RUNTIME: Final = (
 """One worker thread for all of Zenoh's work: see docs/decisions/0003-zenoh-tuning.md."""
 
 MOST_LINKS: Final = 10_000
-"""Sessions that one agent may be linked with."""
 
 LEASE_MS: Final = 60_000
 """How long a link may be silent [ms]. A process that ends closes its links at once; one that stands
@@ -55,8 +53,6 @@ queue takes 512 MB. With Zenoh's own 64 kB it was 48 kB. The 16 batches of a lin
 what a plant of 1,000 inverters sends at once."""
 
 _ANSWER_S: Final = 5.0
-"""How long others may take to repeat their newest messages."""
-
 _CROWDED: Final = 10_000
 """Messages that wait for an agent from which on each port has a limit: a flood of one port must
 neither take all memory nor keep the others out."""
@@ -78,7 +74,6 @@ class KeyFiles:
 
     @classmethod
     def of(cls, folder: Path, agent: str) -> KeyFiles:
-        """Return those that a folder of keys has for an agent."""
         name = agent.replace("/", ".")
         return cls(folder / "ca.pem", folder / f"{name}.pem", folder / f"{name}.key")
 
@@ -105,12 +100,11 @@ class SessionSettings:
 
     namespace: Prefix of every key of the run.
     listen, connect: Endpoints, for instance `tcp/127.0.0.1:7447`.
-    lockstep: In lockstep nothing may be lost: a publisher waits for a listener that falls behind.
-        In real time a message that cannot go out within 20 ms is dropped instead.
+    lockstep: Whether a publisher waits for a listener that falls behind. In real time a message
+        that cannot go out within 20 ms is dropped instead.
     further: Further settings, by Zenoh's own names.
     peers: Agents at the other ends of its links.
-    devices: Settings of the agent's second session, for devices, which have no password. None: it
-        has no devices.
+    devices: Of the agent's second session, for devices, which have no password; None: no devices.
     """
 
     namespace: str
@@ -163,34 +157,22 @@ class SessionSettings:
         return config
 
 
-def open_sessions(settings: SessionSettings) -> list[zenoh.Session]:
-    """Open an agent's session, and then that with devices if it has one."""
-    return [open_session(each) for each in (settings, settings.devices) if each is not None]
-
-
 def open_session(settings: SessionSettings) -> zenoh.Session:
     """Open a session under the project's runtime settings, unless the user has set others."""
     os.environ.setdefault("ZENOH_RUNTIME", ZENOH_RUNTIME)
     return zenoh.open(settings.config())
 
 
+def open_sessions(settings: SessionSettings) -> list[zenoh.Session]:
+    """Open an agent's session, and then that with devices if it has one."""
+    return [open_session(each) for each in (settings, settings.devices) if each is not None]
+
+
 _this_thread = threading.local()
 
 
-def _keep_this_thread() -> None:
-    """Let Python keep what it knows of Zenoh's thread.
-
-    It would otherwise set up a thread state for each callback, with pages from the kernel, and
-    throw it away again: an eighth of the processor time of a cycle.
-    """
-    ctypes.pythonapi.PyGILState_Ensure()
-    _this_thread.is_kept = True
-
-
 class Inbox:
-    """A queue from Zenoh's thread to the agent's: wakes the agent when enough has arrived.
-
-    An agent that needs seventeen messages is woken once, not seventeen times.
+    """A queue from Zenoh's thread to the agent's: wakes the agent once, when enough has arrived.
 
     dropped: Messages that found no room, by port and cause.
     on_enough: Called on Zenoh's thread. By default it wakes the agent's.
@@ -213,7 +195,10 @@ class Inbox:
 
         def hear(sample: zenoh.Sample) -> None:
             if not hasattr(_this_thread, "is_kept"):
-                _keep_this_thread()
+                # Otherwise Python makes and discards a state of Zenoh's thread for each callback:
+                # an eighth of the processor time of a cycle.
+                ctypes.pythonapi.PyGILState_Ensure()
+                _this_thread.is_kept = True
             if len(items) >= _CROWDED and not self._has_room(port):
                 return
             append((port, sample.payload, now_ns()))
@@ -236,7 +221,6 @@ class Inbox:
             self._gate.acquire(timeout=timeout_s)
 
     def wake(self) -> None:
-        """Wake the agent's thread."""
         with suppress(RuntimeError):  # Two messages at once: it is awake already.
             self._gate.release()
 
@@ -309,7 +293,6 @@ class _Place:
                 session.close()
 
     def watch_tokens(self) -> TokenWatch:
-        """Follow the liveliness tokens of all agents from now on."""
         return TokenWatch(self._sessions, self._wiring)
 
     def _show_token(self, process: str) -> None:
@@ -318,9 +301,8 @@ class _Place:
 
 
 class ZenohBus(_Place):
-    """One agent's place on the bus.
+    """One agent's place on the bus, in its process or that of its standby.
 
-    process: Name of its process: the agent's, or that of its standby.
     patience_s: Longest time that one call waits for messages.
     clock: Clock of the plant, if the plant is on another host.
 
@@ -360,7 +342,6 @@ class ZenohBus(_Place):
         hear_of = {wiring.key(port): self.inbox.callback(port) for port in heard}
 
         def hear_many(sample: zenoh.Sample) -> None:
-            """Find a message's port by its key."""
             if (hear := hear_of.get(str(sample.key_expr))) is not None:
                 hear(sample)
 
@@ -455,7 +436,6 @@ class ZenohBus(_Place):
 def _putter(
     session: zenoh.Session, key: str, must_arrive: bool, *, declared: bool
 ) -> Callable[[bytes], None]:
-    """Return a function that puts payloads on a key."""
     control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
     if not declared:
         return partial(
@@ -467,12 +447,10 @@ def _putter(
         congestion_control=control,
         reliability=zenoh.Reliability.RELIABLE,
     )
-    put: Callable[[bytes], None] = publisher.put
-    return put
+    return publisher.put
 
 
 def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
-    """Return the signals of which there are many ports."""
     counts = Counter(port.signal for port in ports)
     return [signal for signal, count in counts.items() if count >= _MANY]
 
@@ -480,9 +458,8 @@ def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
 class ZenohTap(_Place):
     """A listener's place on the bus: hears every message of the run, and can answer.
 
-    Messages wait in a queue of Zenoh's own, without any Python in between, until they are drained
-    in one go. When it is full, publishers that may not lose anything wait, and others drop what
-    they cannot send within 20 ms. A recording then lacks these messages by their numbers.
+    Messages wait in a queue of Zenoh's own, without any Python in between, until they are drained.
+    When it is full, publishers wait or drop, see `SessionSettings.lockstep`.
     """
 
     def __init__(self, agent: str, wiring: Wiring, settings: SessionSettings) -> None:
@@ -514,7 +491,6 @@ class ZenohTap(_Place):
             session.put(self._wiring.key(port), encode(message), encoding=ENCODING)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
-        """Yield key and payload of all that has arrived."""
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:
                 yield str(sample.key_expr), sample.payload.to_bytes()

@@ -20,7 +20,7 @@ from typing import Final
 import msgspec
 from msgspec.structs import replace
 
-from agents.drop_log import DropLog
+from agents.drop_log import log_drop
 from agents.events import Armed, Joined, Over, Presence, Recorded, RecordingEnded
 from agents.launcher_link import LauncherLink
 from agents.machine import stand_back
@@ -111,7 +111,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
             if not plan.lockstep:
                 stand_back()
             so_far = first if path != first else None
-            Recorder(plan, tap, writer, link, DropLog(), so_far, last_cycle).run()
+            Recorder(plan, tap, writer, link, log_drop, so_far, last_cycle).run()
 
     return run_guarded(RECORDER, link, run)
 
@@ -128,7 +128,7 @@ class Recorder:
         tap: ZenohTap,
         writer: RunWriter,
         link: LauncherLink,
-        on_wrong: Callable[[str], None],
+        on_wrong: Callable[[int, str], None],
         first: Path | None = None,
         last_cycle: int = -1,
     ) -> None:

@@ -124,7 +124,7 @@ print(re.search("VmLck:.*", pathlib.Path("/proc/self/status").read_text())[0].sp
 @root
 def test_memory_that_may_not_be_locked_is_said_beforehand() -> None:
     beforehand, in_lockstep, then, locked_kb = locking("8 << 20", GIVE_UP)
-    assert "memory: not locked (the limit is 8,192 KiB); it needs CAP_IPC_LOCK" in beforehand
+    assert "memory: not locked (the limit is 8,192 KiB); it needs root" in beforehand
     assert in_lockstep == "()"
     assert then == beforehand
     assert locked_kb == "0"

@@ -140,6 +140,6 @@ def test_fates_are_the_same_whenever_and_wherever_they_are_drawn() -> None:
 
 def test_only_processes_of_this_host_are_killed_and_messages_to_other_hosts_are_delayed() -> None:
     there = {"c1": "10.0.0.2", "c1/a": "10.0.0.2", "c1/b": "10.0.0.2"}
-    with pytest.raises(InputError, match=r"10\.0\.0\.2"):
+    with pytest.raises(InputError, match=r"this host.*c1/\*"):
         check_rule(FaultRule(kill="c1/*", at=(3.0,)), TREE, "rule", (), there)
     check_rule(FaultRule(listener="c1/a", delay_ms=5.0), TREE, "rule", (), there)

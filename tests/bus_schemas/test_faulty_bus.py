@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -21,10 +20,7 @@ PORT = TELEMETRY.of("a")
 MS = 1_000_000
 
 
-Dropped = Counter[tuple[str, str]]
-
-
-def faulty_bus(count: int, *rules: FaultRule, dropped: Dropped | None = None) -> FaultyBus:
+def faulty_bus(count: int, *rules: FaultRule) -> FaultyBus:
     """Return an inverter's bus to which `count` messages come now, and none later."""
     message = Telemetry(1, 0, PLANT, (), power_kw=1.0, alpha=1.0, limit_kw=1.0)
     coming, clock = [Arrival("a", PORT, message, 0)] * count, ClockByHand(0)
@@ -35,7 +31,7 @@ def faulty_bus(count: int, *rules: FaultRule, dropped: Dropped | None = None) ->
         clock.now_ns = clock.now_ns if came or until_ns is None else until_ns
         return came
 
-    wire = SimpleNamespace(receive=receive, now_ns=clock, dropped=dropped)
+    wire = SimpleNamespace(receive=receive, now_ns=clock)
     return FaultyBus(cast(Any, wire), "a", NetworkFaults(rules, 1, TREE, 1_000 * MS))
 
 
@@ -43,10 +39,3 @@ def test_a_delayed_message_arrives_when_it_is_due_and_a_doubled_one_twice() -> N
     bus = faulty_bus(1, FaultRule(delay_ms=40.0), FaultRule(duplicate=1.0))
     assert bus.receive(0) == bus.receive(39 * MS) == []
     assert [arrival.time_ns for arrival in bus.receive(1_000 * MS)] == [40 * MS] * 2
-
-
-def test_a_flood_that_is_under_way_is_bounded_and_counted() -> None:
-    dropped = Dropped()
-    bus = faulty_bus(150_000, FaultRule(delay_ms=3_600_000.0), dropped=dropped)
-    assert bus.receive(0) == []
-    assert dropped == {("a/telemetry", "flooded"): 50_000}
