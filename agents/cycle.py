@@ -123,13 +123,9 @@ def parts_up_to(place: int) -> int:
 
 @dataclass(frozen=True)
 class Periods:
-    """How often the parents of each tier act, in cycles.
+    """How often the parents of each tier act: their periods in cycles, the central one's first.
 
-    A parent sends setpoints only in its turns. Between them the tiers below keep rebalancing to its
-    last setpoints. Every agent reports upwards in every cycle.
-
-    cycles: Period of each tier that has children, the central controller's first. Each must be a
-        multiple of the next.
+    A parent sends setpoints only in its turns. Every agent reports upwards in every cycle.
     """
 
     cycles: tuple[int, ...]
@@ -157,5 +153,5 @@ class Periods:
 
     @property
     def longest(self) -> int:
-        """The longest period in cycles: how far one agent can run ahead of another in lockstep."""
+        """The longest period: how far one agent can run ahead of another in lockstep."""
         return max(self.cycles)

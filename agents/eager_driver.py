@@ -30,7 +30,6 @@ class EagerDriver(Driver):
         self._error: Exception | None = None
 
     def run(self) -> Iterator[Sequence[Arrival]]:
-        """Go on to the end of the run; yield after each turn of the agent's own thread."""
         self._zenoh.inbox.on_enough = self._act_at_once
         with self._lock:
             self.go_on(self._loop)

@@ -1,7 +1,4 @@
-"""The link between a process of a run and the launcher.
-
-A process that was started by hand prints its events as lines of JSON.
-"""
+"""The link between a process of a run and the launcher."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ _decoder: msgspec.json.Decoder[Event] = msgspec.json.Decoder(reduce(or_, Event._
 
 
 class LauncherLink:
-    """A process's end of the link.
+    """A process's end of the link. One that was started by hand prints its events.
 
     events: Socket that keeps packets apart, shared with the other processes of the run.
     expected: Pipe on which the launcher tells the recorder how many messages to expect.
@@ -44,7 +41,7 @@ class LauncherLink:
 
     @property
     def by_hand(self) -> bool:
-        """Whether the process was started by hand: no launcher ends it."""
+        """Whether no launcher ends the process."""
         return self._events is None
 
     def heed(self, *numbers: signal.Signals) -> None:

@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable
 from copy import copy
 from functools import cache, partial
+from itertools import chain
 from typing import Final, Generic, Self, TypeVar
 
 import msgspec
@@ -29,6 +30,7 @@ from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Run, Takeover
 from bus_schemas.missing import Missing
+from bus_schemas.printable import printable
 from bus_schemas.signals import DISPATCH, RUN, TAKEOVER, Occurrence, Port
 from bus_schemas.tree import CENTRAL, ROOT
 
@@ -72,12 +74,13 @@ class _Input:
         self.heard = _NONE_YET
         self.incarnation = 0
         self.newest: Message | None = None
-        self.ahead: list[Message] = []
+        self.ahead: dict[int, Message] = {}
 
-    def age(self, cycle: int) -> int:
-        """Cycles since a newer message was due; 0: the newest one is the one that is due."""
-        assert self.newest is not None
-        return max(cycle - self.newest.cycle - self.period + 1, 0)
+
+def log_drop(count: int, why: str) -> None:
+    """Log the first ten dropped messages of a kind, then the 16th, 32nd, 64th and so on."""
+    if count <= 10 or count & (count - 1) == 0:
+        log.warning("dropped (%d of this kind): %s", count, printable(why))
 
 
 class AgentLoop(Generic[S]):
@@ -224,13 +227,12 @@ class AgentLoop(Generic[S]):
     def _keep_ahead(self, heard: _Input, message: Message) -> None:
         """Keep a message of a cycle to come, one of each cycle."""
         cycle, horizon = message.cycle, self._horizon
-        is_near = cycle < 0 or cycle <= max(self.cycle, 0) + horizon
-        if not is_near or len(heard.ahead) > horizon:
+        if len(heard.ahead) > horizon or cycle > max(self.cycle, 0) + horizon:
             self._drop("other_cycle", heard.port, message, f"is too far from {self.cycle}")
-        elif any(kept.cycle == cycle for kept in heard.ahead):
+        elif cycle in heard.ahead:
             self._drop("duplicate", heard.port, message, "came twice")
         else:
-            heard.ahead.append(message)
+            heard.ahead[cycle] = message
 
     def _heed(self, port: Port[Message], run: Run, time_ns: int) -> None:
         """Follow the plant on the beginning and the end of the run."""
@@ -267,6 +269,8 @@ class AgentLoop(Generic[S]):
         twin.waiting = self.waiting.copy()
         twin.dropped = self.dropped.copy()
         twin._inputs = {port: copy(heard) for port, heard in self._inputs.items()}
+        for heard in twin._inputs.values():
+            heard.ahead = heard.ahead.copy()
         return twin
 
     # Cycles ---------------------------------------------------------------------------------------
@@ -297,7 +301,7 @@ class AgentLoop(Generic[S]):
         """Enter an arming round or cycle 0, from the initial state."""
         self._state = self.agent.initial_state()
         for heard in self._inputs.values():
-            kept = [message for message in heard.ahead if message.cycle >= cycle]
+            kept = {of: message for of, message in heard.ahead.items() if of >= cycle}
             heard.forget()
             heard.ahead = kept
         self._go_to(cycle, now_ns)
@@ -319,10 +323,8 @@ class AgentLoop(Generic[S]):
         self._stages = () if self.finished else self.agent.stages(cycle)
         for heard in self._inputs.values():
             if heard.ahead:
-                due = [message for message in heard.ahead if message.cycle <= cycle]
-                heard.ahead = [message for message in heard.ahead if message.cycle > cycle]
-                for message in sorted(due, key=lambda message: message.cycle):
-                    self._take(heard, message, now_ns)
+                for due in sorted(of for of in heard.ahead if of <= cycle):
+                    self._take(heard, heard.ahead.pop(due), now_ns)
         self._open_stage(now_ns)
 
     def _open_stage(self, now_ns: int) -> None:
@@ -331,9 +333,8 @@ class AgentLoop(Generic[S]):
         self._ready_ns = now_ns
         if self._place < len(self._stages):
             stage, inputs, cycle = self._stages[self._place], self._inputs, self.cycle
-            for port in (*stage.awaits, *self._sign_of(stage)) if self.silent else stage.awaits:
-                if inputs[port].heard != cycle:
-                    self.waiting.add(port)
+            awaits = (*stage.awaits, *self._sign_of(stage)) if self.silent else stage.awaits
+            self.waiting = {port for port in awaits if inputs[port].heard != cycle}
             if cycle >= 0 and self._start_ns is not None:
                 begin_ns = self._start_ns + cycle * self._plan.cycle_wall_ns
                 self.deadline_ns = begin_ns + self._deadline_after_ns(stage.name)
@@ -405,10 +406,8 @@ class AgentLoop(Generic[S]):
 
     def resume(self, takeover: Takeover) -> None:
         """Go on with the state of a process that took over."""
-        state = self._state
-        if isinstance(state, msgspec.Struct):
-            names = state.__struct_fields__
-            self._state = type(state)(**{name: getattr(takeover, name) for name in names})
+        if isinstance(self._state, msgspec.Struct):
+            self._state = msgspec.convert(takeover, type(self._state), from_attributes=True)
 
     def _inputs_of(
         self, stage: Stage
@@ -417,20 +416,20 @@ class AgentLoop(Generic[S]):
         cycle = self.cycle
         found: dict[Port[Message], Message | None] = {}
         missing: list[str] = []
-        for ports in (stage.awaits, stage.uses):
-            for port in ports:
-                heard = self._inputs[port]
-                message = heard.newest
-                if message is not None and message.cycle != cycle:
-                    age = heard.age(cycle)
-                    if age > self._plan.hold_cycles:
-                        message = None
-                    elif age:
-                        self.old_inputs += 1
-                        missing.append(str(Missing(str(port), message.cycle)))
-                if message is None:
-                    missing.append(str(port))
-                found[port] = message
+        for port in chain(stage.awaits, stage.uses):
+            heard = self._inputs[port]
+            message = heard.newest
+            if message is not None and message.cycle != cycle:
+                # Cycles since a newer message was due.
+                age = cycle - message.cycle - heard.period + 1
+                if age > self._plan.hold_cycles:
+                    message = None
+                elif age > 0:
+                    self.old_inputs += 1
+                    missing.append(str(Missing(str(port), message.cycle)))
+            if message is None:
+                missing.append(str(port))
+            found[port] = message
         return found, tuple(missing)
 
     def _drop(self, cause: str, port: Port[Message], message: Message, why: str) -> None:

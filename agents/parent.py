@@ -129,7 +129,7 @@ class Parent:
         """Divide a target (step 4): return a setpoint for each child.
 
         Between its turns, or where a report is old, `predictive` gives needy children what they
-        lack as well: they can then use power that comes back before the parent hears of it.
+        lack as well, for power that comes back before the parent hears of it.
         """
         tops_up = self._tops_up or (self._tops_up_old and any(r.is_old for r in reports))
         silent_kw = total([report.impp_kw for report in reports if report.is_silent])
@@ -195,14 +195,7 @@ class Supervisor(Parent):
 
 
 class CentralState(msgspec.Struct, frozen=True, gc=False):
-    """What the central controller remembers.
-
-    correction_kw: What it adds to its target because the meter read less than was wanted.
-    wanted_kw: The dispatch of its last turn.
-    metered_kw, readings: Sum of the meter's readings since then, and their number.
-    meter_cycle: Cycle of the newest reading. That of cycle 0 is of the time before the run.
-    clamped: How many dispatches it clamped.
-    """
+    """What the central controller remembers; see `Takeover` for each field."""
 
     correction_kw: float = 0.0
     wanted_kw: float = 0.0

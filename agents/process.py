@@ -14,11 +14,10 @@ from typing import Any, Final
 from agents.agent import Agent
 from agents.cycle import kind_of
 from agents.driver import Driver
-from agents.drop_log import log_drop
 from agents.eager_driver import EagerDriver
 from agents.events import Failed, Finished, Joined, Standing, TookOver, Waiting
 from agents.launcher_link import LauncherLink
-from agents.loop import AgentLoop
+from agents.loop import AgentLoop, log_drop
 from agents.machine import take_machine
 from agents.plan import RunPlan
 from agents.session import session_settings

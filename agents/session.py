@@ -32,8 +32,8 @@ the recorder accepts all their messages, so that it can name whoever sends what 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     """Return how an agent of the plan, or a standby, joins the bus.
 
-    Without keys, a session asks either everybody who connects for a password, or nobody. Devices
-    have none, so an agent has a second session for them.
+    Without keys, a session asks everybody who connects for a password, or nobody. Devices have
+    none, so an agent has a second session for them.
     """
     if plan.keys_folder:
         keys = KeyFiles.of(Path(plan.keys_folder), agent_of(agent))
@@ -140,15 +140,12 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
 
 
 def session_id(secret: str, agent: str) -> str:
-    """Return the Zenoh id of an agent's session in a run with this secret.
-
-    Whoever connects to the agent learns it.
-    """
+    """Return the Zenoh id of an agent's session. Whoever connects to the agent learns it."""
     return f"a{_digest(secret, f'id of {agent}')}"  # Zenoh accepts no leading zero.
 
 
 def password(secret: str, agent: str) -> str:
-    """Return the password with which an agent connects to others in a run with this secret."""
+    """Return the password with which an agent connects to others."""
     return _digest(secret, f"password of {agent}")
 
 

@@ -111,14 +111,13 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @property
     def ends(self) -> tuple[tuple[str, str], ...]:
-        """Publisher and listener, or patterns of them, of the links that the rule is about."""
+        """Publisher and listener, or patterns of them, of its links."""
         if self.partition is None:
             return ((self.source, self.listener),)
         one, other = self.partition.split("|")
         return (one, other), (other, one)
 
     def acts_on(self, port: Port[Message], listener: str) -> bool:
-        """Whether this link of a port is one of the rule's."""
         if self.stops is not None or not port.signal.is_cyclic:
             return False
         return self.signal in {None, port.signal.name} and any(
@@ -171,7 +170,6 @@ def check_rule(
 ) -> None:
     """Refuse a rule that does not fit the run.
 
-    where: Name of the rule in messages for the user.
     external: Agents that Heliarch does not run: faults cannot act on what they receive.
     addresses: Of the agents on other hosts: their processes cannot be stopped from here.
     """

@@ -106,7 +106,6 @@ class MemoryBus:
         return True
 
     def _send(self, arrival: Arrival, fate: tuple[int, ...]) -> None:
-        """Let a message go the way that the faults of its link leave it."""
         self.tally.count(fate)
         for delay_ns in fate:
             if delay_ns:

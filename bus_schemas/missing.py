@@ -1,8 +1,7 @@
 """What the entries of a message's `missing` say: which messages its sender decided on.
 
-An entry is the key of an input, without the plant's name. `c2/inv07/impp@41`: the newest message
-was that of cycle 41. `c2/inv07/impp`: there was none, or it was too old to count. For an input
-without an entry the sender used the message that was due.
+`c2/inv07/impp@41`: the newest message was that of cycle 41. `c2/inv07/impp`: there was none, or it
+was too old to count. For an input without an entry the sender used the message that was due.
 """
 
 from __future__ import annotations

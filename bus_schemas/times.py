@@ -18,7 +18,6 @@ LONGEST_S: Final = 31 * 86400.0
 
 FIRST_YEAR: Final = 1900
 LAST_YEAR: Final = 2200
-"""Years in which a run may take place."""
 
 _UNITS_S: Final = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6}
 _NUMBER: Final = r"\d+(?:\.\d+)?"

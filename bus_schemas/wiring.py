@@ -19,11 +19,10 @@ from bus_schemas.tree import RECORDER, ControlTree, agent_of, standby_of
 class Wiring:
     """The wiring of a run.
 
-    listeners: Agents that hear each port, in the order of the table.
+    listeners, processes: Agents, and with them standbys, that hear each port.
     published, heard: Ports of each agent.
     signs: Of an agent with a standby: its last port in each cycle, and in each of its turns. Its
         two processes hear them from each other.
-    processes: Processes that hear each port: agents, and standbys of agents.
     """
 
     def __init__(self, plant: str, tree: ControlTree, standbys: Collection[str] = ()) -> None:
@@ -53,7 +52,7 @@ class Wiring:
         return f"{self.plant}/{port}"
 
     def port(self, key: str) -> Port[Message] | None:
-        """Port that a key names, or None where the control tree has no such node or signal."""
+        """Port that a key names, None if there is none."""
         return self._port_of.get(key)
 
     def alive_key(self, agent: str) -> str:

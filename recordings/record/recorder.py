@@ -20,9 +20,9 @@ from typing import Final
 import msgspec
 from msgspec.structs import replace
 
-from agents.drop_log import log_drop
 from agents.events import Armed, Joined, Over, Presence, Recorded, RecordingEnded
 from agents.launcher_link import LauncherLink
+from agents.loop import log_drop
 from agents.machine import stand_back
 from agents.plan import RunPlan
 from agents.process import run_guarded, set_up_process

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import resource
-import sys
 import threading
 from collections.abc import Callable
 from typing import TypeVar
@@ -22,8 +21,6 @@ from agents.machine import (
 )
 
 T = TypeVar("T")
-
-linux = pytest.mark.skipif(sys.platform != "linux", reason="policies and CPUs are set on Linux")
 
 
 def in_a_thread(work: Callable[[], T]) -> T:
@@ -50,7 +47,6 @@ def lines_of(code: str) -> list[str]:
     return done.stdout.splitlines()
 
 
-@linux
 def test_a_process_runs_on_the_cpus_of_its_kind_or_of_all() -> None:
     first, last = min(os.sched_getaffinity(0)), max(os.sched_getaffinity(0))
     settings = MachineSettings(cpus=(first,), cpus_of={"plant": (last,)})
@@ -61,14 +57,12 @@ def test_a_process_runs_on_the_cpus_of_its_kind_or_of_all() -> None:
     assert policy.endswith(f" on CPU {first}")
 
 
-@linux
 def test_a_cpu_that_is_not_there_is_said_and_the_process_goes_on() -> None:
     (refused,), policy = place_of(MachineSettings(cpus=(1023,)))
     assert refused.startswith("CPU 1023: not available (")
     assert policy == scheduling_policy()
 
 
-@linux
 def test_priority_is_taken_where_the_machine_permits_it_and_what_is_refused_is_said() -> None:
     before = scheduling_policy()
     expected = refusals(MachineSettings(priority=7), lockstep=False)
@@ -86,7 +80,6 @@ os.setgroups([]); os.setgid(65534); os.setuid(65534)
 root = pytest.mark.skipif(os.geteuid() != 0, reason="privileges can be given up by root alone")
 
 
-@linux
 @root
 def test_without_permission_the_policy_stays_and_the_text_says_what_it_takes() -> None:
     """A process without privileges, and with a limit of 0, may not run first."""
@@ -120,7 +113,6 @@ print(re.search("VmLck:.*", pathlib.Path("/proc/self/status").read_text())[0].sp
     )
 
 
-@linux
 @root
 def test_memory_that_may_not_be_locked_is_said_beforehand() -> None:
     beforehand, in_lockstep, then, locked_kb = locking("8 << 20", GIVE_UP)
@@ -130,7 +122,6 @@ def test_memory_that_may_not_be_locked_is_said_beforehand() -> None:
     assert locked_kb == "0"
 
 
-@linux
 def test_memory_is_locked_where_that_is_permitted() -> None:
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     beforehand, _, then, locked_kb = locking(str(limit))
@@ -140,7 +131,6 @@ def test_memory_is_locked_where_that_is_permitted() -> None:
     assert int(locked_kb) > 1_000
 
 
-@linux
 def test_only_the_thread_that_stands_back_does_so() -> None:
     def priority_aside() -> int:
         stand_back()
@@ -151,7 +141,6 @@ def test_only_the_thread_that_stands_back_does_so() -> None:
     assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
 
-@linux
 def test_timers_are_exact_in_real_time() -> None:
     code = (
         "import ctypes; take_machine(MachineSettings(), 'direct', lockstep=False); "
