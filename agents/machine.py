@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import resource
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
@@ -22,9 +21,6 @@ _RECORDER_NICE: Final = 5
 _SET_TIMER_SLACK: Final = 29
 """PR_SET_TIMERSLACK of prctl(2)."""
 
-_LOCK_ALL: Final = 1 | 2 | 4
-"""MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of mlockall(2): each page, once it is in use."""
-
 _POLICIES: Final = {
     getattr(os, f"SCHED_{name.upper()}"): name for name in ("other", "batch", "idle", "fifo", "rr")
 }
@@ -35,13 +31,11 @@ class MachineSettings(msgspec.Struct, frozen=True):
 
     cpus, cpus_of: Processors that all processes run on, and those of one kind. Empty: any.
     priority: In real time: of plant and controllers under SCHED_FIFO, 1 to 99. 0: normal policy.
-    lock_memory: In real time: whether the memory of plant and controllers is never paged out.
     """
 
     cpus: tuple[int, ...] = ()
     cpus_of: dict[Kind, tuple[int, ...]] = {}
     priority: int = 0
-    lock_memory: bool = False
 
 
 def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tuple[str, ...]:
@@ -69,20 +63,13 @@ def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tu
                 f"priority {priority}: the kernel refuses SCHED_FIFO ({error.strerror}); it needs "
                 f"CAP_SYS_NICE, or `ulimit -r {priority}`"
             )
-        if settings.lock_memory:
-            refused += _lock_refusal() or _lock_memory()
     return tuple(refused)
 
 
 def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
-    """Return what this machine would not permit to a controller, by trying it in a thread.
-
-    Locked memory is of the whole process, so that is not tried: the limit tells.
-    """
-    in_a_thread = msgspec.structs.replace(settings, lock_memory=False)
+    """Return what this machine would not permit to a controller, by trying it in a thread."""
     with ThreadPoolExecutor(1) as thread:
-        found = thread.submit(take_machine, in_a_thread, "direct", lockstep=lockstep).result()
-    return (*found, *(_lock_refusal() if settings.lock_memory and not lockstep else ()))
+        return thread.submit(take_machine, settings, "direct", lockstep=lockstep).result()
 
 
 def wake_precisely() -> None:
@@ -93,23 +80,6 @@ def wake_precisely() -> None:
 def stand_back() -> None:
     """Lower the priority of this thread, but not of the threads that receive messages."""
     os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)
-
-
-def _lock_memory() -> list[str]:
-    failed = ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_ALL)
-    return [f"memory: not locked ({os.strerror(ctypes.get_errno())})"] if failed else []
-
-
-def _lock_refusal() -> list[str]:
-    """Say why a process may not lock all its memory; nothing if it may.
-
-    Any limit is a reason: what the process maps later would exceed it.
-    """
-    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    if limit == resource.RLIM_INFINITY or os.geteuid() == 0:
-        return []
-    why = f"the limit is {limit // 1024:,} KiB"
-    return [f"memory: not locked ({why}); it needs root, or `ulimit -l unlimited`"]
 
 
 def scheduling_policy() -> str:

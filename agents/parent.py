@@ -20,12 +20,11 @@ from agents.control.allocation import allocate, total
 from agents.control.correction import corrected
 from agents.control.neighbours import help_order
 from agents.control.request import residual_kw, usable_dispatch_kw
-from agents.dispatch import own_request_kw
+from agents.dispatch import own_report, own_request_kw
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     Dispatch,
-    Help,
     HelpGiven,
     Impp,
     Message,
@@ -34,7 +33,7 @@ from bus_schemas.messages import (
     Residual,
     Setpoint,
 )
-from bus_schemas.signals import DISPATCH, HELP, IMPP, METER, NOTICE, RESIDUAL, SETPOINT, Port
+from bus_schemas.signals import DISPATCH, IMPP, METER, NOTICE, RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT, agent_name, parent_of
 
 
@@ -75,7 +74,7 @@ class Parent:
         )
         self._ratings_kw = tuple(child.rating_kw for child in self._children)
         self._rating_kw = tree.rating_kw(node)
-        self._own = (IMPP.of(node), RESIDUAL.of(node), HELP.of(node))
+        self._node = node
         self._dispatch = DISPATCH.of(ROOT)
         self._inputs: tuple[Port[Message], ...] = (
             *(port for child in self._children for port in (child.impp, child.residual)),
@@ -112,18 +111,11 @@ class Parent:
         return Report(impp.power_kw, left_kw, impp.stale_cycles + age, is_old=age > 0)
 
     def report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
-        """State the sums over the children (eq. 2). A negative residual is a call for help."""
-        impp_port, residual_port, help_port = self._own
+        """State the sums over the children (eq. 2)."""
         impp_kw = total([report.impp_kw for report in reports])
         left_kw = total([report.residual_kw for report in reports])
         stale_cycles = max(report.stale_cycles for report in reports)
-        outputs: list[Delivery] = [
-            (impp_port, Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)),
-            (residual_port, Residual(*turn.stamp, power_kw=left_kw)),
-        ]
-        if left_kw < 0.0:
-            outputs.append((help_port, Help(*turn.stamp, missing_kw=-left_kw)))
-        return outputs
+        return own_report(self._node, turn, impp_kw, stale_cycles, left_kw)
 
     def setpoints(self, turn: Turn, target_kw: float, reports: list[Report]) -> list[Delivery]:
         """Divide a target (step 4): return a setpoint for each child.

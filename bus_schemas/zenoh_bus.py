@@ -16,9 +16,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import msgspec
 import zenoh
@@ -334,8 +333,13 @@ class ZenohBus(_Place):
             # The session for devices needs only what is heard there; the recorder hears all.
             hears_there = not devices.isdisjoint({RECORDER, *wiring.processes[port]})
             must_arrive = settings.lockstep or port.signal.occurrence is Occurrence.EVENT
+            control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
+            how: dict[str, Any] = {"encoding": ENCODING, "congestion_control": control}
+            key = zenoh.KeyExpr(wiring.key(port))
             self._puts[port] = [
-                _putter(session, wiring.key(port), must_arrive, declared=port.signal not in many)
+                partial(session.put, key, **how)
+                if port.signal in many
+                else session.declare_publisher(key, **how).put
                 for session in self._sessions[: 2 if hears_there else 1]
             ]
         many = _signals_of_many(heard)
@@ -377,19 +381,18 @@ class ZenohBus(_Place):
 
     def newest(self) -> list[Arrival]:
         """Return the newest messages of those that are heard in lockstep, the dispatch first."""
-        replies = [
-            session.get(
+        taken = []
+        for session in self._sessions:
+            for reply in session.get(
                 f"{self._wiring.plant}/**",
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=_ANSWER_S,
-            )
-            for session in self._sessions
-        ]
-        samples = [reply.ok for reply in chain(*replies) if reply.ok is not None]
-        found = [(self._wiring.port(str(one.key_expr)), one.payload) for one in samples]
-        now_ns = time.monotonic_ns()
-        taken = [(port, payload, now_ns) for port, payload in found if port in self._heard]
+            ):
+                if (sample := reply.ok) is not None:
+                    port = self._wiring.port(str(sample.key_expr))
+                    if port in self._heard:
+                        taken.append((port, sample.payload, time.monotonic_ns()))
         return self._decoded(sorted(taken, key=lambda one: one[0].signal is not DISPATCH))
 
     def _answer(self, query: zenoh.Query) -> None:
@@ -431,23 +434,6 @@ class ZenohBus(_Place):
                     came_ns = self._clock.at(time_ns)
                 arrivals.append(Arrival(self._process, port, message, came_ns))
         return arrivals
-
-
-def _putter(
-    session: zenoh.Session, key: str, must_arrive: bool, *, declared: bool
-) -> Callable[[bytes], None]:
-    control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
-    if not declared:
-        return partial(
-            session.put, zenoh.KeyExpr(key), encoding=ENCODING, congestion_control=control
-        )
-    publisher = session.declare_publisher(
-        key,
-        encoding=ENCODING,
-        congestion_control=control,
-        reliability=zenoh.Reliability.RELIABLE,
-    )
-    return publisher.put
 
 
 def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:

@@ -20,12 +20,10 @@ class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     cpus: Processors of all processes, `"0-1"`, or of one kind, `"plant=0"`.
     priority: SCHED_FIFO priority; 0: normal policy.
-    lock_memory: Whether the memory of plant and controllers is never paged out.
     """
 
     cpus: tuple[str, ...] = ()
     priority: Annotated[int, Meta(ge=0, le=HIGHEST_PRIORITY)] = 0
-    lock_memory: bool = False
 
 
 def machine_settings(
@@ -57,7 +55,7 @@ def machine_settings(
             "--priority: expected a --pace such as 1 with it, got lockstep, where nothing can be "
             "late"
         )
-    return MachineSettings(everywhere, of_kind, priority, table.lock_memory)
+    return MachineSettings(everywhere, of_kind, priority)
 
 
 def _cpu_list(where: str, text: str) -> tuple[int, ...]:

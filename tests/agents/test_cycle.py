@@ -47,7 +47,7 @@ def test_each_agent_goes_through_the_stages_of_its_kind() -> None:
         found[kind] = tuple(stage.name for stage in agent.stages(0))
         assert found[kind] == STAGES[kind]
     assert set(found) == set(KINDS) - {"recorder"}
-    later = (SETPOINT.of("c1"), COMMAND.of("c1/a"), PRODUCTION.of(ROOT))
+    later = (SETPOINT.of("c1/a"), COMMAND.of("c1/a"), PRODUCTION.of(ROOT))
     assert [stage_of(port, THREE_TIERS) for port in later] == ["solve", "actuate", "apply"]
 
 

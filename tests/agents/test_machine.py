@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import threading
 from collections.abc import Callable
 from typing import TypeVar
@@ -95,40 +94,6 @@ print(scheduling_policy())
     assert "priority 20: the kernel refuses SCHED_FIFO (Operation not permitted)" in refused
     assert "`ulimit -r 20`" in refused
     assert policy.startswith("other")
-
-
-def locking(limit: str, give_up: str = "") -> list[str]:
-    """What is said beforehand, in lockstep, when memory is locked, and how much is [kB]."""
-    return lines_of(
-        f"""
-import ctypes, pathlib, re, resource
-resource.setrlimit(resource.RLIMIT_MEMLOCK, ({limit}, {limit}))
-{give_up}
-locks = MachineSettings(lock_memory=True)
-print(refusals(locks, lockstep=False))
-print(refusals(locks, lockstep=True))
-print(take_machine(locks, "direct", lockstep=False))
-print(re.search("VmLck:.*", pathlib.Path("/proc/self/status").read_text())[0].split()[1])
-"""
-    )
-
-
-@root
-def test_memory_that_may_not_be_locked_is_said_beforehand() -> None:
-    beforehand, in_lockstep, then, locked_kb = locking("8 << 20", GIVE_UP)
-    assert "memory: not locked (the limit is 8,192 KiB); it needs root" in beforehand
-    assert in_lockstep == "()"
-    assert then == beforehand
-    assert locked_kb == "0"
-
-
-def test_memory_is_locked_where_that_is_permitted() -> None:
-    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    beforehand, _, then, locked_kb = locking(str(limit))
-    if beforehand != "()":
-        pytest.skip(f"this machine does not permit it: {beforehand}")
-    assert then == "()"
-    assert int(locked_kb) > 1_000
 
 
 def test_only_the_thread_that_stands_back_does_so() -> None:
