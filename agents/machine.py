@@ -21,10 +21,6 @@ _RECORDER_NICE: Final = 5
 _SET_TIMER_SLACK: Final = 29
 """PR_SET_TIMERSLACK of prctl(2)."""
 
-_POLICIES: Final = {
-    getattr(os, f"SCHED_{name.upper()}"): name for name in ("other", "batch", "idle", "fifo", "rr")
-}
-
 
 class MachineSettings(msgspec.Struct, frozen=True):
     """What the processes of a run may take of the machine. By default nothing special.
@@ -80,13 +76,3 @@ def wake_precisely() -> None:
 def stand_back() -> None:
     """Lower the priority of this thread, but not of the threads that receive messages."""
     os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)
-
-
-def scheduling_policy() -> str:
-    """Return policy and processors of this thread as the kernel has them: `fifo 20 on CPU 0, 1`."""
-    policy = _POLICIES.get(os.sched_getscheduler(0), "unknown")
-    priority = os.sched_getparam(0).sched_priority
-    nice = os.getpriority(os.PRIO_PROCESS, 0)
-    rank = f" {priority}" if priority else f", nice {nice}" if nice else ""
-    cpus = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
-    return f"{policy}{rank} on CPU {cpus}"

@@ -104,9 +104,8 @@ def _processors() -> Iterator[Finding]:
 
 
 def _scheduling() -> Iterator[Finding]:
-    from agents.machine import MachineSettings, refusals, scheduling_policy
+    from agents.machine import MachineSettings, refusals
 
-    yield Finding("policy", scheduling_policy())
     refused = refusals(MachineSettings(priority=20), lockstep=False)
     for refusal in refused:
         about, _, why = refusal.partition(": ")
