@@ -1,4 +1,4 @@
-"""What every controller works out and says of its own node."""
+"""A node's request, which every controller works out from the dispatch, and its report."""
 
 from __future__ import annotations
 
