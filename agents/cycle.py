@@ -51,13 +51,11 @@ _LATER: Final = {"setpoint": "solve", "command": "actuate", "production": "apply
 
 
 def kind_of(agent: str, tree: ControlTree) -> Kind:
-    """Return the kind of an agent by its name, or by that of its standby."""
     agent = agent_of(agent)
     return _ALONE.get(agent) or ("direct" if tree.is_leaf(agent) else "supervisor")
 
 
 def stage_place(agent: str, stage: str, tree: ControlTree) -> int:
-    """Return the place of an agent's stage in the order of one cycle."""
     level = 0 if agent in {CENTRAL, PLANT} else depth(agent)
     return PLACES[stage](tree.height, level)
 
@@ -146,7 +144,6 @@ class Periods:
         return cycle < 0 or cycle % self.cycles[depth(parent)] == 0
 
     def rests_between(self, parent: str) -> bool:
-        """Whether a parent's children act between its turns."""
         own = depth(parent)
         below = self.cycles[own + 1] if own + 1 < len(self.cycles) else 1
         return self.cycles[own] > below

@@ -72,7 +72,6 @@ class Driver:
             heappush(self._deadlines, (deadline_ns, next(self._numbers), loop.name))
 
     def publish(self, port: Port[Message], message: Message) -> None:
-        """Publish a message that no agent decides."""
         self.bus.publish(port, message, self.now_ns())
 
     @property
@@ -86,7 +85,6 @@ class Driver:
         return until_ns
 
     def _act_on(self, arrivals: Sequence[Arrival]) -> None:
-        """Give messages to their agents, and take these as far as they go."""
         only = self._only
         if only is not None and only.catch_up(self.now_ns()):
             self.go_on(only)
@@ -112,7 +110,6 @@ class Driver:
         return None
 
     def _close_overdue(self) -> None:
-        """Close the next stage if its deadline has passed."""
         deadline_ns = self._next_deadline_ns()
         if deadline_ns is not None and deadline_ns <= self.now_ns():
             loop = self.loops[heappop(self._deadlines)[2]]

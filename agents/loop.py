@@ -159,7 +159,6 @@ class AgentLoop(Generic[S]):
 
     @property
     def is_complete(self) -> bool:
-        """Whether the open stage has all that it awaits."""
         if self.waiting or self._place >= len(self._stages):
             return False
         return self.deadline_ns is None or not self._stages[self._place].timed
@@ -235,7 +234,6 @@ class AgentLoop(Generic[S]):
             heard.ahead[cycle] = message
 
     def _heed(self, port: Port[Message], run: Run, time_ns: int) -> None:
-        """Follow the plant on the beginning and the end of the run."""
         if run.state == "stop":
             if run.cycle <= self._inputs[self._dispatch].heard:
                 self._drop("contradicted", port, run, "ends a cycle that the plant has begun")
@@ -260,11 +258,9 @@ class AgentLoop(Generic[S]):
             self._go_to(self.cycle, now_ns)
 
     def use_instead(self, port: Port[Message], message: Message) -> None:
-        """Use another message of the same cycle than the one that came first."""
         self._inputs[port].newest = message
 
     def twin(self) -> Self:
-        """Return an independent loop in the same state."""
         twin = copy(self)
         twin.waiting = self.waiting.copy()
         twin.dropped = self.dropped.copy()

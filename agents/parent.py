@@ -212,11 +212,9 @@ class CentralController(Parent):
         return CentralState()
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
-        """Return the stage: it reports in every cycle, and sends setpoints in its turns."""
         return self._stages
 
     def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
-        """Report for the plant as a whole, and divide the dispatch."""
         reports = self.reports(turn)
         outputs = self.report_up(turn, reports)
         state = self._read_meter(state, turn.get(self._meter))

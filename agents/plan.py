@@ -146,7 +146,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @property
     def restarts(self) -> bool:
-        """Whether a process that ends is started again."""
         when = self.restart.when or ("never" if self.lockstep else "on-failure")
         # In lockstep a parent that acts rarely would lack what came between its turns.
         return when != "never" and not (self.lockstep and self.periods.longest > 1)
@@ -178,7 +177,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return HIDDEN_ALPHA_MIN if hides else self.alpha_min
 
     def period(self, port: Port[Message]) -> int:
-        """Return every how many cycles a port's message comes."""
         if port.signal.occurrence is not Occurrence.TURN:
             return 1
         return self.periods.cycles[depth(parent_of(port.node))]
@@ -230,7 +228,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return self.start_time_ns + cycle * self.cycle_ns
 
     def run_message(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> Run:
-        """Return the message that says that the run begins at a cycle, or ended before it."""
         return Run(
             cycle,
             self.sim_time_ns(cycle),
@@ -242,7 +239,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         )
 
     def neighbourhoods_of(self, node: str) -> tuple[Neighbourhood, ...]:
-        """Return the correlation between a parent's children, in the order of time."""
         return next((entry.hours for entry in self.neighbourhoods if entry.node == node), ())
 
     def as_json(self) -> bytes:
@@ -270,7 +266,6 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
 
 
 def check_plan(plan: RunPlan) -> None:
-    """Check what the types of the fields cannot express."""
     check_size(plan.cycles, len(plan.tree.leaves), "cycles")
     for number, rule in enumerate(plan.faults):
         check_rule(rule, plan.tree, f"faults[{number}]", plan.external, plan.addresses)

@@ -207,7 +207,6 @@ class AgentProcess:
             time.sleep(_LOOK_S)
 
     def report(self) -> None:
-        """Tell the launcher what went out and what was not used."""
         self.driver.stop()
         loop = self.loop
         dropped = (*loop.dropped.items(), *self._bus.dropped.items())

@@ -145,12 +145,10 @@ def session_id(secret: str, agent: str) -> str:
 
 
 def password(secret: str, agent: str) -> str:
-    """Return the password with which an agent connects to others."""
     return _digest(secret, f"password of {agent}")
 
 
 def users(plan: RunPlan) -> str:
-    """Return the users and passwords of a run, as Zenoh reads them from a file."""
     return "".join(f"{agent}:{password(plan.secret, agent)}\n" for agent in plan.processes)
 
 
@@ -159,7 +157,6 @@ def _digest(secret: str, text: str) -> str:
 
 
 def common_name(agent: str) -> str:
-    """Return the name that an agent's certificate is for."""
     if len(agent) <= _LONGEST_COMMON_NAME:
         return agent
     return hashlib.blake2b(agent.encode(), digest_size=32).hexdigest()

@@ -45,7 +45,6 @@ Telemetry is judged by the estimate, which knows what its inverter can have meas
 
 
 def bounds_of(message_type: type[Message], rating_kw: float) -> tuple[Bound, ...]:
-    """Return the bounds of a message about a node of this rating."""
     found = []
     for field, low, high in BOUNDS.get(message_type, ()):
         unit = rating_kw if field.endswith("_kw") else 1.0

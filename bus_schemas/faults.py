@@ -101,7 +101,6 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return is_cut or any(begin_s <= time_s < end_s for begin_s, end_s in self.silent)
 
     def is_active(self, time_s: float) -> bool:
-        """Whether the rule acts at a simulated time since cycle 0, silence aside."""
         return not self.at or self.at[0] <= time_s < self.at[1]
 
     @property
@@ -135,7 +134,6 @@ class Incident(NamedTuple):
 
 
 def incidents(rules: tuple[FaultRule, ...], tree: ControlTree) -> list[Incident]:
-    """Return what the rules do to processes, in the order of time."""
     found = []
     for rule in rules:
         for agent in stopped_by(rule, tree):
@@ -146,7 +144,6 @@ def incidents(rules: tuple[FaultRule, ...], tree: ControlTree) -> list[Incident]
 
 
 def stopped_by(rule: FaultRule, tree: ControlTree) -> list[str]:
-    """Return the controllers that a rule kills or freezes."""
     names = [agent_name(node) for node in tree.nodes]
     return [name for name in names if fnmatchcase(name, rule.stops or "")]
 
@@ -181,7 +178,6 @@ def check_rule(
 
 
 def _to_fields(rule: FaultRule) -> Iterator[str]:
-    """Yield objections to fields that their bounds do not cover."""
     if rule.distribution == "fixed" and rule.jitter_ms:
         yield "distribution: expected uniform or normal with jitter, got fixed"
     if rule.reorder and not rule.held_back_ms:

@@ -97,7 +97,6 @@ class MemoryBus:
         return ()
 
     def _is_held(self, arrival: Arrival) -> bool:
-        """Whether a message is for an agent that is brought nothing; keep it if it is to be."""
         if arrival.agent not in self._held:
             return False
         kept = self._held[arrival.agent]

@@ -70,7 +70,6 @@ class NetworkFaults:
         self._listeners = {listener for _, listener in self._rules_on}
 
     def concern(self, listener: str) -> bool:
-        """Whether any rule acts on a link to this listener."""
         return listener in self._listeners
 
     def fates(self, port: Port[Message], listener: str, message: Message) -> tuple[int, ...]:
@@ -129,7 +128,6 @@ class _RuleOnLink:
         return [(word >> 11) * 2.0**-53 for word in _WORDS.unpack(digest.digest())[:5]]
 
     def _jitter_ms(self, one: float, other: float) -> float:
-        """Return what a message takes longer than the others, from two numbers in [0, 1)."""
         rule = self.rule
         if rule.jitter_ms == 0.0 or rule.distribution == "fixed":
             return 0.0

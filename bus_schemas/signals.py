@@ -161,7 +161,6 @@ def listeners(port: Port[Message], tree: ControlTree) -> tuple[str, ...]:
 
 
 def ports(tree: ControlTree) -> tuple[Port[Message], ...]:
-    """Every port of a run, in the order of the table."""
     return tuple(signal.of(node) for signal in SIGNALS for node in signal.nodes(tree))
 
 

@@ -54,7 +54,6 @@ def read_time(text: str) -> time | datetime | None:
 
 
 def split_range(text: str, where: str) -> tuple[str, str]:
-    """Return the two ends of a range `A..B`."""
     begin, _, end = (part.strip() for part in text.partition(".."))
     if not begin or not end:
         raise InputError(f"{where}: expected a range A..B, got {text[:40]}")

@@ -31,7 +31,6 @@ _STANDBY: Final = "+standby"
 
 
 def standby_of(agent: str) -> str:
-    """Name of the second process of an agent."""
     return f"{agent}{_STANDBY}"
 
 
@@ -108,7 +107,6 @@ class ControlTree:
 
     @cached_property
     def nodes(self) -> tuple[str, ...]:
-        """Paths of all nodes: parents from the top, then the inverters."""
         return self.parents + self.leaves
 
     @cached_property
@@ -122,7 +120,6 @@ class ControlTree:
         return path not in self._children_of
 
     def rating_kw(self, path: str) -> float:
-        """AC rating of an inverter, or the sum over a cluster's inverters."""
         return self._ratings_kw[path]
 
     def leaves_below(self, path: str) -> tuple[int, ...]:

@@ -48,7 +48,6 @@ class Wiring:
         self._processes = (*tree.agents(), *map(standby_of, standbys))
 
     def key(self, port: Port[Message]) -> str:
-        """Key of a port, for instance `oahu/c2/inv07/impp` or `oahu/dispatch`."""
         return f"{self.plant}/{port}"
 
     def port(self, key: str) -> Port[Message] | None:
@@ -91,7 +90,6 @@ class Links:
         tcp_ports: Mapping[str, int],
         host_of: Callable[[str], str] = lambda agent: "tcp/127.0.0.1",
     ) -> tuple[list[str], list[str]]:
-        """Endpoints that an agent listens on, and those it connects to."""
         tops = [top for top, below in self.pairs if below == agent]
         listens = [f"{host_of(agent)}:{tcp_ports[agent]}"] if agent in self.listening else []
         return listens, [f"{host_of(top)}:{tcp_ports[top]}" for top in tops]

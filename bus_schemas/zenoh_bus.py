@@ -157,7 +157,6 @@ class SessionSettings:
 
 
 def open_session(settings: SessionSettings) -> zenoh.Session:
-    """Open a session under the project's runtime settings, unless the user has set others."""
     os.environ.setdefault("ZENOH_RUNTIME", ZENOH_RUNTIME)
     return zenoh.open(settings.config())
 
@@ -188,7 +187,6 @@ class Inbox:
         self._gate.acquire()
 
     def callback(self, port: Port[Message]) -> Callable[[zenoh.Sample], None]:
-        """Return what Zenoh calls with each message of a port."""
         items, append, now_ns = self._items, self._items.append, time.monotonic_ns
         urgent = port.signal.occurrence is Occurrence.EVENT
 
@@ -226,7 +224,6 @@ class Inbox:
     def take(
         self, wanted: int = 0, timeout_s: float = 0.0
     ) -> list[tuple[Port[Message], zenoh.ZBytes, int]]:
-        """Return all that is there, once `wanted` or an urgent one are, or at the time-out."""
         until = time.monotonic() + timeout_s
         # An opening may be left over from messages that were taken already.
         while timeout_s > 0.0 and not self.want(wanted):
@@ -266,7 +263,6 @@ class TokenWatch:
                 yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
 
     def alive(self) -> set[str]:
-        """Return the keys of all present tokens."""
         for key, is_there in self.changes():
             (self._alive.add if is_there else self._alive.discard)(key)
         return self._alive
@@ -410,7 +406,6 @@ class ZenohBus(_Place):
         return []
 
     def take(self) -> list[Arrival]:
-        """Return what has arrived, without waiting."""
         return self._decoded(self.inbox.take())
 
     def timeout_s(self, until_ns: int | None) -> float:
