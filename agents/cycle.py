@@ -129,15 +129,12 @@ class Periods:
     cycles: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        for tier, period in enumerate(self.cycles):
-            if period < 1:
-                raise InputError(f"control.period_cycles[{tier}]: expected 1 or more, got {period}")
-        for tier, (upper, lower) in enumerate(zip(self.cycles, self.cycles[1:], strict=False)):
-            if upper % lower:
-                raise InputError(
-                    f"control.period_cycles[{tier}]: expected a multiple of {lower}, the period of "
-                    f"the tier below, got {upper}"
-                )
+        below = 1
+        for tier, period in reversed(list(enumerate(self.cycles))):
+            if period < 1 or period % below:
+                where = f"control.period_cycles[{tier}]"
+                raise InputError(f"{where}: expected a positive multiple of {below}, got {period}")
+            below = period
 
     def is_turn(self, parent: str, cycle: int) -> bool:
         """Whether a parent acts in a cycle. In arming rounds (below 0) all parents do."""
@@ -145,8 +142,7 @@ class Periods:
 
     def rests_between(self, parent: str) -> bool:
         own = depth(parent)
-        below = self.cycles[own + 1] if own + 1 < len(self.cycles) else 1
-        return self.cycles[own] > below
+        return self.cycles[own] > (*self.cycles, 1)[own + 1]
 
     @property
     def longest(self) -> int:
