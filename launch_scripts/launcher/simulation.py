@@ -34,6 +34,7 @@ from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.summary import (
     RunSummary,
+    count_causes,
     count_messages,
     memory_use,
     recorded_health,
@@ -246,10 +247,6 @@ def simulate(
         writer.close()
     wall_s = time.monotonic() - started_at
     health = recorded_health(folder.recording, plan)
-    drops: Counter[str] = Counter()
-    for loop in run.loops.values():
-        for (_, cause), number in loop.dropped.items():
-            drops[cause] += number
     return RunSummary(
         run_id=plan.run_id,
         scenario=plan.plant,
@@ -262,11 +259,14 @@ def simulate(
         startup_s=started_at - began_at,
         metrics=recorded_metrics(folder.recording),
         messages=count_messages(run.bus.outbox.published, writer.recorded),
-        dropped=dict(drops),
+        dropped=count_causes(
+            (port, cause, number)
+            for loop in run.loops.values()
+            for (port, cause), number in loop.dropped.items()
+        ),
         missing_inputs=health.missing_inputs if health else 0,
         faults=health.faults if health else {},
-        old_inputs=health.old_inputs if health else 0,
-        memory=memory_use({"simulation": [memory_of(os.getpid())]}),
+        memory=memory_use([("simulation", memory_of(os.getpid()))]),
         hindsight_neighbours=preparation.hindsight,
         remarks=preparation.remarks,
         interrupted=interrupted,

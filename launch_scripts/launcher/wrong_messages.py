@@ -8,24 +8,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from typing import Final
-
-from msgspec.structs import replace
 
 from agents.events import Complaint
 from agents.plan import RunPlan
 from recordings.inspect.health import WrongMessages
-
-_LISTENERS_CAUSES: Final = {
-    "late": "older than the newest one",
-    "other_cycle": "of a cycle far from this one",
-    "unexpected": "not of a turn of its sender",
-    "duplicate": "came twice in a cycle",
-    "foreign": "not from who may publish there",
-    "flooded": "more than can be looked at",
-    "contradicted": "contradicts what the publisher goes on saying",
-}
-"""Texts for the causes that agents name."""
 
 
 def wrong_messages(
@@ -35,9 +21,8 @@ def wrong_messages(
 ) -> tuple[WrongMessages, ...]:
     """Return the wrong messages of a run by key and cause, the most frequent first.
 
-    complaints: Those of the recorder; the plant's name is left out of their keys.
-    dropped: What agents dropped: port, cause and number. Only ports of external agents count: a
-        late message of a process is the machine's fault.
+    Of what agents `dropped` (port, cause and number) only that of external agents counts: a late
+    message of a process is the machine's fault.
     """
     publishers = {str(port): port.publisher for port in plan.wiring.ports}
     theirs = {port for port, publisher in publishers.items() if publisher in plan.external}
@@ -45,7 +30,7 @@ def wrong_messages(
     for port, cause, count in dropped:
         if port in theirs:
             counts[port, cause] += count
-    examples = {place: _LISTENERS_CAUSES.get(place[1], "") for place in counts}
+    examples = dict.fromkeys(counts, "dropped by an agent")
     for complaint in complaints:
         place = (complaint.key.removeprefix(f"{plan.plant}/"), complaint.cause)
         counts[place] = max(counts[place], complaint.count)
@@ -54,22 +39,3 @@ def wrong_messages(
         WrongMessages(key, cause, count, examples[key, cause], publishers.get(key, ""))
         for (key, cause), count in counts.most_common()
     )
-
-
-def one_line_each(wrong: Iterable[WrongMessages]) -> tuple[WrongMessages, ...]:
-    """Merge an agent's keys that were wrong in the same way; most messages come first.
-
-    A device that does one thing wrong does it on all of its keys: that is one thing to read.
-    """
-    groups: dict[tuple[str, str], list[WrongMessages]] = {}
-    for entry in wrong:
-        groups.setdefault((entry.publisher or entry.key, entry.cause), []).append(entry)
-    found = [
-        replace(
-            max(group, key=lambda entry: entry.count),
-            key=f"{group[0].key} and {len(group) - 1} more" if group[1:] else group[0].key,
-            count=sum(entry.count for entry in group),
-        )
-        for group in groups.values()
-    ]
-    return tuple(sorted(found, key=lambda entry: -entry.count))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, time
@@ -28,8 +27,7 @@ from launch_scripts.scenarios.externals import (
     check_externals,
     own_address,
 )
-from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
-from launch_scripts.scenarios.fields import field_names
+from launch_scripts.scenarios.fault_rules import fault_rules
 from launch_scripts.scenarios.machine_table import machine_settings
 from launch_scripts.scenarios.power_sources import power_source
 from launch_scripts.scenarios.real_time import cycle_wall_ns, parse_pace, tier_deadlines_ns
@@ -54,9 +52,6 @@ _HOUR_NS: Final = 3_600_000_000_000
 
 _FINEST_PAST_S: Final = 1.0
 """Finest step of the past: shorter ones add nothing, since clouds change over seconds."""
-
-_LARGEST_INVERTER_KW: Final = 10_000.0
-"""Larger than any on the market: a larger rating is probably in W."""
 
 _LARGEST_DISTANCE_M: Final = 100_000.0
 """Farther from the middle than in any plant: a larger distance is probably a mistyped position."""
@@ -134,7 +129,8 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             zone, data_path = scenario.time.timezone, scenario_file.data_path
             regulation = regulation_kw(offer, day.times, zone, data_path)
     except InputError as error:
-        raise InputError(_with_file(scenario_file, str(error))) from None
+        of_option = str(error).startswith("--")
+        raise error if of_option else InputError(f"{scenario_file.path}: {error}") from None
     if plan.revert is not None and plan.revert != scenario.plant.revert:
         remarks.append(f"inverters revert after {plan.revert.after_s:g} s, which is three cycles")
     if of_commitment := hindsight(scenario.commitment):
@@ -147,7 +143,6 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         plan.regulation_capacity_kw,
         meter_error=scenario.plant.meter_noise * meter.standard_normal(day.possible_kw.shape),
     )
-    remarks += fault_remarks(plan.faults)
     return Preparation(plan, profile, scenario_file, options, tuple(remarks))
 
 
@@ -179,12 +174,6 @@ def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -
 def _doubts(day: _Day) -> Iterator[str]:
     """Say what can be run, but is hardly meant."""
     sites, highest_kw = day.source.sites, day.commitment_kw.max()
-    largest = int(sites.rating_kw.argmax())
-    if sites.rating_kw[largest] > _LARGEST_INVERTER_KW:
-        yield (
-            f"plant: expected inverters of {_LARGEST_INVERTER_KW:,.0f} kW at most, got "
-            f"{sites.names[largest]} of {sites.rating_kw[largest]:,.0f} kW; ratings are in kW"
-        )
     away_m = np.hypot(*east_north_m(sites.lat_deg, sites.lon_deg))
     farthest = int(away_m.argmax())
     if away_m[farthest] > _LARGEST_DISTANCE_M:
@@ -393,13 +382,3 @@ def _beginnings_ns(times: pd.DatetimeIndex, scenario: Scenario) -> dict[int, int
     """For each hour of the run the simulated time at which it begins [ns]."""
     hours, first = np.unique(_local_hours(times, scenario.time.timezone), return_index=True)
     return {int(hour): times[int(row)].value for hour, row in zip(hours, first, strict=True)}
-
-
-def _with_file(scenario_file: ScenarioFile, text: str) -> str:
-    """Name the scenario where the text begins with one of its fields."""
-    found = re.match(r"(\w+)(?:\.(\w+))?\W", text)
-    table, field = found.groups() if found else ("", None)
-    is_field = table in field_names(Scenario, "")
-    if is_field and (field is None or field in field_names(Scenario, table)):
-        return f"{scenario_file.path}: {text}"
-    return text
