@@ -288,7 +288,7 @@ class ScenarioFile(msgspec.Struct, frozen=True):
             if (folder / name).exists():
                 return folder / name
         raise InputError(
-            f"{name}: expected it beside {self.path}, in the folder of --data, or beside the "
+            f"{name}: expected it beside the scenario, in the folder of --data, or beside the "
             "shipped scenarios, got none"
         )
 
