@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from memory_runs import Sent, run_in_memory, timeless
@@ -116,16 +115,6 @@ def test_each_hour_has_its_order_of_help_and_the_first_one_holds_before_it() -> 
         for cycle in range(3)
     ]
     assert helpers == [["c"], ["c"], ["b"]]
-
-
-def test_a_run_begins_and_ends_with_a_message_of_the_plant(sent: Sent) -> None:
-    words = [message for port, message in sent.messages if port is RUN.of(ROOT)]
-    assert [(word.cycle, msgspec.to_builtins(word)["state"]) for word in words] == [
-        (0, "start"),
-        (3, "stop"),
-    ]
-    assert sent.messages[0][1] is words[0]
-    assert sent.messages[-1][1] is words[1]
 
 
 def test_a_run_that_is_stopped_ends_after_the_cycle_under_way() -> None:

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from functools import cache
 from math import inf
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from command_line import done
 from memory_runs import Sent, run_with
 from numpy.typing import NDArray
 
 from agents.settings import RestartPolicy, Revert
 from bus_schemas.errors import InputError
+from bus_schemas.messages import Takeover
+from bus_schemas.signals import SETPOINT
+from bus_schemas.tree import CENTRAL
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.launcher.supervision import RunFailure
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
@@ -121,23 +128,6 @@ def test_a_controller_that_stays_frozen_is_replaced_and_thaws_no_more(oahu: Prep
     assert run.loops["c2"].skipped_cycles >= 13, "nobody kills it where nobody would replace it"
 
 
-@pytest.mark.parametrize("actuator", ["fraction", "limit"])
-def test_inverters_that_hear_nothing_revert_to_their_share_of_the_last_dispatch(
-    oahu: Preparation, actuator: str
-) -> None:
-    changes = {"actuator": actuator, "revert": Revert(after_s=60.0)}
-    _, trace = run_through(oahu, f"kill=*,at={KILLED_AT}s", restart_takes_s=NEVER, **changes)
-    last_desired_kw = trace.produced[KILLED_AT].desired_kw
-    limit_kw = last_desired_kw * rating_kw(oahu) / oahu.plan.tree.rating_kw("")
-    expected_kw = np.minimum(oahu.profile.mpp_kw, limit_kw)
-    reverted = slice(KILLED_AT + 62, CYCLES)
-    np.testing.assert_allclose(trace.power_kw[reverted], expected_kw[reverted], rtol=2e-3)
-
-
-def rating_kw(prepared: Preparation) -> NDArray[np.float64]:
-    return np.array([rating for _, rating in prepared.plan.inverters])
-
-
 def test_inverters_that_a_scenario_sets_otherwise_must_exist(oahu: Preparation) -> None:
     slow = with_settings(oahu.scenario, ('plant.settings=[{nodes="c1/*", delay_s=20}]',))
     found = prepare(slow, RunOptions(duration="5"), "slow").plan
@@ -151,3 +141,109 @@ def test_a_revert_time_leaves_controllers_three_cycles(oahu: Preparation) -> Non
     rare = prepare(oahu.scenario, RunOptions(duration="60", cycle_s=30.0), "rare")
     assert rare.plan.revert == Revert(after_s=90.0)
     assert any("90 s" in remark for remark in rare.remarks)
+
+
+# Standbys -----------------------------------------------------------------------------------------
+
+PARENTS = ("central", "c1", "c2", "c3")
+
+
+@pytest.fixture(scope="module")
+def minute() -> Preparation:
+    return prepare(load_scenario("oahu"), RunOptions(duration="60"), "standby")
+
+
+class Run:
+    """A run with a standby of each parent, and what was sent."""
+
+    def __init__(self, prepared: Preparation, *faults: str, **changes: object) -> None:
+        changed: dict[str, Any] = {"standby": PARENTS, **changes}
+        self.memory, sent = run_with(prepared, faults, **changed)
+        self.sent = sent.messages
+
+    @property
+    def takeovers(self) -> list[tuple[str, int]]:
+        return [(one.source, one.cycle) for _, one in self.sent if isinstance(one, Takeover)]
+
+    def setpoints_of(self, agent: str) -> dict[int, set[int]]:
+        """The incarnations that sent setpoints, cycle by cycle."""
+        found: dict[int, set[int]] = {}
+        for port, message in self.sent:
+            if port.signal is SETPOINT and message.source == agent:
+                found.setdefault(message.cycle, set()).add(message.incarnation)
+        return found
+
+    @property
+    def missed(self) -> int:
+        return sum(loop.missing_inputs for loop in self.memory.loops.values())
+
+
+@pytest.mark.parametrize("victim", ["central", "c2"])
+@pytest.mark.parametrize("at_s", [20.0, 20.8])
+@pytest.mark.parametrize("deadlines_ms", [(), (500, 540, 800), (500, 800, 840)])
+def test_nobody_misses_a_parent_that_has_a_standby(
+    minute: Preparation, victim: str, at_s: float, deadlines_ms: tuple[int, ...]
+) -> None:
+    tiers_ns = tuple(deadline * 1_000_000 for deadline in deadlines_ms)
+    run = Run(minute, f"kill={victim},at={at_s}s", tier_deadlines_ns=tiers_ns)
+    ((agent, cycle),) = run.takeovers
+    assert (agent, cycle in {20, 21}) == (victim, True)
+    setpoints = run.setpoints_of(victim)
+    assert setpoints == {k: {0 if k < cycle else cycle} for k in range(60)}
+    assert run.missed == 0
+
+
+def test_it_goes_on_with_what_the_other_process_knew(minute: Preparation) -> None:
+    faults = ("delay=1ms",)
+    healthy = Run(minute, *faults)
+    run = Run(minute, *faults, "kill=central,at=40s")
+    assert healthy.takeovers == []
+    decided = [
+        [message.power_kw for port, message in one.sent if port.signal is SETPOINT]  # type: ignore[attr-defined]
+        for one in (healthy, run)
+    ]
+    assert decided[0] == decided[1]
+
+
+def test_one_that_stood_still_is_refused_and_stands_by(minute: Preparation) -> None:
+    run = Run(minute, "freeze=c2,at=20s..23s", "kill=c2,at=40s")
+    assert run.takeovers == [("c2", 20), ("c2", 40)]
+    loops = run.memory.loops
+    assert not loops["c2"].silent, "the first process speaks again, after the second one was killed"
+    assert loops["c2+standby"].silent
+    assert run.missed == 0
+
+
+def test_where_both_are_gone_one_takes_over_after_its_return(minute: Preparation) -> None:
+    run = Run(minute, "kill=c2,at=20s", "kill=c2,at=20.8s")
+    assert [agent for agent, _ in run.takeovers] == ["c2", "c2"]
+    assert run.memory.restarts == {"c2": 1, "c2+standby": 1}
+    speaking = [name for name in ("c2", "c2+standby") if not run.memory.loops[name].silent]
+    assert len(speaking) == 1
+    assert all(len(incarnations) == 1 for incarnations in run.setpoints_of("c2").values())
+
+
+def test_an_agent_cut_off_from_others_keeps_its_process(minute: Preparation) -> None:
+    run = Run(minute, f"partition=c2|{CENTRAL},at=20s..30s", "loss=20%")
+    assert run.takeovers == []
+
+
+def test_a_recording_with_deaths_is_repeated_and_says_who_took_over_or_came_back(
+    tmp_path: Path,
+) -> None:
+    kills = ("central,at=10.2s", "c2,at=20s", "c1/inv01,at=5s", "c1/inv05,at=500s")
+    faults = ("freeze=c1,at=15s..17s", "loss=5%", *(f"kill={kill}" for kill in kills))
+    words = [word for fault in faults for word in ("--fault", fault)]
+    words += ["--set", 'standby=["central","supervisors"]']
+    run = tmp_path / "run"
+    done("simulate", "oahu", "--duration", "30s", *words, "--out", run)
+    takeovers = json.loads((run / "summary.json").read_bytes())["takeovers"]
+    assert takeovers == {"central": 1, "c1": 1, "c2": 1}
+    done("verify", run)
+    inspected = " ".join(done("inspect", run).split())
+    for told in (
+        "c1 was taken over by its standby in cycle 15",
+        "c1/inv01: nothing in cycle 5 (12:00:05), then back, with sequence numbers from 0 again",
+        "never acted: the run was over",
+    ):
+        assert told in inspected
