@@ -38,6 +38,7 @@ from launch_scripts.launcher.summary import (
     recorded_health,
     recorded_metrics,
     without_external,
+    wrong_messages,
 )
 from launch_scripts.launcher.supervision import (
     Children,
@@ -46,7 +47,6 @@ from launch_scripts.launcher.supervision import (
     stall,
 )
 from launch_scripts.launcher.tcp_ports import reserved_ports
-from launch_scripts.launcher.wrong_messages import wrong_messages
 from launch_scripts.scenarios.devices import check_devices
 from launch_scripts.scenarios.externals import listening
 from launch_scripts.scenarios.preparation import Preparation
@@ -225,12 +225,9 @@ class _Launch:
             raise KeyboardInterrupt  # There is no cycle yet that could be completed.
         if self._asked_at is None:
             self._restarts.end()
-            if PLANT in children.by_agent:
-                self._view.say("interrupted: ending after this cycle")
-                children.ask_to_end((PLANT,))
-            else:
-                self._view.say("interrupted: the controllers end; the external plant goes on")
-                children.ask_to_end([child.agent for child in children.controllers()])
+            self._view.say("interrupted: ending after this cycle")
+            own_plant = [PLANT] if PLANT in children.by_agent else None
+            children.ask_to_end(own_plant or [child.agent for child in children.controllers()])
             self._asked_at = time.monotonic()
         longest_s = _PATIENCE_S + 2.0 * self._plan.cycle_wall_ns / 1e9
         if self._interruption.count > 1 or time.monotonic() > self._asked_at + longest_s:
@@ -242,14 +239,13 @@ class _Launch:
         if self._interruption or self._ended_early:
             # After an early end, a controller waits in case the plant goes on after all.
             children.ask_to_end([child.agent for child in children.controllers()])
-        late = children.await_exit(children.controllers(), longest_s)
-        silent_s = time.monotonic() - children[RECORDER].heard_at
-        if late and silent_s > HEARTBEAT_S:
-            # In lockstep all agents wait for it.
-            raise children.failure(RECORDER, f"recorder has been silent for {silent_s:.0f} s")
-        if late:
-            names = some_of([child.agent for child in late])
-            raise children.failure(late[0].agent, f"{names} did not end with the run")
+        if late := [
+            child.agent for child in children.await_exit(children.controllers(), longest_s)
+        ]:
+            silent_s = time.monotonic() - children[RECORDER].heard_at
+            if silent_s > HEARTBEAT_S:  # In lockstep all agents wait for it.
+                raise children.failure(RECORDER, f"recorder has been silent for {silent_s:.0f} s")
+            raise children.failure(late[0], f"{some_of(late)} did not end with the run")
         published = self._published(children)
         recorder = children[RECORDER]
         # What a process that died has published nobody knows: wait until nothing more comes.

@@ -166,13 +166,10 @@ class MemoryRun:
         if not isfinite(self._restart_takes_s):
             return
         earlier_s, now_s = self._restarted_s.setdefault(name, []), self._driver.now_ns() / 1e9
-        policy = self.plan.restart
-        wait_s = policy.wait_s(earlier_s, now_s)
+        wait_s = self.plan.restart.wait_s(earlier_s, now_s)
         if wait_s is None:
-            why = f"it was started again {policy.most} times within {policy.within_s:g} s"
-            if policy.when == "never":
-                why = 'restart.when is "never"'
-            raise RunFailure(f"{name} was killed in the middle of the run, and {why}")
+            times = f"after {len(earlier_s)} restarts the policy allows no other"
+            raise RunFailure(f"{name} was killed in the middle of the run; {times}")
         earlier_s.append(now_s)
         yield wait_s + self._restart_takes_s, incident._replace(what="start")
 

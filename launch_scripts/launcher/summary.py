@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from agents.events import ExternalAccount, Recorded
+from agents.events import Complaint, ExternalAccount, Recorded
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
@@ -235,4 +235,32 @@ def process_account(child: Child) -> ProcessAccount:
         resident_mb=child.memory.resident_mb,
         skipped_cycles=finished.skipped_cycles if finished else 0,
         cpu_s=None if before_s is None or cpu_s is None else cpu_s - before_s,
+    )
+
+
+def wrong_messages(
+    plan: RunPlan,
+    complaints: Iterable[Complaint],
+    dropped: Iterable[tuple[str, str, int]],
+) -> tuple[WrongMessages, ...]:
+    """Return the wrong messages of a run by key and cause, the most frequent first.
+
+    The recorder complains of what it hears, and agents have `dropped` (port, cause and number) what
+    they could not use. Both may have counted the same message: the larger count holds. Of what was
+    dropped only that of external agents counts: other late messages are the machine's fault.
+    """
+    publishers = {str(port): port.publisher for port in plan.wiring.ports}
+    theirs = {port for port, publisher in publishers.items() if publisher in plan.external}
+    counts: Counter[tuple[str, str]] = Counter()
+    for port, cause, count in dropped:
+        if port in theirs:
+            counts[port, cause] += count
+    examples = dict.fromkeys(counts, "dropped by an agent")
+    for complaint in complaints:
+        place = (complaint.key.removeprefix(f"{plan.plant}/"), complaint.cause)
+        counts[place] = max(counts[place], complaint.count)
+        examples[place] = complaint.example
+    return tuple(
+        WrongMessages(key, cause, count, examples[key, cause], publishers.get(key, ""))
+        for (key, cause), count in counts.most_common()
     )

@@ -210,8 +210,14 @@ class Children:
                 self._server_gone = True
                 break
             control.settimeout(0.0)
-            if (event := self._reader.feed(packet)) is not None:
-                self._note(*event, heard)
+            if (found := self._reader.feed(packet)) is None:
+                continue
+            agent, event = found
+            if agent in self.by_agent:
+                self[agent].note(event)
+                heard.append((self[agent], event))
+            elif isinstance(event, Failed):
+                self._server_failure = event.text
         self._sample_memory()
         self._check()
         return heard
@@ -242,20 +248,12 @@ class Children:
     def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
         """Wait until processes end or send no events any more; return those that have not ended."""
         until = time.monotonic() + timeout_s
-        left = [child for child in children if child.exited is None]
-        while left and time.monotonic() < until:
+        while left := [child for child in children if child.exited is None]:
             if any(child in left for child, _ in self.events(0.02)):
                 until = time.monotonic() + timeout_s
-            left = [child for child in left if child.exited is None]
+            if time.monotonic() > until:
+                break
         return left
-
-    def _note(self, agent: str, event: Event, heard: list[tuple[Child, Event]]) -> None:
-        if agent in self.by_agent:
-            child = self.by_agent[agent]
-            child.note(event)
-            heard.append((child, event))
-        elif isinstance(event, Failed):
-            self._server_failure = event.text
 
     def _sample_memory(self) -> None:
         """Look at the memory of one process, each in its turn.

@@ -297,7 +297,7 @@ def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     table = scenario.time
-    start = _start(table, options.start, "--from")
+    start = _start(table, options.start, "time.start" if options.start is None else "--from")
     where, duration_s = "time.duration_s", table.duration_s
     if options.duration is not None:
         where, duration_s = "--duration", parse_duration_s(options.duration, "--duration")
@@ -307,8 +307,6 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
         end = _start(table, options.end, "--to", start)
         # In UTC: between two times of one zone Python counts the hours of the wall clock.
         where, duration_s = "--to", (end.astimezone(UTC) - start.astimezone(UTC)).total_seconds()
-        if duration_s <= 0.0:
-            raise InputError(f"--to: expected a time after {start}, got {end}")
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(
@@ -324,21 +322,15 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
 def _start(
     table: TimeTable, option: str | None, name: str, day: datetime | None = None
 ) -> datetime:
-    if option is None and not FIRST_YEAR <= table.start.year <= LAST_YEAR:
-        raise InputError(
-            f"time.start: expected a year from {FIRST_YEAR} to {LAST_YEAR}, got {table.start}"
-        )
     scheduled = day or local_start(table)
-    if option is None:
-        return scheduled
-    moment = read_time(option)
+    moment = scheduled if option is None else read_time(option)
     if isinstance(moment, time) and moment.tzinfo is None:
         return datetime.combine(scheduled.date(), moment, scheduled.tzinfo)
     if isinstance(moment, datetime) and FIRST_YEAR <= moment.year <= LAST_YEAR:
         return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
     raise InputError(
         f"{name}: expected a local time such as 12:30 or 2010-04-01T12:30:00, "
-        f"year {FIRST_YEAR} to {LAST_YEAR}, got {option}"
+        f"year {FIRST_YEAR} to {LAST_YEAR}, got {moment if option is None else option}"
     )
 
 

@@ -93,22 +93,22 @@ def test_a_killed_controller_is_replaced_and_the_plant_is_as_before(
 
 
 @pytest.mark.parametrize(
-    ("policy", "kills", "ended_by"),
+    ("policy", "kills", "restarts"),
     [
-        (RestartPolicy(when="never"), [30], "never"),
-        (RestartPolicy(most=2, within_s=60.0), [30, 40, 50], "2 times within 60 s"),
+        (RestartPolicy(when="never"), [30], 0),
+        (RestartPolicy(most=2, within_s=60.0), [30, 40, 50], 2),
         (RestartPolicy(most=2, within_s=15.0), [30, 40, 50], None),
     ],
 )
 def test_a_controller_that_may_not_be_started_again_ends_the_run(
-    oahu: Preparation, policy: RestartPolicy, kills: list[int], ended_by: str | None
+    oahu: Preparation, policy: RestartPolicy, kills: list[int], restarts: int | None
 ) -> None:
     faults = [f"kill=c2,at={at}s" for at in kills]
-    if ended_by is None:
+    if restarts is None:
         run, _ = run_through(oahu, *faults, restart=policy)
         assert run.restarts == {"c2": len(kills)}
         return
-    with pytest.raises(RunFailure, match=f"^c2 .*{ended_by}"):
+    with pytest.raises(RunFailure, match=f"^c2 .* {restarts} restarts"):
         run_through(oahu, *faults, restart=policy)
 
 

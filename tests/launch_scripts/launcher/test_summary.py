@@ -13,9 +13,13 @@ from plans_by_hand import plan_at_noon
 from reports_by_hand import summary_of
 
 from agents.events import Complaint, ExternalAccount
-from launch_scripts.launcher.summary import MessageCount, ProcessAccount, RunSummary
+from launch_scripts.launcher.summary import (
+    MessageCount,
+    ProcessAccount,
+    RunSummary,
+    wrong_messages,
+)
 from launch_scripts.launcher.summary_table import summary_table
-from launch_scripts.launcher.wrong_messages import wrong_messages
 
 SUMMARY = replace(summary_of(Path("runs/r")), cycles=3600, cycle_s=1.0, processes=())
 
