@@ -35,13 +35,14 @@ def _place(plan: RunPlan, agent: str) -> str:
 class ExternalWatch:
     """Which external agents are present. Times are monotonic [s].
 
-    `complete_at` is None until all have been there once, `plant_gone_at` while an external plant is
-    there. `unheard` are the keys on which nothing came in the newest arming round.
+    `complete_at` is None until all have been there once. `gone` are devices that the run cannot go
+    on without, and since when: the plant, and any in lockstep, where no message is sent twice.
+    `unheard` are the keys on which nothing came in the newest arming round.
     """
 
     def __init__(self, plan: RunPlan, plan_path: Path, timeout_s: float, began_at: float) -> None:
         self.complete_at = None if plan.elsewhere else began_at
-        self.plant_gone_at: float | None = None
+        self.gone: dict[str, float] = {}
         self.unheard: Sequence[str] = ()
         self._plan = plan
         self._plan_path = plan_path
@@ -53,19 +54,18 @@ class ExternalWatch:
         """Note that an agent has appeared or disappeared; return a message about it."""
         agent, plan = event.agent, self._plan
         name = f"{agent} ({plan.addresses.get(agent, 'external')})"
-        if agent == PLANT:
-            self.plant_gone_at = None if event.alive else now
         if not event.alive:
             when = f"in cycle {event.cycle}" if event.cycle >= 0 else "before cycle 0"
-            goes_on = "cannot go on" if plan.lockstep or agent == PLANT else "goes on"
-            return f"{name} is gone {when}; the run {goes_on} without it"
+            if agent in plan.external and (plan.lockstep or agent == PLANT):
+                self.gone[agent] = now
+            goes_on = "" if plan.lockstep or agent == PLANT else "; the run goes on without it"
+            return f"{name} is gone {when}{goes_on}"
+        if event.cycle < 0 or not plan.lockstep:
+            self.gone.pop(agent, None)
         self._never_seen.pop(agent, None)
         if not self._never_seen and self.complete_at is None:
             self.complete_at = now
-        if event.cycle < 0:
-            return f"{name} is here"
-        again = "; in lockstep no message is sent twice" if plan.lockstep else ""
-        return f"{name} is back in cycle {event.cycle}{again}"
+        return f"{name} is here" if event.cycle < 0 else f"{name} is back in cycle {event.cycle}"
 
     def late(self, now: float) -> str:
         """Name the agents that did not come in time; empty if none is missing yet."""

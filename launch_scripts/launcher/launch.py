@@ -206,9 +206,9 @@ class _Launch:
                 child.waiting = None
         if self._is_armed and (trouble := self._watch.check(now)) is not None:
             raise children.failure(*trouble)
-        gone_at = self._external.plant_gone_at
-        if self._is_armed and gone_at is not None and now > gone_at + HEARTBEAT_S:
-            raise RunFailure("the plant (external) is gone and did not say that the run is over")
+        for agent, gone_at in self._external.gone.items():
+            if self._is_armed and now > gone_at + HEARTBEAT_S:
+                raise RunFailure(f"{agent} (external) is gone: the run cannot go on without it")
 
     def _check_arming(self, children: Children, now: float) -> None:
         if late := self._external.late(now):

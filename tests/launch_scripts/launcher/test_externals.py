@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import socket
 from pathlib import Path
+from typing import Any
 
 import pytest
-from plans_by_hand import plan_at_noon
+from plans_by_hand import REAL_TIME, plan_at_noon
 
 from agents.events import Presence
 from agents.plan import load_plan
@@ -20,9 +21,9 @@ from launch_scripts.scenarios.scenario import load_scenario
 NODE = "c1/a"
 
 
-def watch(*agents: str) -> ExternalWatch:
-    """A run in lockstep that waits for these agents since 100 s, up to a minute."""
-    plan = plan_at_noon(external=agents)
+def watch(*agents: str, **changes: Any) -> ExternalWatch:
+    """A run that waits for these agents since 100 s, up to a minute."""
+    plan = plan_at_noon(external=agents, **changes)
     return ExternalWatch(plan, Path("my-run/plan.json"), 60.0, began_at=100.0)
 
 
@@ -55,11 +56,25 @@ def test_only_who_never_came_is_missed_and_only_after_the_time_out() -> None:
     assert (externals.complete_at, externals.late(162.0)) == (161.0, "")
 
 
-def test_a_plant_that_has_gone_is_noted_until_it_is_back() -> None:
-    externals = watch("plant")
-    for alive, gone_at in ((True, None), (False, 150.0), (True, None)):
-        externals.hear(Presence("plant", alive, 41), 150.0)
-        assert externals.plant_gone_at == gone_at
+@pytest.mark.parametrize(
+    ("agent", "changes", "gone"),
+    [
+        ("plant", {}, [True, True]),
+        (NODE, {}, [True, True]),
+        ("plant", {"cycle_wall_ns": REAL_TIME}, [True, False]),
+        (NODE, {"cycle_wall_ns": REAL_TIME}, [False, False]),
+    ],
+)
+def test_the_plant_is_missed_while_it_is_gone_and_in_lockstep_each_device_from_then_on(
+    agent: str, changes: dict[str, Any], gone: list[bool]
+) -> None:
+    externals = watch(agent, **changes)
+    externals.hear(Presence(agent, True, -1), 101.0)
+    found = []
+    for alive in (False, True):
+        externals.hear(Presence(agent, alive, 41), 150.0)
+        found.append(externals.gone == {agent: 150.0})
+    assert found == gone
 
 
 def test_keys_without_an_answer_to_the_arming_rounds_are_named() -> None:
