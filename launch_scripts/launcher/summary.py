@@ -46,13 +46,11 @@ class MemoryUse(msgspec.Struct, frozen=True):
 
 
 class ProcessAccount(msgspec.Struct, frozen=True):
-    """What one process of a run over processes said at its end, and what it took.
+    """What one process said at its end, and what it took.
 
-    agent, kind: Its name, and `recorder`, `plant`, `central`, `supervisor` or `direct`.
     dropped: Messages that it could not use, by cause.
-    resident_mb: Most memory that was seen resident [MB].
     skipped_cycles: Cycles that were over before it came to them.
-    cpu_s: Processor time from cycle 0 to its end [s].
+    cpu_s: Processor time from cycle 0 on [s].
     """
 
     agent: str

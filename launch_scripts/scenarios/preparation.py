@@ -147,11 +147,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
 
 
 def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -> _Day:
-    """Work out power, commitment and control tree.
-
-    Clusters and neighbours are those of the scenario's own times and cycle, whatever the options.
-    """
-    own = scenario_file.scenario
+    own = scenario_file.scenario  # Clusters and neighbours are its own, whatever the options.
     times = _times(scenario, options)
     source = power_source(scenario_file, options.seed, times)
     check_size(len(times), len(source.sites.names), "time.duration_s")
@@ -264,10 +260,7 @@ def _plan(
 
 
 def _renewable(revert: Revert | None, scenario: Scenario) -> Revert | None:
-    """Let a revert time be three cycles at least.
-
-    Controllers renew commands in each cycle, and must do so within a third of the revert time.
-    """
+    """Let a revert time be three cycles at least: commands are renewed within a third of it."""
     if revert is None:
         return None
     return replace(revert, after_s=max(revert.after_s, 3.0 * scenario.time.cycle_s))
@@ -337,8 +330,7 @@ def _start(
 def _covariance(scenario: Scenario, source: PowerSource, times: pd.DatetimeIndex) -> HourlyMatrices:
     """Covariance of the inverters' power in the past, for the hours of scenario and run.
 
-    The past does not depend on which part of the scenario is run, nor at which rate: the same
-    plant keeps its clusters and neighbours.
+    Whichever part of the scenario is run, the plant keeps its clusters and neighbours.
     """
     measured = source.measured_times
     if scenario.neighbours.history == "hindsight":

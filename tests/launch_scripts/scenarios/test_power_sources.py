@@ -148,6 +148,12 @@ def test_a_silent_inverter_takes_its_rating_away(plant: Folder, tmp_path: Path) 
     assert "hour_a.csv: line 2, column 'C-2-1': expected" in plant.complaint()
 
 
+def test_neighbouring_inverters_share_a_geographic_cluster(plant: Folder) -> None:
+    plant.change('clusters = "correlation"', 'clusters = "geographic"')
+    leaves = plant.prepare().plan.tree.leaves
+    assert set(leaves) == {f"c1/inv0{i}" for i in (0, 1, 2)} | {f"c2/inv0{i}" for i in (3, 4, 5)}
+
+
 def test_currents_have_no_clear_sky_and_no_seed(plant: Folder) -> None:
     assert plant.complaint(seed=3).startswith("--seed: expected")
     plant.change('"share-of-median"', '"share-of-clear-sky"')
