@@ -91,7 +91,7 @@ class _Launch:
         self._view = view
         self._began_at = began_at
         self._patience_s = preparation.options.external_timeout_s if plan.elsewhere else 0.0
-        self._armed_at = began_at
+        self._started_at = self._armed_at = began_at
         self._watch = RunWatch(plan, view.say)
         self._stalled_at: float | None = None
         self._asked_at: float | None = None
@@ -118,6 +118,7 @@ class _Launch:
             Children(self._server, plan, agents, self._folder.logs) as children,
         ):
             self._restarts = Restarts(plan, children, self._start_again, view.say)
+            self._started_at = time.monotonic()
             self._start(agents)
             try:
                 self._follow(children)
@@ -171,8 +172,10 @@ class _Launch:
                 self._watch.begin(now)
                 self._restarts.begin(event.start_time_ns / 1e9)
                 self._is_armed = True
-                took_s = now - self._began_at
-                self._view.say(f"armed: cycle 0 began {took_s:.1f} s after the command")
+                took_s = now - self._started_at
+                self._view.say(
+                    f"armed: cycle 0 began {took_s:.2f} s after the processes were started"
+                )
             case Status():
                 self._watch.hear(event.cycle)
                 for child in children:
