@@ -158,9 +158,8 @@ def summaries(
     """Summarise each figure of each scheme over the cases with the same settings.
 
     If every case has settings of its own, all cases are taken together. Errors are half the width
-    of a 95 % interval by Student's t, NaN for one case; `low` and `high` are the quantiles at 5 and
-    95 %. `difference` is the mean over the cases of the scheme less the baseline: `predictive`,
-    else the first scheme, with the same actuator.
+    of a 95 % interval by Student's t, NaN for one case. `difference` is the mean of the scheme less
+    the baseline, `predictive` or else the first scheme, with the same actuator.
     """
     samples: dict[str, list[CaseResult]] = {}
     for result in results:

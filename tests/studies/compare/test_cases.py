@@ -33,9 +33,11 @@ def study(
 
 def test_a_setting_is_a_field_and_its_values() -> None:
     found = parse_setting("control.period_cycles=[1, 1], [10, 1]")
-    assert (found.field, found.values) == ("control.period_cycles", ("[1, 1]", "[10, 1]"))
-    titles = parse_setting('title="Clouds, it\'s windy", calm')
-    assert titles.values == ('"Clouds, it\'s windy"', "calm")
+    assert (found.field, found.values) == ("control.period_cycles", ([1, 1], [10, 1]))
+    assert parse_setting("title=\"Clouds, it's windy\", 'calm'").values == (
+        "Clouds, it's windy",
+        "calm",
+    )
     assert parse_setting("title=it's windy, calm").values == ("it's windy", "calm")
 
 

@@ -40,7 +40,6 @@ def test_a_response_that_is_the_signal_scores_1() -> None:
     found = score_of(signal, signal)
     assert parts(found) == pytest.approx((1.0, 1.0, 1.0))
     assert found.score == pytest.approx(1.0)
-    assert found.passed
     assert [hour.windows for hour in found.hours] == [12]
     assert found.hours[0].begins == "2010-04-01T12:00:00-10:00"
 
@@ -64,7 +63,6 @@ def test_a_late_response_costs_delay_beyond_the_10_s_that_the_signal_may_travel(
 def test_a_plant_that_does_not_respond_scores_0() -> None:
     found = score_of(random_signal(HOUR), np.zeros(HOUR))
     assert parts(found) == (0.0, 0.0, 0.0)
-    assert not found.passed
 
 
 def test_a_window_that_opposes_the_signal_counts_as_0_and_unclipped_as_it_is() -> None:
