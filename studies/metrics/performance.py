@@ -128,7 +128,7 @@ def window_scores(
     """Score W windows of 5 minutes for accuracy, up to 1 and not clipped at 0, and delay, 0 to 1.
 
     The signal of each window, every 10 s, is of shape (W, 30), the response over the same window,
-    shifted by 0, 10, ... 300 s, of (W, 31, 30); NaN where there is none, but not at the first shift.
+    shifted by 0, 10, ... 300 s, of (W, 31, 30). It is NaN where there is none, never at shift 0.
     """
     correlation = _correlations(signal, shifted)
     promptness = 1.0 - np.arange(_WINDOW + 1) / _WINDOW
