@@ -98,7 +98,7 @@ def _figures(worth: ClustersWorth) -> tuple[float | None, ...]:
 
 def _orders_table(study: ClusterStudy) -> Table:
     """Return the control-caused shortfall of each order of help in the virtual clusters."""
-    rows = [
+    rows: list[tuple[Cell, ...]] = [
         (name, *(shortfall.control_caused_percent for shortfall in worth.shortfalls))
         for name, worth in study.orders.items()
     ]

@@ -234,7 +234,8 @@ def worth_of(
     shared = list(clusters(runs[0]).values())
     names = _leaf_names(plan.tree)
     members = tuple(tuple(names[leaf] for leaf in cluster) for cluster in shared)
-    in_past = [past.index.get_indexer(cluster) for cluster in members]
+    known = list(past.index)
+    in_past = [[known.index(name) for name in cluster] for cluster in members]
     in_run = hourly_correlation(runs[0].mpp_kw, hours_from_first_midnight(runs[0]))
     return ClustersWorth(
         members=members,

@@ -54,8 +54,8 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
         lines.append(
             f"{both.sum():,} of {longest:,} cycles are compared: those that both have recorded."
         )
-    series = [_only(one, both) for one in (first, second)]
-    if any(_differ(*series, name).any() for name in _GIVEN):
+    first, second = series = [_only(one, both) for one in (first, second)]
+    if any(_differ(first, second, name).any() for name in _GIVEN):
         lines.append("Sky or dispatch differ: figures of possible power and regulation show A's.")
     return series, lines
 
