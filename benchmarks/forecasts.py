@@ -81,7 +81,8 @@ def figures(run: Preparation, power_kw: NDArray[np.float64]) -> Figures:
 def worst_cell(runs: list[Preparation], law: Law, actuator: Actuator) -> Figures:
     correction = law[0] == "predictive"
     found = [figures(run, plant_kw(run, law, actuator, correction=correction)) for run in runs]
-    return max(each[0] for each in found), max(each[1] for each in found)
+    caused, beyond = map(max, zip(*found, strict=True))
+    return caused, beyond
 
 
 def known_days(data: Path) -> dict[str, list[Preparation]]:
