@@ -23,11 +23,16 @@ from contextlib import suppress
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 from harness import OURS, Figures, Launch, die_with_parent, launch, run
 from rounds import measure, options
+
+SHOWN: Final = (
+    *("cycles_per_s", "processor_ms", "startup_s", "loop_p50_ms", "loop_p99_ms"),
+    *("missed_inputs", "page_ms", "page_real_ms"),
+)
 
 
 class Way(NamedTuple):
@@ -127,7 +132,7 @@ def main() -> None:
         costs: dict[str, Callable[[], Figures]] = {
             way.name: partial(cost, way, *settings) for way in ways
         }
-        measure(words.scenario, words.rounds, costs)
+        measure(words.scenario, words.rounds, costs, SHOWN)
 
 
 if __name__ == "__main__":

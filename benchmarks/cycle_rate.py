@@ -31,6 +31,7 @@ from sim_plant.plant import Plant
 from sim_plant.profile import load_profile
 
 SAMPLE_CYCLES: Final = 60
+SHOWN: Final = ("cycles_per_s", "processor_ms", "switches_per_message", "startup_s", "own_mb")
 
 
 def describe(scenario: str, folder: Path) -> Path:
@@ -89,7 +90,7 @@ def main() -> None:
         if words.other:
             other = words.other / ".venv/bin/heliarch"
             ways["the other checkout"] = partial(launch, other, scenario, cycles)
-        measure(f"{scenario}: {cycles:,} cycles", words.rounds, ways)
+        measure(f"{scenario}: {cycles:,} cycles", words.rounds, ways, SHOWN)
 
 
 if __name__ == "__main__":

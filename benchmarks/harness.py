@@ -34,7 +34,6 @@ class Sample(msgspec.Struct, frozen=True):
 
     at: float
     processor_s: float
-    processes: int
     page_s: float
 
 
@@ -50,7 +49,6 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     startup_s: float
     processor_ms: float
     switches_per_message: float
-    processes: int
     lost: int
 
 
@@ -75,7 +73,6 @@ class Watched(msgspec.Struct, frozen=True):
             startup_s=began - self.started,
             processor_ms=1e3 * self.busy(began, ended) / cycles_per_s,
             switches_per_message=self.switches / messages,
-            processes=max((each.processes for each in self.samples), default=0),
             lost=lost,
         )
 
@@ -149,15 +146,14 @@ def _sample(pid: int) -> Iterable[Sample]:
     processor_s = page_s = 0.0
     try:
         root = psutil.Process(pid)
-        processes = [root, *root.children(recursive=True)]
-        for process in processes:
+        for process in [root, *root.children(recursive=True)]:
             used_s = sum(process.cpu_times()[:2])
             processor_s += used_s
             if "live_page" in process.cmdline():
                 page_s = used_s
     except psutil.Error:
         return
-    yield Sample(time.monotonic(), processor_s, len(processes), page_s)
+    yield Sample(time.monotonic(), processor_s, page_s)
 
 
 class Launch(Figures, frozen=True, kw_only=True):

@@ -7,7 +7,7 @@ import os
 import platform
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from importlib.metadata import version
 from math import isnan, nan
 from statistics import median
@@ -25,14 +25,13 @@ COLUMNS: Final = (
     Column("switches", "per message", 1, name="switches_per_message"),
     Column("start-up", "s", 2, name="startup_s"),
     Column("direct controller", "MB, its own", 1, name="own_mb"),
-    Column("processes", "", 0, name="processes"),
     Column("loop p50", "ms", 1, name="loop_p50_ms"),
     Column("loop p99", "ms", 1, name="loop_p99_ms"),
     Column("missed inputs", "", 0, name="missed_inputs"),
     Column("page, lockstep", "ms/s", 1, name="page_ms"),
     Column("page, real time", "ms/s", 1, name="page_real_ms"),
 )
-"""What the figures are called; a column that no way has is left out."""
+"""What each figure is called."""
 
 
 def options(about: str | None, rounds: int, cycles: int) -> argparse.ArgumentParser:
@@ -43,8 +42,10 @@ def options(about: str | None, rounds: int, cycles: int) -> argparse.ArgumentPar
     return parser
 
 
-def measure(title: str, count: int, ways: Mapping[str, Callable[[], Figures]]) -> None:
-    """Measure each way once in each round, and print it; every round begins with another one.
+def measure(
+    title: str, count: int, ways: Mapping[str, Callable[[], Figures]], shown: Collection[str]
+) -> None:
+    """Measure each way once in each round, and print some figures; each round begins elsewhere.
 
     Other work on the machine comes and goes: it meets all ways, and ratios of one round hold where
     the figures themselves do not. Ends the program if messages got lost.
@@ -56,19 +57,17 @@ def measure(title: str, count: int, ways: Mapping[str, Callable[[], Figures]]) -
         for name in in_turn:
             found[name].append(ways[name]())
         in_turn.rotate()
-    _print_rounds(f"{title}, {count} rounds", found)
+    columns = [column for column in COLUMNS if column.name in shown]
+    _print_rounds(f"{title}, {count} rounds", found, columns)
     if lost := sum(each.lost for runs in found.values() for each in runs):
         raise SystemExit(f"{lost:,} messages lost")
 
 
-def _print_rounds(title: str, found: Mapping[str, Sequence[Figures]]) -> None:
+def _print_rounds(
+    title: str, found: Mapping[str, Sequence[Figures]], columns: Sequence[Column]
+) -> None:
     """Print the figures of each way, and its rate beside that of the first, round by round."""
     first, *_ = found.values()
-    columns = [
-        column
-        for column in COLUMNS
-        if any(hasattr(one, column.name) for runs in found.values() for one in runs)
-    ]
     rows = []
     for name, runs in found.items():
         cells = [
@@ -78,13 +77,13 @@ def _print_rounds(title: str, found: Mapping[str, Sequence[Figures]]) -> None:
         pairs = zip(first, runs, strict=True)
         ratios = [base.cycles_per_s / one.cycles_per_s for base, one in pairs]
         rows.append((name, *cells, "" if runs is first else _spread(ratios, 2)))
-    columns = [key_column("way"), *columns, Column(f"{next(iter(found))}: times as many cycles/s")]
+    ratio = Column(f"{next(iter(found))}: times as many cycles/s")
     machine = (
         f"{platform.system()} {platform.release()}, {os.cpu_count()} cores, Python "
         f"{platform.python_version()}, Zenoh {version('eclipse-zenoh')}"
     )
     notes = ("median (least, most) of all rounds; times as many: round by round", machine)
-    print_table(Console(width=100), Table(title, columns, rows, notes))
+    print_table(Console(width=100), Table(title, [key_column("way"), *columns, ratio], rows, notes))
 
 
 def _spread(values: Iterable[float], decimals: int) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import pytest
 
 from bus_schemas.errors import InputError
@@ -13,7 +11,6 @@ from studies.arrays.schemes import ReferenceGroups
 from studies.compare.cases import Case, cases
 from studies.compare.results import cases_tables
 from studies.compare.study import CaseResult, Comparison, run_case
-from studies.workers import share_work
 
 COMPARISON = Comparison(("paper", "predictive", "grouping"), ReferenceGroups((1, 5), 3))
 SCHEMES = ["paper", "predictive", "grouping best", "grouping median", "grouping worst"]
@@ -52,11 +49,6 @@ def test_every_scheme_but_the_bounds_is_run_with_each_actuator(study: list[Case]
     # A limit holds whatever the sky does, a fraction of an old maximum does not.
     assert found["uniform-cap", "limit"].commitment.over_delivered_kwh == pytest.approx(0.0)
     assert found["uniform-cap", "fraction"].commitment.over_delivered_kwh > 1e-3
-
-
-def test_several_processes_give_the_same(study: list[Case], alone: list[CaseResult]) -> None:
-    found = share_work(partial(run_case, COMPARISON), study, workers=2)
-    assert [result.schemes for result in found] == [result.schemes for result in alone]
 
 
 def test_a_case_that_does_not_fit_is_named() -> None:
