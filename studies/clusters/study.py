@@ -18,7 +18,6 @@ from msgspec.structs import replace
 from agents.control.clusters import ClusterSearch, search_clusters, within_cluster_correlation
 from agents.control.correlation import hourly_correlation, hourly_covariance
 from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
-from agents.settings import Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
@@ -97,21 +96,19 @@ def study_clusters(
     `periods` are those of the central controller in cycles, `run_each` applies a function to each
     of some items.
     """
-    control, scheme = preparation.scenario.scenario.control, preparation.plan.scheme
+    control = preparation.scenario.scenario.control
     past = past_of(arrange, control, len(preparation.plan.inverters))
     run = arrange(replace(control, clusters="correlation"))
-    orders = {
-        name: worth_of(other, past, scheme, periods) for name, other in in_other_orders(run).items()
-    }
+    orders = {name: worth_of(other, past, periods) for name, other in in_other_orders(run).items()}
     virtual = orders["least alike first"]
     tables = [
         replace(control, clusters="geographic"),
         replace(control, clusters="most-alike"),
         *(replace(control, clusters="random", clusters_seed=seed + 1) for seed in range(seeds)),
     ]
-    geographic, alike, *random = run_each(partial(_worth, arrange, past, scheme, periods), tables)
+    geographic, alike, *random = run_each(partial(_worth, arrange, past, periods), tables)
     return ClusterStudy(
-        title=f"{run.title()}, scheme {scheme}, actuator {run.plan.actuator}",
+        title=f"{run.title()}, scheme {run.plan.scheme}, actuator {run.plan.actuator}",
         ways={
             "virtual": [virtual],
             "geographic": [geographic],
@@ -124,13 +121,9 @@ def study_clusters(
 
 
 def _worth(
-    arrange: Arrange,
-    past: pd.DataFrame,
-    scheme: Scheme,
-    periods: tuple[int, ...],
-    control: ControlTable,
+    arrange: Arrange, past: pd.DataFrame, periods: tuple[int, ...], control: ControlTable
 ) -> ClustersWorth:
-    return worth_of(arrange(control), past, scheme, periods)
+    return worth_of(arrange(control), past, periods)
 
 
 def central_periods(text: str | None, plan: RunPlan) -> tuple[int, ...]:
@@ -222,15 +215,13 @@ def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> pd.DataF
     return pd.DataFrame(np.mean(hourly, axis=0), names, names)
 
 
-def worth_of(
-    preparation: Preparation, past: pd.DataFrame, scheme: Scheme, periods: Sequence[int]
-) -> ClustersWorth:
+def worth_of(preparation: Preparation, past: pd.DataFrame, periods: Sequence[int]) -> ClustersWorth:
     """Run a plant, once for each period of the central controller [cycles]."""
     plan, profile = preparation.plan, preparation.profile
     runs = []
     for period in periods:
         paced = replace(plan, period_cycles=(period, *plan.period_cycles[1:]))
-        runs += run_scheme(scheme, paced, profile, plan.actuator, ReferenceGroups())
+        runs += run_scheme(plan.scheme, paced, profile, plan.actuator, ReferenceGroups())
     shared = list(clusters(runs[0]).values())
     names = _leaf_names(plan.tree)
     members = tuple(tuple(names[leaf] for leaf in cluster) for cluster in shared)

@@ -27,6 +27,7 @@ from studies.clusters.study import (
 )
 from studies.compare.cases import cases, parse_setting
 
+OPTIONS = RunOptions(scheme="paper")
 WAYS = ("correlation", "geographic", "random", "most-alike")
 
 
@@ -38,12 +39,12 @@ def scenario() -> ScenarioFile:
 
 @pytest.fixture(scope="module")
 def oahu(scenario: ScenarioFile) -> Preparation:
-    return prepare(scenario, RunOptions(), "clusters")
+    return prepare(scenario, OPTIONS, "clusters")
 
 
 @pytest.fixture(scope="module")
 def arrange(scenario: ScenarioFile) -> Arrange:
-    return partial(by_scenario, scenario, RunOptions())
+    return partial(by_scenario, scenario, OPTIONS)
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +80,7 @@ def test_the_virtual_clusters_are_the_best_that_the_search_finds_in_the_past(
 def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
     scenario: ScenarioFile, arrange: Arrange, past: pd.DataFrame
 ) -> None:
-    worth = {
-        way: worth_of(arrange(chosen(scenario, clusters=way)), past, "paper", (1,)) for way in WAYS
-    }
+    worth = {way: worth_of(arrange(chosen(scenario, clusters=way)), past, (1,)) for way in WAYS}
     alike = [worth[way].past_correlation for way in ("correlation", "random", "most-alike")]
     assert alike == sorted(alike)
     assert alike[0] < worth["geographic"].past_correlation <= alike[2]
@@ -95,7 +94,7 @@ def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
 def test_correlation_in_the_run_is_that_of_its_own_power(
     oahu: Preparation, past: pd.DataFrame
 ) -> None:
-    found = worth_of(oahu, past, "paper", (1,))
+    found = worth_of(oahu, past, (1,))
     # The run is one hour long, from twelve to one.
     power = np.asarray(np.corrcoef(oahu.profile.mpp_kw.T))
     expected = within_cluster_correlation(power, [range(6), range(6, 12), range(12, 17)])
@@ -110,7 +109,7 @@ def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
     mpp_kw[9] = 200.0
     plan = msgspec.structs.replace(oahu.plan, cycles=30)
     changed = dataclasses.replace(oahu, plan=plan, profile=Profile(mpp_kw, np.full(30, 5000.0)))
-    always, tenth = worth_of(changed, past, "paper", (1, 10)).shortfalls
+    always, tenth = worth_of(changed, past, (1, 10)).shortfalls
     # In cycle 9 the plant gives 5000 x 3400 / 6800 of the 3400 kW that it has: 900 kW less.
     percent_of_a_cycle = 100.0 / 30
     unavoidable = percent_of_a_cycle * 1600 / 5000

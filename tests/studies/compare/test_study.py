@@ -37,13 +37,6 @@ def test_grouping_has_its_best_median_and_worst_reference_group(alone: list[Case
 def test_every_scheme_but_the_bounds_is_run_with_each_actuator(study: list[Case]) -> None:
     both = Comparison(("uncontrolled", "uniform-cap", "paper"), actuators=("fraction", "limit"))
     found = {(one.scheme, one.actuator): one.metrics for one in run_case(both, study[0]).schemes}
-    assert list(found) == [
-        ("uncontrolled", None),
-        ("uniform-cap", "fraction"),
-        ("uniform-cap", "limit"),
-        ("paper", "fraction"),
-        ("paper", "limit"),
-    ]
     (own,) = run_case(Comparison(("paper",)), study[0]).schemes
     assert own.metrics == found["paper", "fraction"], "oahu's own actuator"
     # A limit holds whatever the sky does, a fraction of an old maximum does not.
