@@ -71,30 +71,23 @@ def inspect(
     return complain(damage, OK) if damage else OK
 
 
-def _width(console: Console) -> int:
-    from recordings.inspect.timeline import NARROWEST
-
-    return max(console.width, NARROWEST)
-
-
 # Nodes, cycle by cycle ----------------------------------------------------------------------
 
 
 def _show_nodes(
     run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
 ) -> None:
-    from recordings.inspect.timeline import node_table, timeline
+    from recordings.inspect.timeline import heading, node_columns, row_text, timeline
 
     with json_rows(json) as write:
         for node in nodes:
             if len(nodes) > 1:
                 _print_lines(console, [agent_name(node)], "bold")
-            table = node_table(run.plan.tree, node, len(run.clock.text(0)), _width(console))
-            _print_lines(console, table.heading(), "bold")
-            for rows in timeline(run, [node], cycles):
-                for row in rows:
-                    _print_lines(console, table.row(row), _style(row))
-                    write(row)
+            columns = node_columns(run.plan.tree, node, len(run.clock.text(0)))
+            _print_lines(console, [heading(columns)], "bold")
+            for (row,) in timeline(run, [node], cycles):
+                _print_lines(console, [row_text(columns, row)], _style(row))
+                write(row)
     _warn_if_cut(run, console)
 
 
@@ -116,8 +109,8 @@ def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) 
     central = found[0]
     _print_lines(console, [f"cycle {cycle}, {run.clock.local(cycle):%Y-%m-%d} {central.time}"])
     _print_lines(console, [_plant_text(central)])
-    heading, units, *lines = plant_lines(run.plan.tree, found, _width(console))
-    _print_lines(console, ["", heading, units], "bold")
+    names, *lines = plant_lines(run.plan.tree, found)
+    _print_lines(console, ["", names], "bold")
     _print_lines(console, lines)
     write_json(found, json)
     _warn_if_cut(run, console)
@@ -160,7 +153,7 @@ def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
     from recordings.inspect.health import health_lines
     from recordings.inspect.overview import facts
 
-    yield texts_table(f"{overview.run_id}, heliarch {overview.driver}", facts(overview))
+    yield texts_table(overview.run_id, facts(overview))
     columns = (
         key_column("signal"),
         Column("nodes"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Iterator
 
 import msgspec
@@ -35,13 +34,11 @@ class SignalCount(msgspec.Struct, frozen=True):
 
 
 class Overview(msgspec.Struct, frozen=True):
-    """What a recording holds."""
+    """What a recording holds; `pace` is 0 in lockstep."""
 
     path: str
     run_id: str
     plant: str
-    title: str
-    driver: str
     whole: bool
     files: int
     size_mb: float
@@ -54,15 +51,11 @@ class Overview(msgspec.Struct, frozen=True):
     planned_cycles: int
     complete_cycles: int
     cycle_s: float
-    simulated_s: float
     wall_s: float
     scheme: str
     actuator: str
-    lockstep: bool
     pace: float
-    versions: dict[str, str]
-    origin: dict[str, str]
-    recovery: dict[str, str]
+    metadata: dict[str, dict[str, str]]
     signals: tuple[SignalCount, ...]
     gaps: tuple[Gap, ...]
     more_gaps: int
@@ -82,14 +75,12 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = production.newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
     health = watch.health(run, end)
-    plan, origin, gaps = run.plan, run.metadata["run"], watch.gaps
+    plan, gaps = run.plan, watch.gaps
     wall_s = (last_ns - first_ns) / 1e9
     return Overview(
         path=str(run.path),
         run_id=plan.run_id,
         plant=plan.plant,
-        title=_title(run),
-        driver=origin.get("driver", ""),
         whole=run.whole,
         files=len(run.files),
         size_mb=sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6,
@@ -102,19 +93,11 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         planned_cycles=plan.cycles,
         complete_cycles=production.messages,
         cycle_s=plan.cycle_ns / 1e9,
-        simulated_s=len(wanted) * plan.cycle_ns / 1e9,
         wall_s=wall_s,
         scheme=plan.scheme,
         actuator=plan.actuator,
-        lockstep=plan.lockstep,
         pace=0.0 if plan.lockstep else plan.cycle_ns / plan.cycle_wall_ns,
-        versions={
-            name.removeprefix("version "): text
-            for name, text in origin.items()
-            if name.startswith("version ")
-        },
-        origin={name: text for name, text in origin.items() if not name.startswith("version ")},
-        recovery=run.metadata.get(RECOVERY_METADATA, {}),
+        metadata=run.metadata,
         signals=tuple(
             _count(signal, gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
         ),
@@ -140,21 +123,13 @@ def _count(signal: Signal[Message], gaps: RunGaps, cycles: int, wall_s: float) -
     )
 
 
-def _title(run: RunReader) -> str:
-    """Return the title of the scenario that the recording carries, if it has one."""
-    try:
-        return str(tomllib.loads(run.scenario).get("title", ""))
-    except (tomllib.TOMLDecodeError, RecursionError):
-        return ""
-
-
 def facts(overview: Overview) -> Iterator[tuple[str, str]]:
     """Yield what the recording is as text: names and facts."""
-    chunks = f"{overview.chunks:,} chunk{'s' if overview.chunks != 1 else ''}"
-    yield "recording", f"{overview.path} ({overview.size_mb:,.1f} MB, {chunks})"
-    yield "scenario", overview.title or overview.plant
-    pace = "lockstep" if overview.lockstep else f"pace {overview.pace:g}"
-    yield "control", f"scheme {overview.scheme}, actuator {overview.actuator}, {pace}"
+    size = f"{overview.size_mb:,.1f} MB, files: {overview.files}, chunks: {overview.chunks:,}"
+    yield "recording", f"{overview.path} ({size})"
+    pace = f"pace {overview.pace:g}" if overview.pace else "lockstep"
+    scheme = f"scheme {overview.scheme}, actuator {overview.actuator}"
+    yield "control", f"plant {overview.plant}, {scheme}, {pace}"
     begin, end = (text.replace("T", " ")[:19] for text in (overview.start, overview.end))
     yield "time", f"{begin} to {end}, {overview.timezone}"
     yield (
@@ -162,23 +137,17 @@ def facts(overview: Overview) -> Iterator[tuple[str, str]]:
         f"{overview.first_cycle:,} to {overview.last_cycle:,} of {overview.cycle_s:g} s, "
         f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
     )
-    yield "duration", f"{overview.simulated_s:,.0f} s simulated in {overview.wall_s:,.1f} s"
-    origin = overview.origin
-    versions = [f"{name} {text}" for name, text in overview.versions.items()]
-    yield "versions", ", ".join([*versions, f"Python {origin.get('python', 'not stated')}"])
+    yield "duration", f"{overview.wall_s:,.1f} s"
+    origin = overview.metadata["run"]
+    versions = [
+        f"{name.removeprefix('version ')} {text}"
+        for name, text in origin.items()
+        if name.startswith("version ")
+    ]
+    yield "versions", ", ".join([*versions, f"Python {origin.get('python')}"])
     if "host" in origin:  # A run in memory does not depend on it.
-        cpus, kernel = origin.get("cpu_count", "?"), origin.get("kernel", "?")
+        cpus, kernel = origin.get("cpu_count"), origin.get("kernel")
         yield "host", f"{origin['host']}, {cpus} CPUs, Linux {kernel}"
-    files = f", {overview.files} files: its recorder was restarted" if overview.files > 1 else ""
-    yield "file", f"{'whole' if overview.whole else 'cut'}{files}{_recovered(overview)}"
-
-
-def _recovered(overview: Overview) -> str:
-    """Say that a file was recovered, and whether anything may be missing in it."""
-    if not overview.recovery:
-        return ""
-    lossless = overview.recovery.get("lossless") == "true"
-    return (
-        f", recovered from {overview.recovery.get('recovered_from', 'another file')}, "
-        f"{'nothing' if lossless else 'something'} is missing"
-    )
+    recovery = overview.metadata.get(RECOVERY_METADATA, {})
+    recovered = [f"{name.replace('_', ' ')} {text}" for name, text in recovery.items() if text]
+    yield "file", ", ".join(["whole" if overview.whole else "cut", *recovered])

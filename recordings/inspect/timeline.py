@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
@@ -169,22 +167,11 @@ def _pop_before(cycle: int, opened: dict[int, dict[str, NodeCycle]]) -> Iterator
 
 # As text, in columns of fixed width ---------------------------------------------------------------
 
-NARROWEST: Final = 80
-"""The tables are whole from this width on [characters]."""
 
-_GAP: Final = "  "
-_LEAST_REMARK: Final = 20
-"""Remarks stand beside the columns if there is so much room, otherwise below them."""
-
-_INDENT: Final = 16
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column: its two lines of heading, the field that it shows, its width and format."""
+class Column(NamedTuple):
+    """One column: its heading, the field that it shows, its width and format."""
 
     name: str
-    unit: str
     field: str
     width: int = 8
     form: str = ".2f"
@@ -194,82 +181,53 @@ class Column:
         return ("-" if value is None else format(value, self.form)).rjust(self.width)
 
 
-_IMPP: Final = Column("IMPP", "kW", "impp_kw")
-_REQUEST: Final = Column("request", "kW", "request_kw")
-_RESIDUAL: Final = Column("residual", "kW", "residual_kw")
-_HELP_ASKED: Final = Column("help", "asked kW", "help_asked_kw")
-_SETPOINT: Final = Column("setpoint", "kW", "setpoint_kw")
-_POWER: Final = Column("power", "kW", "power_kw")
-_MOVED: Final = Column("moved", "kW", "moved_kw")
-_ALPHA: Final = Column("alpha", "", "alpha", 6, ".4f")
+_IMPP: Final = Column("IMPP", "impp_kw")
+_RESIDUAL: Final = Column("residual", "residual_kw")
+_REQUEST: Final = Column("request", "request_kw")
+_ASKED: Final = Column("asked", "help_asked_kw")
+_SETPOINT: Final = Column("setpoint", "setpoint_kw")
 
-_DIRECT: Final = (_POWER, _IMPP, _REQUEST, _RESIDUAL, _HELP_ASKED, _SETPOINT, _ALPHA)
-_SUPERVISOR: Final = (_REQUEST, _IMPP, _RESIDUAL, _HELP_ASKED, _SETPOINT, _MOVED)
+_DIRECT: Final = (
+    Column("power", "power_kw"),
+    *(_IMPP, _REQUEST, _RESIDUAL, _ASKED, _SETPOINT),
+    Column("alpha", "alpha", 6, ".4f"),
+)
+_SUPERVISOR: Final = (_IMPP, _REQUEST, _RESIDUAL, _ASKED, _SETPOINT, Column("moved", "moved_kw"))
 _CENTRAL: Final = (
-    Column("dispatch", "kW", "dispatch_kw"),
-    *(_IMPP, _RESIDUAL, _HELP_ASKED),
-    Column("possible", "kW", "possible_kw"),
-    Column("produced", "kW", "delivered_kw"),
+    Column("dispatch", "dispatch_kw"),
+    *(_IMPP, _RESIDUAL, _ASKED),
+    Column("possible", "possible_kw"),
+    Column("produced", "delivered_kw"),
 )
 
 
-_HELP_GIVEN: Final = ("help given", "from or for whom, kW")
+def node_columns(tree: ControlTree, node: str, time_width: int) -> tuple[Column, ...]:
+    """Return the columns of one node's timeline."""
+    powers = _CENTRAL if node == ROOT else _DIRECT if tree.is_leaf(node) else _SUPERVISOR
+    return (Column("cycle", "cycle", 6, "d"), Column("time", "time", time_width, ""), *powers)
 
 
-@dataclass(frozen=True, slots=True)
-class TimelineTable:
-    """Lines of nodes in columns; `last` is the heading above their remarks, in two lines."""
-
-    columns: tuple[Column, ...]
-    last: tuple[str, str]
-    width: int
-
-    def heading(self) -> list[str]:
-        """Return the two lines above the columns."""
-        names = " ".join(column.name.rjust(column.width) for column in self.columns)
-        units = " ".join(column.unit.rjust(column.width) for column in self.columns)
-        if self.width - len(names) - len(_GAP) < _LEAST_REMARK:
-            return [names.rstrip(), units.rstrip()]
-        return [f"{names}{_GAP}{self.last[0]}".rstrip(), f"{units}{_GAP}{self.last[1]}".rstrip()]
-
-    def row(self, node: NodeCycle) -> list[str]:
-        """Return the lines of a node in one cycle: its columns, and its remarks."""
-        cells, remarks = " ".join(column.text(node) for column in self.columns), _remarks(node)
-        begin = len(cells) + len(_GAP)
-        if self.width - begin < _LEAST_REMARK:
-            lines = textwrap.wrap(remarks, self.width - _INDENT)
-            return [cells.rstrip(), *(" " * _INDENT + line for line in lines)]
-        first, *rest = textwrap.wrap(remarks, self.width - begin) or [""]
-        return [f"{cells}{_GAP}{first}".rstrip(), *(" " * begin + line for line in rest)]
+def heading(columns: Sequence[Column]) -> str:
+    """Return the line above the columns."""
+    names = " ".join(column.name.rjust(column.width) for column in columns)
+    return f"{names}  help, remarks (powers in kW)"
 
 
-def node_table(
-    tree: ControlTree, node: str, time_width: int, width: int = NARROWEST
-) -> TimelineTable:
-    """Return the table of one node's timeline."""
-    powers: tuple[Column, ...]
-    if node == ROOT:
-        powers, last = _CENTRAL, ("children in need", "")
-    elif tree.is_leaf(node):
-        powers, last = _DIRECT, _HELP_GIVEN
-    else:
-        powers, last = _SUPERVISOR, ("help given, children in need", "from or for whom, kW")
-    when = Column("cycle", "", "cycle", 6, "d"), Column("time", "local", "time", time_width, "")
-    return TimelineTable((*when, *powers), last, width)
+def row_text(columns: Sequence[Column], node: NodeCycle) -> str:
+    """Return a node in one cycle: its columns, and its remarks, however long they are."""
+    cells = " ".join(column.text(node) for column in columns)
+    return f"{cells}  {_remarks(node)}".rstrip()
 
 
-def plant_lines(
-    tree: ControlTree, nodes: Sequence[NodeCycle], width: int = NARROWEST
-) -> Iterator[str]:
-    """Yield the plant in one cycle: its nodes as a tree, with the columns of a timeline."""
+def plant_lines(tree: ControlTree, nodes: Sequence[NodeCycle]) -> Iterator[str]:
+    """Yield the plant in one cycle: a heading, and its nodes as a tree."""
     branches = dict(_branches(tree, ROOT, ""))
-    longest = max(len(branch) for branch in branches.values())
-    first = Column("node".ljust(longest), "", "node", longest, f"<{longest}")
-    table = TimelineTable((first, *_DIRECT), _HELP_GIVEN, width)
-    yield from table.heading()
+    longest = max(map(len, branches.values()))
+    columns = (Column("node".ljust(longest), "node", longest, f"<{longest}"), *_DIRECT)
+    yield heading(columns)
     by_path = dict(zip(tree.nodes, nodes, strict=True))
     for path, branch in branches.items():
-        yield from table.row(replace(by_path[path], node=branch))
+        yield row_text(columns, replace(by_path[path], node=branch))
 
 
 def _branches(tree: ControlTree, node: str, indent: str) -> Iterator[tuple[str, str]]:

@@ -107,14 +107,11 @@ class RunGaps:
         if gap := self.ports[port].see(cycle, sequence, incarnation):
             self._note(port, gap)
 
-    def end(self, cycle: int) -> dict[Port[Message], range]:
-        """Note what was due before the cycle that the run ended with; return it by port."""
-        missing = {}
+    def end(self, cycle: int) -> None:
+        """Note what was due before the cycle that the run ended with."""
         for port, found in self.ports.items():
             if gap := found.end(cycle):
                 self._note(port, gap)
-                missing[port] = gap
-        return missing
 
     @property
     def lost(self) -> int:

@@ -53,8 +53,7 @@ class Outline:
     It is `closed` if its writer came to the end of the messages. Otherwise it was cut, is damaged
     at `readable_end`, behind the last readable record of the data section, or is still being
     written. It is `indexed` if it has its index too. The last chunk may be cut.
-    `damaged_attachments` are the names of those whose checksum is wrong; of one that cannot be
-    read, where it is.
+    `damaged_attachments` are the names of those whose checksum is wrong.
 
     A recording may go on in further files. Then `size`, `closed` and `readable_end` are those of
     the last one, of the number `file`, and it is `indexed` if all of them are.
@@ -126,10 +125,10 @@ def _by_index(file: BinaryIO, size: int) -> Outline:
             chunk = ChunkPlace(offset, length - RECORD_HEAD.size, first_ns, last_ns)
             outline.chunks.append(chunk)
             continue
-        for record in _records_in(content):
-            if isinstance(record, records.AttachmentIndex | records.MetadataIndex):
-                elsewhere.append(record.offset)
-            _enter(outline, record)
+        for entry in _records_in(content):
+            if isinstance(entry, records.AttachmentIndex | records.MetadataIndex):
+                elsewhere.append(entry.offset)
+            _enter(outline, entry)
     for offset in elsewhere:
         _take(outline, file, _place_at(file, offset))
     return outline
@@ -171,19 +170,17 @@ def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
         outline.chunks.append(chunk)
         if len(outline.chunks) == 1:
             # A recording declares all its channels before its first message.
-            for record in _records_in(unpack_chunk(file, chunk)):
-                _enter(outline, record)
+            for entry in _records_in(unpack_chunk(file, chunk)):
+                _enter(outline, entry)
     elif place.opcode in {Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA}:
         content = _content(file, place, outline.size)
-        found = list(_records_in(content))
-        for record in found:
-            _enter(outline, record)
-        body, checksum = content[RECORD_HEAD.size : -4], int.from_bytes(content[-4:], "little")
-        if place.opcode == Opcode.ATTACHMENT and zlib.crc32(body) != checksum:
-            named = [record.name for record in found if isinstance(record, records.Attachment)]
-            outline.damaged_attachments += named or [f"at byte {place.offset:,}"]
-        elif not found:
+        record = next(_records_in(content), None)
+        if record is None:
             raise ValueError(f"the record at byte {place.offset} is damaged")
+        _enter(outline, record)
+        body, checksum = content[RECORD_HEAD.size : -4], int.from_bytes(content[-4:], "little")
+        if isinstance(record, records.Attachment) and zlib.crc32(body) != checksum:
+            outline.damaged_attachments.append(record.name)
 
 
 def _enter(outline: Outline, record: records.McapRecord) -> None:

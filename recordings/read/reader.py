@@ -16,7 +16,7 @@ from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import RUN, SIGNALS, Port, Signal
-from bus_schemas.tree import ROOT, agent_name
+from bus_schemas.tree import ROOT, agent_name, some_of
 from recordings.read.chunks import (
     ChunkPlace,
     DamagedChunkError,
@@ -43,9 +43,6 @@ _FURTHEST_CYCLES: Final = 1000
 _MOST_CYCLES: Final = 1 << 40
 """No run has as many."""
 
-_NAMED: Final = 3
-"""So many damaged chunks are named, the rest is counted."""
-
 
 class Head(msgspec.Struct, gc=False):
     """What a reader needs to choose a message; the rest is skipped."""
@@ -61,10 +58,8 @@ def head_of(payload: bytes) -> Head:
     """Return what a reader needs of a payload to choose it; DecodeError if it is not there."""
     try:
         return _head(payload)
-    except UnicodeDecodeError as error:
-        raise msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}") from None
-    except RecursionError:
-        raise msgspec.DecodeError("lists or maps are nested too deep") from None
+    except (UnicodeDecodeError, RecursionError) as error:
+        raise msgspec.DecodeError(str(error)) from None
 
 
 class RecordedMessage(NamedTuple):
@@ -260,7 +255,10 @@ class RunReader:
         """The cycle before which the plant ended the run; None: that is not recorded."""
         runs = self.on([RUN.of(ROOT)], range(max(self.last_cycle, 0), _MOST_CYCLES))
         stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
-        return end_of_run(stops, self.last_cycle)
+        # Another program may have said so before a cycle that took place. Controllers that did not
+        # wait for the plant may have begun the cycle of its own stop.
+        later = [cycle for cycle in stops if cycle > self.last_cycle]
+        return min(later, default=self.last_cycle if self.last_cycle in stops else None)
 
     def followed_chunks(self, begin: int = 0) -> Iterator[ChunkPlace]:
         """Yield the chunks from one on, and tell `follow` now and then how far the reading is."""
@@ -289,33 +287,12 @@ class RunReader:
                 "what is sound"
             ) from None
 
-    def cycles_in(self, place: ChunkPlace) -> range:
-        """Return the cycles that a chunk has messages of; empty if none can be read."""
-        cycles = [self._head_of(raw).cycle for raw in self._readable(place)]
-        return range(min(cycles), max(cycles) + 1) if cycles else range(0)
-
     def damage_text(self) -> str:
         """Say what is missing: the damaged chunks that were skipped, and damaged attachments."""
-        parts = [
-            f"chunk at byte {place.offset:,}, {self._missing_text(number)}"
-            for number, place in enumerate(self.outline.chunks)
-            if place in self.damage
-        ]
-        if len(parts) > _NAMED:
-            parts[_NAMED:] = [f"and {len(parts) - _NAMED:,} more chunks"]
+        parts = [f"chunk at byte {place.offset:,}" for place in sorted(self.damage)]
         parts += [f"attachment {name}" for name in self.outline.damaged_attachments]
-        what = f"a part of the file is damaged ({'; '.join(parts)}): see heliarch recover"
+        what = f"a part of the file is damaged ({some_of(parts)}): see heliarch recover"
         return f"{self.path}: {what}" if parts else ""
-
-    def _missing_text(self, number: int) -> str:
-        """Say of which cycles messages are missing, between the chunks around a damaged one."""
-        chunks = self.outline.chunks
-        before = next(filter(None, map(self.cycles_in, reversed(chunks[:number]))), range(1))
-        behind = next(filter(None, map(self.cycles_in, chunks[number + 1 :])), None)
-        begin = before.stop - 1
-        if behind is None:
-            return f"messages from cycle {begin:,} on are missing"
-        return f"cycles {begin:,} to {max(begin, behind.start):,} missing"
 
     def close(self) -> None:
         for file in self.files:
@@ -387,16 +364,6 @@ class RunReader:
         if self.plan.lockstep:
             return _FURTHEST_CYCLES
         return max(round(_LATEST_S * 1e9 / self.plan.cycle_wall_ns), self.plan.periods.longest) + 1
-
-
-def end_of_run(stops: Collection[int], last_cycle: int) -> int | None:
-    """Return the cycle before which the plant ended the run, by the stops that were recorded.
-
-    Another program may have said so before a cycle that took place. Controllers that did not wait
-    for the plant may have begun the cycle of its own stop.
-    """
-    later = [cycle for cycle in stops if cycle > last_cycle]
-    return min(later, default=last_cycle if last_cycle in stops else None)
 
 
 def open_run(path: Path | str) -> RunReader:

