@@ -66,17 +66,10 @@ def _print(summary: ExportSummary, console: Console) -> None:
     else:
         columns = (key_column("table"), Column("rows"), Column("size", "MB", 2))
         rows = tuple((part.name, part.rows, part.size_bytes / 1e6) for part in summary.parts)
-    notes = []
-    if not summary.whole:
-        notes.append("the recording was cut short, or is still written: this is what it holds")
-    if summary.left_out:
-        notes.append(f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
-    extent = ""
-    if summary.first_cycle is not None:
-        extent = f", cycles {summary.first_cycle:,} to {summary.last_cycle:,},"
+    cut = "the recording was cut short, or is still written: this is what it holds"
     title = (
-        f"{summary.messages:,} messages{extent} in {summary.wall_s:.1f} s, "
-        f"{summary.size_bytes / 1e6:,.1f} MB"
+        f"{summary.messages:,} messages, cycles {summary.first_cycle} to {summary.last_cycle}, in "
+        f"{summary.wall_s:.1f} s, {summary.size_bytes / 1e6:,.1f} MB"
     )
-    print_table(console, Table(title, columns, rows, tuple(notes)))
+    print_table(console, Table(title, columns, rows, () if summary.whole else (cut,)))
     say(console, f"{summary.form}: {summary.path}")

@@ -33,7 +33,7 @@ class Part(msgspec.Struct, frozen=True):
 
 
 class ExportSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of an export; `left_out` fields are NaN or infinite, which JSON does not have."""
+    """The result of an export."""
 
     run_id: str
     form: Form
@@ -42,7 +42,6 @@ class ExportSummary(msgspec.Struct, frozen=True, kw_only=True):
     first_cycle: int | None
     last_cycle: int | None
     messages: int
-    left_out: int
     size_bytes: int
     wall_s: float
     parts: list[Part]
@@ -70,7 +69,7 @@ def export(
     with new_path(path) as beside:
         out: ViewerFile | TableFolder
         if form == "json-mcap":
-            out = ViewerFile(beside, reader, signals, clock)
+            out = ViewerFile(beside, reader, ports, clock)
         else:
             anchor = ClockAnchor.of(reader.metadata, reader.path)
             out = TableFolder(beside, reader.plan, signals, anchor, form)
@@ -95,7 +94,6 @@ def export(
         first_cycle=min(exported, default=None),
         last_cycle=max(exported, default=None),
         messages=counts.total(),
-        left_out=out.left_out if isinstance(out, ViewerFile) else 0,
         size_bytes=sum(part.size_bytes for part in parts) or path.stat().st_size,
         wall_s=time.monotonic() - began_at,
         parts=parts,

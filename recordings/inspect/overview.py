@@ -129,16 +129,16 @@ def facts(overview: Overview) -> Iterator[tuple[str, str]]:
     yield "recording", f"{overview.path} ({size})"
     pace = f"pace {overview.pace:g}" if overview.pace else "lockstep"
     scheme = f"scheme {overview.scheme}, actuator {overview.actuator}"
-    yield "control", f"plant {overview.plant}, {scheme}, {pace}"
+    origin = overview.metadata["run"]
+    yield "run", f"heliarch {origin.get('driver')}, plant {overview.plant}, {scheme}, {pace}"
     begin, end = (text.replace("T", " ")[:19] for text in (overview.start, overview.end))
-    yield "time", f"{begin} to {end}, {overview.timezone}"
+    recorded = f"recorded in {overview.wall_s:,.1f} s"
+    yield "time", f"{begin} to {end}, {overview.timezone}, {recorded}"
     yield (
         "cycles",
         f"{overview.first_cycle:,} to {overview.last_cycle:,} of {overview.cycle_s:g} s, "
         f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
     )
-    yield "duration", f"{overview.wall_s:,.1f} s"
-    origin = overview.metadata["run"]
     versions = [
         f"{name.removeprefix('version ')} {text}"
         for name, text in origin.items()

@@ -95,8 +95,8 @@ class RunReader:
     If the recorder was started again, `run-2.mcap` and further files belong to the recording.
 
     `whole`: each file was closed in order and has its index. `damage`: the damaged chunks skipped
-    so far. `read_share`: the share read so far, 0 to 1; `follow` is called with it now and then.
-    `file_number`: the file that is being read.
+    so far. `follow` is called now and then with the share read so far, 0 to 1. `file_number`: the
+    file that is being read.
 
     Memory: the largest chunk, and some 300 bytes for each chunk of the file.
     """
@@ -111,7 +111,6 @@ class RunReader:
             ) from None
         self.damage: set[ChunkPlace] = set()
         self.file_number = 0
-        self.read_share = 0.0
         self.follow: Callable[[float], None] = lambda share: None
         self._skip_damaged = skip_damaged
         self._first_cycles: dict[ChunkPlace, int | None] = {}
@@ -264,9 +263,8 @@ class RunReader:
         """Yield the chunks from one on, and tell `follow` now and then how far the reading is."""
         count = len(self.outline.chunks)
         for number, place in enumerate(self.outline.chunks[begin:], start=begin):
-            self.read_share = number / count
             if number % (count // 100 + 1) == 0:
-                self.follow(self.read_share)
+                self.follow(number / count)
             yield place
 
     def unpack(self, place: ChunkPlace) -> bytes:
