@@ -25,8 +25,8 @@ class Recovery(msgspec.Struct, kw_only=True):
     """The result of a recovery.
 
     `closed`: the recorder had come to its end. `cut_bytes` at the end of the file make up no whole
-    record; `cut_messages` could be read of them, and no checksum verifies those. `lost` messages
-    are missing between others. `damage` is empty or names damaged parts of the file.
+    record; `cut_messages` could be read of them, unverified. `lost` messages are missing between
+    others. `damage` names damaged parts of the file.
     """
 
     source: str

@@ -167,16 +167,14 @@ def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
     yield Table("Signals", columns, attributes(overview.signals, columns))
     yield texts_table("Health of the run", health_lines(overview.health, clock))
     shown = overview.gaps[:_SHOWN_GAPS]
-    rest = len(overview.gaps) - len(shown) + overview.more_gaps
     if shown:
         yield Table(
-            "Cycles without a message that was due",
+            f"Cycles without a message that was due, the first {_SHOWN_GAPS} gaps",
             (key_column("key"), Column("cycles"), word_column("when")),
             tuple(
                 (gap.port, gap.cycles, clock.span_text(gap.first_cycle, gap.last_cycle))
                 for gap in shown
             ),
-            (f"and {rest:,} more gaps (--json has the first 100)",) if rest else (),
         )
 
 

@@ -79,10 +79,8 @@ class WrongMessages(msgspec.Struct, frozen=True):
 class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
     """The part of a run's health that only the launcher knows, from the run's summary.
 
-    dropped: Messages that agents could not use, by cause.
-    restarts: How often each process was started again.
-    skipped_cycles: Cycles that were over before a process came to them.
-    recording_ended: Why the recording stops before the run's end; empty if it does not.
+    `dropped`: messages that agents could not use, by cause. `skipped_cycles` were over before a
+    process came to them. `recording_ended`: why the recording stops before the run's end.
     """
 
     run_id: str
@@ -100,10 +98,9 @@ class Health(msgspec.Struct, frozen=True):
     """How a run fared.
 
     `faults` counts what all rules did to messages, by kind. `lost` counts messages that the
-    sequence numbers leave out, by port, most first; `repeated` those that came again. `misses` are
-    by agent, most first; `absences` are in the order of time. `ended`: the recording goes up to the
-    run's end. `failure`: why the launcher gave up. `launcher` is None without a summary beside the
-    recording. `devices` is what was measured of real inverters.
+    sequence numbers leave out, by port, most first. `misses` are by agent, most first. `ended`: the
+    recording goes up to the run's end. `failure`: why the launcher gave up. `launcher` is None
+    without a summary beside the recording.
     """
 
     fault_acts: tuple[FaultAct, ...]
@@ -120,7 +117,6 @@ class Health(msgspec.Struct, frozen=True):
 
     @property
     def messages_lost(self) -> int:
-        """Messages that the sequence numbers leave out."""
         return sum(self.lost.values())
 
     @property
@@ -209,13 +205,9 @@ class HealthWatch:
         )
 
     def _stop_act(self, rule: FaultRule, run: RunReader) -> FaultAct:
-        """Return in which cycles a rule killed or froze controllers, if the run came to that."""
-        first, last = (
-            int(time_s * 1e9 / self._plan.cycle_ns) for time_s in (rule.at[0], rule.at[-1])
-        )
-        if first > run.last_cycle:
-            return FaultAct(rule)
-        return FaultAct(rule, 0, first, min(last, run.last_cycle))
+        """Return in which cycle a rule killed or froze controllers, if the run came to that."""
+        cycle = int(rule.at[0] * 1e9 / self._plan.cycle_ns)
+        return FaultAct(rule) if cycle > run.last_cycle else FaultAct(rule, 0, cycle, cycle)
 
     def _see_faults(self, port: Port[Message], message: Message) -> None:
         """Work out what became of a message on the way to each listener whose end is ours."""
@@ -273,11 +265,8 @@ def _act_text(act: FaultAct, clock: RunClock) -> str:
         return f"changed nothing: no agent acts on {act.rule.signal}"
     if act.first_cycle is None or act.last_cycle is None:
         return "never acted"
-    when = clock.span_text(act.first_cycle, act.last_cycle)
-    what = f"acted on {act.messages:,} messages"
-    if act.rule.stops is not None:
-        what = "killed" if act.rule.kill else "stood still"
-    return f"{what} {when}"
+    on = "" if act.rule.stops else f"on {act.messages:,} messages "
+    return f"acted {on}{clock.span_text(act.first_cycle, act.last_cycle)}"
 
 
 def _dropped(launcher: LauncherAccount | None) -> str:

@@ -58,7 +58,6 @@ class Overview(msgspec.Struct, frozen=True):
     metadata: dict[str, dict[str, str]]
     signals: tuple[SignalCount, ...]
     gaps: tuple[Gap, ...]
-    more_gaps: int
     health: Health
 
 
@@ -102,7 +101,6 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
             _count(signal, gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
         ),
         gaps=tuple(gaps.gaps),
-        more_gaps=gaps.more_gaps,
         health=health,
     )
 

@@ -51,9 +51,8 @@ class Outline:
     """What a file consists of, in its order; metadata by name, schemas and channels by their id.
 
     It is `closed` if its writer came to the end of the messages. Otherwise it was cut, is damaged
-    at `readable_end`, behind the last readable record of the data section, or is still being
-    written. It is `indexed` if it has its index too. The last chunk may be cut.
-    `damaged_attachments` are the names of those whose checksum is wrong.
+    at `readable_end`, or is still being written. It is `indexed` if it has its index too. The
+    checksums of `damaged_attachments` are wrong.
 
     A recording may go on in further files. Then `size`, `closed` and `readable_end` are those of
     the last one, of the number `file`, and it is `indexed` if all of them are.
@@ -74,7 +73,6 @@ class Outline:
 
     @property
     def cut_early(self) -> bool:
-        """Whether it was cut before its first message."""
         return not self.closed and not self.chunks
 
     @property

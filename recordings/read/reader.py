@@ -90,15 +90,11 @@ def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
 
 
 class RunReader:
-    """A recording of a run; if it was cut, everything up to the cut.
-
-    If the recorder was started again, `run-2.mcap` and further files belong to the recording.
+    """A recording of a run, with its further files; if it was cut, everything up to the cut.
 
     `whole`: each file was closed in order and has its index. `damage`: the damaged chunks skipped
     so far. `follow` is called now and then with the share read so far, 0 to 1. `file_number`: the
     file that is being read.
-
-    Memory: the largest chunk, and some 300 bytes for each chunk of the file.
     """
 
     def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
@@ -149,10 +145,9 @@ class RunReader:
     ) -> Iterator[Delivery]:
         """Yield messages with their ports, in the order in which they were recorded.
 
-        signals: Which, or their names; none given: all.
-        nodes: About which nodes, see `find_nodes`; none given: about all.
+        signals, nodes: Which signals and which nodes, see `find_nodes`; by default all.
         start, end: The first and the last cycle: local time (`13:49:00`), time since the start
-            (`90s`) or number. Cycles outside of them are not read.
+            (`90s`) or number.
         """
         ports = self.ports(*signals, nodes=nodes)
         if start is None and end is None:
@@ -210,8 +205,7 @@ class RunReader:
         """Return the messages of one signal as a table, one row each; for the rest see `messages`.
 
         It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
-        `node` and the signal's own fields, with units in their names. `help_given` and the fields
-        of `production` that list inverters hold tuples.
+        `node` and the signal's own fields, with units in their names.
         """
         import pandas as pd  # noqa: PLC0415 - it loads slowly
 
@@ -320,8 +314,7 @@ class RunReader:
     def _search(self, cycle: int) -> int:
         """Return the number of a chunk before which there is no message of a cycle.
 
-        Messages are nearly in the order of their cycles, at most `_slack` cycles behind. So where
-        a chunk begins more than that before the cycle, the cycle has not begun.
+        Where a chunk begins more than `_slack` cycles before the cycle, it has not begun.
         """
         before = cycle - self._slack
 

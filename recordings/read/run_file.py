@@ -41,7 +41,7 @@ _NUMBER_OF: Final = {
 
 
 def schemas() -> list[Schema]:
-    """Return the schemas of every recording, numbered from 1 in the order of the table."""
+    """Return the schemas of every recording."""
     return [
         Schema(number, json.dumps(json_schema(signal)).encode(), "jsonschema", signal.type.__name__)
         for signal, number in _NUMBER_OF.items()
@@ -49,7 +49,7 @@ def schemas() -> list[Schema]:
 
 
 def channels(plan: RunPlan) -> dict[Port[Message], Channel]:
-    """Return the channels of a run's recording, numbered from 1 in the order of its ports."""
+    """Return the channels of a run's recording, by their ports."""
     logged = (port for port in ports(plan.tree) if port.signal.logged)
     return {
         port: Channel(
