@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 import msgspec
 from mcap.writer import CompressionType, Writer
 
-from bus_schemas.signals import PRODUCTION, RUN
+from bus_schemas.messages import Message
+from bus_schemas.signals import PRODUCTION, RUN, Port
 from bus_schemas.tree import ROOT
-from recordings.read.chunks import ChunkPlace, RawMessage
 from recordings.read.gaps import RunGaps
-from recordings.read.outline import Outline
-from recordings.read.reader import Head, RunReader, head_of
+from recordings.read.reader import RunReader
 from recordings.read.whole_file import new_path
 
 RECOVERY_METADATA: Final = "recovery"
@@ -25,8 +23,7 @@ class Recovery(msgspec.Struct, kw_only=True):
     """The result of a recovery.
 
     `closed`: the recorder had come to its end. `cut_bytes` at the end of the file make up no whole
-    record; `cut_messages` could be read of them, unverified. `lost` messages are missing between
-    others. `damage` names damaged parts of the file.
+    record. `lost` messages are missing between others. `damage` names damaged parts of the file.
     """
 
     source: str
@@ -38,7 +35,6 @@ class Recovery(msgspec.Struct, kw_only=True):
     planned_cycles: int
     last_ns: int = 0
     cut_bytes: int
-    cut_messages: int = 0
     lost: int = 0
     damage: str = ""
 
@@ -71,39 +67,25 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
     )
     with new_path(out) as beside, beside.open("xb") as file:
         writer = Writer(file, compression=CompressionType.LZ4)
-        channel_of = _begin(writer, outline)
-        for place in run.followed_chunks():
-            for raw, head in _readable(run, place):
-                channel, sequence, log_time_ns, publish_time_ns, payload = raw
-                writer.add_message(
-                    channel_of[channel], log_time_ns, payload, publish_time_ns, sequence
-                )
-                found.messages += 1
-                found.cut_messages += place.cut
-                found.last_ns = log_time_ns
-                port = run.channels.get(channel)
-                if port is not None:
-                    gaps.see(port, head.cycle, sequence, head.incarnation)
-                if port is None or port.signal is not RUN:
-                    found.last_cycle = max(found.last_cycle, head.cycle)
+        channel_of = _begin(writer, run)
+        for one in run.records():
+            writer.add_message(
+                channel_of[one.port],
+                one.log_time_ns,
+                one.payload,
+                one.publish_time_ns,
+                one.sequence,
+            )
+            gaps.see(one.port, one.cycle, one.sequence, one.incarnation)
+            found.messages += 1
+            found.last_ns = one.log_time_ns
+            if one.port.signal is not RUN:
+                found.last_cycle = max(found.last_cycle, one.cycle)
         found.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].messages
         found.lost, found.damage = gaps.lost, run.damage_text()
         writer.add_metadata(RECOVERY_METADATA, _metadata(found, run.path))
         writer.finish()
     return found
-
-
-def _readable(run: RunReader, place: ChunkPlace) -> Iterator[tuple[RawMessage, Head]]:
-    """Yield the messages of a chunk up to one that cannot be: a cut chunk has no checksum."""
-    for raw in run.messages_of(place, run.outline.channels):
-        try:
-            head = head_of(raw[4])
-        except msgspec.DecodeError:
-            run.damage.add(place)
-            return
-        if place.cut and head.cycle > run.plan.cycles:
-            return
-        yield raw, head
 
 
 def _metadata(found: Recovery, source: Path) -> dict[str, str]:
@@ -115,9 +97,9 @@ def _metadata(found: Recovery, source: Path) -> dict[str, str]:
     }
 
 
-def _begin(writer: Writer, outline: Outline) -> dict[int, int]:
-    """Copy all but the messages; return the channels' new numbers by their old ones."""
-    header = outline.header
+def _begin(writer: Writer, run: RunReader) -> dict[Port[Message], int]:
+    """Copy all but the messages; return the channel of each port."""
+    outline, header = run.outline, run.outline.header
     writer.start(header.profile if header else "", header.library if header else "")
     for entry in outline.attachments:
         writer.add_attachment(
@@ -125,15 +107,14 @@ def _begin(writer: Writer, outline: Outline) -> dict[int, int]:
         )
     for name, entries in outline.metadata.items():
         writer.add_metadata(name, entries)
-    schema_of = {0: 0}
-    for number, schema in sorted(outline.schemas.items()):
-        schema_of[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
-    return {
-        number: writer.register_channel(
-            channel.topic,
-            channel.message_encoding,
-            schema_of[channel.schema_id],
-            channel.metadata,
-        )
-        for number, channel in sorted(outline.channels.items())
+    schema_of = {
+        number: writer.register_schema(schema.name, schema.encoding, schema.data)
+        for number, schema in sorted(outline.schemas.items())
     }
+    channel_of = {}
+    for number, port in sorted(run.channels.items()):
+        old = outline.channels[number]
+        channel_of[port] = writer.register_channel(
+            old.topic, old.message_encoding, schema_of[old.schema_id], old.metadata
+        )
+    return channel_of

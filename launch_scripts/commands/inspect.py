@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from recordings.inspect.overview import Overview
     from recordings.inspect.timeline import NodeCycle
     from recordings.read.reader import RunReader
-    from recordings.read.run_clock import RunClock
 
 _SHOWN_GAPS: Final = 10
 
@@ -143,17 +142,18 @@ def _show_overview(
 
     with progress_bar("reading") as run.follow:
         overview = read_overview(run, cycles)
-    for table in _overview_tables(overview, run.clock):
+    for table in _overview_tables(run, overview):
         print_table(console, table)
     _warn_if_cut(run, console)
     write_json(overview, json)
 
 
-def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
+def _overview_tables(run: RunReader, overview: Overview) -> Iterator[Table]:
     from recordings.inspect.health import health_lines
     from recordings.inspect.overview import facts
 
-    yield texts_table(overview.run_id, facts(overview))
+    clock = run.clock
+    yield texts_table(overview.run_id, facts(run, overview))
     columns = (
         key_column("signal"),
         Column("nodes"),

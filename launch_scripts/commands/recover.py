@@ -83,10 +83,7 @@ def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
     if recovery.damage:
         yield recovery.damage
     if recovery.cut_bytes:
-        yield (
-            f"the last {recovery.cut_bytes:,} bytes are an incomplete record; its "
-            f"{recovery.cut_messages:,} readable messages have no checksum and may be damaged"
-        )
+        yield f"missing: the last {recovery.cut_bytes:,} bytes, which are an incomplete record"
     if recovery.lost:
         yield f"may be missing: {recovery.lost:,} messages, by the gaps in the sequence numbers"
     if recovery.lossless:

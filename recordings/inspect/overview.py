@@ -34,28 +34,17 @@ class SignalCount(msgspec.Struct, frozen=True):
 
 
 class Overview(msgspec.Struct, frozen=True):
-    """What a recording holds; `pace` is 0 in lockstep."""
+    """What a recording holds."""
 
     path: str
     run_id: str
-    plant: str
+    metadata: dict[str, dict[str, str]]
     whole: bool
-    files: int
-    size_mb: float
-    chunks: int
-    start: str
-    end: str
-    timezone: str
     first_cycle: int
     last_cycle: int
-    planned_cycles: int
     complete_cycles: int
-    cycle_s: float
+    planned_cycles: int
     wall_s: float
-    scheme: str
-    actuator: str
-    pace: float
-    metadata: dict[str, dict[str, str]]
     signals: tuple[SignalCount, ...]
     gaps: tuple[Gap, ...]
     health: Health
@@ -74,33 +63,21 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = production.newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
     health = watch.health(run, end)
-    plan, gaps = run.plan, watch.gaps
     wall_s = (last_ns - first_ns) / 1e9
     return Overview(
         path=str(run.path),
-        run_id=plan.run_id,
-        plant=plan.plant,
+        run_id=run.plan.run_id,
+        metadata=run.metadata,
         whole=run.whole,
-        files=len(run.files),
-        size_mb=sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6,
-        chunks=len(run.outline.chunks),
-        start=run.clock.local(wanted.start).isoformat(),
-        end=run.clock.local(max(wanted.stop - 1, wanted.start)).isoformat(),
-        timezone=plan.timezone,
         first_cycle=wanted.start,
         last_cycle=wanted.stop - 1,
-        planned_cycles=plan.cycles,
         complete_cycles=production.messages,
-        cycle_s=plan.cycle_ns / 1e9,
+        planned_cycles=run.plan.cycles,
         wall_s=wall_s,
-        scheme=plan.scheme,
-        actuator=plan.actuator,
-        pace=0.0 if plan.lockstep else plan.cycle_ns / plan.cycle_wall_ns,
-        metadata=run.metadata,
         signals=tuple(
-            _count(signal, gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
+            _count(signal, watch.gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
         ),
-        gaps=tuple(gaps.gaps),
+        gaps=tuple(watch.gaps.gaps),
         health=health,
     )
 
@@ -121,20 +98,21 @@ def _count(signal: Signal[Message], gaps: RunGaps, cycles: int, wall_s: float) -
     )
 
 
-def facts(overview: Overview) -> Iterator[tuple[str, str]]:
+def facts(run: RunReader, overview: Overview) -> Iterator[tuple[str, str]]:
     """Yield what the recording is as text: names and facts."""
-    size = f"{overview.size_mb:,.1f} MB, files: {overview.files}, chunks: {overview.chunks:,}"
+    plan, origin = run.plan, overview.metadata["run"]
+    size_mb = sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6
+    size = f"{size_mb:,.1f} MB, files: {len(run.files)}, chunks: {len(run.outline.chunks):,}"
     yield "recording", f"{overview.path} ({size})"
-    pace = f"pace {overview.pace:g}" if overview.pace else "lockstep"
-    scheme = f"scheme {overview.scheme}, actuator {overview.actuator}"
-    origin = overview.metadata["run"]
-    yield "run", f"heliarch {origin.get('driver')}, plant {overview.plant}, {scheme}, {pace}"
-    begin, end = (text.replace("T", " ")[:19] for text in (overview.start, overview.end))
-    recorded = f"recorded in {overview.wall_s:,.1f} s"
-    yield "time", f"{begin} to {end}, {overview.timezone}, {recorded}"
+    pace = "lockstep" if plan.lockstep else f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}"
+    scheme = f"scheme {plan.scheme}, actuator {plan.actuator}"
+    yield "run", f"heliarch {origin.get('driver')}, plant {plan.plant}, {scheme}, {pace}"
+    first, last = overview.first_cycle, max(overview.last_cycle, overview.first_cycle)
+    begin, end = (f"{run.clock.local(cycle):%F %T}" for cycle in (first, last))
+    yield "time", f"{begin} to {end}, {plan.timezone}, recorded in {overview.wall_s:,.1f} s"
     yield (
         "cycles",
-        f"{overview.first_cycle:,} to {overview.last_cycle:,} of {overview.cycle_s:g} s, "
+        f"{first:,} to {overview.last_cycle:,} of {plan.cycle_ns / 1e9:g} s, "
         f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
     )
     versions = [

@@ -20,22 +20,13 @@ _LAG_CYCLES: Final = 1000
 """How many cycles are kept open for messages that stand further back in the file."""
 
 _FIELDS: Final[dict[type[Message], dict[str, str]]] = {
-    messages.Telemetry: {
-        "power_kw": "power_kw",
-        "alpha": "applied_alpha",
-        "available_kw": "available_kw",
-    },
+    messages.Telemetry: {"power_kw": "power_kw"},
     messages.Impp: {"power_kw": "impp_kw", "stale_cycles": "stale_cycles"},
     messages.Residual: {"power_kw": "residual_kw"},
     messages.Help: {"missing_kw": "help_asked_kw"},
-    messages.Setpoint: {"power_kw": "setpoint_kw", "share_kw": "share_kw"},
+    messages.Setpoint: {"power_kw": "setpoint_kw"},
     messages.Command: {"alpha": "alpha"},
-    messages.Dispatch: {
-        "power_kw": "dispatch_kw",
-        "commitment_kw": "commitment_kw",
-        "regulation_kw": "regulation_kw",
-    },
-    messages.Meter: {"power_kw": "metered_kw"},
+    messages.Dispatch: {"power_kw": "dispatch_kw", "commitment_kw": "commitment_kw"},
     messages.Production: {"possible_kw": "possible_kw", "delivered_kw": "delivered_kw"},
 }
 """Which field of a message is which of the `NodeCycle` of its node."""
@@ -51,14 +42,9 @@ class HelpLine(msgspec.Struct, frozen=True):
 class NodeCycle(msgspec.Struct, omit_defaults=True):
     """One node in one cycle, at its local time. None, or nothing: no message said it.
 
-    `power_kw`, `applied_alpha` and `available_kw` are telemetry of the interval before. Then come
-    its IMPP, and for how many cycles there was no usable measurement; its share of the dispatch by
-    rating, and its IMPP less that; the power that it called for; siblings that produced more than
-    their share for it, or for which it did; its share of its parent's target, and what it had to
-    produce; the curtailment level that it told its inverter.
-
-    Of the central controller: the dispatch and its two parts, the plant's meter of the interval
-    before, and what the plant could have given and gave in this one. Of parents: the children that
+    `power_kw` is telemetry of the interval before, `stale_cycles` for how many cycles there was no
+    usable measurement, `request_kw` the share of the dispatch by rating. Siblings produced more
+    than their share for it (`help_from`), or it did so for them. Of parents: the children that
     called for help, and the power that they produced for each other.
     """
 
@@ -66,8 +52,6 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     time: str
     node: str
     power_kw: float | None = None
-    applied_alpha: float | None = None
-    available_kw: float | None = None
     impp_kw: float | None = None
     stale_cycles: int = 0
     request_kw: float | None = None
@@ -75,13 +59,10 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     help_asked_kw: float | None = None
     help_from: list[HelpLine] = []
     help_for: list[HelpLine] = []
-    share_kw: float | None = None
     setpoint_kw: float | None = None
     alpha: float | None = None
     dispatch_kw: float | None = None
     commitment_kw: float | None = None
-    regulation_kw: float | None = None
-    metered_kw: float | None = None
     possible_kw: float | None = None
     delivered_kw: float | None = None
     needy: list[str] = []

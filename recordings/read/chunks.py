@@ -48,27 +48,25 @@ class DamagedChunkError(ValueError):
 class ChunkPlace(NamedTuple):
     """Where a chunk's record begins, the length of its body, and its first and last log time.
 
-    It is cut if the file ends before it does. `file` is which of a recording's files it is in.
+    `file` is which of a recording's files it is in.
     """
 
     offset: int
     length: int
     first_ns: int
     last_ns: int
-    cut: bool = False
     file: int = 0
 
 
-def chunk_at(file: BinaryIO, offset: int, length: int, size: int) -> ChunkPlace:
-    """Read the head of a chunk's record, which says it has `length` bytes, in a file of `size`."""
+def chunk_at(file: BinaryIO, offset: int, length: int) -> ChunkPlace:
+    """Read the head of a chunk's record, which says it has `length` bytes."""
     file.seek(offset + RECORD_HEAD.size)
     first_ns, last_ns, *_ = _CHUNK_HEAD.unpack(file.read(_CHUNK_HEAD.size))
-    cut = offset + RECORD_HEAD.size + length > size
-    return ChunkPlace(offset, length, first_ns, last_ns, cut)
+    return ChunkPlace(offset, length, first_ns, last_ns)
 
 
 def unpack_chunk(file: BinaryIO, place: ChunkPlace) -> bytes:
-    """Return the records in a chunk; of a cut one, those that can still be unpacked, unverified."""
+    """Return the records in a chunk; DamagedChunkError if it does not hold what was written."""
     file.seek(place.offset + RECORD_HEAD.size)
     try:
         body = file.read(min(place.length, LARGEST_CHUNK))
@@ -77,13 +75,10 @@ def unpack_chunk(file: BinaryIO, place: ChunkPlace) -> bytes:
         if codec != b"lz4":
             raise ValueError(f"expected lz4, got {codec!r}")
         packed = body[_CHUNK_HEAD.size + name_length + _PACKED_LENGTH_SIZE :]
-        # Block after block: the blocks before a cut are all there.
         records = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=LARGEST_CHUNK)
-        if not place.cut and (len(records) != size or zlib.crc32(records) != checksum):
+        if len(records) != size or zlib.crc32(records) != checksum:
             raise ValueError("its checksum or its length is wrong")
     except BROKEN as reason:
-        if place.cut:
-            return b""
         raise DamagedChunkError(f"it does not unpack ({reason})") from None
     return bytes(records)
 

@@ -75,11 +75,6 @@ class Outline:
     def cut_early(self) -> bool:
         return not self.closed and not self.chunks
 
-    @property
-    def ends_cut(self) -> bool:
-        """Whether the last file ends with a chunk that is cut."""
-        return bool(self.chunks) and self.chunks[-1].cut and self.chunks[-1].file == self.file
-
     def go_on(self, other: Outline) -> None:
         """Go on with the outline of a further file."""
         self.file += 1
@@ -148,13 +143,11 @@ def walk_on(outline: Outline, file: BinaryIO) -> None:
     A second call goes on from there, since a file that is being written grows.
     """
     outline.size = size = file.seek(0, SEEK_END)
-    if outline.ends_cut:
-        outline.chunks.pop()
     for place in _walk(file, outline.readable_end, size):
+        if place.end > size:
+            break
         with suppress(*BROKEN):  # A damaged record still tells where the next one begins.
             _take(outline, file, place)
-        if place.end > size or outline.ends_cut:
-            break
         outline.readable_end = place.end
         if place.opcode == Opcode.DATA_END:
             outline.closed = True
@@ -164,7 +157,7 @@ def walk_on(outline: Outline, file: BinaryIO) -> None:
 def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
     """Enter a record of the data section into the outline."""
     if place.opcode == Opcode.CHUNK:
-        chunk = chunk_at(file, place.offset, place.length, outline.size)._replace(file=outline.file)
+        chunk = chunk_at(file, place.offset, place.length)._replace(file=outline.file)
         outline.chunks.append(chunk)
         if len(outline.chunks) == 1:
             # A recording declares all its channels before its first message.

@@ -26,7 +26,7 @@ from recordings.read.chunks import (
 )
 from recordings.read.outline import read_outline
 from recordings.read.run_clock import RunClock
-from recordings.read.run_file import RECORDING_NAME, declare, further_file, read_origin
+from recordings.read.run_file import RECORDING_NAME, further_file, read_origin
 from recordings.read.selection import find_nodes, find_signals
 
 if TYPE_CHECKING:
@@ -75,18 +75,13 @@ class RecordedMessage(NamedTuple):
 
     def message(self) -> Message:
         """Decode it; InputError if it is no message of its signal."""
-        return _decoded(self.port, self.sequence, self.payload)
-
-
-def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
-    try:
-        message = decode(port.signal, payload)
-    except msgspec.DecodeError as error:
-        expected = port.signal.type.__name__
-        raise InputError(f"{port} number {sequence}: expected a {expected}, got: {error}") from None
-    if not 0 <= message.cycle < _MOST_CYCLES:
-        raise InputError(f"{port} number {sequence} cycle: expected from 0 on, got {message.cycle}")
-    return message
+        try:
+            return decode(self.port.signal, self.payload)
+        except msgspec.DecodeError as error:
+            expected = self.port.signal.type.__name__
+            raise InputError(
+                f"{self.port} number {self.sequence}: expected a {expected}, got: {error}"
+            ) from None
 
 
 class RunReader:
@@ -115,8 +110,6 @@ class RunReader:
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
-            if self.outline.chunks and not self.outline.channels:
-                declare(self.outline, self.plan)  # The first chunk had them, and is damaged.
         except BaseException:
             self.close()
             raise
@@ -170,15 +163,11 @@ class RunReader:
         self, ports: Collection[Port[Message]], cycles: range | None = None
     ) -> Iterator[Delivery]:
         """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
-        port_of = self._channels_of(ports)
-        for channel, sequence, _, _, payload in self._raw(port_of, cycles):
-            port = port_of[channel]
+        for record in self.records(ports, cycles):
             try:
-                message = _decoded(port, sequence, payload)
+                yield record.port, record.message()
             except InputError as error:
                 raise InputError(f"{self.path}: {error}") from None
-            if cycles is None or cycles.start <= message.cycle < cycles.stop:
-                yield port, message
 
     def records(
         self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None

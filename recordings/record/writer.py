@@ -6,6 +6,7 @@ clock by one pair of readings, kept in the metadata, so they never jump with the
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import time
@@ -20,11 +21,12 @@ from typing import Final, Protocol
 from mcap.writer import CompressionType, Writer
 
 from agents.plan import RunPlan
+from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port
+from bus_schemas.signals import SIGNALS, Port, ports
 from recordings.read.reader import RunReader
-from recordings.read.run_file import SCHEMA_VERSION, channels, schemas
+from recordings.read.run_file import SCHEMA_VERSION
 
 _VERSIONED: Final = ("heliarch", "eclipse-zenoh", "msgspec", "mcap", "numpy", "pvlib")
 
@@ -167,14 +169,24 @@ class RunWriter:
         self._writer.add_metadata("clock_anchor", clocks)
 
     def _register(self, plan: RunPlan) -> dict[Port[Message], int]:
-        # The file gives them the same numbers: a reader can do without its first chunk.
-        for schema in schemas():
-            self._writer.register_schema(schema.name, schema.encoding, schema.data)
+        """Declare the schema of each signal and the channel of each port; return the channels."""
+        register = self._writer.register_schema
+        schema_of = {
+            signal: register(
+                signal.type.__name__, "jsonschema", json.dumps(json_schema(signal)).encode()
+            )
+            for signal in SIGNALS
+            if signal.logged
+        }
         return {
             port: self._writer.register_channel(
-                channel.topic, channel.message_encoding, channel.schema_id, channel.metadata
+                plan.wiring.key(port),
+                "msgpack",
+                schema_of[port.signal],
+                {"signal": port.signal.name, "node": port.node},
             )
-            for port, channel in channels(plan).items()
+            for port in ports(plan.tree)
+            if port.signal.logged
         }
 
 

@@ -50,11 +50,7 @@ def test_every_message_is_counted_and_nothing_is_missing(look: Look) -> None:
     assert overview.gaps == ()
     assert [count for count in overview.signals if count.lost or count.missing_cycles] == []
     assert (overview.first_cycle, overview.last_cycle, overview.complete_cycles) == (0, END, CYCLES)
-    assert (overview.plant, overview.whole) == ("field", True)
-    assert (overview.start, overview.end) == (
-        "2010-04-01T12:00:00-10:00",
-        "2010-04-01T12:00:59-10:00",
-    )
+    assert overview.whole
 
 
 def test_rates_are_for_each_cycle_and_each_second_of_the_wall_clock(look: Look) -> None:
