@@ -12,7 +12,7 @@ from recordings_by_hand import cycle_of_the_plant, whole_run, write_run
 from bus_schemas.bus import Delivery
 from recordings import open_run
 from recordings.inspect.overview import Overview, SignalCount, read_overview
-from recordings.read.gaps import Gap
+from recordings.read.gaps import Gap, PortGaps
 
 CYCLES = 60
 END = CYCLES - 1
@@ -114,3 +114,24 @@ def test_what_is_missing_is_counted_up_to_where_the_plant_ended_the_run(look: Lo
     gaps = {gap.port: (gap.first_cycle, gap.last_cycle, gap.cycles) for gap in overview.gaps}
     assert gaps["production"] == gaps["c1/a/impp"] == (50, END, 10)
     assert gaps["c1/setpoint"] == (50, END - 1, 5)
+
+
+@pytest.mark.parametrize(
+    ("seen", "lost", "repeated"),
+    [
+        ([(0, 0), (1, 1), (2, 2)], 0, 0),
+        ([(2, 2), (3, 3), (6, 6)], 4, 0),
+        ([(0, 0), (0, 1), (0, 2), (1, 4)], 1, 0),
+        ([(0, 0), (1, 1), (1, 1), (2, 2), (2, 0), (3, 3)], 0, 2),
+        ([(0, 0), (1, 1), (2, 2), (3, 3), (9, 0), (10, 1), (11, 3)], 1, 0),
+        ([(0, 0), (1, 1), (9, 2), (10, 4)], 1, 0),
+    ],
+    ids=["all", "lost", "several a cycle", "copies", "restarted", "silent and back"],
+)
+def test_numbers_tell_what_is_lost_and_what_came_again(
+    seen: list[tuple[int, int]], lost: int, repeated: int
+) -> None:
+    gaps = PortGaps()
+    for cycle, sequence in seen:
+        gaps.see(cycle, sequence)
+    assert (gaps.lost, gaps.repeated) == (lost, repeated)

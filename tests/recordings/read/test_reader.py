@@ -14,12 +14,13 @@ from recordings_by_hand import PLAN, cut, cycle_of_the_plant, whole_run, write_r
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION, RUN, SIGNALS, TELEMETRY
-from bus_schemas.tree import ROOT
+from bus_schemas.tree import ROOT, ControlTree
 from recordings import open_run
 from recordings.read import reader
 from recordings.read.chunks import ChunkPlace, unpack_chunk
 from recordings.read.outline import read_outline
 from recordings.read.reader import RunReader
+from recordings.read.selection import find_agents, find_nodes
 
 CYCLES = 300
 
@@ -175,19 +176,6 @@ def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one
         assert not run.whole
 
 
-def test_what_a_cut_file_holds_is_read_though_another_file_follows(tmp_path: Path) -> None:
-    first = tmp_path / "run.mcap"
-    write_run(first, whole_run(300), messages_per_chunk=10_000)
-    content = first.read_bytes()
-    chunk = read_outline(BytesIO(content)).chunks[-1]
-    first.write_bytes(content[: chunk.offset + chunk.length // 2])
-    with open_run(tmp_path) as run:
-        alone = list(run.messages())
-    (tmp_path / "run-2.mcap").touch()
-    with open_run(tmp_path) as run:
-        assert list(run.messages()) == alone != []
-
-
 def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> None:
     frame = run.frame("setpoint", nodes=["c1/a", "c1/b"], start="12:00:10", end="12:00:12")
     assert frame.index.name == "time"
@@ -204,6 +192,34 @@ def test_a_frame_without_a_message_still_has_its_columns(run: RunReader) -> None
     assert frame.empty
     assert isinstance(frame.index, pd.DatetimeIndex)
     assert list(frame.columns) == ["cycle", "node", "text", "count"]
+
+
+# Names ------------------------------------------------------------------------------------------
+
+TREE = ControlTree((("c1/a", 1.0), ("c1/b", 1.0), ("c10/a", 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        ("c1", {"c1"}),
+        ("c1/*", {"c1", "c1/a", "c1/b"}),
+        (["c1/a", "c1/*"], {"c1", "c1/a", "c1/b"}),
+        ("central", {""}),
+        ("central/*", {"", "c1", "c1/a", "c1/b", "c10", "c10/a"}),
+        ("c1/a, c10/*", {"c1/a", "c10", "c10/a"}),
+        (["", "c10"], {"", "c10"}),
+        ((), set()),
+    ],
+)
+def test_a_star_means_a_node_and_all_below_it(names: str | list[str], found: set[str]) -> None:
+    nodes = find_nodes(TREE, names)
+    assert set(nodes) == found
+    assert len(nodes) == len(found), "each once"
+
+
+def test_agents_are_the_nodes_and_the_plant() -> None:
+    assert find_agents(TREE, "plant,central,c10/*") == ("plant", "central", "c10", "c10/a")
 
 
 # Bad input ----------------------------------------------------------------------------------------
