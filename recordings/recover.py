@@ -83,18 +83,15 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
                 found.last_cycle = max(found.last_cycle, one.cycle)
         found.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].messages
         found.lost, found.damage = gaps.lost, run.damage_text()
-        writer.add_metadata(RECOVERY_METADATA, _metadata(found, run.path))
+        metadata = {
+            "recovered_from": run.path.name,
+            "lossless": str(found.lossless).lower(),
+            "cut_bytes": str(found.cut_bytes),
+            "damage": found.damage,  # In the new file the checksums of attachments are right.
+        }
+        writer.add_metadata(RECOVERY_METADATA, metadata)
         writer.finish()
     return found
-
-
-def _metadata(found: Recovery, source: Path) -> dict[str, str]:
-    return {
-        "recovered_from": source.name,
-        "lossless": str(found.lossless).lower(),
-        "cut_bytes": str(found.cut_bytes),
-        "damage": found.damage,  # In the new file the checksums of attachments are right.
-    }
 
 
 def _begin(writer: Writer, run: RunReader) -> dict[Port[Message], int]:

@@ -1,8 +1,7 @@
 """The messages in the chunks of an MCAP file, read in bulk.
 
-A recording is a row of compressed chunks. The mcap library makes a Python object of every record in
-them; here messages are unpacked where they lie. That is about 14 times faster and skips the
-channels that nobody asked for (docs/recordings.md has the measurement).
+The mcap library makes a Python object of every record; here messages are unpacked where they lie.
+That is about 14 times faster (docs/recordings.md has the measurement).
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
@@ -251,7 +252,6 @@ class RunReader:
             yield place
 
     def unpack(self, place: ChunkPlace) -> bytes:
-        """Return the records in a chunk; DamagedChunkError if it is damaged."""
         return unpack_chunk(self.files[place.file], place)
 
     def messages_of(self, place: ChunkPlace, channels: Container[int]) -> Iterator[RawMessage]:
@@ -316,15 +316,11 @@ class RunReader:
     def _first_cycle(self, place: ChunkPlace) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if place not in self._first_cycles:
-            raw = next(self._readable(place), None)
-            self._first_cycles[place] = None if raw is None else self._head_of(raw).cycle
+            self._first_cycles[place] = None
+            with suppress(DamagedChunkError):
+                for raw in islice(messages_in(self.unpack(place), self.channels), 1):
+                    self._first_cycles[place] = self._head_of(raw).cycle
         return self._first_cycles[place]
-
-    def _readable(self, place: ChunkPlace) -> Iterator[RawMessage]:
-        """Return all messages of a chunk, to search in; a damaged one has none."""
-        with suppress(DamagedChunkError):
-            return messages_in(self.unpack(place), self.channels)
-        return iter(())
 
     def _head_of(self, raw: RawMessage) -> Head:
         try:
