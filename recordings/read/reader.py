@@ -166,9 +166,10 @@ class RunReader:
         """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
         for record in self.records(ports, cycles):
             try:
-                yield record.port, record.message()
+                message = record.message()
             except InputError as error:
                 raise InputError(f"{self.path}: {error}") from None
+            yield record.port, message
 
     def records(
         self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None

@@ -19,13 +19,6 @@ def write(path: Path, document: bytes) -> None:
         file.write(document)
 
 
-def test_an_error_names_the_file_and_no_temporary_name(tmp_path: Path) -> None:
-    path = tmp_path / "nowhere" / "page.html"
-    with pytest.raises(FileNotFoundError) as caught, whole_file(path):
-        pass
-    assert caught.value.filename == str(path)
-
-
 def test_a_file_is_replaced_when_it_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(b"longer than the new one")
@@ -113,8 +106,3 @@ def test_a_new_path_replaces_nothing(tmp_path: Path, meanwhile: bool) -> None:
         make()
     assert path.read_text() == "theirs"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_new_path_needs_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError), new_path(tmp_path / "missing" / "export.mcap"):
-        pytest.fail("it should not come to this")
