@@ -106,3 +106,8 @@ def test_a_new_path_replaces_nothing(tmp_path: Path, meanwhile: bool) -> None:
         make()
     assert path.read_text() == "theirs"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_new_path_needs_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError), new_path(tmp_path / "missing" / "export.mcap"):
+        pytest.fail("it should not come to this")
