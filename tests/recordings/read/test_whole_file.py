@@ -19,6 +19,13 @@ def write(path: Path, document: bytes) -> None:
         file.write(document)
 
 
+def test_an_error_names_the_file_and_no_temporary_name(tmp_path: Path) -> None:
+    path = tmp_path / "nowhere" / "page.html"
+    with pytest.raises(FileNotFoundError) as caught, whole_file(path):
+        pass
+    assert caught.value.filename == str(path)
+
+
 def test_a_file_is_replaced_when_it_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(b"longer than the new one")
