@@ -118,7 +118,7 @@ def test_a_run_names_its_gateway_that_was_killed(
     assert run.wait() == 1
     log = run.folder / "logs" / "gateway.log"
     failure = (run.folder / "failure.txt").read_text()
-    for fact in (str(gateway.pid), "killed by signal 9", str(log)):
+    for fact in (str(gateway.pid), "status -9", str(log)):
         assert fact in failure
     assert "c1/inv01" in log.read_text()
 
