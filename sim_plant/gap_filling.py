@@ -85,7 +85,9 @@ def _weighted_mean(ghi_wm2: Floats, distance_m: Floats) -> Floats:
     weight = used / distance_m**2
     total = weight.sum(axis=1)
     weighted = (np.where(used, ghi_wm2, 0.0) * weight).sum(axis=1)
-    return np.divide(weighted, total, out=np.full(len(total), np.nan), where=total > 0.0)
+    return np.asarray(
+        np.divide(weighted, total, out=np.full(len(total), np.nan), where=total > 0.0)
+    )
 
 
 def _level(own_wm2: Floats, mean_wm2: Floats) -> float:

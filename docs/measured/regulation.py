@@ -93,39 +93,7 @@ def use(constants: dict[str, float]) -> None:
         setattr(synthetic_regd, name, value)
 
 
-def parts(data: Path) -> Lines:
-    """Write by how much parts of the first day differ, beyond parts of equal synthetic days."""
-    alike = synthetic_regd._DAY_STDS
-    synthetic_regd._DAY_STDS = (0.0, 0.0, 0.0, 0.0)
-    try:
-        equal_days = synthetic_regd.synthetic_regd(0).reshape(-1, DAY)
-    finally:
-        synthetic_regd._DAY_STDS = alike
-    real = read_signal(data / "pjm-regd-2s" / f"regd_{DAYS[0]}.csv")[1][:DAY]
-    differing = synthetic_regd.synthetic_regd(0).reshape(-1, DAY)
-    yield from header(
-        ["standard deviation of", "parts of 2 h", "3 h", "4 h", "whole synthetic days"]
-    )
-    for title, measure in (
-        ("the logarithm of the mileage", lambda of: np.abs(np.diff(of)).mean(axis=-1)),
-        ("the logarithm of the mean absolute value", lambda of: np.abs(of).mean(axis=-1)),
-    ):
-        beyond = [
-            _variance(measure, real, hours)
-            - np.mean([_variance(measure, day, hours) for day in equal_days])
-            for hours in (2, 3, 4)
-        ]
-        of_days = np.std(np.log(measure(differing)))
-        yield row([title, *(f"{max(one, 0.0) ** 0.5:.2f}" for one in beyond), f"{of_days:.2f}"])
-
-
-def _variance(measure: Measure, day: NDArray[np.float64], hours: int) -> float:
-    of_parts = measure(day.reshape(24 // hours, -1))
-    return float(np.var(np.log(of_parts), ddof=1))
-
-
 TABLES: Final[Tables] = {
     "RegD": days,
     "RegD, held out": held_out,
-    "RegD, parts": parts,
 }
