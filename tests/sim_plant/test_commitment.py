@@ -18,7 +18,7 @@ from sim_plant.commitment import (
     ShareOfClearSky,
     ShareOfMedian,
     commitment_kw,
-    hindsight,
+    is_hindsight,
 )
 
 POSSIBLE_KW = np.array([0.0, 100.0, 400.0, 300.0, 200.0])
@@ -92,12 +92,10 @@ def test_a_window_longer_than_the_run_is_its_mean() -> None:
 
 
 def test_hindsight_is_told_and_what_is_none_is_not() -> None:
-    for settings in (ShareOfMedian(share=0.7), BelowPossible(share=0.7, window_s=3600.0)):
-        told = hindsight(settings)
-        assert told is not None
-        assert "0.7 of the run's own" in told
+    assert is_hindsight(ShareOfMedian(share=0.7))
+    assert is_hindsight(BelowPossible(share=0.7, window_s=3600.0))
     for honest in (ConstantCommitment(5.0), ShareOfClearSky(0.5), ScheduledCommitment("bids.csv")):
-        assert hindsight(honest) is None
+        assert not is_hindsight(honest)
 
 
 # Schedules ----------------------------------------------------------------------------------------
