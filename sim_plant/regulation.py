@@ -34,7 +34,7 @@ class _Offer(
 
     capacity_kw: Power that a signal of +1 asks for, on top of the rest [kW].
     offered_from: Local time from which it is offered. Default: midnight.
-    offered_to: Local time of its end; if before `from`, on the next day.
+    offered_to: Local time of its end; if not after `from`, on the next day.
     """
 
     capacity_kw: Annotated[float, Meta(gt=0.0, le=1e8)]

@@ -22,9 +22,6 @@ from sunspec.limited_inverter import LIMIT_POINTS, LONGEST_REVERT_S
 
 _MEASUREMENTS: Final = (701, 103, 102, 101)
 _LIMITS: Final = (704, 123)
-_ALONG: Final = ("WMaxLimPct_WinTms", "WMaxLimPct_RmpTms")
-"""Points of 123 among those of a limit: written back as they are, so that one write does it all."""
-
 _RATINGS: Final = ((702, "WMax"), (702, "WMaxRtg"), (121, "WMax"), (120, "WRtg"))
 """What 100 % stands for, in the order of preference."""
 
@@ -119,13 +116,9 @@ class SunSpecInverter:
             told["revert_percent"] = 100.0 if revert_kw is None else self._percent(revert_kw)
         elif self._points["revert_s"].value:
             told["revert_s"] = 0
-        points = self._limited.points
         with self._errors():
             for field in told.keys() & self._points.keys():
                 self._points[field].cvalue = told[field]
-            for name in _ALONG:
-                if name in points and points[name].value is not None:
-                    points[name].dirty = True
             self._limited.write()
 
     def _percent(self, kw: float) -> float:

@@ -71,14 +71,6 @@ def test_stamps_are_hawaii_standard_time(read: Read) -> None:
     assert str(times.tz) == "UTC"
 
 
-def test_stations_and_their_positions_are_in_the_order_asked_for(read: Read) -> None:
-    found = read(day_text(DAY, some_minutes()), stations=["AP7", "DH1"])
-    assert found.sensors == ("AP7", "DH1")
-    np.testing.assert_array_equal(found.ghi_wm2[0], [200.0, 120.0])
-    np.testing.assert_array_equal(found.lat_deg, [21.31478, 21.31533])
-    np.testing.assert_array_equal(found.lon_deg, [-158.07785, -158.087])
-
-
 # Gaps ---------------------------------------------------------------------------------------------
 
 

@@ -149,7 +149,6 @@ def launch_refusal(scenario: str, *options: str | Path) -> str:
     [
         (("--pace", "1", "--device", "c1/inv01=127.0.0.1:502"), "modbus://"),
         (("--pace", "1", "--device", "c1/inv01=modbus://127.0.0.1:1/1"), "refused"),
-        (("--pace", "1", "--device", "c1/inv01=modbus://127.0.0.1:1/248"), "unit 1 to"),
         (
             ("--pace", "1", "--actuator", "fraction", "--device", "c1/inv01=modbus://h/1"),
             "--actuator",

@@ -338,10 +338,6 @@ def test_a_bad_scenario_is_refused_with_file_and_field(
         (f"{SYNTHETIC}capacity_kw = -1.0", "regulation.capacity_kw: expected"),
         (f"{SYNTHETIC}capacity_kw = 1\nseed = -1", "regulation.seed: expected"),
         ('[regulation]\nkind = "file"\ncapacity_kw = 1', "regulation.path: expected"),
-        (
-            f"{SYNTHETIC}capacity_kw = 1\nfrom = 09:00:00\nto = 09:00:00",
-            "regulation.from, regulation.to: expected",
-        ),
     ],
 )
 def test_a_bad_table_is_refused_with_file_and_field(
