@@ -136,6 +136,14 @@ def test_no_cloud_is_a_clear_sky_and_full_cover_is_thick_cloud() -> None:
     np.testing.assert_allclose(clear_sky_index(times, CloudSettings(cloud_cover=1.0)), 0.4)
 
 
+def test_the_softer_the_clouds_the_smaller_the_changes() -> None:
+    sharp, soft = (
+        np.quantile(np.abs(changes(clear_sky_index(NOON, sky), 1.0, 10.0)), 0.99)
+        for sky in (CloudSettings(cloud_softness=softness) for softness in (0.5, 2.0))
+    )
+    assert sharp > 1.6 * soft
+
+
 def test_the_sun_between_clouds_is_brighter_than_under_a_clear_sky(noon_index: Floats) -> None:
     assert 1.1 < np.quantile(noon_index, 0.95) < 1.2
     assert noon_index.max() <= 1.2

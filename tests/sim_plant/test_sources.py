@@ -9,7 +9,7 @@ from complaints import complaint_of
 
 from sim_plant import Floats
 from sim_plant.irradiance import Irradiance
-from sim_plant.pv import PvSettings, ac_power_kw
+from sim_plant.pv import PvSettings
 from sim_plant.sites import Sites
 from sim_plant.sources import MeasuredPlant, PlantUnderSky, measured_sky
 
@@ -45,23 +45,6 @@ def plant() -> MeasuredPlant:
 
 def cycles(count: int, freq: str, begin: pd.Timestamp = NOON) -> pd.DatetimeIndex:
     return pd.date_range(begin, periods=count, freq=freq)
-
-
-def test_a_measured_sky_at_its_own_step_is_the_model_itself() -> None:
-    measured = irradiance()
-    given = sky(measured)
-    expected = ac_power_kw(
-        measured.ghi_wm2,
-        measured.times,
-        SITES.lat_deg,
-        SITES.lon_deg,
-        SITES.rating_kw,
-        PvSettings(),
-    )
-    np.testing.assert_array_equal(given.possible_kw(cycles(60, "1s")), expected)
-    np.testing.assert_array_equal(
-        given.possible_kw(cycles(5, "1s", NOON + pd.Timedelta(7, unit="s"))), expected[7:12]
-    )
 
 
 def test_an_earlier_day_is_at_the_same_time_of_day() -> None:
