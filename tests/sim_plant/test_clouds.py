@@ -109,6 +109,19 @@ def test_the_variance_is_the_same_throughout_an_evolution() -> None:
     assert blended.std() == pytest.approx(fresh.std(), rel=0.1)
 
 
+def test_small_shapes_go_sooner_than_large_ones() -> None:
+    grid_m = np.linspace(0.0, 20_000.0, 41)
+    east_m, north_m = (part.ravel() for part in np.meshgrid(grid_m, grid_m))
+    still = CloudSettings(drift_speed_ms=0.0, evolution_s=1200.0)
+    before, after = clouds.clear_sky_index(np.array([0.0, 300.0]), east_m, north_m, still, 1)
+    wide_before, wide_after = (
+        part.reshape(41, 41)[:40, :40].reshape(10, 4, 10, 4).mean(axis=(1, 3)).ravel()
+        for part in (before, after)
+    )
+    large = np.corrcoef(wide_before, wide_after)[0, 1]
+    assert large > np.corrcoef(before, after)[0, 1] + 0.1
+
+
 def test_clouds_are_longer_along_the_drift_than_across_it() -> None:
     grid_m = np.arange(0.0, 80_000.0, 2000.0)
     east_m, north_m = (part.ravel() for part in np.meshgrid(grid_m, grid_m))
