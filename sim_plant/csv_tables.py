@@ -109,10 +109,10 @@ class CsvTable:
             raise InputError(f"{self.name}: expected at least 2 rows, got {len(time_ns)}")
         step_ns = np.diff(time_ns)
         # The median, so that one gap at the top of the file is not taken for its step.
-        usual_ns = max(float(np.median(step_ns)), 1.0)
-        bad = np.flatnonzero(step_ns != usual_ns)
+        usual_ns = float(np.median(step_ns))
+        bad = np.flatnonzero((step_ns != usual_ns) | (step_ns <= 0))
         if bad.size:
-            expected = f"a time {usual_ns / 1e9:g} s after that of the line before"
+            expected = f"times in one step above 0, here mostly {usual_ns / 1e9:g} s"
             raise self.error(int(bad[0]) + 1, column, expected)
 
 

@@ -110,8 +110,8 @@ GOOD += "2,2010,91,1200" + ",700" * 19 + "\n3,2010,91,1200" + ",800" * 19 + "\n"
         ("2,2010,91,1200,700", "2,2010,91,1200,n/a", "line 3, column 'DH3': expected a number"),
         ("2,2010,91,1200,700", "2,2010,91,1200,2100", "line 3, column 'DH3': expected -10 to"),
         ("2,2010,91", "2,2010,92", "line 3, column 'day of year': expected that"),
-        ("2,2010,91,1200", "2,2010,91,1260", "line 3, column 'second': expected a time 1 s after"),
-        ("2,2010,91,1200", "1,2010,91,1200", "line 3, column 'second': expected a time 1 s after"),
+        ("2,2010,91,1200", "2,2010,91,1260", "line 3, column 'second': expected times"),
+        ("2,2010,91,1200", "1,2010,91,1200", "line 3, column 'second': expected times"),
     ],
 )
 def test_one_wrong_field_is_located(read: Read, old: str, new: str, place: str) -> None:
