@@ -23,7 +23,6 @@ from recordings.read.series import RunSeries, read_series
 from recordings.read.whole_file import whole_file
 from studies.report.inverter_figures import (
     correlation_matrices,
-    help_energy,
     residuals,
     virtual_neighbours,
 )
@@ -32,7 +31,6 @@ from studies.report.plant_figures import (
     delivered_and_support,
     possible_power,
     regulation,
-    tracking_error,
 )
 from studies.report.result import Result
 from studies.report.style import ReportFigure
@@ -132,7 +130,6 @@ def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
     figures: list[ReportFigure | None] = [
         possible_power(series),
         delivered_and_support(series),
-        tracking_error(series),
         regulation(series),
     ]
     signalling = [one for one in series if not np.isnan(one.residual_kw).all()]
@@ -144,7 +141,7 @@ def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
             for figure in (residuals(last), virtual_neighbours(last))
             if figure is not None
         ]
-    figures += [correlation_matrices(series[0]), help_energy(series)]
+    figures.append(correlation_matrices(series[0]))
     return [figure for figure in figures if figure is not None]
 
 

@@ -188,10 +188,7 @@ def loop_figure(report: TimingReport) -> style.ReportFigure:
     style.dress(figure, _CURVES_PX)
     figure.update_xaxes(title_text="time since cycle 0 [s]")
     figure.update_yaxes(type="log", title_text="loop time [ms]", **_round_ticks())
-    caption = (
-        "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
-        + style.thinning_note(report.cycles)
-    )
+    caption = "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
     return style.ReportFigure("loop", "Loop time over time", caption, figure)
 
 
