@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +11,7 @@ import pandas as pd
 from msgspec.structs import asdict
 
 from agents.events import ExternalAccount
-from agents.plan import RunPlan
+from agents.machine import MachineSettings
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
 from launch_scripts.launcher.summary import RunSummary
@@ -52,7 +51,6 @@ class Host(msgspec.Struct, frozen=True, kw_only=True):
     python: str
     heliarch: str
     zenoh: str
-    memory_locked: bool = False
 
 
 class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -150,7 +148,16 @@ def report_on(
         scenario=plan.plant,
         run_id=plan.run_id,
         folder=str(folder),
-        host=_host(plan, metadata, remarks, load),
+        host=Host(
+            kernel=metadata.get("kernel", ""),
+            cpus=int(metadata.get("cpu_count", "0")),
+            scheduling=_scheduling(plan.machine),
+            load_before=load[0] if load else None,
+            load_after=load[1] if load else None,
+            python=metadata.get("python", ""),
+            heliarch=metadata.get("version heliarch", ""),
+            zenoh=metadata.get("version eclipse-zenoh", ""),
+        ),
         rate_hz=1e9 / plan.cycle_wall_ns,
         cycles=timing.cycles,
         wall_s=wall_s,
@@ -164,33 +171,12 @@ def report_on(
     )
 
 
-def _host(
-    plan: RunPlan,
-    run: Mapping[str, str],
-    remarks: Sequence[str],
-    load: tuple[float, float] | None,
-) -> Host:
-    """Describe the machine; the remarks say what it did not permit."""
-    before, after = load or (None, None)
-    machine = plan.machine
-    fifo = machine.priority and not any("SCHED_FIFO" in remark for remark in remarks)
-    scheduling = [f"SCHED_FIFO {machine.priority}" if fifo else "normal"]
-    bound: dict[str, tuple[int, ...]] = dict(machine.cpus_of.items())
-    if machine.cpus:
-        bound["others" if bound else "all"] = machine.cpus
-    scheduling += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound.items()]
-    refused = any(remark.startswith("memory: ") for remark in remarks)
-    return Host(
-        kernel=run.get("kernel", ""),
-        cpus=int(run.get("cpu_count", "0")),
-        scheduling=", ".join(scheduling),
-        load_before=before,
-        load_after=after,
-        python=run.get("python", ""),
-        heliarch=run.get("version heliarch", ""),
-        zenoh=run.get("version eclipse-zenoh", ""),
-        memory_locked=machine.lock_memory and not refused,
-    )
+def _scheduling(machine: MachineSettings) -> str:
+    """Say what was asked of the machine; the remarks of the run say what it did not permit."""
+    found = [f"SCHED_FIFO {machine.priority}" if machine.priority else "normal"]
+    bound = [*machine.cpus_of.items(), ("others" if machine.cpus_of else "all", machine.cpus)]
+    found += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound if cpus]
+    return ", ".join([*found, *(["memory locked"] if machine.lock_memory else [])])
 
 
 def _budgets_in(reader: RunReader) -> BudgetTable:

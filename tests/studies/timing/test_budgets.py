@@ -101,7 +101,8 @@ def test_what_was_not_measured_although_it_must_be_is_not_kept(tmp_path: Path) -
     estimates = ("c1/a/impp", "c1/a/residual", "c1/a/help")
     late = {key: (0.0, -5_000.0) if key in estimates else MISSED[key] for key in MISSED}
     lack = {"production": ("c2/d/command",)}
-    report = reported(tmp_path, cycle(0, late, lack), plan=plan)
+    stated = "hop_p99_ms = { command = 10 }"
+    report = reported(tmp_path, cycle(0, late, lack), plan=plan, budgets=stated)
     absent = {verdict.line for verdict in report.verdicts if verdict.value is None}
     assert absent == {"hop command p99", "response c1/a estimate p99"}
     assert absent <= failed(report)
