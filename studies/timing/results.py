@@ -69,7 +69,8 @@ def timing_result(report: TimingReport) -> Result:
 
 def sweep_result(found: Sweep, scenario: str) -> Result:
     """Return the rates, the machine, and the highest clean rate."""
-    drawn = [row for row in found.rows if row.outcome in {"clean", "not clean"}]
+    ran = [row for row in found.rows if row.outcome in {"clean", "not clean"}]
+    drawn = [row for row in ran if row.loop_p50_us is not None]
     return Result(
         f"{scenario}: loop time against rate",
         [sweep_table(found)],
