@@ -41,6 +41,11 @@ _CURVES_PX: Final = 440
 _ROW_PX: Final = 17
 _FRAME_PX: Final = 120
 
+_ROUND_TICKS: Final = {
+    "tickvals": [digit * 10.0**power for power in range(-3, 6) for digit in (1, 2, 5)],
+    "tickformat": ",~g",
+}
+
 _PERCENTILES: Final = (0.0, 50.0, 90.0, 99.0, 99.9, 99.99, 99.999)
 """What the axis of percentiles shows."""
 
@@ -166,7 +171,7 @@ def loop_figure(report: TimingReport) -> style.ReportFigure:
     figure = go.Figure([line, *_budgets(report.verdicts, [(LOOP, WHOLE_LOOP)], ends)])
     style.dress(figure, _CURVES_PX)
     figure.update_xaxes(title_text="time since cycle 0 [s]")
-    figure.update_yaxes(type="log", title_text="loop time [ms]", dtick="D2")
+    figure.update_yaxes(type="log", title_text="loop time [ms]", **_ROUND_TICKS)
     caption = "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
     return style.ReportFigure("loop", "Loop time over time", caption, figure)
 
@@ -232,7 +237,7 @@ def rate_figure(rows: Sequence[RateRow]) -> style.ReportFigure:
     figure = style.dress(go.Figure([*lines, length]), _CURVES_PX)
     names = [f"{rate_hz:g}" for rate_hz in rates_hz]
     figure.update_xaxes(type="log", title_text="rate [cycles/s]", tickvals=rates_hz, ticktext=names)
-    figure.update_yaxes(type="log", title_text="time [ms]", dtick="D2")
+    figure.update_yaxes(type="log", title_text="time [ms]", **_ROUND_TICKS)
     caption = (
         "Time from the plant's scheduled tick to its last command. Circle: a clean rate, at most "
         "1 % of the cycles late and nothing lost. Cross: the plant did not keep up."

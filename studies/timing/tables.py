@@ -43,17 +43,23 @@ _COUNTS: Final = (
     Column("dropped"),
     Column("overruns"),
     Column("skipped cycles", name="skipped_cycles"),
-    Column("CPU", "% all", 1, name="cpu_percent"),
 )
 _MEMORY: Final = Column("memory", "MB", 1, name="resident_mb")
 _TIER_COLUMNS: Final = (
     key_column("tier"),
     Column("number", name="processes"),
     *_COUNTS,
+    Column("CPU", "% all", 1, name="cpu_percent"),
     Column("CPU", "% most", 1, name="cpu_highest_percent"),
     _MEMORY,
 )
-_PROCESS_COLUMNS: Final = (key_column("process", "agent"), word_column("tier"), *_COUNTS, _MEMORY)
+_PROCESS_COLUMNS: Final = (
+    key_column("process", "agent"),
+    word_column("tier"),
+    *_COUNTS,
+    Column("CPU", "%", 1, name="cpu_percent"),
+    _MEMORY,
+)
 _TIER_NOTE: Final = (
     "CPU in % of one core, of all processes and of the busiest; memory of the largest one"
 )
