@@ -8,15 +8,15 @@ from typing import Any, Final
 
 import msgspec
 import pandas as pd
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
-from agents.events import ExternalAccount
 from agents.machine import MachineSettings
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.scenarios.scenario import BudgetTable, TimingTable
-from recordings.inspect.health import WrongMessages, summary_in
+from recordings.inspect.health import health_lines, summary_in
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from studies.timing.budgets import Verdict, judge
 from studies.timing.clocks import ClockOffset
@@ -71,10 +71,8 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
     ended: bool = True
     interrupted: bool = False
     remarks: tuple[str, ...]
-    external: tuple[ExternalAccount, ...] = ()
+    health: tuple[tuple[str, str], ...]
     devices: tuple[DeviceAccount, ...] = ()
-    wrong: tuple[WrongMessages, ...] = ()
-    faults: dict[str, int] = {}
     lost_messages: int | None = None
     clocks: tuple[ClockOffset, ...] = ()
     times: tuple[Times, ...]
@@ -124,18 +122,23 @@ def report_on(
         plan, table = reader.plan, _budgets_in(reader)
         timing = run_timing(reader, by_agent=by_agent)
         folder, metadata = reader.path.parent, reader.metadata["run"]
-        ended = reader.stop_cycle is not None
+        ended, clock = reader.stop_cycle is not None, reader.clock
+        health = summary.health if summary else None
+        health = health or read_overview(reader).health
     summary = summary or summary_in(folder, plan, RunSummary)
-    remarks: tuple[str, ...] = (_NO_SUMMARY,)
     wall_s = timing.cycles * plan.cycle_wall_ns / 1e9
-    seen: dict[str, Any] = {}
+    seen: dict[str, Any] = {"remarks": (_NO_SUMMARY,)}
     if summary is not None:
-        remarks = (*summary.remarks, *filter(None, [summary.recording_ended]))
         wall_s = summary.wall_s
         accounts = with_accounts(timing.processes, summary.processes, wall_s, plan.tree)
         timing = timing._replace(processes=accounts)
-        names = ("interrupted", "external", "devices", "wrong", "faults")
-        seen = {name: getattr(summary, name) for name in names} | {"lost_messages": summary.lost}
+        seen = {
+            "remarks": (*summary.remarks, *filter(None, [summary.recording_ended])),
+            "interrupted": summary.interrupted,
+            "devices": summary.devices,
+            "lost_messages": summary.lost,
+        }
+        health = replace(health, launcher=summary, devices=summary.devices)
     tiers = tier_timings(timing.processes)
     return TimingReport(
         scenario=plan.plant,
@@ -155,7 +158,7 @@ def report_on(
         cycles=timing.cycles,
         wall_s=wall_s,
         ended=ended,
-        remarks=remarks,
+        health=tuple(health_lines(health, clock)),
         tiers=tiers,
         verdicts=judge(plan, table, timing.times, tiers, seen.get("lost_messages")),
         tree=plan.tree,

@@ -64,7 +64,6 @@ def timing_result(report: TimingReport) -> Result:
         conclusions=[
             *slowest,
             *([_HOPS] if slowest else []),
-            *tables.network_lines(report),
             *(f"not kept: {line}" for line in tables.failures(report)),
         ],
         verdict=(report.passed, tables.verdict_line(report)),

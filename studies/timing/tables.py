@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from launch_scripts.launcher.wrong_messages import one_line_each
 from studies.report.tables import devices_tables
 from studies.tables import (
     Cell,
@@ -14,6 +13,7 @@ from studies.tables import (
     attributes,
     counted,
     key_column,
+    texts_table,
     word_column,
 )
 from studies.timing.budgets import Verdict
@@ -95,24 +95,6 @@ def host_lines(host: Host) -> list[str]:
     ]
 
 
-def network_lines(report: TimingReport) -> list[str]:
-    """Say what external agents sent, what of it was wrong, and what faults did to messages."""
-    lines = [
-        f"external {account.agent}: answered {counted(account.answered, 'time')} of "
-        f"{account.expected:,}; gaps in its sequence numbers show {account.lost:,} messages that "
-        "never came or could not be decoded"
-        for account in report.external
-    ]
-    lines += [
-        f"wrong {entry.key}, {counted(entry.count, 'time')}: {entry.cause}: {entry.example}"
-        for entry in one_line_each(report.wrong)
-    ]
-    if report.faults:
-        counts = ", ".join(f"{count:,} {name}" for name, count in report.faults.items())
-        lines.append(f"network faults that were asked for: {counts}")
-    return lines
-
-
 def verdict_line(report: TimingReport) -> str:
     """Return the verdict on the whole run."""
     failed = len(failures(report))
@@ -143,13 +125,14 @@ def _amount(value: float | None, unit: str) -> str:
 
 
 def measured_tables(report: TimingReport) -> list[Table]:
-    """Return the tables of durations, clocks, counts, devices, processes and other budgets."""
+    """Return all tables: durations by measure, counts, health, and the other budgets."""
     return [
         *_times_tables(report),
         *_clocks_tables(report.clocks),
         Table("Counts", _TIER_COLUMNS, attributes(report.tiers, _TIER_COLUMNS), [_TIER_NOTE]),
         *devices_tables(report.devices),
         *_processes_tables(report.processes),
+        texts_table("Health of the run", report.health),
         budgets_table(report.verdicts),
     ]
 

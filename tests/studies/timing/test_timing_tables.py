@@ -14,7 +14,6 @@ from printing import printed
 from reports_by_hand import missed, reported, summary_of
 from timed_recordings import PLAN, cycle, recorded, without
 
-from agents.events import ExternalAccount
 from agents.machine import MachineSettings
 from recordings.inspect.health import WrongMessages
 from studies.report.result import print_result
@@ -104,11 +103,9 @@ def test_each_process_is_shown_if_asked_for(tmp_path: Path) -> None:
 
 
 def test_an_external_device_and_its_wrong_messages_are_reported(tmp_path: Path) -> None:
-    device = ExternalAccount("c2/d", {"command": 2}, lost=1, expected=6, answered=5)
+    plan = replace(PLAN, external=("c2/d",))
+    recorded(tmp_path, cycle(0), cycle(1), plan=plan)
     wrong = WrongMessages("c2/d/command", "not msgpack", 3, "b'x'")
-    found = reported(tmp_path, plan=replace(PLAN, external=("c2/d",)))
-    text = text_of(replace(found, external=(device,), wrong=(wrong,), faults={"lost": 4}))
-    assert "external c2/d: answered 5 times of 6" in text
-    assert "wrong c2/d/command, 3 times: not msgpack: b'x'" in text
-    assert "4 lost" in text
+    text = text_of(report_on(tmp_path, replace(summary_of(tmp_path, plan), wrong=(wrong,))))
+    assert "3 not msgpack on c2/d/command" in text
     assert row(text, "c2/d estimate")[0] == "2"
