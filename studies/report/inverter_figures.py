@@ -21,6 +21,9 @@ from studies.report.cloud_passage import (
 from studies.report.decimation import least_per_bucket
 
 _LEAST_MAP_PX: Final = 160
+_MOST_NAMES: Final = 151
+_NAME_PX: Final = 15
+"""So many inverters have a name each, in a row of this height."""
 _ACROSS: Final = 4
 _MATRIX_PX: Final = 230
 
@@ -28,7 +31,8 @@ _MATRIX_PX: Final = 230
 def residuals(series: RunSeries) -> style.ReportFigure:
     """Draw the residual of every inverter as a heat map, and that of the worst as a line."""
     count = len(series.inverters)
-    map_px = max(count * style.name_px(count), _LEAST_MAP_PX)
+    every = 1 + count // _MOST_NAMES
+    map_px = max(count * max(_NAME_PX // every, 1), _LEAST_MAP_PX)
     figure = make_subplots(
         rows=2,
         cols=1,
@@ -58,7 +62,8 @@ def residuals(series: RunSeries) -> style.ReportFigure:
     blue = {"color": style.BLUE, "width": 1.2}
     figure.add_trace(style.time_line(series, worst_kw, "worst", blue), row=2, col=1)
     style.dress(figure, map_px + 230, legend=False)
-    style.list_names(figure, count, row=1, col=1)
+    names = {"autorange": "reversed", "showgrid": False, "dtick": every, "tickfont_size": 11}
+    figure.update_yaxes(**names, row=1, col=1)
     figure.update_yaxes(title_text="worst [kW]", row=2, col=1)
     figure.add_hline(y=0.0, line={"color": style.BLACK, "width": 1}, row=2, col=1)
     style.label_time_axis(figure, series, rows=2)
@@ -150,7 +155,7 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
             figure.add_hline(y=edge, line=line, **panel)
     style.dress(figure, height_px + 60, legend=False)
     # All matrices are squares without ticks, at the top of their place, below their titles.
-    look = {"showticklabels": False, "ticks": "", "showgrid": False, "constrain": "domain"}
+    look = {"showticklabels": False, "showgrid": False, "constrain": "domain"}
     figure.update_xaxes(**look)
     figure.update_yaxes(**look, autorange="reversed", constraintoward="top")
     for axis in figure.select_yaxes():

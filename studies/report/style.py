@@ -33,9 +33,6 @@ SUPPORT: Final = VERMILLION
 SCHEMES: Final = (BLUE, "#009e73", "#cc79a7", ORANGE, "#56b4e9")
 _DASHES: Final = ("solid", "dash", "dot", "dashdot")
 
-_MOST_NAMES: Final = 150
-_NAME_PX: Final = 15
-
 _PANEL_PX: Final = 240
 _PANELS_GAP_PX: Final = 60
 _PANELS_FRAME_PX: Final = 120
@@ -168,24 +165,17 @@ def time_line(
 def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figure:
     """Give a figure the report's look."""
     figure.update_layout(
-        template="none",
+        template="plotly_white",
         height=height_px,
         font={"family": FONT, "size": 13, "color": BLACK},
         margin={"l": 70, "r": 20, "t": 28 if legend else 24, "b": 50},
-        paper_bgcolor="white",
-        plot_bgcolor="white",
         hovermode="closest",
         showlegend=legend,
         legend={"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom"},
     )
     figure.update_annotations(font_size=14)
     axis = {
-        "showgrid": True,
-        "gridcolor": "#ececec",
-        "zerolinecolor": "#bdbdbd",
-        "linecolor": "#bdbdbd",
         "ticks": "outside",
-        "tickcolor": "#bdbdbd",
         "title_standoff": 8,
         "automargin": True,
         "separatethousands": True,
@@ -194,19 +184,6 @@ def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figur
     figure.update_xaxes(**axis)
     figure.update_yaxes(**axis)
     return figure
-
-
-def list_names(figure: go.Figure, count: int, **of_panel: int) -> None:
-    """List the names of inverters downwards, all of them while there are no more than 150."""
-    few = count <= _MOST_NAMES
-    dtick = 1 if few else None
-    look = {"autorange": "reversed", "showgrid": False, "dtick": dtick, "tickfont_size": 11}
-    figure.update_yaxes(**look, **of_panel)
-
-
-def name_px(count: int) -> int:
-    """Return the height of one of so many rows with a name each; less if they are too many."""
-    return _NAME_PX if count <= _MOST_NAMES else max(1, 1800 // count)
 
 
 def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None:

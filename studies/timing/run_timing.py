@@ -169,15 +169,9 @@ def _stage_durations(
     plan: RunPlan, stages: Sequence[StageTimes], clocks: set[str]
 ) -> Iterator[_Durations]:
     """Measure the stages of an agent; of a device only what can be seen from outside."""
-    cycle_ns, agent = plan.cycle_wall_ns, stages[0].agent
-    # When the agent had last published before each stage of each cycle.
-    spoke_ns = pd.DataFrame(
-        {at: one.closed.last_ns + one.closed.index * cycle_ns for at, one in enumerate(stages)}
-    )
-    latest_ns = np.fmax.accumulate([-np.inf, *spoke_ns.to_numpy().flat])
-    before_ns = pd.DataFrame(latest_ns[:-1].reshape(spoke_ns.shape), spoke_ns.index)
+    agent = stages[0].agent
     tier, kind = tier_of(agent, plan.tree), kind_of(agent, plan.tree)
-    for at, stage in enumerate(stages):
+    for stage in stages:
         closed, place = stage.closed, stage_place(agent, stage.name, plan.tree)
         row = place, f"{tier} {stage.name}", kind, agent
         yield _Durations("jitter", *row, closed.first_ns.diff().abs())
@@ -190,14 +184,13 @@ def _stage_durations(
         by_clock = closed if stage.timed else closed[closed.lacking]
         yield _Durations("lateness", *row, by_clock.first_ns - stage.deadline_ns)
         yield _Durations("age", *row, closed.ready_ns - closed.oldest_ns)
-        was_free = closed.ready_ns + closed.index * cycle_ns >= before_ns.loc[closed.index, at]
-        yield from _hop_durations(plan, agent, closed[was_free & ~closed.lacking], clocks)
+        yield from _hop_durations(plan, agent, closed[~closed.lacking], clocks)
 
 
 def _hop_durations(
     plan: RunPlan, agent: str, waited: pd.DataFrame, clocks: set[str]
 ) -> Iterator[_Durations]:
-    """Measure the hop of the input that completed a stage, if the agent waited for it."""
+    """Measure the hop of the input that completed a stage."""
     hops_ns = (waited.ready_ns - waited.completed_ns).dropna()
     for port, hop_ns in hops_ns.groupby(waited.cause, sort=False):
         signal, publisher, place = port.signal.name, port.publisher, SIGNALS.index(port.signal)
