@@ -75,31 +75,14 @@ def test_an_hour_in_which_nothing_varies_has_no_correlation_to_show() -> None:
     assert list(correlation_by_hour(replace(run, mpp_kw=mpp_kw))) == [11]
 
 
-def missing(run: RunSeries, cycles: slice, power_kw: float) -> RunSeries:
-    """Return the run with its first inverter short of some power for a while."""
-    delivered_kw = run.power_kw.copy()
-    delivered_kw[cycles, 0] -= power_kw
-    return replace(run, power_kw=delivered_kw)
-
-
-def exact(run: RunSeries) -> RunSeries:
-    """Return the run as if each inverter gave its share of what was desired."""
-    share_kw = np.repeat(run.desired_kw[:, None] / len(run.inverters), len(run.inverters), axis=1)
-    return replace(run, power_kw=share_kw)
-
-
-def test_the_close_look_is_at_the_ten_minutes_of_the_largest_error() -> None:
-    run = missing(exact(cloudy_run(cycles=3600, regulation=True)), slice(2000, 2600), 20.0)
-    assert farthest_from_asked([run]) == range(2000, 2600)
-
-
-def test_an_error_while_nothing_is_asked_does_not_draw_the_close_look() -> None:
-    run = exact(cloudy_run(cycles=3600, regulation=True))
-    regulation_kw = run.regulation_kw.copy()
-    regulation_kw[:1800] = 0.0
-    quiet = exact(replace(run, regulation_kw=regulation_kw))
-    worse_before = missing(quiet, slice(0, 1700), 90.0)
-    assert farthest_from_asked([missing(worse_before, slice(2900, 3500), 5.0)]).start >= 2800
+def test_the_close_look_is_at_the_ten_minutes_of_the_largest_error_in_what_was_asked() -> None:
+    run = cloudy_run(cycles=3600, regulation=True)
+    asked_kw = np.where(np.arange(3600) < 1800, 0.0, run.regulation_kw)
+    run = replace(run, regulation_kw=asked_kw)
+    power_kw = np.repeat(run.desired_kw[:, None] / len(run.inverters), len(run.inverters), axis=1)
+    power_kw[:1700, 0] -= 90.0  # Nothing is asked there.
+    power_kw[2000:2600, 0] -= 20.0
+    assert farthest_from_asked([replace(run, power_kw=power_kw)]) == range(2000, 2600)
 
 
 def test_the_clock_does_not_go_back_where_summer_time_ends() -> None:

@@ -23,9 +23,7 @@ from studies.tables import Column, Table, key_column
 
 NASTY = "a <b>bold</b> & <script>alert('x')</script> label"
 TEN_O_CLOCK_LOCAL_MS = TEN_O_CLOCK_HST_NS / 1e6 - 10 * 3_600_000
-ALL_FIGURES = [
-    *("possible-power", "support", "regulation", "residuals", "neighbours", "correlation"),
-]
+FIGURES = ["possible-power", "support", "regulation", "residuals", "neighbours", "correlation"]
 
 
 def report(folder: Path, *series: RunSeries, notes: Sequence[str] = ()) -> Page:
@@ -41,11 +39,11 @@ def report(folder: Path, *series: RunSeries, notes: Sequence[str] = ()) -> Page:
 
 def test_a_run_with_regulation_has_every_figure_and_links_to_each(tmp_path: Path) -> None:
     page = report(tmp_path, cloudy_run(regulation=True))
-    assert page.figures() == ALL_FIGURES
+    assert page.figures() == FIGURES
     assert all(page.texts("figcaption"))
     places = {element.attributes.get("id") for element in page.of("section")}
     links = [str(element.attributes["href"]).removeprefix("#") for element in page.of("a")]
-    assert links == [*ALL_FIGURES, "table-1", "table-2"]
+    assert links == [*FIGURES, "table-1", "table-2"]
     assert set(links) == places
 
 
@@ -197,7 +195,7 @@ def test_cycles_without_a_message_are_gaps_in_their_own_place(
         values[100:130] = np.nan
     found = replace(run, **gaps)
     page = report(tmp_path, found)
-    assert page.figures() == ALL_FIGURES
+    assert page.figures() == FIGURES
     drawn = numbers(page.trace("possible-power", "delivered")["y"])
     np.testing.assert_allclose(drawn, found.delivered_kw, rtol=1e-6)
     said = any("30 cycles without dispatch or production" in text for text in page.texts("p"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 from timed_recordings import CYCLE_MS, MS, PLAN, START_NS, TIMES_MS, cycle, recorded, without
@@ -12,6 +13,7 @@ from timed_recordings import CYCLE_MS, MS, PLAN, START_NS, TIMES_MS, cycle, reco
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from recordings.read.reader import RunReader
+from studies.timing.durations import curve_ms, distribution
 from studies.timing.run_timing import ProcessTiming, RunTiming, run_timing
 
 
@@ -196,3 +198,21 @@ def test_a_start_that_is_far_from_its_message_is_not_believed(tmp_path: Path) ->
     with RunReader(recorded(tmp_path, cycle(0), start=far)) as reader:
         found = run_timing(reader)
     assert row(found, "loop", "all commands") == (1, 13.6, 13.6)
+
+
+@pytest.mark.parametrize(
+    ("count", "p50_us", "p99_us", "p99_9_us"),
+    [(10, 5, 10, 10), (1000, 500, 990, 999)],
+)
+def test_percentiles_are_durations_that_so_many_do_not_exceed(
+    count: int, p50_us: float, p99_us: float, p99_9_us: float
+) -> None:
+    found = distribution(np.random.default_rng(1).permutation(np.arange(1, count + 1)) * 1000)
+    assert (found.count, found.min_us, found.max_us) == (count, 1.0, count)
+    assert (found.p50_us, found.p99_us, found.p99_9_us) == (p50_us, p99_us, p99_9_us)
+    assert curve_ms(found)[1][-1] == found.max_us / 1e3
+
+
+def test_a_duration_below_zero_counts_as_none() -> None:
+    found = distribution(np.array([-10, 3000]))
+    assert (found.min_us, found.p50_us, found.max_us) == (0.0, 0.0, 3.0)
