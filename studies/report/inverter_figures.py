@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+import plotly.graph_objects as go
 from plotly.colors import diverging
 from plotly.subplots import make_subplots
 
@@ -29,23 +30,16 @@ _MATRIX_PX: Final = 230
 
 
 def residuals(series: RunSeries) -> style.ReportFigure:
-    """Draw the residual of every inverter as a heat map, and that of the worst as a line."""
+    """Draw the residual of every inverter as a heat map."""
     count = len(series.inverters)
     every = 1 + count // _MOST_NAMES
     map_px = max(count * max(_NAME_PX // every, 1), _LEAST_MAP_PX)
-    figure = make_subplots(
-        rows=2,
-        cols=1,
-        shared_xaxes=True,
-        vertical_spacing=30.0 / (map_px + 150.0),
-        row_heights=[map_px, 120],
-    )
     order = inverters_by_cluster(series)
     cells_kw, rows = least_per_bucket(series.residual_kw[:, order])
     cell_ms = rows * series.cycle_s * 1e3
     # Without the few largest, which would leave the rest pale.
     limit_kw = float(np.nanquantile(np.abs(cells_kw), 0.99)) or 1.0
-    figure.add_heatmap(
+    cells = go.Heatmap(
         z=cells_kw.T.astype(np.float32),
         x0=style.clock_ms(series)[0] + cell_ms / 2.0,
         dx=cell_ms,
@@ -55,27 +49,19 @@ def residuals(series: RunSeries) -> style.ReportFigure:
         zmax=limit_kw,
         colorbar=style.colour_bar("kW", map_px),
         hovertemplate="%{y}: %{z:,.1f} kW<extra></extra>",
-        row=1,
-        col=1,
     )
-    worst_kw = np.fmin.reduce(series.residual_kw, axis=1)
-    blue = {"color": style.BLUE, "width": 1.2}
-    figure.add_trace(style.time_line(series, worst_kw, "worst", blue), row=2, col=1)
-    style.dress(figure, map_px + 230, legend=False)
-    names = {"autorange": "reversed", "showgrid": False, "dtick": every, "tickfont_size": 11}
-    figure.update_yaxes(**names, row=1, col=1)
-    figure.update_yaxes(title_text="worst [kW]", row=2, col=1)
-    figure.add_hline(y=0.0, line={"color": style.BLACK, "width": 1}, row=2, col=1)
-    style.label_time_axis(figure, series, rows=2)
+    figure = style.dress(go.Figure(cells), map_px + 80, legend=False)
+    figure.update_yaxes(autorange="reversed", showgrid=False, dtick=every, tickfont_size=11)
+    style.label_time_axis(figure, series)
     figure.update_layout(hovermode="closest")
-    needy = 100.0 * np.mean(worst_kw[np.isfinite(worst_kw)] < 0.0)
+    least_kw = np.fmin.reduce(series.residual_kw, axis=1)
+    needy = 100.0 * np.mean(least_kw[np.isfinite(least_kw)] < 0.0)
     return style.ReportFigure(
         "residuals",
         "Residuals of the inverters",
         "Residual of each inverter, IMPP less request [kW]. Red: it cannot meet its request and "
         "needs help. Blue: it has headroom. In a long run a cell shows the least residual of the "
-        "cycles that it covers. The line below is the least residual of all inverters [kW]. "
-        f"At least one inverter needed help in {needy:.1f} % of the cycles.",
+        f"cycles that it covers. At least one inverter needed help in {needy:.1f} % of the cycles.",
         figure,
     )
 

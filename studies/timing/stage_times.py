@@ -108,21 +108,22 @@ def read_message_times(reader: RunReader) -> MessageTimes:
         publishes.append(head.publish_time_ns)
         if head.missing:
             missing.setdefault((cycle, port), head.missing)
-    # In reverse order, so that the first of two copies of a message is kept.
-    cycle_of, place = np.array(cycles)[::-1], np.array(places)[::-1]
-    ended = cycle_of[place == columns[PRODUCTION.of(ROOT)]]
+    found = {"cycle": cycles, "place": places, "ready_ns": readies, "publish_ns": publishes}
+    # The first of two copies of a message is kept.
+    frame = pd.DataFrame(found, dtype=np.int64).drop_duplicates(["cycle", "place"])
+    ended = frame.cycle[frame.place == columns[PRODUCTION.of(ROOT)]]
     length = int(ended.max()) + 1 if len(ended) else 0
-    kept = cycle_of < length
-    tick_ns = start_ns + np.arange(length) * plan.cycle_wall_ns
+    frame = frame.set_index(["cycle", "place"])
+    tick_ns = start_ns + frame.index.get_level_values("cycle") * plan.cycle_wall_ns
 
-    def table(times: array[int]) -> pd.DataFrame:
-        """Lay times out by cycle and port."""
-        table_ns = np.zeros((length, len(ports)), dtype=np.int64)
-        table_ns[cycle_of[kept], place[kept]] = np.array(times)[::-1][kept]
-        after_tick_ns = np.where(table_ns > 0, table_ns - tick_ns[:, None], np.nan)
-        return pd.DataFrame(after_tick_ns, columns=ports)
+    def table(time_ns: pd.Series) -> pd.DataFrame:
+        """Lay times out by cycle and port, from the tick of their cycle."""
+        shown = (time_ns - tick_ns).where(time_ns > 0).unstack().reindex(range(length))
+        return shown.reindex(columns=range(len(ports))).set_axis(ports, axis=1)
 
-    return MessageTimes(plan, ports, table(readies), table(publishes), missing, missed, fastest_ns)
+    return MessageTimes(
+        plan, ports, table(frame.ready_ns), table(frame.publish_ns), missing, missed, fastest_ns
+    )
 
 
 def stage_times(messages: MessageTimes) -> list[StageTimes]:
