@@ -37,9 +37,6 @@ _SILENT_CYCLES: Final = 5
 _QUIET_S: Final = 0.3
 """How long nothing may come where nothing is expected, outside the cycles of real time."""
 
-Inputs: TypeAlias = Mapping[int, Mapping[Port[Message], Message]]
-"""What our own agent hears in each cycle of an undisturbed run."""
-
 Edit: TypeAlias = Mapping[Port[Message], Sequence[bytes]]
 """What is sent in a cycle in place of the messages of some ports."""
 
@@ -48,12 +45,13 @@ Edit: TypeAlias = Mapping[Port[Message], Sequence[bytes]]
 class Trial:
     """One run around a device that is in an agent's place.
 
-    `inputs` is what the agent hears in it; `comparison` says what counts as equal.
+    `inputs` is what our own agent hears in each cycle of an undisturbed run; `comparison` says what
+    counts as equal.
     """
 
     plan: RunPlan
     agent: str
-    inputs: Inputs
+    inputs: Mapping[int, Mapping[Port[Message], Message]]
     bus: Neighbours
     findings: Findings
     comparison: Comparison
@@ -136,9 +134,8 @@ class Trial:
         It is a new process then: so is our own agent. It hears nothing before all its links are
         open: what it decides would depend on their order.
         """
-        if self._incarnation is not None:
-            self._incarnation = None
-            self._sequence.clear()
+        self._incarnation = None
+        self._sequence.clear()
         cycle = self.cycle
         self._begin_ours(cycle)
         self._play(cycle, dict.fromkeys(self.ports(), ()) if self.bus.absent else {}, None)

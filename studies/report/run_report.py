@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -93,12 +92,10 @@ def runs_result(
 
 def run_line(plan: RunPlan) -> str:
     """Return the first line of a report: what was run, and how."""
-    sizes = Counter(parent_of(leaf) for leaf in plan.tree.leaves).values()
-    listed = ", ".join(f"{count} with {size}" for size, count in Counter(sizes).items())
-    clustered = f" in {len(sizes)} clusters ({listed})" if len(sizes) > 1 else ""
+    clusters = counted(len({parent_of(leaf) for leaf in plan.tree.leaves}), "cluster")
     pace = f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}" if plan.cycle_wall_ns else "lockstep"
     parts = (
-        f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')}{clustered}",
+        f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')} in {clusters}",
         f"scheme {plan.scheme}",
         f"actuator {plan.actuator}",
         pace,

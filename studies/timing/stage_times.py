@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from itertools import compress
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 import pandas as pd
 
@@ -29,17 +28,6 @@ from bus_schemas.signals import COMMAND, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, ROOT
 from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RunReader
-
-
-class _Head(msgspec.Struct, gc=False):
-    """The fields of a message that timing needs; the rest is not decoded."""
-
-    missing: tuple[str, ...]
-    ready_time_ns: int
-    publish_time_ns: int
-
-
-_decode_head = msgspec.msgpack.Decoder(_Head).decode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,20 +82,20 @@ def read_message_times(reader: RunReader) -> MessageTimes:
     missed = MissedInputs(plan)
     for record in reader.records(columns, range(_end_cycle(reader))):
         port, cycle = record.port, record.cycle
-        head = _decode_head(record.payload)
-        missed.see(record)
+        message = record.message()
+        missed.count(port, message)
         # A device without this host's clock states 0, one with another clock an impossible time.
         earliest_ns = max(start_ns + (cycle - 1) * plan.cycle_wall_ns, 1)
-        if record.publish_time_ns > record.log_time_ns or head.publish_time_ns < earliest_ns:
+        if record.publish_time_ns > record.log_time_ns or message.publish_time_ns < earliest_ns:
             continue
         way_ns = record.log_time_ns - record.publish_time_ns
         fastest_ns[port] = min(fastest_ns.get(port, way_ns), way_ns)
         cycles.append(cycle)
         places.append(columns[port])
-        readies.append(head.ready_time_ns)
-        publishes.append(head.publish_time_ns)
-        if head.missing:
-            missing.setdefault((cycle, port), head.missing)
+        readies.append(message.ready_time_ns)
+        publishes.append(message.publish_time_ns)
+        if message.missing:
+            missing.setdefault((cycle, port), message.missing)
     found = {"cycle": cycles, "place": places, "ready_ns": readies, "publish_ns": publishes}
     # The first of two copies of a message is kept.
     frame = pd.DataFrame(found, dtype=np.int64).drop_duplicates(["cycle", "place"])
