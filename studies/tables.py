@@ -102,9 +102,6 @@ class Table:
         groups = self._groups(width)
         if len(groups) == 1:
             return [self]
-        # Even parts look better than a last one of a single column.
-        while width and len(evener := self._groups(width - 1)) == len(groups):
-            groups, width = evener, width - 1
         return [
             replace(
                 self,

@@ -5,11 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any, Final, TypeVar
@@ -52,8 +50,12 @@ def share_work(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(items)), context, _begin, (function,))
     try:
-        with _signals_blocked():
+        # Workers start with the signals blocked: only this process obeys them, once it goes on.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+        try:
             futures: list[Future[Any]] = [pool.submit(_apply, item) for item in items]
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for future in as_completed(futures):
             future.result()
             done()
@@ -85,32 +87,6 @@ def _apply(item: object) -> object:
     return _OF_WORKER["function"](item)
 
 
-@contextmanager
-def _signals_blocked() -> Iterator[None]:
-    """Let processes start that ignore, from their first import on, the signals that end this one.
-
-    Ctrl-C and `timeout` send these to every process of a terminal or group; only this one obeys,
-    and only afterwards: a process that is started halfway prints a traceback. For that it is not
-    enough to block them. The kernel gives them to another thread, such as one of a library, and
-    Python calls the handler in the main thread all the same.
-    """
-    came: list[int] = []
-    handlers: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():  # No other one may set handlers.
-        handlers = {
-            one: signal.signal(one, lambda number, _: came.append(number)) for one in _SIGNALS
-        }
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for number in came:
-            signal.raise_signal(number)
-
-
 def share_over_cluster(
     function: Callable[[Item], Result],
     items: Sequence[Item],
@@ -121,7 +97,7 @@ def share_over_cluster(
 
     They must have Heliarch installed and see the data under the same paths.
 
-    Raises WorkerLostError: The cluster gave up.
+    Raises WorkerLostError: There is no scheduler, or the cluster gave up.
     """
     try:
         distributed: Any = import_module("distributed")
@@ -130,22 +106,13 @@ def share_over_cluster(
             "--scheduler: Dask is not installed; install it with pip install 'heliarch[cluster]'"
         ) from None
     try:
-        client = distributed.Client(scheduler, timeout="10s")
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(
-            "--scheduler: expected the address of a Dask scheduler such as tcp://127.0.0.1:8786, "
-            f"got {scheduler} ({type(error).__name__})"
-        ) from None
-    with client:
-        futures = [client.submit(function, item, pure=False) for item in items]
-        try:
-            for _ in distributed.as_completed(futures, raise_errors=True, with_results=True):
+        with distributed.Client(scheduler, timeout="10s") as client:
+            futures = client.map(function, items, pure=False)
+            for _ in distributed.as_completed(futures, raise_errors=False):
                 done()
             results: list[Result] = client.gather(futures)
-        except InputError:
-            raise
-        except Exception as error:  # A cluster can fail in many ways.
-            raise WorkerLostError(
-                f"--scheduler {scheduler} gave up ({type(error).__name__}: {error})"
-            ) from None
-        return results
+            return results
+    except InputError:
+        raise
+    except Exception as error:  # A cluster can fail in many ways.
+        raise WorkerLostError(f"--scheduler {scheduler}: {type(error).__name__}: {error}") from None

@@ -45,8 +45,8 @@ class MissedInputs:
             self.count(record.port, record.message())
 
     def count(self, port: Port[Message], message: Message) -> None:
-        if not message.missing:
-            return
+        if not message.missing or not port.signal.is_cyclic:
+            return  # A takeover tells of cycles whose own messages are counted.
         agent, cycle, stage = port.publisher, message.cycle, stage_of(port, self._tree)
         if cycle <= self._counted.get((agent, stage), -1):
             return  # All messages of a stage say the same.

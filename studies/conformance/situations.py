@@ -35,6 +35,7 @@ _RANGES: Final[dict[type[Message], tuple[float, float]]] = {
     Setpoint: (0.0, 1.0),
     Meter: (0.0, 1.0),
     Residual: (-1.0, 1.0),
+    Telemetry: (0.0, 1.04),
 }
 """Bounds of random powers, as shares of the rating."""
 
@@ -121,24 +122,20 @@ def _one_of_each(trial: Trial) -> list[Port[Message]]:
 
 def _extremes(trial: Trial, port: Port[Message]) -> list[dict[str, float]]:
     """Return fields of an input at and beyond what they can be."""
-    rating_kw = trial.plan.tree.rating_kw(port.node)
+    rating_kw, kind = trial.plan.tree.rating_kw(port.node), port.signal.type
     above_kw = 1.5 * rating_kw
-    if port.signal.type is Telemetry:
-        some_kw = 0.3 * rating_kw
+    if kind is Telemetry:
+        limited = {"power_kw": 0.3 * rating_kw, "alpha": 0.5}
         return [
             *({"power_kw": share * rating_kw, "alpha": 1.0} for share in (0.0, 1.0, 1.04)),
-            {"power_kw": some_kw, "alpha": 0.5, "available_kw": 0.9 * rating_kw},
-            {"power_kw": some_kw, "alpha": 0.5, "available_kw": above_kw},
-            {"power_kw": some_kw, "alpha": 1.0, "available_kw": 0.9 * rating_kw},
+            *({**limited, "available_kw": power_kw} for power_kw in (0.9 * rating_kw, above_kw)),
             *({"power_kw": wrong} for wrong in (above_kw, -1.0, nan)),
             *({"alpha": wrong} for wrong in (0.0, 1.5, -0.5, nan)),
         ]
-    if port.signal.type is Dispatch:
-        return [
-            *({"power_kw": value} for value in (0.0, -500.0, above_kw, nan, inf)),
-            *({"plant_rating_kw": wrong} for wrong in (0.0, nan)),
-        ]
-    low_kw = -rating_kw if port.signal.type is Residual else 0.0
+    if kind is Dispatch:
+        powers = [{"power_kw": value} for value in (0.0, -500.0, above_kw, nan, inf)]
+        return [*powers, {"plant_rating_kw": 0.0}, {"plant_rating_kw": nan}]
+    low_kw = -rating_kw if kind is Residual else 0.0
     wrong_low_kw = 3.0 * low_kw - 1.0
     return [{"power_kw": value} for value in (low_kw, rating_kw, wrong_low_kw, above_kw, nan)]
 
@@ -183,13 +180,11 @@ def _replace_neighbours(trial: Trial) -> None:
 
 def _random(trial: Trial, port: Port[Message], draw: random.Random) -> Message:
     """Return a message with random numbers within their bounds."""
-    rating_kw = trial.plan.tree.rating_kw(port.node)
-    kind = port.signal.type
-    if kind is Telemetry:
-        alpha = draw.choice((1.0, draw.uniform(trial.plan.alpha_min, 1.0)))
-        available_kw = draw.choice((None, draw.uniform(0.0, 1.04) * rating_kw))
-        power_kw = draw.uniform(0.0, 1.04) * rating_kw
-        return trial.message(port, power_kw=power_kw, alpha=alpha, available_kw=available_kw)
+    rating_kw, kind = trial.plan.tree.rating_kw(port.node), port.signal.type
     if kind not in _RANGES:
         return trial.message(port)
-    return trial.message(port, power_kw=draw.uniform(*_RANGES[kind]) * rating_kw)
+    changes = {"power_kw": draw.uniform(*_RANGES[kind]) * rating_kw}
+    if kind is Telemetry:
+        changes["alpha"] = draw.choice((1.0, draw.uniform(trial.plan.alpha_min, 1.0)))
+        changes["available_kw"] = draw.uniform(0.0, 1.04) * rating_kw
+    return trial.message(port, **changes)

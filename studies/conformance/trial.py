@@ -37,9 +37,6 @@ _SILENT_CYCLES: Final = 5
 _QUIET_S: Final = 0.3
 """How long nothing may come where nothing is expected, outside the cycles of real time."""
 
-Inputs: TypeAlias = Mapping[int, Mapping[Port[Message], Message]]
-"""What our own agent hears in each cycle of an undisturbed run."""
-
 Edit: TypeAlias = Mapping[Port[Message], Sequence[bytes]]
 """What is sent in a cycle in place of the messages of some ports."""
 
@@ -48,12 +45,13 @@ Edit: TypeAlias = Mapping[Port[Message], Sequence[bytes]]
 class Trial:
     """One run around a device that is in an agent's place.
 
-    `inputs` is what the agent hears in it; `comparison` says what counts as equal.
+    `inputs` is what our own agent hears in each cycle of an undisturbed run; `comparison` says what
+    counts as equal.
     """
 
     plan: RunPlan
     agent: str
-    inputs: Inputs
+    inputs: Mapping[int, Mapping[Port[Message], Message]]
     bus: Neighbours
     findings: Findings
     comparison: Comparison
@@ -136,9 +134,8 @@ class Trial:
         It is a new process then: so is our own agent. It hears nothing before all its links are
         open: what it decides would depend on their order.
         """
-        if self._incarnation is not None:
-            self._incarnation = None
-            self._sequence.clear()
+        self._incarnation = None
+        self._sequence.clear()
         cycle = self.cycle
         self._begin_ours(cycle)
         self._play(cycle, dict.fromkeys(self.ports(), ()) if self.bus.absent else {}, None)
@@ -156,11 +153,9 @@ class Trial:
         cycle = self.cycle
         self.findings.try_(requirement)
         if not self._play(cycle, edit or {}, requirement):
-            # The trial ends if the device has gone, or has been silent for some cycles.
             last = max((of for _, of in self._outputs), default=-1)
             if self.bus.absent or cycle - last >= _SILENT_CYCLES:
-                why = "it has gone" if self.bus.absent else "it is silent"
-                self._give_up(requirement, f"cycle {cycle}: {why}")
+                self._give_up(requirement, f"cycle {cycle}: it has gone, or is silent")
         for port, payloads in (late or {}).items():
             self._send(port, payloads)
         self.cycle += 1
@@ -342,7 +337,7 @@ class Trial:
             elif its is not None:
                 self.findings.fail(of, f"{where}: published, expected nothing")
             elif own is not None:
-                self.findings.fail(of, f"{where}: nothing came, expected {_content(own)}")
+                self.findings.fail(of, f"{where}: nothing came")
 
     def _compare(self, port: Port[Message], own: Message, its: Message, of: str) -> None:
         for listener in self.plan.wiring.listeners[port]:
@@ -356,8 +351,3 @@ class Trial:
             text = f"{found.field}: expected {found.new}, got {found.recorded}"
             self.findings.fail(of, f"cycle {its.cycle}, {port}, {text}")
             return
-
-
-def _content(message: Message) -> str:
-    fields = [name for name in message.__struct_fields__ if name not in Message.__struct_fields__]
-    return ", ".join(f"{name} {getattr(message, name)}" for name in fields)

@@ -1,16 +1,14 @@
-"""Figures of the inverters: their residuals, and who helped whom."""
+"""Figures of the inverters: their residuals, neighbours under a cloud, and correlations."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Sequence
 from itertools import accumulate
 from typing import Final
 
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
-from numpy.typing import NDArray
+from plotly.colors import diverging
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
@@ -21,151 +19,51 @@ from studies.report.cloud_passage import (
     find_cloud_passage,
     inverters_by_cluster,
 )
-from studies.report.decimation import COLUMNS, least_per_bucket
+from studies.report.decimation import least_per_bucket
 
 _LEAST_MAP_PX: Final = 160
-_TITLE_PX: Final = 44
-
-_ACROSS: Final = 5
-_MATRIX_PX: Final = {1: 420, 2: 340, 3: 240}
-"""Side of a matrix by how many stand beside each other."""
-_SMALLEST_MATRIX_PX: Final = 178
-_NAME_PX: Final = 14
+_MOST_NAMES: Final = 151
+_NAME_PX: Final = 15
+"""So many inverters have a name each, in a row of this height."""
+_ACROSS: Final = 4
+_MATRIX_PX: Final = 230
 
 
 def residuals(series: RunSeries) -> style.ReportFigure:
-    """Draw the residual of every inverter as a heat map, and that of the worst as a line."""
+    """Draw the residual of every inverter as a heat map."""
     count = len(series.inverters)
-    map_px = max(count * style.name_px(count), _LEAST_MAP_PX)
-    figure = make_subplots(
-        rows=2,
-        cols=1,
-        shared_xaxes=True,
-        vertical_spacing=30.0 / (map_px + 150.0),
-        row_heights=[map_px, 120],
-    )
+    every = 1 + count // _MOST_NAMES
+    map_px = max(count * max(_NAME_PX // every, 1), _LEAST_MAP_PX)
     order = inverters_by_cluster(series)
     cells_kw, rows = least_per_bucket(series.residual_kw[:, order])
     cell_ms = rows * series.cycle_s * 1e3
-    # Without the few largest on either side, which would leave the rest pale.
-    least_kw = min(0.0, float(np.nanquantile(cells_kw, 0.005)))
-    greatest_kw = max(0.0, float(np.nanquantile(cells_kw, 0.995)))
-    figure.add_heatmap(
+    # Without the few largest, which would leave the rest pale.
+    limit_kw = float(np.nanquantile(np.abs(cells_kw), 0.99)) or 1.0
+    cells = go.Heatmap(
         z=cells_kw.T.astype(np.float32),
         x0=style.clock_ms(series)[0] + cell_ms / 2.0,
         dx=cell_ms,
         y=[style.plain(series.inverters[position]) for position in order],
-        colorscale=style.diverging_scale(least_kw, greatest_kw),
-        zmin=least_kw,
-        zmax=greatest_kw,
+        colorscale=diverging.RdBu,
+        zmin=-limit_kw,
+        zmax=limit_kw,
         colorbar=style.colour_bar("kW", map_px),
         hovertemplate="%{y}: %{z:,.1f} kW<extra></extra>",
-        row=1,
-        col=1,
     )
-    worst_kw = np.fmin.reduce(series.residual_kw, axis=1)
-    blue = {"color": style.BLUE, "width": 1.2}
-    figure.add_trace(style.time_line(series, worst_kw, "worst", blue), row=2, col=1)
-    style.dress(figure, map_px + 230, legend=False)
-    style.list_names(figure, count, row=1, col=1)
-    figure.update_yaxes(title_text="worst [kW]", row=2, col=1)
-    figure.add_hline(y=0.0, line={"color": style.BLACK, "width": 1}, row=2, col=1)
-    style.label_time_axis(figure, series, rows=2)
+    figure = style.dress(go.Figure(cells), map_px + 80, legend=False)
+    figure.update_yaxes(autorange="reversed", showgrid=False, dtick=every, tickfont_size=11)
+    style.label_time_axis(figure, series)
     figure.update_layout(hovermode="closest")
-    needy = 100.0 * np.mean(worst_kw[np.isfinite(worst_kw)] < 0.0)
-    cells = " Each cell shows the least residual of the cycles that it covers."
+    least_kw = np.fmin.reduce(series.residual_kw, axis=1)
+    needy = 100.0 * np.mean(least_kw[np.isfinite(least_kw)] < 0.0)
     return style.ReportFigure(
         "residuals",
         "Residuals of the inverters",
         "Residual of each inverter, IMPP less request [kW]. Red: it cannot meet its request and "
-        "needs help. Blue: it has headroom. The two sides have scales of their own. The line below "
-        "is the least residual of all inverters [kW]. "
-        f"At least one inverter needed help in {needy:.1f} % of the cycles."
-        + (cells if series.cycles > COLUMNS else "")
-        + style.thinning_note(series.cycles),
+        "needs help. Blue: it has headroom. In a long run a cell shows the least residual of the "
+        f"cycles that it covers. At least one inverter needed help in {needy:.1f} % of the cycles.",
         figure,
     )
-
-
-def help_energy(series: Sequence[RunSeries]) -> style.ReportFigure:
-    """Draw the energy that each inverter gave above its share, and by which it fell short of it.
-
-    Each run has a panel; the panels share both axes.
-    """
-    order = inverters_by_cluster(series[0])
-    names = [style.plain(series[0].inverters[position]) for position in order]
-    several = len(series) > 1
-    # Titles beside each other, in lines that fit.
-    width = max(10, 72 // len(series))
-    titles = [
-        map(style.plain, textwrap.wrap(one.label, width) if several else ()) for one in series
-    ]
-    figure = make_subplots(
-        rows=1,
-        cols=len(series),
-        shared_yaxes=True,
-        horizontal_spacing=0.03,
-        subplot_titles=["<br>".join(lines) for lines in titles],
-    )
-    for column, one in enumerate(series, start=1):
-        given_kwh, lacking_kwh = energy_beside_share(one)
-        for name, energy_kwh, colour in (
-            ("above its share", given_kwh, style.BLUE),
-            ("below its share", -lacking_kwh, style.SUPPORT),
-        ):
-            figure.add_bar(
-                y=names,
-                x=energy_kwh[order],
-                orientation="h",
-                name=name,
-                legendgroup=name,
-                showlegend=column == 1,
-                marker={"color": colour},
-                hovertemplate="%{y}: %{x:,.2f} kWh",
-                row=1,
-                col=column,
-            )
-    plot_px = max(len(names) * style.name_px(len(names)), _LEAST_MAP_PX)
-    style.dress(figure, plot_px + 140)
-    figure.update_layout(
-        barmode="relative",
-        bargap=0.25,
-        legend_y=1.0 + (_TITLE_PX / plot_px if several else 0.0),
-        margin_t=90 if several else 46,
-    )
-    style.list_names(figure, len(names))
-    figure.update_xaxes(title_text="energy [kWh]", zeroline=True)
-    figure.update_xaxes(matches="x")
-    return style.ReportFigure(
-        "help-energy",
-        "Energy above and below the share, inverter by inverter",
-        "Energy [kWh] that each inverter delivered above its share of the desired power (to the "
-        "right), and by which it fell short of that share (to the left). The share is by rating, "
-        "whatever the scheme asked of the inverter.",
-        figure,
-    )
-
-
-def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r"""Work out the energy above each inverter's share, and by which it fell short of that.
-
-    With the share :math:`S_i = P_{desired} \, c_i / \sum c` of the inverter with the rating c_i
-    (eq. 3 of the paper, where ratings are equal), both summed over the run:
-
-    .. math::
-
-        E_{given,i} = \sum \max(0, P_i - S_i) \, dt, \quad
-        E_{lacking,i} = \sum \max(0, S_i - P_i) \, dt
-
-    Both are of shape (n,) [kWh].
-    """
-    share_kw = np.outer(np.maximum(series.desired_kw, 0.0), series.rating_kw)
-    share_kw /= series.rating_kw.sum()
-    above_kw = series.power_kw - share_kw
-    hours = series.cycle_s / 3600.0
-    given_kwh = np.nansum(np.maximum(above_kw, 0.0), axis=0) * hours
-    lacking_kwh = np.nansum(np.maximum(-above_kw, 0.0), axis=0) * hours
-    return np.asarray(given_kwh), np.asarray(lacking_kwh)
 
 
 def virtual_neighbours(series: RunSeries) -> style.ReportFigure | None:
@@ -174,22 +72,16 @@ def virtual_neighbours(series: RunSeries) -> style.ReportFigure | None:
     if passage is None:
         return None
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.07)
-    for inverter, colour in ((passage.shaded, style.ORANGE), (passage.helping, style.BLUE)):
-        shown = series.inverters[inverter], {"color": colour, "width": 2}, passage.cycles
-        impp = style.time_line(series, series.impp_kw[:, inverter], *shown)
-        of_alpha = {"showlegend": False, "hovertemplate": "%{y:.3f}"}
-        alpha = style.time_line(series, series.alpha[:, inverter], *shown, **of_alpha)
-        figure.add_trace(impp, row=1, col=1)
-        figure.add_trace(alpha, row=2, col=1)
-    # The request made of the two, as one line where it is the same of both.
-    pair = [passage.shaded, passage.helping]
-    same = series.rating_kw[pair[0]] == series.rating_kw[pair[1]]
     request_kw = series.impp_kw - series.residual_kw
-    for inverter, dash in zip(pair[:1] if same else pair, ("dash", "dot"), strict=False):
-        name = "request" if same else f"request of {series.inverters[inverter]}"
-        line = {"color": style.BLACK, "width": 1.2, "dash": dash}
-        request = style.time_line(series, request_kw[:, inverter], name, line, passage.cycles)
-        figure.add_trace(request, row=1, col=1)
+    for inverter, colour in ((passage.shaded, style.ORANGE), (passage.helping, style.BLUE)):
+        name, line = series.inverters[inverter], {"color": colour, "width": 2}
+        for values, of, look, row in (
+            (series.impp_kw, name, {}, 1),
+            (request_kw, f"request of {name}", {"line_width": 1.2, "line_dash": "dash"}, 1),
+            (series.alpha, name, {"showlegend": False, "hovertemplate": "%{y:.3f}"}, 2),
+        ):
+            shown = style.time_line(series, values[:, inverter], of, line, passage.cycles)
+            figure.add_trace(shown.update(look), row=row, col=1)
     style.dress(figure, 520)
     figure.update_yaxes(title_text="IMPP [kW]", rangemode="tozero", row=1, col=1)
     figure.update_yaxes(title_text="alpha, power / IMPP", range=[0.0, 1.05], row=2, col=1)
@@ -219,12 +111,13 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
         return None
     order = inverters_by_cluster(series)
     names = [style.plain(series.inverters[position]) for position in order]
+    ends = accumulate(len(members) for members in clusters(series).values())
+    edges = [end - 0.5 for end in ends][:-1]
     midnight = series.times[0].tz_localize(None).normalize()
     hours = [midnight + pd.Timedelta(hours=hour) for hour in matrices]
     across = min(_ACROSS, len(matrices))
     rows = -(-len(matrices) // across)
-    matrix_px = _MATRIX_PX.get(across, _SMALLEST_MATRIX_PX)
-    height_px = rows * matrix_px
+    height_px = rows * _MATRIX_PX
     figure = make_subplots(
         rows=rows,
         cols=across,
@@ -233,32 +126,30 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
         subplot_titles=[f"{hour.day} {hour:%b}, {hour.hour} h" for hour in hours],
     )
     for place, matrix in enumerate(matrices.values()):
-        row, column = place // across + 1, place % across + 1
+        panel = {"row": place // across + 1, "col": place % across + 1}
         figure.add_heatmap(
             z=matrix[np.ix_(order, order)].astype(np.float32),
             x=names,
             y=names,
             coloraxis="coloraxis",
             hovertemplate="%{x}, %{y}: %{z:.2f}<extra></extra>",
-            row=row,
-            col=column,
+            **panel,
         )
-        _mark_clusters(figure, series, row, column, matrix_px)
+        for edge in edges:
+            line = {"color": "white", "width": 1.5}
+            figure.add_vline(x=edge, line=line, **panel)
+            figure.add_hline(y=edge, line=line, **panel)
     style.dress(figure, height_px + 60, legend=False)
     # All matrices are squares without ticks, at the top of their place, below their titles.
-    figure.update_xaxes(showticklabels=False, ticks="", showgrid=False, constrain="domain")
-    figure.update_yaxes(ticks="", showgrid=False, autorange="reversed")
-    figure.update_yaxes(constrain="domain", constraintoward="top")
+    look = {"showticklabels": False, "showgrid": False, "constrain": "domain"}
+    figure.update_xaxes(**look)
+    figure.update_yaxes(**look, autorange="reversed", constraintoward="top")
     for axis in figure.select_yaxes():
         axis.scaleanchor = axis.plotly_name.replace("axis", "").replace("y", "x", 1)
     figure.update_layout(
         margin={"b": 20, "t": 40},
-        coloraxis={
-            "colorscale": style.diverging_scale(-1.0, 1.0),
-            "cmin": -1.0,
-            "cmax": 1.0,
-            "colorbar": style.colour_bar("", matrix_px - 30),
-        },
+        coloraxis={"colorscale": diverging.RdBu, "cmin": -1.0, "cmax": 1.0}
+        | {"colorbar": style.colour_bar("", _MATRIX_PX - 30)},
     )
     return style.ReportFigure(
         "correlation",
@@ -268,25 +159,4 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
         "diagonal. White lines separate the clusters. These are the correlations in the run "
         "itself, not in the history by which clusters and neighbours were chosen.",
         figure,
-    )
-
-
-def _mark_clusters(
-    figure: go.Figure, series: RunSeries, row: int, column: int, matrix_px: int
-) -> None:
-    """Name the clusters beside a matrix of the first column, and draw lines between them."""
-    sizes = [len(members) for members in clusters(series).values()]
-    ends = list(accumulate(sizes))
-    step = max(1, -(-len(sizes) * _NAME_PX // matrix_px))
-    for end in ends[:-1]:
-        line = {"color": "white", "width": 1.5}
-        figure.add_vline(x=end - 0.5, line=line, row=row, col=column)
-        figure.add_hline(y=end - 0.5, line=line, row=row, col=column)
-    figure.update_yaxes(
-        tickvals=[end - (size + 1) / 2.0 for end, size in zip(ends, sizes, strict=True)][::step],
-        ticktext=[style.plain(cluster or "plant") for cluster in clusters(series)][::step],
-        tickfont_size=11,
-        showticklabels=column == 1,
-        row=row,
-        col=column,
     )

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
@@ -18,11 +17,6 @@ from studies.report import style
 _PANEL_PX = 230
 _DASHED = {"color": style.BLACK, "width": 1.2, "dash": "dash"}
 _CLOSE_LOOK_S = 600.0
-
-# An error this small is rounding, not control: the allocation is exact to the same power.
-_ROUNDING_KW = 1e-6
-
-_POINTS = 600
 
 
 def possible_power(series: Sequence[RunSeries]) -> style.ReportFigure:
@@ -44,7 +38,7 @@ def possible_power(series: Sequence[RunSeries]) -> style.ReportFigure:
         "Possible, committed and delivered power",
         "Power of the plant [kW]. The shaded area is what all inverters could have given at their "
         "maximum power points; the dashed line is the commitment. Possible power was below desired "
-        f"power in {short:.1f} % of the cycles." + style.thinning_note(first.cycles),
+        f"power in {short:.1f} % of the cycles.",
         figure,
     )
 
@@ -88,8 +82,7 @@ def delivered_and_support(series: Sequence[RunSeries]) -> style.ReportFigure:
         "support",
         "Delivered power and the support it needed",
         "Delivered and desired power of the plant [kW], and the support power that others had to "
-        f"give, max(0, desired - delivered) [kW]. Energy of the support: {needed}."
-        + style.thinning_note(series[0].cycles),
+        f"give, max(0, desired - delivered) [kW]. Energy of the support: {needed}.",
         figure,
     )
 
@@ -108,66 +101,12 @@ def _of(what: str, one: RunSeries, series: Sequence[RunSeries]) -> str:
     return what if len(series) == 1 else f"{what}, {one.label}"
 
 
-def tracking_error(series: Sequence[RunSeries]) -> style.ReportFigure:
-    """Draw how often the delivered power was how far from the desired power."""
-    exact, lines = [], []
-    for position, one in enumerate(series):
-        missed_kw = (one.delivered_kw - one.desired_kw)[one.known]
-        exact.append(f"{one.label} {100.0 * np.mean(np.abs(missed_kw) <= _ROUNDING_KW):.1f} %")
-        error_kw, share = folded_distribution(missed_kw)
-        line = style.curve(error_kw, 100.0 * share, one.label, style.scheme_line(position))
-        line.update(showlegend=True, hovertemplate="%{x:,.1f} kW or farther: %{y:.3g} %")
-        lines.append(line)
-    figure = style.dress(go.Figure(lines), 380)
-    figure.update_xaxes(title_text="delivered less desired power [kW]", zeroline=True)
-    figure.update_yaxes(title_text="share of cycles [%]", type="log", dtick=1)
-    return style.ReportFigure(
-        "tracking-error",
-        "Distribution of the tracking error",
-        "Share of the cycles [%, logarithmic] in which the plant delivered too little (left of "
-        "zero) or too much (right of zero) by at least so much [kW]. Cycles without an error are "
-        f"not in the curves: {'; '.join(exact)}.",
-        figure,
-    )
-
-
-def folded_distribution(
-    error_kw: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the cumulative distribution of an error, folded at zero.
-
-    For each error, ascending, the share that lies at least as far from zero on the same side. One
-    NaN parts the two sides, which have at most 600 points each, closest together in the tails.
-    Errors that are but rounding (up to 1e-6 kW) belong to neither.
-    """
-    low_kw, low_share = _tail(-error_kw)
-    high_kw, high_share = _tail(error_kw)
-    return (
-        np.concatenate([-low_kw, [np.nan], high_kw[::-1]]),
-        np.concatenate([low_share, [np.nan], high_share[::-1]]),
-    )
-
-
-def _tail(error_kw: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return errors above zero, descending, and the share of all that is at least as large."""
-    ascending = np.sort(error_kw[error_kw > _ROUNDING_KW])
-    count = len(ascending)
-    if count == 0:
-        return ascending, ascending
-    ranks = np.unique(np.geomspace(1, count, _POINTS).astype(int))
-    kept = np.unique(ascending[count - ranks])[::-1]
-    return kept, (count - np.searchsorted(ascending, kept)) / len(error_kw)
-
-
 def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
     """Draw regulation asked and given, in the whole run and in its worst ten minutes, if any."""
     first = series[0]
     if not _asks_regulation(first):
         return None
-    # One that never curtails follows nothing, and would hide the others.
-    following = {place: one for place, one in enumerate(series) if _curtails(one)}
-    following = following or dict(enumerate(series))
-    worst = farthest_from_asked(list(following.values()))
+    worst = farthest_from_asked(series)
     figure = make_subplots(
         rows=2,
         cols=1,
@@ -176,7 +115,7 @@ def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
     )
     for row, cycles in enumerate((range(first.cycles), worst), start=1):
         once = {"showlegend": row == 1}
-        for place, one in following.items():
+        for place, one in enumerate(series):
             given_kw, name = one.delivered_kw - one.commitment_kw, _of("given", one, series)
             look = style.scheme_line(place)
             given = style.time_line(one, given_kw, name, look, cycles, **once)
@@ -187,12 +126,7 @@ def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
     figure.update_layout(legend_y=1.05, margin_t=70)
     capacity_kw = first.regulation_capacity_kw
     # A plant that lacks power falls far below: the signal would be a thin line above that.
-    figure.update_yaxes(
-        title_text="regulation [kW]",
-        title_standoff=12,
-        automargin=True,
-        range=[-3.0 * capacity_kw, 2.0 * capacity_kw],
-    )
+    figure.update_yaxes(title_text="regulation [kW]", range=[-3.0 * capacity_kw, 2.0 * capacity_kw])
     style.label_time_axis(figure, first, rows=2)
     figure.update_xaxes(range=style.clock_range_ms(first, worst), row=2, col=1)
     return style.ReportFigure(
@@ -202,8 +136,7 @@ def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
         f"commitment [kW]. A signal of 1 asks for {capacity_kw:,.0f} kW. Below are the "
         f"{len(worst) * first.cycle_s / 60.0:.3g} minutes with the largest mean distance between "
         "the two; cycles in which the plant could not have given the regulation do not count. The "
-        "axis ends at three times the capacity below the commitment and twice above it."
-        + style.thinning_note(first.cycles),
+        "axis ends at three times the capacity below the commitment and twice above it.",
         figure,
     )
 
@@ -226,7 +159,3 @@ def farthest_from_asked(series: Sequence[RunSeries]) -> range:
 
 def _asks_regulation(one: RunSeries) -> bool:
     return bool(np.any(np.nan_to_num(one.regulation_kw)))
-
-
-def _curtails(one: RunSeries) -> bool:
-    return not np.array_equal(one.power_kw, one.mpp_kw, equal_nan=True)

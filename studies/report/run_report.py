@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,6 @@ from recordings.read.series import RunSeries, read_series
 from recordings.read.whole_file import whole_file
 from studies.report.inverter_figures import (
     correlation_matrices,
-    help_energy,
     residuals,
     virtual_neighbours,
 )
@@ -32,7 +30,6 @@ from studies.report.plant_figures import (
     delivered_and_support,
     possible_power,
     regulation,
-    tracking_error,
 )
 from studies.report.result import Result
 from studies.report.style import ReportFigure
@@ -95,12 +92,10 @@ def runs_result(
 
 def run_line(plan: RunPlan) -> str:
     """Return the first line of a report: what was run, and how."""
-    sizes = Counter(parent_of(leaf) for leaf in plan.tree.leaves).values()
-    listed = ", ".join(f"{count} with {size}" for size, count in Counter(sizes).items())
-    clustered = f" in {len(sizes)} clusters ({listed})" if len(sizes) > 1 else ""
+    clusters = counted(len({parent_of(leaf) for leaf in plan.tree.leaves}), "cluster")
     pace = f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}" if plan.cycle_wall_ns else "lockstep"
     parts = (
-        f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')}{clustered}",
+        f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')} in {clusters}",
         f"scheme {plan.scheme}",
         f"actuator {plan.actuator}",
         pace,
@@ -132,7 +127,6 @@ def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
     figures: list[ReportFigure | None] = [
         possible_power(series),
         delivered_and_support(series),
-        tracking_error(series),
         regulation(series),
     ]
     signalling = [one for one in series if not np.isnan(one.residual_kw).all()]
@@ -144,7 +138,7 @@ def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
             for figure in (residuals(last), virtual_neighbours(last))
             if figure is not None
         ]
-    figures += [correlation_matrices(series[0]), help_energy(series)]
+    figures.append(correlation_matrices(series[0]))
     return [figure for figure in figures if figure is not None]
 
 

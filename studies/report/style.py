@@ -15,11 +15,10 @@ from typing import Any, Final
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.colors import diverging
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
-from studies.report.decimation import BUCKETS, extremes
+from studies.report.decimation import extremes
 
 BLACK: Final = "#222222"
 GREY: Final = "#8a8a8a"
@@ -33,11 +32,6 @@ SUPPORT: Final = VERMILLION
 
 SCHEMES: Final = (BLUE, "#009e73", "#cc79a7", ORANGE, "#56b4e9")
 _DASHES: Final = ("solid", "dash", "dot", "dashdot")
-
-_FEW_NAMES: Final = 30
-_MOST_NAMES: Final = 150
-_ROOMY_PX: Final = 20
-_TIGHT_PX: Final = 13
 
 _PANEL_PX: Final = 240
 _PANELS_GAP_PX: Final = 60
@@ -72,25 +66,6 @@ def faint(colour: str, opacity: float = 0.35) -> str:
     """Return a colour of `#rrggbb` as one that lets others through."""
     red, green, blue = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
     return f"rgba({red},{green},{blue},{opacity:g})"
-
-
-def diverging_scale(least: float, greatest: float) -> list[tuple[float, str]]:
-    """Return a colour scale that is red below zero, blue above it and near white at zero.
-
-    Each side runs through its colours in full, whatever the ends of the scale are.
-    """
-    colours = diverging.RdBu
-    middle = len(colours) // 2
-    span = greatest - least
-    if span == 0.0:
-        return [(0.0, colours[middle]), (1.0, colours[middle])]
-    zero = -least / span
-    reds = [(zero * step / middle, colours[step]) for step in range(middle)] if least else []
-    steps = range(middle + 1, len(colours)) if greatest else range(0)
-    blues = [(zero + (1.0 - zero) * (step - middle) / middle, colours[step]) for step in steps]
-    scale = [*reds, (zero, colours[middle]), *blues]
-    # Plotly takes its own colours without a word if a scale ends a rounding error beside 0 or 1.
-    return [(0.0, scale[0][1]), *scale[1:-1], (1.0, scale[-1][1])]
 
 
 def colour_bar(title: str, length_px: int) -> dict[str, object]:
@@ -187,37 +162,20 @@ def time_line(
     return curve(times_ms, kw, name, line, **{"hovertemplate": "%{y:,.1f}", **look})
 
 
-def thinning_note(cycles: int) -> str:
-    """Return what a caption says about lines that do not show every cycle; empty if all do."""
-    if cycles <= 2 * BUCKETS:
-        return ""
-    return (
-        f" Of {cycles:,} cycles the lines show the least and the greatest value in each of"
-        f" {BUCKETS:,} buckets, so that no peak or dip is lost."
-    )
-
-
 def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figure:
     """Give a figure the report's look."""
     figure.update_layout(
-        template="none",
+        template="plotly_white",
         height=height_px,
         font={"family": FONT, "size": 13, "color": BLACK},
         margin={"l": 70, "r": 20, "t": 28 if legend else 24, "b": 50},
-        paper_bgcolor="white",
-        plot_bgcolor="white",
         hovermode="closest",
         showlegend=legend,
         legend={"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom"},
     )
     figure.update_annotations(font_size=14)
     axis = {
-        "showgrid": True,
-        "gridcolor": "#ececec",
-        "zerolinecolor": "#bdbdbd",
-        "linecolor": "#bdbdbd",
         "ticks": "outside",
-        "tickcolor": "#bdbdbd",
         "title_standoff": 8,
         "automargin": True,
         "separatethousands": True,
@@ -226,25 +184,6 @@ def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figur
     figure.update_xaxes(**axis)
     figure.update_yaxes(**axis)
     return figure
-
-
-def list_names(figure: go.Figure, count: int, **of_panel: int) -> None:
-    """List the names of inverters downwards, all of them while there are no more than 150."""
-    few = count <= _MOST_NAMES
-    figure.update_yaxes(
-        autorange="reversed",
-        showgrid=False,
-        dtick=1 if few else None,
-        tickfont_size=13 if name_px(count) == _ROOMY_PX else 10.5,
-        **of_panel,
-    )
-
-
-def name_px(count: int) -> int:
-    """Return the height of one of so many rows with a name each; less if they are too many."""
-    if count > _MOST_NAMES:
-        return max(1, 1800 // count)
-    return _ROOMY_PX if count <= _FEW_NAMES else _TIGHT_PX
 
 
 def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None:

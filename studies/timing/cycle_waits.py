@@ -9,7 +9,7 @@ two agents and the decision.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 from agents.cycle import stage_of
 from bus_schemas.messages import Message
@@ -17,28 +17,18 @@ from bus_schemas.signals import PRODUCTION, Port
 from bus_schemas.tree import ROOT, some_of
 from studies.timing.stage_times import MessageTimes, StageTimes
 
-_DOING: Final = {
-    "sense": "to begin the cycle",
-    "estimate": "to estimate",
-    "report": "to report",
-    "solve": "to solve",
-    "actuate": "to command",
-    "apply": "to apply the commands",
-}
-
 
 class Wait(NamedTuple):
     """A stage of an agent, from what it waited for to its own last message.
 
     It began when its `cause`, the input published last, was published, and ended with its last
-    `message`; both times are after the cycle's scheduled tick [ns]. Without a cause the clock
-    closed it. `without` are the keys of inputs that had not come at its deadline.
+    message; both times are after the cycle's scheduled tick [ns]. Without a cause the clock closed
+    it. `without` are the keys of inputs that had not come at its deadline.
     """
 
     agent: str
     stage: str
     cause: Port[Message] | None
-    message: Port[Message]
     began_ns: int
     ended_ns: int
     without: tuple[str, ...]
@@ -48,8 +38,8 @@ class Wait(NamedTuple):
         return self.ended_ns - self.began_ns
 
     def in_words(self) -> str:
-        """Return a phrase such as `c2/inv09 took 18.4 ms to estimate`."""
-        took = f"{self.agent} took {self.length_ns / 1e6:.1f} ms {_DOING[self.stage]}"
+        """Return a phrase such as `c2/inv09 took 18.4 ms (estimate)`."""
+        took = f"{self.agent} took {self.length_ns / 1e6:.1f} ms ({self.stage})"
         return f"{took}, without {some_of(self.without, 3)}" if self.without else took
 
 
@@ -92,9 +82,7 @@ def cycle_waits(messages: MessageTimes, stages: Iterable[StageTimes], cycle: int
             before = [one for who, _, one in closed if who == agent and one.last_ns < row.first_ns]
             cause = max(before, key=lambda one: one.last_ns).message if before else None
         began_ns = 0 if cause is None else min(int(publish_ns[cause]), ended_ns)
-        waits[agent, stage] = Wait(
-            agent, stage, cause, row.message, began_ns, ended_ns, row.without
-        )
+        waits[agent, stage] = Wait(agent, stage, cause, began_ns, ended_ns, row.without)
     left, chain = dict(waits), list[Wait]()
     message: Port[Message] | None = PRODUCTION.of(ROOT)
     while message is not None:
@@ -105,6 +93,6 @@ def cycle_waits(messages: MessageTimes, stages: Iterable[StageTimes], cycle: int
         if chain:
             ended_ns = min(ended_ns, chain[-1].ended_ns)
         began_ns = min(wait.began_ns, ended_ns)
-        chain.append(wait._replace(message=message, began_ns=began_ns, ended_ns=ended_ns))
+        chain.append(wait._replace(began_ns=began_ns, ended_ns=ended_ns))
         message = wait.cause
     return CycleWaits(cycle, chain[0].ended_ns, tuple(chain[::-1]), tuple(waits.values()))

@@ -40,15 +40,13 @@ class Distribution(msgspec.Struct, frozen=True):
 class Times(msgspec.Struct, frozen=True):
     """A row of durations: `decision` of `direct estimate`, `hop` of `residual`.
 
-    `kind` is that of the agents, or the signal, and names the budget if `of` does not. `outside`:
-    seen from outside, since the times that a device states are not used.
+    `kind` is that of the agents, or the signal, and names the budget if `of` does not.
     """
 
     measure: str
     of: str
     kind: str
     times: Distribution
-    outside: bool = False
 
 
 def distribution(durations_ns: NDArray[np.int64]) -> Distribution:

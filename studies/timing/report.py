@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 import pandas as pd
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
-from agents.events import ExternalAccount
-from agents.plan import RunPlan
+from agents.machine import MachineSettings
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.scenarios.scenario import BudgetTable, TimingTable
-from recordings.inspect.health import WrongMessages, summary_in
+from recordings.inspect.health import health_lines, summary_in
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from studies.timing.budgets import Verdict, judge
 from studies.timing.clocks import ClockOffset
@@ -72,10 +71,8 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
     ended: bool = True
     interrupted: bool = False
     remarks: tuple[str, ...]
-    external: tuple[ExternalAccount, ...] = ()
+    health: tuple[tuple[str, str], ...]
     devices: tuple[DeviceAccount, ...] = ()
-    wrong: tuple[WrongMessages, ...] = ()
-    faults: dict[str, int] = {}
     lost_messages: int | None = None
     clocks: tuple[ClockOffset, ...] = ()
     times: tuple[Times, ...]
@@ -101,19 +98,12 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
         """Return the content of the JSON."""
         own = ("slowest", "loop_ns", "tree")
         fields = {name: value for name, value in asdict(self).items() if name not in own}
-        slowest_cycles = [
-            {
-                "cycle": one.cycle,
-                "loop_us": one.loop_ns / 1e3,
-                "slowest_agent": one.slowest.agent,
-                "slowest_stage": one.slowest.stage,
-                "slowest_us": one.slowest.length_ns / 1e3,
-                "text": one.in_words(),
-            }
+        slowest = [
+            {"cycle": one.cycle, "loop_us": one.loop_ns / 1e3, "text": one.in_words()}
             for one in self.slowest
         ]
         state = {"passed": self.passed, "clean": self.clean}
-        return {**state, **fields, "slowest_cycles": slowest_cycles}
+        return {**state, **fields, "slowest_cycles": slowest}
 
 
 def report_on(
@@ -132,29 +122,43 @@ def report_on(
         plan, table = reader.plan, _budgets_in(reader)
         timing = run_timing(reader, by_agent=by_agent)
         folder, metadata = reader.path.parent, reader.metadata["run"]
-        ended = reader.stop_cycle is not None
+        ended, clock = reader.stop_cycle is not None, reader.clock
+        health = summary.health if summary else None
+        health = health or read_overview(reader).health
     summary = summary or summary_in(folder, plan, RunSummary)
-    remarks: tuple[str, ...] = (_NO_SUMMARY,)
     wall_s = timing.cycles * plan.cycle_wall_ns / 1e9
-    seen: dict[str, Any] = {}
+    seen: dict[str, Any] = {"remarks": (_NO_SUMMARY,)}
     if summary is not None:
-        remarks = (*summary.remarks, *filter(None, [summary.recording_ended]))
         wall_s = summary.wall_s
         accounts = with_accounts(timing.processes, summary.processes, wall_s, plan.tree)
         timing = timing._replace(processes=accounts)
-        names = ("interrupted", "external", "devices", "wrong", "faults")
-        seen = {name: getattr(summary, name) for name in names} | {"lost_messages": summary.lost}
+        seen = {
+            "remarks": (*summary.remarks, *filter(None, [summary.recording_ended])),
+            "interrupted": summary.interrupted,
+            "devices": summary.devices,
+            "lost_messages": summary.lost,
+        }
+        health = replace(health, launcher=summary, devices=summary.devices)
     tiers = tier_timings(timing.processes)
     return TimingReport(
         scenario=plan.plant,
         run_id=plan.run_id,
         folder=str(folder),
-        host=_host(plan, metadata, remarks, load),
+        host=Host(
+            kernel=metadata.get("kernel", ""),
+            cpus=int(metadata.get("cpu_count", "0")),
+            scheduling=_scheduling(plan.machine),
+            load_before=load[0] if load else None,
+            load_after=load[1] if load else None,
+            python=metadata.get("python", ""),
+            heliarch=metadata.get("version heliarch", ""),
+            zenoh=metadata.get("version eclipse-zenoh", ""),
+        ),
         rate_hz=1e9 / plan.cycle_wall_ns,
         cycles=timing.cycles,
         wall_s=wall_s,
         ended=ended,
-        remarks=remarks,
+        health=tuple(health_lines(health, clock)),
         tiers=tiers,
         verdicts=judge(plan, table, timing.times, tiers, seen.get("lost_messages")),
         tree=plan.tree,
@@ -163,31 +167,12 @@ def report_on(
     )
 
 
-def _host(
-    plan: RunPlan,
-    run: Mapping[str, str],
-    remarks: Sequence[str],
-    load: tuple[float, float] | None,
-) -> Host:
-    """Describe the machine; the remarks say what it did not permit."""
-    before, after = load or (None, None)
-    machine = plan.machine
-    fifo = machine.priority and not any("SCHED_FIFO" in remark for remark in remarks)
-    scheduling = [f"SCHED_FIFO {machine.priority}" if fifo else "normal"]
-    bound: dict[str, tuple[int, ...]] = dict(machine.cpus_of.items())
-    if machine.cpus:
-        bound["others" if bound else "all"] = machine.cpus
-    scheduling += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound.items()]
-    return Host(
-        kernel=run.get("kernel", ""),
-        cpus=int(run.get("cpu_count", "0")),
-        scheduling=", ".join(scheduling),
-        load_before=before,
-        load_after=after,
-        python=run.get("python", ""),
-        heliarch=run.get("version heliarch", ""),
-        zenoh=run.get("version eclipse-zenoh", ""),
-    )
+def _scheduling(machine: MachineSettings) -> str:
+    """Say what was asked of the machine; the remarks of the run say what it did not permit."""
+    found = [f"SCHED_FIFO {machine.priority}" if machine.priority else "normal"]
+    bound = [*machine.cpus_of.items(), ("others" if machine.cpus_of else "all", machine.cpus)]
+    found += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound if cpus]
+    return ", ".join(found)
 
 
 def _budgets_in(reader: RunReader) -> BudgetTable:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Sequence
 from itertools import pairwise
-from math import ceil, log10
 from typing import Final
 
 import plotly.graph_objects as go
 
-from bus_schemas.tree import CENTRAL, PLANT, ControlTree, some_of
+from bus_schemas.tree import CENTRAL, PLANT, ControlTree
 from studies.report import style
 from studies.report.decimation import extremes
 from studies.report.result import Result
@@ -43,16 +41,13 @@ _CURVES_PX: Final = 440
 _ROW_PX: Final = 17
 _FRAME_PX: Final = 120
 
-_PERCENTILES: Final = {
-    "0": 1.0,
-    "50": 0.5,
-    "90": 0.1,
-    "99": 0.01,
-    "99.9": 0.001,
-    "99.99": 0.0001,
-    "99.999": 0.00001,
+_ROUND_TICKS: Final = {
+    "tickvals": [digit * 10.0**power for power in range(-3, 6) for digit in (1, 2, 5)],
+    "tickformat": ",~g",
 }
-"""What the axis of percentiles shows, and the share of the durations that are longer."""
+
+_PERCENTILES: Final = (0.0, 50.0, 90.0, 99.0, 99.9, 99.99, 99.999)
+"""What the axis of percentiles shows."""
 
 
 def timing_result(report: TimingReport) -> Result:
@@ -63,17 +58,12 @@ def timing_result(report: TimingReport) -> Result:
     ]
     return Result(
         f"{report.scenario}: timing of run {report.run_id}",
-        [
-            *tables.measured_tables(report),
-            *tables.processes_tables(report.processes),
-            tables.budgets_table(report.verdicts),
-        ],
+        tables.measured_tables(report),
         report.document(),
         lines=tables.header_lines(report),
         conclusions=[
             *slowest,
             *([_HOPS] if slowest else []),
-            *tables.network_lines(report),
             *(f"not kept: {line}" for line in tables.failures(report)),
         ],
         verdict=(report.passed, tables.verdict_line(report)),
@@ -83,8 +73,8 @@ def timing_result(report: TimingReport) -> Result:
 
 def sweep_result(found: Sweep, scenario: str) -> Result:
     """Return the rates, the machine, and the highest clean rate."""
-    # A rate that was interrupted proves nothing.
-    drawn = [row for row in found.rows if row.loop_p50_us is not None and not row.interrupted]
+    ran = [row for row in found.rows if row.outcome in {"clean", "not clean"}]
+    drawn = [row for row in ran if row.loop_p50_us is not None]
     return Result(
         f"{scenario}: loop time against rate",
         [sweep_table(found)],
@@ -163,18 +153,11 @@ def _bars(waits: Sequence[Wait], name: str, colour: str) -> go.Bar:
         x=[wait.length_ns / 1e6 for wait in waits],
         name=name,
         marker={"color": colour, "line": {"color": "white", "width": 0.5}},
-        customdata=[_hover(wait) for wait in waits],
+        customdata=[
+            style.plain(f"{wait.in_words()}, after {wait.cause or 'the tick'}") for wait in waits
+        ],
         hovertemplate="%{customdata}<extra></extra>",
     )
-
-
-def _hover(wait: Wait) -> str:
-    lines = [
-        wait.in_words(),
-        f"from {wait.cause or 'the clock'} at {wait.began_ns / 1e6:.2f} ms",
-        f"to {wait.message} at {wait.ended_ns / 1e6:.2f} ms",
-    ]
-    return "<br>".join(map(style.plain, lines))
 
 
 def loop_figure(report: TimingReport) -> style.ReportFigure:
@@ -187,11 +170,8 @@ def loop_figure(report: TimingReport) -> style.ReportFigure:
     figure = go.Figure([line, *_budgets(report.verdicts, [(LOOP, WHOLE_LOOP)], ends)])
     style.dress(figure, _CURVES_PX)
     figure.update_xaxes(title_text="time since cycle 0 [s]")
-    figure.update_yaxes(type="log", title_text="loop time [ms]", **_round_ticks())
-    caption = (
-        "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
-        + style.thinning_note(report.cycles)
-    )
+    figure.update_yaxes(type="log", title_text="loop time [ms]", **_ROUND_TICKS)
+    caption = "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
     return style.ReportFigure("loop", "Loop time over time", caption, figure)
 
 
@@ -199,14 +179,12 @@ def percentile_figure(
     anchor: str, heading: str, rows: Sequence[Times], verdicts: Sequence[Verdict]
 ) -> style.ReportFigure:
     """Draw durations against their percentiles on axes that show the rare long ones."""
-    several = len({row.measure for row in rows}) > 1
-    least, lines = 1.0, []
+    lines = []
     for place, row in enumerate(rows):
         shares, values_ms = curve_ms(row.times)
-        least = min(least, *shares)
-        name = f"{row.measure} {row.of}" if several else row.of
         line = {**style.scheme_line(place), "width": 1.8, "shape": "hv"}
-        curve = style.curve([1.0 / share for share in shares], values_ms, name, line)
+        rarities = [1.0 / share for share in shares]
+        curve = style.curve(rarities, values_ms, f"{row.measure} {row.of}", line)
         curve.customdata = [100.0 * (1.0 - share) for share in shares]
         curve.hovertemplate = "%{customdata:.4g} %: %{y:.3f} ms"
         lines.append(curve)
@@ -216,10 +194,8 @@ def percentile_figure(
     figure.update_layout(margin_t=46 + 22 * (len(figure.data) // 4))
     figure.update_xaxes(
         type="log",
-        # Up to the next whole percentile that is shown.
-        range=[0.0, min(max(ceil(-log10(least)), 1), 5)],
-        tickvals=[1.0 / share for share in _PERCENTILES.values()],
-        ticktext=list(_PERCENTILES),
+        tickvals=[1.0 / (1.0 - percent / 100.0) for percent in _PERCENTILES],
+        ticktext=[f"{percent:g}" for percent in _PERCENTILES],
         title_text="percentile [%]",
     )
     figure.update_yaxes(type="log", title_text="duration [ms]", dtick=1, rangemode="normal")
@@ -234,24 +210,18 @@ def _budgets(
     verdicts: Sequence[Verdict], rows: Sequence[tuple[str, str]], ends: list[float]
 ) -> list[go.Scatter]:
     """Draw a line for each limit of these rows."""
-    found: dict[float, list[str]] = defaultdict(list)
-    for verdict in verdicts:
-        if (verdict.measure, verdict.of) in rows:
-            found[verdict.limit].append(verdict.line)
-    lines = []
-    for place, (limit_ms, names) in enumerate(sorted(found.items())):
-        name, dash = f"budget {limit_ms:g} ms", ("dash", "dot", "solid")[place % 3]
-        look = {"color": style.BLACK, "width": 1.3, "dash": dash}
-        line = style.curve(ends, [limit_ms, limit_ms], name, look)
-        line.hovertemplate = f"{name}: {style.plain(some_of(names, 3))}<extra></extra>"
-        lines.append(line)
-    return lines
+    limits_ms = {one.limit for one in verdicts if (one.measure, one.of) in rows}
+    look = {"color": style.BLACK, "width": 1.3, "dash": "dash"}
+    return [
+        style.curve(ends, [limit_ms, limit_ms], f"budget {limit_ms:g} ms", look)
+        for limit_ms in sorted(limits_ms)
+    ]
 
 
 def rate_figure(rows: Sequence[RateRow]) -> style.ReportFigure:
     """Draw loop times against the rate, with the length of a cycle."""
     rates_hz = [row.rate_hz for row in rows]
-    symbols = ["circle" if row.clean else "x" for row in rows]
+    symbols = ["circle" if row.outcome == "clean" else "x" for row in rows]
     lines = []
     for colour, name in zip(style.SCHEMES, ("p50", "p99", "max"), strict=False):
         values_ms = [getattr(row, f"loop_{name}_us") / 1e3 for row in rows]
@@ -266,15 +236,9 @@ def rate_figure(rows: Sequence[RateRow]) -> style.ReportFigure:
     figure = style.dress(go.Figure([*lines, length]), _CURVES_PX)
     names = [f"{rate_hz:g}" for rate_hz in rates_hz]
     figure.update_xaxes(type="log", title_text="rate [cycles/s]", tickvals=rates_hz, ticktext=names)
-    figure.update_yaxes(type="log", title_text="time [ms]", **_round_ticks())
+    figure.update_yaxes(type="log", title_text="time [ms]", **_ROUND_TICKS)
     caption = (
         "Time from the plant's scheduled tick to its last command. Circle: a clean rate, at most "
         "1 % of the cycles late and nothing lost. Cross: the plant did not keep up."
     )
     return style.ReportFigure("rates", "Loop time against rate", caption, figure)
-
-
-def _round_ticks() -> dict[str, object]:
-    """Name 1, 2 and 5 of each decade of a logarithmic axis."""
-    values = [digit * 10.0**power for power in range(-4, 6) for digit in (1, 2, 5)]
-    return {"tickvals": values, "ticktext": [f"{value:,.10g}" for value in values]}

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from itertools import compress
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 import pandas as pd
 
@@ -29,17 +28,6 @@ from bus_schemas.signals import COMMAND, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, ROOT
 from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RunReader
-
-
-class _Head(msgspec.Struct, gc=False):
-    """The fields of a message that timing needs; the rest is not decoded."""
-
-    missing: tuple[str, ...]
-    ready_time_ns: int
-    publish_time_ns: int
-
-
-_decode_head = msgspec.msgpack.Decoder(_Head).decode
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,40 +82,36 @@ def read_message_times(reader: RunReader) -> MessageTimes:
     missed = MissedInputs(plan)
     for record in reader.records(columns, range(_end_cycle(reader))):
         port, cycle = record.port, record.cycle
-        try:
-            head = _decode_head(record.payload)
-        except msgspec.DecodeError as error:
-            raise InputError(
-                f"{reader.path}: {port}: {error}, expected a {port.signal.type.__name__}"
-            ) from None
-        missed.see(record)
+        message = record.message()
+        missed.count(port, message)
         # A device without this host's clock states 0, one with another clock an impossible time.
         earliest_ns = max(start_ns + (cycle - 1) * plan.cycle_wall_ns, 1)
-        if record.publish_time_ns > record.log_time_ns or head.publish_time_ns < earliest_ns:
+        if record.publish_time_ns > record.log_time_ns or message.publish_time_ns < earliest_ns:
             continue
         way_ns = record.log_time_ns - record.publish_time_ns
         fastest_ns[port] = min(fastest_ns.get(port, way_ns), way_ns)
         cycles.append(cycle)
         places.append(columns[port])
-        readies.append(head.ready_time_ns)
-        publishes.append(head.publish_time_ns)
-        if head.missing:
-            missing.setdefault((cycle, port), head.missing)
-    # In reverse order, so that the first of two copies of a message is kept.
-    cycle_of, place = np.array(cycles)[::-1], np.array(places)[::-1]
-    ended = cycle_of[place == columns[PRODUCTION.of(ROOT)]]
+        readies.append(message.ready_time_ns)
+        publishes.append(message.publish_time_ns)
+        if message.missing:
+            missing.setdefault((cycle, port), message.missing)
+    found = {"cycle": cycles, "place": places, "ready_ns": readies, "publish_ns": publishes}
+    # The first of two copies of a message is kept.
+    frame = pd.DataFrame(found, dtype=np.int64).drop_duplicates(["cycle", "place"])
+    ended = frame.cycle[frame.place == columns[PRODUCTION.of(ROOT)]]
     length = int(ended.max()) + 1 if len(ended) else 0
-    kept = cycle_of < length
-    tick_ns = start_ns + np.arange(length) * plan.cycle_wall_ns
+    frame = frame.set_index(["cycle", "place"])
+    tick_ns = start_ns + frame.index.get_level_values("cycle") * plan.cycle_wall_ns
 
-    def table(times: array[int]) -> pd.DataFrame:
-        """Lay times out by cycle and port."""
-        table_ns = np.zeros((length, len(ports)), dtype=np.int64)
-        table_ns[cycle_of[kept], place[kept]] = np.array(times)[::-1][kept]
-        after_tick_ns = np.where(table_ns > 0, table_ns - tick_ns[:, None], np.nan)
-        return pd.DataFrame(after_tick_ns, columns=ports)
+    def table(time_ns: pd.Series) -> pd.DataFrame:
+        """Lay times out by cycle and port, from the tick of their cycle."""
+        shown = (time_ns - tick_ns).where(time_ns > 0).unstack().reindex(range(length))
+        return shown.reindex(columns=range(len(ports))).set_axis(ports, axis=1)
 
-    return MessageTimes(plan, ports, table(readies), table(publishes), missing, missed, fastest_ns)
+    return MessageTimes(
+        plan, ports, table(frame.ready_ns), table(frame.publish_ns), missing, missed, fastest_ns
+    )
 
 
 def stage_times(messages: MessageTimes) -> list[StageTimes]:
@@ -237,8 +221,6 @@ def _end_cycle(reader: RunReader) -> int:
     plan = reader.plan
     if PLANT not in plan.external:
         return plan.cycles
-    own = [leaf for leaf in plan.tree.leaves if leaf not in plan.external]
-    last = dict.fromkeys(own, -1)
-    for record in reader.records([COMMAND.of(leaf) for leaf in own]):
-        last[record.port.node] = max(last[record.port.node], record.cycle)
+    own = [COMMAND.of(leaf) for leaf in plan.tree.leaves if leaf not in plan.external]
+    last = {record.port: record.cycle for record in reader.records(own)}
     return min(last.values(), default=plan.cycles - 1) + 1

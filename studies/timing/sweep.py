@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
 import msgspec
 
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
-from studies.tables import Cell, Column, Table, counted, key_column, word_column
+from studies.tables import Cell, Column, Table, key_column, word_column
 from studies.timing.report import Host, TimingReport
-from studies.timing.run_timing import LOOP, WHOLE_LOOP, total
+from studies.timing.run_timing import WHOLE_LOOP
 from studies.timing.tables import cycles_per_s, host_lines
 
 HIGHEST_HZ: Final = 1000.0
 LOWEST_HZ: Final = 1.0 / 3600.0
 _AUTO_FROM_HZ: Final = 5.0
 
-NOT_CLEAN: Final = "not clean"
+Outcome: TypeAlias = Literal["clean", "not clean", "failed", "interrupted"]
+"""Of a rate that was interrupted nothing is proved."""
 
 _CLOSE_ENOUGH: Final = 1.1
 """The search ends where the lowest rate that fails is no further above the highest clean one."""
@@ -41,36 +42,18 @@ class Rates:
 
 
 class RateRow(msgspec.Struct, frozen=True):
-    """The run at one rate; of one that was interrupted nothing is proved.
-
-    `trouble` says what was missed, overran, was skipped or lost, and in which tier; `failed` why
-    the run failed.
-    """
+    """The run at one rate; `trouble` says why it failed, or what was late or lost in which tier."""
 
     rate_hz: float
+    outcome: Outcome
+    trouble: str = ""
     cycles: int = 0
     late_cycles: int = 0
+    lost_messages: int = 0
     loop_p50_us: float | None = None
     loop_p99_us: float | None = None
     loop_max_us: float | None = None
-    missed_deadlines: int = 0
-    overruns: int = 0
-    lost_messages: int = 0
-    cpu_percent: float | None = None
-    clean: bool = False
-    failed: str = ""
-    interrupted: bool = False
-    trouble: str = ""
     host: Host | None = None
-
-    @property
-    def outcome(self) -> str:
-        """Its outcome in a word or two."""
-        if self.interrupted:
-            return "interrupted"
-        if self.failed:
-            return "failed"
-        return "clean" if self.clean else NOT_CLEAN
 
 
 class Sweep(msgspec.Struct, frozen=True):
@@ -78,12 +61,15 @@ class Sweep(msgspec.Struct, frozen=True):
 
     rows: tuple[RateRow, ...]
     highest_clean_hz: float | None
-    interrupted: bool
+
+    @property
+    def interrupted(self) -> bool:
+        return any(row.outcome == "interrupted" for row in self.rows)
 
     @property
     def too_fast_hz(self) -> float | None:
         """The lowest rate above the highest clean one that proved too fast, if there is one."""
-        proved = (row.rate_hz for row in self.rows if row.outcome in {"failed", NOT_CLEAN})
+        proved = (row.rate_hz for row in self.rows if row.outcome in {"failed", "not clean"})
         clean_hz = self.highest_clean_hz or 0.0
         return min((rate_hz for rate_hz in proved if rate_hz > clean_hz), default=None)
 
@@ -109,13 +95,11 @@ def _rate_hz(part: str, text: str) -> float:
         rate_hz = float(part)
     except ValueError:
         raise InputError(f"--rate: expected {_EXPECTED}, got {text}") from None
-    if rate_hz > HIGHEST_HZ:
+    if not LOWEST_HZ <= rate_hz <= HIGHEST_HZ:
         raise InputError(
-            f"--rate: expected at most {HIGHEST_HZ:g} cycles/s, got {text}; timers wake a process "
-            "about 0.1 ms late, so a cycle below 1 ms leaves no time for its stages"
+            f"--rate: expected from one cycle an hour (0.000278) to {HIGHEST_HZ:g} cycles/s, "
+            f"got {text}"
         )
-    if not rate_hz >= LOWEST_HZ:
-        raise InputError(f"--rate: expected at least one cycle an hour (0.000278), got {text}")
     return rate_hz
 
 
@@ -133,32 +117,30 @@ def sweep(rates: Rates, timed: Callable[[float], TimingReport]) -> Sweep:
             try:
                 row = rate_row(timed(rate_hz))
             except KeyboardInterrupt:
-                row = RateRow(rate_hz, interrupted=True)
-            except RunFailure as failure:
-                row = RateRow(rate_hz, failed=str(failure).splitlines()[0])
-            except InputError as error:
-                if not rows:
+                row = RateRow(rate_hz, "interrupted")
+            except (RunFailure, InputError) as failure:
+                if not rows and isinstance(failure, InputError):
                     raise
-                row = RateRow(rate_hz, failed=str(error))
+                row = RateRow(rate_hz, "failed", str(failure).splitlines()[0])
             rows[rate_hz] = row
-            if row.outcome != NOT_CLEAN:
+            if row.outcome != "not clean":
                 break
-        if row.interrupted:
+        if row.outcome == "interrupted":
             break
     return _found(rows)
 
 
 def _found(rows: dict[float, RateRow]) -> Sweep:
     in_order = tuple(rows[rate_hz] for rate_hz in sorted(rows))
-    clean_hz = max((row.rate_hz for row in in_order if row.clean), default=None)
-    return Sweep(in_order, clean_hz, any(row.interrupted for row in in_order))
+    clean_hz = max((row.rate_hz for row in in_order if row.outcome == "clean"), default=None)
+    return Sweep(in_order, clean_hz)
 
 
 def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Iterator[float]:
     """Yield rates to try; each is run, and has its row, before the next one is asked for."""
     rate_hz, highest_hz = search_hz
     yield rate_hz
-    while rows[rate_hz].clean and rate_hz < highest_hz:
+    while rows[rate_hz].outcome == "clean" and rate_hz < highest_hz:
         rate_hz = min(2.0 * rate_hz, highest_hz)
         yield rate_hz
     while (found := _found(rows)).highest_clean_hz is not None and found.too_fast_hz is not None:
@@ -169,39 +151,28 @@ def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Itera
 
 
 def rate_row(report: TimingReport) -> RateRow:
-    rows = {(row.measure, row.of): row.times for row in report.times}
-    loop = rows.get((LOOP, WHOLE_LOOP))
+    loop = next((row.times for row in report.times if row.of == WHOLE_LOOP), None)
+    outcome: Outcome = "clean" if report.clean else "not clean"
+    trouble = [
+        f"{tier.tier}: missed deadlines {tier.missed_deadlines}, overruns {tier.overruns}, "
+        f"skipped cycles {tier.skipped_cycles}"
+        for tier in report.tiers
+        if tier.missed_deadlines or tier.overruns or tier.skipped_cycles
+    ]
+    if report.lost_messages:
+        trouble.append(f"messages not recorded: {report.lost_messages:,}")
     return RateRow(
         rate_hz=report.rate_hz,
+        outcome="interrupted" if report.interrupted else outcome,
+        trouble=", ".join(trouble),
         cycles=report.cycles,
         late_cycles=report.late_cycles,
+        lost_messages=report.lost_messages or 0,
         loop_p50_us=loop.p50_us if loop else None,
         loop_p99_us=loop.p99_us if loop else None,
         loop_max_us=loop.max_us if loop else None,
-        missed_deadlines=sum(tier.missed_deadlines for tier in report.tiers),
-        overruns=sum(tier.overruns for tier in report.tiers),
-        lost_messages=report.lost_messages or 0,
-        cpu_percent=total(tier.cpu_percent for tier in report.tiers),
-        clean=report.clean and not report.interrupted,
-        interrupted=report.interrupted,
-        trouble=_trouble(report),
         host=report.host,
     )
-
-
-def _trouble(report: TimingReport) -> str:
-    """Say what went wrong in a run, tier by tier."""
-    found = [] if report.cycles else ["no cycle was completed"]
-    for tier in report.tiers:
-        counts = (
-            ("missed a deadline", tier.missed_deadlines),
-            ("overran", tier.overruns),
-            ("skipped a cycle", tier.skipped_cycles),
-        )
-        found += [f"{tier.tier} {what} {counted(count, 'time')}" for what, count in counts if count]
-    if report.lost_messages:
-        found.append(f"messages not recorded: {report.lost_messages:,}")
-    return ", ".join(found)
 
 
 def sweep_table(found: Sweep) -> Table:
@@ -213,33 +184,30 @@ def sweep_table(found: Sweep) -> Table:
         Column("loop p99", "ms"),
         Column("loop max", "ms"),
         *map(Column, ("late cycles", "lost")),
-        Column("CPU", "%", 0),
         word_column(""),
     )
     rows: list[tuple[Cell, ...]] = []
     for row in found.rows:
         loop_us = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
         loop_ms = (None if value_us is None else value_us / 1e3 for value_us in loop_us)
-        counts = (row.late_cycles, row.lost_messages, row.cpu_percent)
         rate, cycle_ms = f"{row.rate_hz:.4g}", 1e3 / row.rate_hz
+        counts = (row.late_cycles, row.lost_messages)
         rows.append((rate, row.cycles, cycle_ms, *loop_ms, *counts, row.outcome))
     return Table("Rates [cycles/s]", columns, tuple(rows))
 
 
 def machine_lines(found: Sweep) -> list[str]:
-    """Say on which machine, with the load before the first rate and after the last one."""
+    """Say on which machine, with its load at the highest rate."""
     hosts = [row.host for row in found.rows if row.host is not None]
-    if not hosts:
-        return []
-    return host_lines(msgspec.structs.replace(hosts[-1], load_before=hosts[0].load_before))
+    return host_lines(hosts[-1]) if hosts else []
 
 
 def trouble_lines(found: Sweep) -> list[str]:
     """Say of each rate what went wrong, also of clean ones."""
     return [
-        f"{cycles_per_s(row.rate_hz)} {row.outcome}: {row.failed or row.trouble}"
+        f"{cycles_per_s(row.rate_hz)} {row.outcome}: {row.trouble}"
         for row in found.rows
-        if (row.failed or row.trouble) and not row.interrupted
+        if row.trouble
     ]
 
 
@@ -253,9 +221,4 @@ def conclusion(found: Sweep) -> str:
         )
     if found.interrupted:
         return "interrupted before a rate was found to be clean"
-    lowest_hz = found.rows[0].rate_hz
-    what = f"no rate was clean: {len(found.rows)} tried, from {cycles_per_s(lowest_hz)} on"
-    if lowest_hz <= LOWEST_HZ or all(row.failed for row in found.rows):
-        return what
-    below = f"{max(lowest_hz / 10.0, LOWEST_HZ):.3g}..{lowest_hz:.4g}"
-    return f"{what}; slower ones are tried by --rate {below}"
+    return f"no rate was clean: {len(found.rows)} tried, try lower ones"

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-import msgspec
-
 from studies.report.tables import devices_tables
 from studies.tables import (
     Cell,
@@ -15,13 +13,14 @@ from studies.tables import (
     attributes,
     counted,
     key_column,
+    texts_table,
     word_column,
 )
 from studies.timing.budgets import Verdict
-from studies.timing.clocks import ACROSS, ClockOffset
-from studies.timing.durations import Distribution, Times
+from studies.timing.clocks import ClockOffset
+from studies.timing.durations import Distribution
 from studies.timing.report import Host, TimingReport
-from studies.timing.run_timing import ProcessTiming, count_of
+from studies.timing.run_timing import ProcessTiming
 
 MEANINGS: Final = {
     "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
@@ -35,27 +34,35 @@ MEANINGS: Final = {
 """What each measure is, in a few words; docs/timing.md has the definitions."""
 
 _STATISTICS: Final = tuple(Column(name) for name in ("min", "p50", "p99", "p99.9", "max"))
-_TIMES: Final = (key_column(""), Column("count"), *_STATISTICS)
-_JUDGED: Final = (*_TIMES, Column("p99 at most"), word_column("budget"))
+_LIMITS: Final = (Column("p99 at most"), word_column("budget"))
+_TIMES: Final = (key_column(""), Column("count"), *_STATISTICS, *_LIMITS)
 
-_TIER_COLUMNS: Final = (
-    key_column("tier"),
-    Column("number", name="processes"),
+_COUNTS: Final = (
     Column("missed deadlines", name="missed_deadlines"),
     Column("missing inputs", name="missing_inputs"),
-    Column("old inputs", name="old_inputs"),
     Column("dropped"),
     Column("overruns"),
     Column("skipped cycles", name="skipped_cycles"),
+)
+_MEMORY: Final = Column("memory", "MB", 1, name="resident_mb")
+_TIER_COLUMNS: Final = (
+    key_column("tier"),
+    Column("number", name="processes"),
+    *_COUNTS,
     Column("CPU", "% all", 1, name="cpu_percent"),
     Column("CPU", "% most", 1, name="cpu_highest_percent"),
-    Column("memory", "MB", 1, name="resident_mb"),
+    _MEMORY,
+)
+_PROCESS_COLUMNS: Final = (
+    key_column("process", "agent"),
+    word_column("tier"),
+    *_COUNTS,
+    Column("CPU", "%", 1, name="cpu_percent"),
+    _MEMORY,
 )
 _TIER_NOTE: Final = (
     "CPU in % of one core, of all processes and of the busiest; memory of the largest one"
 )
-_ACROSS: Final = "* between two clocks: worked out from both, see the table of clocks"
-_MOST_WRONG: Final = 12
 _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 """Decimals of a budget's figures, by unit."""
 
@@ -81,36 +88,11 @@ def host_lines(host: Host) -> list[str]:
     load = ""
     if host.load_before is not None and host.load_after is not None:
         load = f"; load average {host.load_before:.2f} before, {host.load_after:.2f} after"
-    lines = [
-        f"kernel {host.kernel}",
-        f"{host.cpus} CPUs{load}",
-        f"scheduling: {host.scheduling}",
+    return [
+        f"kernel {host.kernel}, {host.cpus} CPUs{load}",
+        f"scheduling asked for: {host.scheduling}",
         f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}",
     ]
-    if host.load_before is not None and host.load_before > host.cpus:
-        lines.append(
-            "the machine was busy before the run began: more processes were running than it has "
-            "processors"
-        )
-    return lines
-
-
-def network_lines(report: TimingReport) -> list[str]:
-    """Say what external agents sent, what of it was wrong, and what faults did to messages."""
-    lines = [
-        f"external {account.agent}: answered {counted(account.answered, 'time')} of "
-        f"{account.expected:,}; gaps in its sequence numbers show {account.lost:,} messages that "
-        "never came or could not be decoded"
-        for account in report.external
-    ]
-    lines += [
-        f"wrong {entry.key}, {counted(entry.count, 'time')}: {entry.cause}: {entry.example}"
-        for entry in report.wrong[:_MOST_WRONG]
-    ]
-    if report.faults:
-        counts = ", ".join(f"{count:,} {name}" for name, count in report.faults.items())
-        lines.append(f"network faults that were asked for: {counts}")
-    return lines
 
 
 def verdict_line(report: TimingReport) -> str:
@@ -143,17 +125,26 @@ def _amount(value: float | None, unit: str) -> str:
 
 
 def measured_tables(report: TimingReport) -> list[Table]:
-    """Return the tables of durations, clocks, counts and devices."""
+    """Return all tables: durations by measure, counts, health, and the other budgets."""
     return [
         *_times_tables(report),
         *_clocks_tables(report.clocks),
         Table("Counts", _TIER_COLUMNS, attributes(report.tiers, _TIER_COLUMNS), [_TIER_NOTE]),
         *devices_tables(report.devices),
+        *_processes_tables(report.processes),
+        texts_table("Health of the run", report.health),
+        budgets_table(report.verdicts),
     ]
 
 
+def _processes_tables(processes: Sequence[ProcessTiming]) -> list[Table]:
+    """Return the counts of each process, if they have rows of their own."""
+    rows = attributes((one for one in processes if one.times), _PROCESS_COLUMNS)
+    return [Table("Processes", _PROCESS_COLUMNS, rows)] if rows else []
+
+
 def _times_tables(report: TimingReport) -> list[Table]:
-    """Return a table of durations for each measure, with its budgets if it has any.
+    """Return a table of durations for each measure, with its budgets.
 
     Rows of single processes come below those of all together.
     """
@@ -162,25 +153,18 @@ def _times_tables(report: TimingReport) -> list[Table]:
         for verdict in report.verdicts
         if verdict.line.endswith("p99")
     }
-    of_processes = [
-        msgspec.structs.replace(row, of=f"{process.agent}: {row.of}".rstrip(": "))
-        for process in report.processes
-        for row in process.times
+    rows: dict[str, list[tuple[Cell, ...]]] = {}
+    for row in report.times:
+        limit = limits.get((row.measure, row.of), (None, ""))
+        rows.setdefault(row.measure, []).append((row.of, *_figures(row.times), *limit))
+    for process in report.processes:
+        for row in process.times:
+            name = f"{process.agent}: {row.of}"
+            rows.setdefault(row.measure, []).append((name, *_figures(row.times), None, ""))
+    return [
+        Table(f"{measure.capitalize()} [ms]", _TIMES, found, [MEANINGS[measure]])
+        for measure, found in rows.items()
     ]
-    by_measure: dict[str, list[Times]] = {}
-    for row in (*report.times, *of_processes):
-        by_measure.setdefault(row.measure, []).append(row)
-    tables = []
-    for measure, found in by_measure.items():
-        rows: list[tuple[Cell, ...]] = []
-        for row in found:
-            name = f"{row.of} (from outside)" if row.outside else row.of
-            rows.append((name, *_figures(row.times), *limits.get((measure, row.of), ("", ""))))
-        columns = _JUDGED if any(row[-1] != "" for row in rows) else _TIMES
-        notes = [MEANINGS[measure], *([_ACROSS] if any(ACROSS in row.of for row in found) else [])]
-        cut = [row[: len(columns)] for row in rows]
-        tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, notes))
-    return tables
 
 
 def _figures(times: Distribution) -> tuple[Cell, ...]:
@@ -201,38 +185,10 @@ def _clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
     )
     notes = (
         "ahead of the plant's clock, by the fastest messages each way;",
-        "± is half their round trip, the largest error if one way is slower than the other",
+        "± is half their round trip, the largest error if one way is slower than the other;",
+        "a hop marked * is between two clocks",
     )
     return [Table("Clocks", columns, rows, notes)] if rows else []
-
-
-def processes_tables(processes: Sequence[ProcessTiming]) -> list[Table]:
-    """Return the counts of each process, if they have rows of their own."""
-    if not any(process.times for process in processes):
-        return []
-    columns = (
-        key_column("process"),
-        word_column("tier"),
-        Column("slowest decision", "ms"),
-        Column("CPU", "%", 1),
-        Column("memory", "MB", 1),
-        *map(Column, ("missed deadlines", "overruns", "skipped cycles", "dropped")),
-    )
-    rows = [
-        (
-            one.agent,
-            one.tier,
-            None if one.slowest_decision_us is None else one.slowest_decision_us / 1e3,
-            one.cpu_percent,
-            one.resident_mb,
-            count_of(one.missed_deadlines),
-            count_of(one.overruns),
-            one.skipped_cycles,
-            count_of(one.dropped),
-        )
-        for one in processes
-    ]
-    return [Table("Processes", columns, rows)]
 
 
 def budgets_table(verdicts: Iterable[Verdict]) -> Table:

@@ -63,7 +63,7 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -
     assert again["times"] == report["times"]
     assert again["tiers"] == report["tiers"]
     summary = msgspec.json.decode((folder / "summary.json").read_bytes(), type=RunSummary)
-    missing = sum(sum(process.missing_inputs.values()) for process in found.processes)
+    missing = sum(process.missing_inputs for process in found.processes)
     assert missing == summary.missing_inputs
 
 

@@ -14,9 +14,10 @@ from recordings_by_hand import PLAN, numbered, whole_run, write_messages, write_
 
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
-from bus_schemas.messages import Message
+from bus_schemas.messages import Message, Takeover
 from bus_schemas.network_faults import FaultAct
-from bus_schemas.signals import HELP, TELEMETRY
+from bus_schemas.signals import HELP, TAKEOVER, TELEMETRY
+from bus_schemas.tree import ROOT
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings import open_run
@@ -28,6 +29,7 @@ from recordings.inspect.health import (
     health_lines,
 )
 from recordings.inspect.overview import read_overview
+from recordings.read.missed_inputs import MissedInputs
 from recordings.read.run_clock import RunClock
 from sunspec.process import DeviceAccount, Latency, write_accounts
 
@@ -182,3 +184,12 @@ def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: 
     (act,) = health.fault_acts
     assert act.messages == health.faults["lost"]
     assert "loss=0.02: acted on" in text
+
+
+def test_a_takeover_is_no_stage_that_missed_inputs() -> None:
+    missed = MissedInputs(PLAN)
+    takeover = Takeover(
+        cycle=3, source="central", sim_time_ns=0, missing=("c1/residual",), stage="solve"
+    )
+    missed.count(TAKEOVER.of(ROOT), takeover)
+    assert not missed.missing["central"]

@@ -1,76 +1,88 @@
-"""The numbers that figures are drawn from, worked out by hand."""
+"""What figures show is found by its rule, in runs made by hand."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 from synthetic_runs import cloudy_run
 
 from recordings.read.series import RunSeries
-from studies.report.inverter_figures import energy_beside_share
-from studies.report.plant_figures import farthest_from_asked, folded_distribution
+from studies.report.cloud_passage import correlation_by_hour, find_cloud_passage
+from studies.report.plant_figures import farthest_from_asked
 from studies.report.style import clock_ms
 
-HOUR_MS = 3_600_000.0
+REQUEST_KW = 50.0
+CYCLES = 600
+SHADE_BEGINS = 300
 
 
-# The tracking error -------------------------------------------------------------------------------
+def plant(**impp_kw: NDArray[np.float64]) -> RunSeries:
+    """A run of four inverters, two clusters, asked for 50 kW each; inverters not named are flat."""
+    inverters = ("c1/a", "c1/b", "c2/c", "c2/d")
+    columns = [impp_kw.get(path[-1], np.full(CYCLES, 80.0)) for path in inverters]
+    power_kw = np.column_stack(columns)
+    run = cloudy_run(cycles=CYCLES, inverters=inverters)
+    return replace(run, mpp_kw=power_kw, impp_kw=power_kw, residual_kw=power_kw - REQUEST_KW)
 
 
-def test_the_distribution_is_folded_at_zero() -> None:
-    error_kw, share = folded_distribution(np.array([-3.0, -1.0, -1.0, 0.0, 2.0]))
-    np.testing.assert_array_equal(error_kw, [-3.0, -1.0, np.nan, 2.0])
-    np.testing.assert_allclose(share, [1 / 5, 3 / 5, np.nan, 1 / 5])
+def shade(depth_kw: float, begins: int = SHADE_BEGINS, lasts: int = 90) -> NDArray[np.float64]:
+    """80 kW, but for a cloud that comes within 20 cycles and goes as fast."""
+    cycle = np.arange(CYCLES)
+    covered = np.clip(np.minimum(cycle - begins, begins + lasts - cycle) / 20.0, 0.0, 1.0)
+    return np.asarray(80.0 - depth_kw * covered)
 
 
-# Regulation ---------------------------------------------------------------------------------------
+def rising() -> NDArray[np.float64]:
+    """Always above the request, and hardly correlated with anything that dips in the middle."""
+    return np.asarray(70.0 + 10.0 * np.abs(np.arange(CYCLES) - 300.0) / 300.0)
 
 
-def missing(run: RunSeries, cycles: slice, power_kw: float) -> RunSeries:
-    """Return the run with its first inverter short of some power for a while."""
-    delivered_kw = run.power_kw.copy()
-    delivered_kw[cycles, 0] -= power_kw
-    return replace(run, power_kw=delivered_kw)
+def test_the_shaded_one_and_the_one_with_headroom_are_told_apart() -> None:
+    found = find_cloud_passage(plant(a=shade(60.0), b=rising()))
+    assert found is not None
+    assert (found.shaded, found.helping) == (0, 1)
+    assert found.bottom == SHADE_BEGINS + 20
+    assert found.drop_kw == pytest.approx(60.0)
 
 
-def exact(run: RunSeries) -> RunSeries:
-    """Return the run as if each inverter gave its share of what was desired."""
-    share_kw = np.repeat(run.desired_kw[:, None] / len(run.inverters), len(run.inverters), axis=1)
-    return replace(run, power_kw=share_kw)
-
-
-def test_the_close_look_is_at_the_ten_minutes_of_the_largest_error() -> None:
-    run = missing(exact(cloudy_run(cycles=3600, regulation=True)), slice(2000, 2600), 20.0)
-    assert farthest_from_asked([run]) == range(2000, 2600)
-
-
-def test_an_error_while_nothing_is_asked_does_not_draw_the_close_look() -> None:
-    run = exact(cloudy_run(cycles=3600, regulation=True))
-    regulation_kw = run.regulation_kw.copy()
-    regulation_kw[:1800] = 0.0
-    quiet = exact(replace(run, regulation_kw=regulation_kw))
-    worse_before = missing(quiet, slice(0, 1700), 90.0)
-    assert farthest_from_asked([missing(worse_before, slice(2900, 3500), 5.0)]).start >= 2800
-
-
-# Energy beside the share --------------------------------------------------------------------------
-
-
-def test_energy_given_and_lacking_is_counted_from_the_share_by_rating() -> None:
-    run = replace(
-        cloudy_run(cycles=2, cycle_s=1800.0, inverters=("a", "b")),
-        rating_kw=np.array([100.0, 300.0]),
-        commitment_kw=np.array([200.0, 200.0]),
-        power_kw=np.array([[80.0, 110.0], [20.0, 180.0]]),
+def test_of_two_drops_the_larger_is_taken_whichever_cluster_it_is_in() -> None:
+    found = find_cloud_passage(plant(a=shade(40.0), b=rising(), c=rising(), d=shade(65.0)))
+    assert found is not None
+    assert (found.shaded, found.helping) == (3, 2)
+    assert found.correlation == pytest.approx(
+        float(np.corrcoef(rising(), shade(65.0))[0, 1]), abs=1e-12
     )
-    # Shares of 50 and 150 kW for half an hour each.
-    given_kwh, lacking_kwh = energy_beside_share(run)
-    assert given_kwh.tolist() == [15.0, 15.0]
-    assert lacking_kwh.tolist() == [15.0, 20.0]
 
 
-# Look ---------------------------------------------------------------------------------------------
+def test_a_pair_under_the_same_cloud_is_not_taken_however_deep_it_is() -> None:
+    found = find_cloud_passage(plant(a=shade(70.0), b=shade(65.0), c=rising(), d=shade(40.0)))
+    assert found is not None
+    assert (found.shaded, found.helping) == (3, 2)
+
+
+def test_a_drop_that_stays_above_the_request_is_no_need() -> None:
+    assert find_cloud_passage(plant(a=shade(25.0), b=rising())) is None
+
+
+def test_an_hour_in_which_nothing_varies_has_no_correlation_to_show() -> None:
+    run = cloudy_run(cycles=7200)
+    mpp_kw = run.mpp_kw.copy()
+    mpp_kw[:3600] = 0.0
+    assert list(correlation_by_hour(run)) == [10, 11]
+    assert list(correlation_by_hour(replace(run, mpp_kw=mpp_kw))) == [11]
+
+
+def test_the_close_look_is_at_the_ten_minutes_of_the_largest_error_in_what_was_asked() -> None:
+    run = cloudy_run(cycles=3600, regulation=True)
+    asked_kw = np.where(np.arange(3600) < 1800, 0.0, run.regulation_kw)
+    run = replace(run, regulation_kw=asked_kw)
+    power_kw = np.repeat(run.desired_kw[:, None] / len(run.inverters), len(run.inverters), axis=1)
+    power_kw[:1700, 0] -= 90.0  # Nothing is asked there.
+    power_kw[2000:2600, 0] -= 20.0
+    assert farthest_from_asked([replace(run, power_kw=power_kw)]) == range(2000, 2600)
 
 
 def test_the_clock_does_not_go_back_where_summer_time_ends() -> None:
@@ -81,4 +93,4 @@ def test_the_clock_does_not_go_back_where_summer_time_ends() -> None:
         start_time_ns=1_792_886_400_000_000_000,
     )
     assert run.times[0].utcoffset() != run.times[-1].utcoffset()
-    assert np.diff(clock_ms(run)).tolist() == [HOUR_MS] * 3
+    assert np.diff(clock_ms(run)).tolist() == [3_600_000.0] * 3

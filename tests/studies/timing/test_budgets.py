@@ -79,12 +79,12 @@ def test_a_budget_of_the_scenario_takes_the_place_of_the_default(tmp_path: Path)
 def test_missed_deadlines_overruns_skipped_cycles_and_losses_are_counted(tmp_path: Path) -> None:
     silent = {key: times for key, times in MISSED.items() if key[:4] != "c2/d"}
     slow = {**TIMES_MS, "c1/a/help": (2.0, 34.0)}
-    cycles = (
-        cycle(0),
-        missed(1),
-        cycle(2, silent, {"production": ("c2/d/command",)}),
-        cycle(3, slow),
-    )
+    cycles = [
+        list(cycle(0)),
+        list(missed(1)),
+        list(cycle(2, silent, {"production": ("c2/d/command",)})),
+        list(cycle(3, slow)),
+    ]
     kept = "overruns = 1\nskipped_cycles = 1\nmissed_deadlines = 2\nlost_messages = 4"
     strict = reported(tmp_path / "strict", *cycles, lost=4, dropped=1)
     counts = {"missed deadlines", "overruns", "skipped cycles", "messages not recorded"}
@@ -101,7 +101,8 @@ def test_what_was_not_measured_although_it_must_be_is_not_kept(tmp_path: Path) -
     estimates = ("c1/a/impp", "c1/a/residual", "c1/a/help")
     late = {key: (0.0, -5_000.0) if key in estimates else MISSED[key] for key in MISSED}
     lack = {"production": ("c2/d/command",)}
-    report = reported(tmp_path, cycle(0, late, lack), plan=plan)
+    stated = "hop_p99_ms = { command = 10 }"
+    report = reported(tmp_path, cycle(0, late, lack), plan=plan, budgets=stated)
     absent = {verdict.line for verdict in report.verdicts if verdict.value is None}
     assert absent == {"hop command p99", "response c1/a estimate p99"}
     assert absent <= failed(report)

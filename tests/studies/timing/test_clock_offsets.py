@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from test_timing_tables import row, text_of
+from test_timing_results import row, text_of
 from timed_recordings import MS, PLAN, TIMES_MS, cycle, recorded
 
 from agents.plan import RunPlan
