@@ -16,8 +16,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable
-from copy import copy
-from typing import Final, Generic, Literal, Self, TypeAlias, TypeVar
+from typing import Final, Generic, Literal, TypeAlias, TypeVar
 
 import msgspec
 
@@ -285,18 +284,6 @@ class AgentLoop(Generic[S]):
             now_ns,
         )
         return now_ns
-
-    def use_instead(self, port: Port[Message], message: Message) -> None:
-        """Use another message of the same cycle than the one that came first."""
-        self._inputs[port].newest = message
-
-    def twin(self) -> Self:
-        """Return an independent loop in the same state."""
-        twin = copy(self)
-        twin.waiting = self.waiting.copy()
-        twin.dropped = self.dropped.copy()
-        twin._inputs = {port: copy(heard) for port, heard in self._inputs.items()}
-        return twin
 
     # Cycles ---------------------------------------------------------------------------------------
 

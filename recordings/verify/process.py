@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from agents.driver import Driver
@@ -88,7 +88,3 @@ class Process:
     def sent(self, cycle: int, stage: str) -> list[Delivery]:
         """Return what the agent has published in a stage of a cycle, and forget it."""
         return self._bus.sent.pop((cycle, stage), [])
-
-    def twin(self) -> Process:
-        """Return an independent process in the same state."""
-        return replace(self, loop=self.loop.twin())
