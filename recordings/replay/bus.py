@@ -52,10 +52,10 @@ class ReplayBus:
 
     def put(self, port: Port[Message], payload: bytes) -> bool:
         """Publish bytes, if the port is among those that are published; return whether it is."""
-        publisher = self._publishers.get(port)
-        if publisher is not None:
-            publisher.put(payload)
-        return publisher is not None
+        if port not in self._publishers:
+            return False
+        self._publishers[port].put(payload)
+        return True
 
     def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
         """Publish where the replay stands."""
@@ -106,7 +106,7 @@ def replay_bus(
         with ReplayBus(plan, ports, endpoint) as bus:
             say(out, f"{plan.run_id}, {reader.clock.extent()}")
             if not reader.whole:
-                say(out, "cut short: replayed up to the cut (`heliarch recover` repairs the file)")
+                say(out, "cut short: replayed up to the cut")
             say(out, f"endpoint {endpoint}\nkeys {plan.run_id}/{plan.plant}/**")
             yield bus
 

@@ -31,7 +31,7 @@ class Difference:
 
     `message` is the key of the message that differs, or of the input that is not recorded;
     `content` the recorded message if there is one, else the new one; `inputs` what the agent
-    received in that cycle, by key; `missing` the inputs that were not of that cycle.
+    received in that cycle, by key; `text` the error of an agent that fails.
     """
 
     kind: str
@@ -41,7 +41,6 @@ class Difference:
     fields: tuple[FieldDifference, ...] = ()
     content: Message | None = None
     inputs: dict[str, Message] = field(default_factory=dict)
-    missing: tuple[str, ...] = ()
     text: str = ""
 
 
@@ -86,8 +85,7 @@ class Findings:
                 return
             kind = "differs"
         inputs = by_key(used or {})
-        cycle, missing = message.cycle, message.missing
-        self.add(Difference(kind, cycle, stage, str(port), fields, message, inputs, missing))
+        self.add(Difference(kind, message.cycle, stage, str(port), fields, message, inputs))
 
     def add(self, difference: Difference) -> None:
         """Count a difference, and keep it if it is the first."""

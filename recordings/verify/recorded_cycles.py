@@ -47,9 +47,7 @@ class RecordedCycles:
         self._broke_off = stop_cycle is None
         self._end = plan.cycles if stop_cycle is None else stop_cycle
         longest = plan.periods.longest
-        self._most_waiting = max(
-            _READ_AHEAD, len(plan.wiring.ports) * (longest + _CYCLES_AHEAD)
-        )
+        self._most_waiting = max(_READ_AHEAD, len(plan.wiring.ports) * (longest + _CYCLES_AHEAD))
         self._kept_cycles = plan.hold_cycles + longest
         self._messages: dict[int, RecordedCycle] = {}
         self._waiting = 0

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Iterable, Iterator, Mapping
-from math import isfinite
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import msgspec
@@ -20,7 +18,7 @@ _HEAD: Final = frozenset(Message.__struct_fields__)
 
 
 def verification_lines(found: Verification, comparison: Comparison, wall_s: float) -> Iterator[str]:
-    """Yield the result line by line, see `wrapped`."""
+    """Yield the result line by line."""
     speed = found.cycles * found.plan.cycle_ns / 1e9 / max(wall_s, 1e-9)
     yield (
         f"{found.cycles:,} cycles, {len(found.agents)} agents run again, "
@@ -32,13 +30,6 @@ def verification_lines(found: Verification, comparison: Comparison, wall_s: floa
     if found.first is not None:
         yield ""
     yield _verdict(found, comparison)
-
-
-def wrapped(lines: Iterable[str], width: int) -> Iterator[str]:
-    """Wrap long lines; what follows stands further to the right."""
-    for line in lines:
-        indent = " " * (len(line) - len(line.lstrip()) + 8)
-        yield textwrap.fill(line, width, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def finding_lines(found: Mapping[str, Findings], clock: RunClock) -> Iterator[str]:
@@ -61,22 +52,19 @@ def finding_lines(found: Mapping[str, Findings], clock: RunClock) -> Iterator[st
 
 def verification_data(found: Verification, comparison: Comparison, wall_s: float) -> dict[str, Any]:
     """Return the result as plain data."""
-    names = ("stop_cycle", "cycles", "recorded", "not_decided", "differences")
-    totals = ("compared", "not_compared")
+    names = (
+        *("equal", "stop_cycle", "cycles", "recorded", "not_decided", "differences", "misplaced"),
+        *("cut_off", "unrecorded_cycles", "left_out"),
+    )
     return {
         "recording": str(found.recording),
         "run_id": found.plan.run_id,
-        "equal": found.equal,
         "tolerance": comparison.tolerance,
         "ignored": sorted(comparison.ignored),
         "lockstep": found.plan.lockstep,
         **{name: getattr(found, name) for name in names},
-        **{name: found.total(name) for name in totals},
+        **{name: found.total(name) for name in ("compared", "not_compared")},
         "first_agent": found.first[0] if found.first is not None else None,
-        "misplaced": found.misplaced,
-        "cut_off": found.cut_off,
-        "unrecorded_cycles": found.unrecorded_cycles,
-        "left_out": found.left_out,
         "wall_s": wall_s,
         "agents": finding_data(found.agents),
     }
@@ -85,15 +73,6 @@ def verification_data(found: Verification, comparison: Comparison, wall_s: float
 def finding_data(found: Mapping[str, Findings]) -> list[dict[str, Any]]:
     """Return the findings of agents as plain data."""
     return [{"agent": name, **msgspec.to_builtins(findings)} for name, findings in found.items()]
-
-
-def json_ready(value: Value) -> Value:
-    """Return plain data with the floats that JSON has no number for as text: nan, inf, -inf."""
-    if isinstance(value, float):
-        return value if isfinite(value) else str(value)
-    if isinstance(value, dict):
-        return {name: json_ready(entry) for name, entry in value.items()}
-    return list(map(json_ready, value)) if isinstance(value, list | tuple) else value
 
 
 def _remarks(found: Verification) -> Iterator[str]:
@@ -132,23 +111,22 @@ def _verdict(found: Verification, comparison: Comparison) -> str:
 
 def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
     stage = f" (stage {difference.stage})" if difference.stage else ""
-    content = difference.text
-    if difference.content is not None and difference.kind != "differs":
-        content = _content(difference.content)
+    message, content = difference.content, difference.text
+    if message is not None and difference.kind != "differs":
+        content = _content(message)
     what = KINDS[difference.kind] + (f": {content}" if content else "")
     yield f"  {difference.message or 'the agent'}{stage}: {what}"
     width = max((len(entry.field) for entry in difference.fields), default=0)
     for entry in difference.fields:
         yield f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}"
         yield f"    {'':{width}}  new       {_value(entry.new)}"
-    if difference.inputs or difference.missing:
+    if difference.inputs:
         yield f"  inputs of {agent} in cycle {difference.cycle}"
-    named = sorted(difference.inputs.items())
-    width = max((len(key) for key, _ in named), default=0)
-    for key, message in named:
-        yield f"    {key:{width}}  {_content(message)}"
-    if difference.missing:
-        yield f"    {in_words(difference.missing)}"
+    width = max(map(len, difference.inputs), default=0)
+    for key, used in sorted(difference.inputs.items()):
+        yield f"    {key:{width}}  {_content(used)}"
+    if message is not None and message.missing:
+        yield f"    {in_words(message.missing)}"
 
 
 def _content(message: Message) -> str:

@@ -243,10 +243,9 @@ class AgentRerun:
 
         From here on the agent's state is uncertain.
         """
-        inputs = by_key(self._inputs)
         for port, kind in lost.items():
             if kind:
-                self.findings.add(Difference(kind, cycle, stage.name, str(port), inputs=inputs))
+                self.findings.add(Difference(kind, cycle, stage.name, str(port)))
         if not lost and not self._was_away(self.name, cycle):
             self.findings.add(Difference("not recorded", cycle, stage.name))
         self._process.is_over = self._process.remembers
