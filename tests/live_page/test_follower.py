@@ -132,7 +132,7 @@ def test_a_real_inverter_that_is_gone_for_a_while_is_named(tmp_path: Path) -> No
     run = [pair for pair in whole_run(20) if pair[0] is not telemetry or pair[1].cycle not in gone]
     write_run(path, run, plan=plan)
     follower = followed(path)
-    assert kinds(follower)[1:-1] == [("silent", 5, "device c2/c")]
+    assert kinds(follower)[1:-1] == [("silent", 5, "device c2/c"), ("back", 12, "device c2/c")]
     states = NodeStates(follower)
     assert [states.frame(cycle)["unread"] for cycle in (4, 5)] == [[], [place("c2/c")]]
 

@@ -141,17 +141,9 @@ def test_a_run_is_followed_while_it_is_recorded(tmp_path: Path) -> None:
     writer.close()
 
 
-def test_the_channels_are_there_before_the_run_begins(tmp_path: Path) -> None:
-    (tmp_path / "plan.json").write_bytes(PLAN.as_json())
-    with viewer_of(tmp_path) as viewer:
-        viewer.await_channels()
-        viewer.ask("field/dispatch")
-        write_run(tmp_path / "run.mcap", whole_run(20))
-        _, _, fields = next(viewer.messages())
-    assert fields["power_kw"] == 240.0
-
-
-def test_a_port_in_use_is_named(tmp_path: Path) -> None:
+def test_a_run_that_has_not_begun_and_a_port_in_use_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has begun"):
+        FoxgloveStream(RunView(tmp_path), 0)
     write_run(tmp_path / "run.mcap", whole_run(1))
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
