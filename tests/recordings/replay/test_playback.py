@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
+from itertools import takewhile
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 import pytest
 from clock_by_hand import ClockByHand
-from replayed_runs import CYCLE_NS, PLAN, Said, run_in_memory, write
+from replayed_runs import CYCLE_NS, PLAN, run_in_memory, write
 
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
@@ -104,9 +105,9 @@ def play(
         return playback
 
 
-def payloads(said: list[Said], first: int = 0, before: int = 1000) -> list[bytes]:
+def payloads(first: int = 0, before: int = 1000) -> list[bytes]:
     """What was on the wire in some cycles."""
-    return [encode(entry.message) for entry in said if first <= entry.message.cycle < before]
+    return [encode(entry.message) for entry in SAID if first <= entry.message.cycle < before]
 
 
 def step(first: int, cycle: int | None = None) -> list[bytes]:
@@ -116,19 +117,14 @@ def step(first: int, cycle: int | None = None) -> list[bytes]:
     one comes.
     """
     last = first if cycle is None else cycle
-    sent = []
-    for entry in SAID:
-        if entry.message.cycle > last:
-            break
-        if entry.message.cycle >= first:
-            sent.append(encode(entry.message))
-    return sent
+    until_later = takewhile(lambda entry: entry.message.cycle <= last, SAID)
+    return [encode(entry.message) for entry in until_later if entry.message.cycle >= first]
 
 
 def test_all_bytes_are_sent_on_their_ports_in_their_order(recorded: Path) -> None:
     heard, out = Heard(), io.StringIO()
     played = play(recorded, heard, out=out)
-    assert heard.payloads == payloads(SAID)
+    assert heard.payloads == payloads()
     assert heard.ports == [entry.port for entry in SAID]
     assert (played.messages, played.cycles) == (len(SAID), 40)
     assert played.timing_error() is None  # as fast as possible: nothing is due
@@ -139,7 +135,7 @@ def test_all_bytes_are_sent_on_their_ports_in_their_order(recorded: Path) -> Non
 
 def test_a_loop_begins_again_until_the_user_ends_it(recorded: Path) -> None:
     interruption = Interruption()
-    once = payloads(SAID, 5, 9)
+    once = payloads(5, 9)
 
     def end_in_the_third_round(heard: Heard) -> None:
         interruption.count = int(len(heard.payloads) == 2 * len(once) + 3)
@@ -149,22 +145,15 @@ def test_a_loop_begins_again_until_the_user_ends_it(recorded: Path) -> None:
     assert heard.payloads == once + once + once[:3]
 
 
-def due_at_a_quarter(first: int, before: int, began_ns: int) -> list[int]:
-    """When messages of some cycles are due at a quarter of the rate at which they were said."""
-    said_ns = [
-        entry.message.publish_time_ns for entry in SAID if first <= entry.message.cycle < before
-    ]
-    return [began_ns + 4 * (time_ns - said_ns[0]) for time_ns in said_ns]
-
-
 def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) -> None:
-    heard, out = Heard(), io.StringIO()
-    played = play(recorded, heard, span=range(5, 9), rate=0.25, waited_s=60.0, out=out)
-    due_ns = due_at_a_quarter(5, 9, heard.moments_ns[0])
-    assert heard.moments_ns == due_ns
+    heard = Heard()
+    played = play(recorded, heard, span=range(5, 9), rate=0.25, waited_s=60.0)
+    said_ns = [entry.message.publish_time_ns for entry in SAID if 5 <= entry.message.cycle < 9]
+    began_ns = heard.moments_ns[0]
+    assert heard.moments_ns == [began_ns + 4 * (time_ns - said_ns[0]) for time_ns in said_ns]
     figures = played.timing_error()
     assert figures is not None
-    assert figures["count"] == len(due_ns)
+    assert figures["count"] == len(said_ns)
     assert figures["max_us"] < 1.0
 
 
@@ -186,18 +175,20 @@ def test_arrows_seek_by_simulated_time(recorded: Path, key: str, lands_at: int) 
     assert heard.payloads == step(0, 1) + step(lands_at)
 
 
-def test_arrows_stay_within_the_span(recorded: Path) -> None:
+@pytest.mark.parametrize(
+    ("span", "keys", "sent"),
+    [
+        (range(5, 9), (UP, "s", DOWN, "s"), [*payloads(8, 9), *step(5)]),
+        (range(30, 31), ("s", "s", LEFT, "s"), payloads(30, 31) * 2),
+    ],
+    ids=["within", "back from the end"],
+)
+def test_arrows_stay_within_the_span(
+    span: range, keys: tuple[str, ...], sent: list[bytes], recorded: Path
+) -> None:
     heard = Heard()
-    keyboard = hands(UP, "s", DOWN, "s")
-    play(recorded, heard, span=range(5, 9), paused=True, keyboard=keyboard)
-    assert heard.payloads == payloads(SAID, 8, 9) + step(5)
-
-
-def test_after_a_step_to_the_end_one_can_go_back(recorded: Path) -> None:
-    heard = Heard()
-    keyboard = hands("s", "s", LEFT, "s")
-    play(recorded, heard, span=range(30, 31), paused=True, keyboard=keyboard)
-    assert heard.payloads == payloads(SAID, 30, 31) * 2
+    play(recorded, heard, span=span, paused=True, keyboard=hands(*keys))
+    assert heard.payloads == sent
 
 
 def test_plus_and_minus_change_the_rate(recorded: Path) -> None:

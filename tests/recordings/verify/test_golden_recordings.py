@@ -5,17 +5,13 @@ If a change of behaviour is meant: `heliarch verify --accept recordings/golden/*
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from bus_schemas.messages import Setpoint
-from bus_schemas.signals import SETPOINT
 from bus_schemas.tree import PLANT, agent_name
 from recordings.read.reader import RunReader
 from recordings.verify.comparison import Comparison
-from recordings.verify.golden import origin
 from recordings.verify.verification import verify
 
 GOLDEN = Path(__file__).parents[3] / "recordings" / "golden"
@@ -38,21 +34,3 @@ def test_controllers_say_the_same_bits_as_in_the_golden_recording(run: Path) -> 
 def test_the_plant_does_the_same_as_in_the_golden_recording(run: Path) -> None:
     found = verify(run, [PLANT], Comparison(SUM_TOLERANCE_KW))
     assert found.equal, found.first
-
-
-def test_the_golden_recordings_are_of_every_kind_of_run() -> None:
-    plans = {}
-    helped: Counter[int] = Counter()
-    for run in RUNS:
-        origin(run)
-        with RunReader(run) as reader:
-            plans[run.name] = reader.plan
-            for port, message in reader.messages(SETPOINT):
-                if isinstance(message, Setpoint) and message.help_given:
-                    helped[port.node.count("/")] += 1
-    assert {plan.scheme for plan in plans.values()} == {"paper", "predictive"}
-    assert {plan.actuator for plan in plans.values()} == {"fraction", "limit"}
-    assert {plan.tree.height for plan in plans.values()} == {2, 3}
-    assert any(plan.periods.longest > 1 for plan in plans.values())
-    assert any(plan.regulation_capacity_kw for plan in plans.values())
-    assert set(helped) == {0, 1, 2}, "help between zones, between clusters, within clusters"

@@ -75,24 +75,18 @@ def test_inputs_that_are_silent_for_long_are_done_without(tmp_path: Path) -> Non
 def test_an_older_input_that_the_recording_lost_is_named(tmp_path: Path) -> None:
     plan = faulty_plan(LATE)
     messages = published(plan, cloudy_profile(plan))
-    entry, user, cycle = next(
-        (parse_missing(entry), message.source, message.cycle)
+    entry, user = next(
+        (parse_missing(entry), message.source)
         for _, message in messages
         for entry in message.missing
         if "impp@" in entry
     )
-    left = [
-        (port, message)
-        for port, message in messages
-        if (str(port), message.cycle) != (entry.key, entry.cycle)
-    ]
+    left = [pair for pair in messages if (str(pair[0]), pair[1].cycle) != entry]
     assert len(left) == len(messages) - 1
-    found = verified(tmp_path / "run", plan, left)
-    findings = found.agents[user]
+    findings = verified(tmp_path / "run", plan, left).agents[user]
     assert findings.differences["input not recorded"] >= 1
     assert findings.first is not None
-    assert findings.first.cycle <= cycle
-    assert not found.equal
+    assert findings.first.message == entry.key
 
 
 def test_all_outputs_of_a_stage_lost_by_the_recording_are_named(tmp_path: Path) -> None:
@@ -107,19 +101,6 @@ def test_all_outputs_of_a_stage_lost_by_the_recording_are_named(tmp_path: Path) 
     assert findings.first is not None
     assert (findings.first.kind, findings.first.cycle) == ("not recorded", 10)
     assert findings.not_compared_from == 10, "nobody knows its estimate any more"
-
-
-def test_a_message_that_came_after_the_successor_s_is_compared_all_the_same(
-    tmp_path: Path,
-) -> None:
-    plan = faulty_plan(FaultRule(kill="c1", at=(12.2,)), standby=("c1",))
-    messages = published(plan, cloudy_profile(plan))
-    own = [pair for pair in messages if pair[0] is IMPP.of("c1")]
-    successor = next(pair for pair in own if pair[1].incarnation)
-    late = own[own.index(successor) - 1]
-    messages.remove(late)
-    messages.insert(messages.index(successor) + 1, late)
-    assert verified(tmp_path / "run", plan, messages).equal
 
 
 def test_a_standby_that_took_over_between_its_parent_s_turns_is_compared(tmp_path: Path) -> None:
@@ -292,13 +273,3 @@ def test_of_two_messages_in_one_cycle_the_first_one_was_used_and_none_of_no_cycl
     found = verified(tmp_path / "run", plan, messages)
     assert found.equal
     assert found.misplaced == 0
-
-
-def test_an_absurd_input_of_an_external_agent_is_not_used_again(tmp_path: Path) -> None:
-    plan = faulty_plan(FaultRule(delay_ms=1.0), external=("plant",))
-    profile = cloudy_profile(plan)
-    profile.commitment_kw[9] = float("nan")
-    messages = published(plan, profile)
-    used = {message.missing for port, message in messages if message.cycle == 9}
-    assert ("dispatch@8",) in used
-    assert verified(tmp_path / "run", plan, messages).equal
