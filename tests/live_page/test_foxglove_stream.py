@@ -7,7 +7,6 @@ import json
 import socket
 import struct
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,14 +14,12 @@ from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
-from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant, whole_run, write_run
+from recordings_by_hand import PLAN, whole_run, write_run
+from served import growing_run
 
-from bus_schemas.bus import Outbox
-from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.signals import RUN
 from live_page.run_view import RunView
-from recordings.record.writer import RunWriter
 
 pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: heliarch[foxglove]")
 client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
@@ -120,25 +117,16 @@ def test_a_recording_is_played_on_a_channel_for_each_key(tmp_path: Path) -> None
 
 
 def test_a_run_is_followed_while_it_is_recorded(tmp_path: Path) -> None:
-    outbox = Outbox()
-    writer = RunWriter(tmp_path / "run.mcap", PLAN, SCENARIO, driver="simulate")
-
-    def add(cycle: int) -> None:
-        for port, message in cycle_of_the_plant(cycle):
-            outbox.stamp(port, message, time.monotonic_ns())
-            writer.add(port, message, encode(message), time.monotonic_ns())
-        writer.flush()
-
-    for cycle in range(10):
-        add(cycle)
-    with viewer_of(tmp_path) as viewer:
-        viewer.await_channels()
-        viewer.ask("field/production")
-        cycles = (fields["cycle"] for _, _, fields in viewer.messages())
-        assert 9 in cycles
-        add(10)
-        assert next(cycles) == 10
-    writer.close()
+    with growing_run(tmp_path / "run.mcap") as add:
+        for cycle in range(10):
+            add(cycle)
+        with viewer_of(tmp_path) as viewer:
+            viewer.await_channels()
+            viewer.ask("field/production")
+            cycles = (fields["cycle"] for _, _, fields in viewer.messages())
+            assert 9 in cycles
+            add(10)
+            assert next(cycles) == 10
 
 
 def test_a_run_that_has_not_begun_and_a_port_in_use_are_refused(tmp_path: Path) -> None:

@@ -104,6 +104,8 @@ def test_a_recording_is_played_stepped_and_scrubbed(window: Browser, run: Path) 
         before = window.run("return document.documentElement.dataset.theme")
         window.press("t")
         assert window.run("return document.documentElement.dataset.theme") != before
+        window.resize(800, 900)
+        assert window.run("return document.documentElement.scrollWidth <= innerWidth")
         assert window.problems() == []
 
 
@@ -116,14 +118,6 @@ def test_a_lost_connection_is_said_and_taken_up_again(window: Browser, run: Path
     assert window.run(at(CYCLES))  # What was shown stays.
     with served(run, port=port):
         window.until("return document.querySelector('#banner').hidden", "the connection")
-
-
-def test_nothing_runs_off_a_narrow_window(window: Browser, run: Path) -> None:
-    window.resize(800, 900)
-    with served(run) as page:
-        window.open(page.address)
-        window.until(at(CYCLES), "the last cycle")
-        assert window.run("return document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_a_folder_of_runs_leads_to_each_of_them(window: Browser, run: Path) -> None:
