@@ -47,8 +47,6 @@ class Process:
     heard: Newest cycle of each input.
     sequence: Number of the next message of each port.
     spoke: Cycle of the last recorded message of each port.
-    unsent: Messages of its last cycle that are not recorded, with stage and inputs. If it was
-        killed there, they are no difference.
     """
 
     loop: AgentLoop[Any]
@@ -59,7 +57,6 @@ class Process:
     heard: dict[Port[Message], int]
     sequence: dict[Port[Message], int] = field(default_factory=dict)
     spoke: dict[Port[Message], int] = field(default_factory=dict)
-    unsent: list[tuple[Port[Message], Message, str, Messages]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._clock = VirtualClock()

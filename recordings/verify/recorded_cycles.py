@@ -17,7 +17,7 @@ from bus_schemas.tree import RECORDER
 from recordings.verify.comparison import NOT_COMPARED
 
 _READ_AHEAD: Final = 50_000
-_CYCLES_AHEAD: Final = 20
+_CYCLES_AHEAD: Final = 50
 """Messages, and cycles of them at least, that are read before a cycle counts as complete: the file
 mixes neighbouring cycles, since agents are not equally fast."""
 
@@ -76,6 +76,11 @@ class RecordedCycles:
         """
         processes = sorted(self._spoke[publisher].items())
         return any(spoke <= cycle <= joined for (_, spoke), (joined, _) in pairwise(processes))
+
+    def was_killed_in(self, publisher: str, incarnation: int, cycle: int) -> bool:
+        """Whether a process of an agent was replaced after a cycle, and last spoke in it."""
+        spoke = self._spoke[publisher]
+        return max(spoke, default=0) > incarnation and spoke.get(incarnation, -1) <= cycle
 
     def __iter__(self) -> Iterator[tuple[int, RecordedCycle]]:
         for port, message in self._deliveries:

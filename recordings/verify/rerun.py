@@ -84,12 +84,6 @@ class AgentRerun:
         left = sum(len(messages) for one in outputs.values() for messages in one.values())
         self.findings.leave_out(cycle, left)
 
-    def end(self) -> None:
-        """Compare what the last process did not send: the run ended, nothing killed it."""
-        if self._processes:
-            self._incarnation = max(self._processes)
-            self._compare_unsent()
-
     @property
     def _process(self) -> Process:
         return self._processes[self._incarnation]
@@ -142,7 +136,6 @@ class AgentRerun:
         """
         process = self._process
         if recorded and not process.is_over:
-            self._compare_unsent()
             self._find_lost_outputs(cycle, recorded)
         if process.is_over:
             return
@@ -259,20 +252,15 @@ class AgentRerun:
                 if not self.comparison.differences(port, rival, new):
                     old = rival
             if old is None:  # If the recording lost it, its number is known to be missing.
-                process.unsent.append((port, new, stage, dict(self._inputs)))
                 process.sequence[port] = process.sequence.get(port, 0) + 1
-            else:
-                self.findings.compare(self.comparison, port, old, new, stage, self._inputs)
+                if self._was_away(self.name, new.cycle) or self.recorded.was_killed_in(
+                    self.name, self._incarnation, new.cycle
+                ):
+                    continue
+            self.findings.compare(self.comparison, port, old, new, stage, self._inputs)
         for port, old in recorded.items():
             self.findings.compare(self.comparison, port, old, None, stage, self._inputs)
         recorded.clear()
-
-    def _compare_unsent(self) -> None:
-        """Find what the process did not send, though it went on."""
-        for port, new, stage, inputs in self._process.unsent:
-            if not self._was_away(self.name, new.cycle):
-                self.findings.compare(self.comparison, port, None, new, stage, inputs)
-        self._process.unsent.clear()
 
     def _find_lost_outputs(self, cycle: int, recorded: dict[str, Messages]) -> None:
         """In real time, find gaps in the sequence numbers: the recording lost messages there."""

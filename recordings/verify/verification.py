@@ -114,8 +114,6 @@ def verify(
                 cycles += bool(messages)
                 unrecorded += cycle in away and PRODUCTION.of(ROOT) not in messages
             progress(reader.read_share)
-        for rerun in reruns:
-            rerun.end()
         found = Verification(
             reader.path,
             plan,
