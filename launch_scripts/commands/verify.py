@@ -90,7 +90,7 @@ def _verify(
     wall_s = time.monotonic() - began_at
     say(console, str(found.recording))
     say(console, *verification_lines(found, comparison, wall_s))
-    return found, verification_data(found, comparison, wall_s)
+    return found, verification_data(found, wall_s)
 
 
 def _accept(found: Verification, console: Console) -> None:

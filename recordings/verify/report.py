@@ -43,14 +43,13 @@ def finding_lines(found: Mapping[str, Findings], clock: RunClock) -> Iterator[st
         yield f"{agent}: {counts}, {clock.span_text(first.cycle, findings.last_cycle)}"
         yield from _difference_lines(agent, first)
         if failure is not None and failure is not first:
-            yield f"{agent}: fails {clock.span_text(failure.cycle, failure.cycle)}"
-            yield from _difference_lines(agent, failure)
+            yield f"  fails in cycle {failure.cycle:,}: {failure.text}"
         if findings.not_compared:
             begin = findings.not_compared_from
             yield f"{agent}: {findings.not_compared:,} messages not compared, from cycle {begin} on"
 
 
-def verification_data(found: Verification, comparison: Comparison, wall_s: float) -> dict[str, Any]:
+def verification_data(found: Verification, wall_s: float) -> dict[str, Any]:
     """Return the result as plain data."""
     names = (
         *("equal", "stop_cycle", "cycles", "recorded", "not_decided", "differences", "misplaced"),
@@ -59,9 +58,6 @@ def verification_data(found: Verification, comparison: Comparison, wall_s: float
     return {
         "recording": str(found.recording),
         "run_id": found.plan.run_id,
-        "tolerance": comparison.tolerance,
-        "ignored": sorted(comparison.ignored),
-        "lockstep": found.plan.lockstep,
         **{name: getattr(found, name) for name in names},
         **{name: found.total(name) for name in ("compared", "not_compared")},
         "first_agent": found.first[0] if found.first is not None else None,

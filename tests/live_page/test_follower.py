@@ -20,7 +20,7 @@ from served import growing_run
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Notice, Production
-from bus_schemas.signals import NOTICE, PRODUCTION, RUN, TELEMETRY
+from bus_schemas.signals import IMPP, NOTICE, PRODUCTION, RUN, TELEMETRY
 from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from live_page.nodes import NodeStates
@@ -123,13 +123,18 @@ def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path:
     assert [states.frame(cycle)["unread"] for cycle in (4, 5)] == [[], [place("c2/c")]]
 
 
-def test_a_restart_is_told_by_numbers_that_begin_again(tmp_path: Path) -> None:
+def test_a_restart_is_told_and_what_the_replaced_process_still_says_is_no_loss(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "run.mcap"
-    run = chain.from_iterable(map(cycle_of_the_plant, range(10)))
-    anew = numbered(run, lambda pair: pair[0].publisher == "c1/a" and pair[1].cycle >= 6)
-    write_messages(path, anew)
+    run = list(chain.from_iterable(map(cycle_of_the_plant, range(10))))
+    anew = list(numbered(run, lambda pair: pair[0].publisher == "c1/a" and pair[1].cycle >= 6))
+    for port, message in anew:
+        message.incarnation = 6 * (port.publisher == "c1/a" and message.cycle >= 6)
+    late = next(pair for pair in anew if pair[0] == IMPP.of("c1/a") and pair[1].cycle == 5)
+    write_messages(path, [*(pair for pair in anew if pair is not late), late])
     follower = followed(path)
-    assert ("restart", 6, "c1/a") in kinds(follower)
+    assert kinds(follower) == [("restart", 6, "c1/a")]
     assert follower.restarts["c1/a"] == 1
 
 
