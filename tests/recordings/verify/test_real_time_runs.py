@@ -148,6 +148,17 @@ def test_what_a_killed_process_said_to_others_alone_is_no_difference(tmp_path: P
     assert found.total("not_compared") == len(based_on_it)
 
 
+@pytest.mark.parametrize(("cycles_before", "kinds"), [(0, {}), (3, {"only new": 1})])
+def test_what_a_process_did_not_send_as_it_was_killed_is_no_difference(
+    cycles_before: int, kinds: dict[str, int], tmp_path: Path
+) -> None:
+    messages, (last, *_) = killed(KILLED_CHILD, "c1/a")
+    port, cycle = RESIDUAL.of("c1/a"), messages[last][1].cycle - cycles_before
+    left = [pair for pair in messages if pair[0] is not port or pair[1].cycle != cycle]
+    found = verify(record(tmp_path / "run", KILLED_CHILD, left), "c1/a", Comparison())
+    assert found.agents["c1/a"].differences == kinds
+
+
 @pytest.mark.parametrize(
     ("plan", "victim", "listener", "at", "cycles_apart"),
     [
