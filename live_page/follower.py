@@ -100,9 +100,6 @@ class RunFollower:
         self._look_for_failure()
         return self._next_chunk() is None
 
-    def close(self) -> None:
-        self.run.close()
-
     @property
     def state(self) -> State:
         if self._failed:
