@@ -190,9 +190,11 @@ class AgentRerun:
         Each port comes with what is wrong; empty: nothing, the recorder could not hear it.
         """
         process = self._process
+        lost: dict[Port[Message], str] = {}
+        if not recorded and not self.plan.lockstep:
+            return lost  # Nobody knows what it used.
         missing = next(iter(recorded.values())).missing if recorded else ()
         used_of = dict(map(parse_missing, missing))
-        lost: dict[Port[Message], str] = {}
         for port in (*stage.awaits, *stage.uses):
             due = cycle - cycle % self._period[port]
             used = used_of.get(str(port), due)
