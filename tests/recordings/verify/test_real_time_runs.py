@@ -223,6 +223,23 @@ def test_what_was_sent_while_the_recorder_was_away_is_no_difference(
     assert found.agents["c2"].compared > 0.8 * found.agents["c2"].recorded, "it remembers nothing"
 
 
+def test_a_recorder_that_was_away_in_one_stage_of_a_cycle_makes_no_difference(
+    tmp_path: Path,
+) -> None:
+    plan = faulty_plan(LATE)
+    messages = published(plan, cloudy_profile(plan))
+    back = next(  # What a supervisor decides on an input that came after its first stage.
+        place
+        for place, (port, message) in enumerate(messages)
+        if port is SETPOINT.of("c2/c") and message.cycle > 9 and "impp@" in str(message.missing)
+    )
+    cycle = messages[back][1].cycle
+    left = [(port, message.cycle) for port, message in messages].index((IMPP.of("c2"), cycle))
+    folder = record(tmp_path / "run", plan, messages[:left])
+    record_on(folder, plan, messages[back:])
+    assert verify(folder, "c2", Comparison()).equal
+
+
 def test_a_difference_after_the_recorder_was_away_is_found(tmp_path: Path) -> None:
     plan = faulty_plan(LATE)
     messages = published(plan, cloudy_profile(plan))
