@@ -144,7 +144,7 @@ def _one(case: Case, comparison: Comparison) -> tuple[Result, CaseResult]:
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
     schemes, series = zip(*results_of(preparation, comparison), strict=True)
-    found = CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)
+    found = CaseResult(case.label, "", schemes, remarks)
     title = preparation.title()
     lines = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
     tables, document = case_tables(title, schemes), json_rows([found])
@@ -179,17 +179,11 @@ def _two_runs(paths: tuple[Path, Path]) -> Result:
 def _cases_result(results: Sequence[CaseResult], shown: Sequence[str]) -> Result:
     from studies.compare.results import cases_tables, json_rows
 
-    prepare_s = sum(result.prepare_s for result in results)
-    run_s = sum(result.run_s for result in results)
     return Result(
         f"{len(results):,} cases",
         cases_tables(shown, results),
         json_rows(results),
         lines=list(dict.fromkeys(line for result in results for line in result.remarks)),
-        conclusions=[
-            f"sky and market took {prepare_s:.1f} s, the schemes and their figures {run_s:.1f} s, "
-            "added up over all cases"
-        ],
     )
 
 

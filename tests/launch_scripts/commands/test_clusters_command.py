@@ -58,6 +58,7 @@ def test_json_holds_every_seed_and_period(found: Found) -> None:
     random = [("random", 1), ("random", 2), ("random", 3)]
     listed = [("virtual", None), ("geographic", None), *random, ("most alike", None)]
     assert [(way["clusters"], way["seed"]) for way in document["ways"]] == listed
+    assert len({str(way["members"]) for way in document["ways"]}) == len(document["ways"])
     for row in (*document["ways"], *document["orders"]):
         assert len({name for cluster in row["members"] for name in cluster}) == 17
         assert [entry["central_period_s"] for entry in row["shortfalls"]] == [10.0, 50.0, 600.0]
