@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from recordings.inspect.overview import Overview
     from recordings.inspect.timeline import NodeCycle
     from recordings.read.reader import RunReader
-    from recordings.read.run_clock import RunClock
 
 _SHOWN_GAPS: Final = 10
 
@@ -71,30 +70,23 @@ def inspect(
     return complain(damage, OK) if damage else OK
 
 
-def _width(console: Console) -> int:
-    from recordings.inspect.timeline import NARROWEST
-
-    return max(console.width, NARROWEST)
-
-
 # Nodes, cycle by cycle ----------------------------------------------------------------------
 
 
 def _show_nodes(
     run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
 ) -> None:
-    from recordings.inspect.timeline import node_table, timeline
+    from recordings.inspect.timeline import heading, node_columns, row_text, timeline
 
     with json_rows(json) as write:
         for node in nodes:
             if len(nodes) > 1:
                 _print_lines(console, [agent_name(node)], "bold")
-            table = node_table(run.plan.tree, node, len(run.clock.text(0)), _width(console))
-            _print_lines(console, table.heading(), "bold")
-            for rows in timeline(run, [node], cycles):
-                for row in rows:
-                    _print_lines(console, table.row(row), _style(row))
-                    write(row)
+            columns = node_columns(run.plan.tree, node, len(run.clock.text(0)))
+            _print_lines(console, [heading(columns)], "bold")
+            for (row,) in timeline(run, [node], cycles):
+                _print_lines(console, [row_text(columns, row)], _style(row))
+                write(row)
     _warn_if_cut(run, console)
 
 
@@ -116,8 +108,8 @@ def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) 
     central = found[0]
     _print_lines(console, [f"cycle {cycle}, {run.clock.local(cycle):%Y-%m-%d} {central.time}"])
     _print_lines(console, [_plant_text(central)])
-    heading, units, *lines = plant_lines(run.plan.tree, found, _width(console))
-    _print_lines(console, ["", heading, units], "bold")
+    names, *lines = plant_lines(run.plan.tree, found)
+    _print_lines(console, ["", names], "bold")
     _print_lines(console, lines)
     write_json(found, json)
     _warn_if_cut(run, console)
@@ -150,17 +142,18 @@ def _show_overview(
 
     with progress_bar("reading") as run.follow:
         overview = read_overview(run, cycles)
-    for table in _overview_tables(overview, run.clock):
+    for table in _overview_tables(run, overview):
         print_table(console, table)
     _warn_if_cut(run, console)
     write_json(overview, json)
 
 
-def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
+def _overview_tables(run: RunReader, overview: Overview) -> Iterator[Table]:
     from recordings.inspect.health import health_lines
     from recordings.inspect.overview import facts
 
-    yield texts_table(f"{overview.run_id}, heliarch {overview.driver}", facts(overview))
+    clock = run.clock
+    yield texts_table(overview.run_id, facts(run, overview))
     columns = (
         key_column("signal"),
         Column("nodes"),
@@ -174,16 +167,14 @@ def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
     yield Table("Signals", columns, attributes(overview.signals, columns))
     yield texts_table("Health of the run", health_lines(overview.health, clock))
     shown = overview.gaps[:_SHOWN_GAPS]
-    rest = len(overview.gaps) - len(shown) + overview.more_gaps
     if shown:
         yield Table(
-            "Cycles without a message that was due",
+            f"Cycles without a message that was due, the first {_SHOWN_GAPS} gaps",
             (key_column("key"), Column("cycles"), word_column("when")),
             tuple(
                 (gap.port, gap.cycles, clock.span_text(gap.first_cycle, gap.last_cycle))
                 for gap in shown
             ),
-            (f"and {rest:,} more gaps (--json has the first 100)",) if rest else (),
         )
 
 

@@ -43,7 +43,7 @@ def recover(
 
     console = console_for(json)
     try:
-        reader = RunReader(run)
+        reader = RunReader(run, skip_damaged=True)
     except NothingRecordedError as error:
         return complain(f"{error}: there is nothing to recover", FAILED)
     with reader:
@@ -74,43 +74,24 @@ def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
 
     yield f"recovered: {recovery.out}"
     clock = RunClock(run.plan, recovery.last_cycle)
-    up_to = f" up to {clock.local(recovery.last_cycle):%Y-%m-%d %H:%M:%S}"
     yield (
-        f"kept: {recovery.messages:,} messages, {recovery.complete_cycles:,} complete cycles"
-        f"{up_to if recovery.last_cycle >= 0 else ''}, with plan, scenario, schemas, times and "
-        "sequence numbers"
+        f"kept: {recovery.messages:,} messages, {recovery.complete_cycles:,} complete cycles of "
+        f"{recovery.planned_cycles:,} planned, up to cycle {recovery.last_cycle:,} "
+        f"({clock.local(recovery.last_cycle):%Y-%m-%d %H:%M:%S}), with plan, scenario, schemas, "
+        "times and sequence numbers"
     )
-    for chunk in recovery.damaged:
-        yield (
-            f"missing: a damaged chunk at byte {chunk.offset:,}, recorded from "
-            f"{_wall_time(chunk.first_ns)} to {_wall_time(chunk.last_ns)}: {chunk.reason}"
-        )
+    if recovery.damage:
+        yield recovery.damage
     if recovery.cut_bytes:
-        yield (
-            f"the last {recovery.cut_bytes:,} bytes are an incomplete record; "
-            f"{recovery.cut_messages:,} messages in it could be read"
-            f"{'; they have no checksum and may be damaged' if recovery.cut_messages else ''}"
-        )
-    if recovery.damaged_attachments:
-        yield f"damaged: attachment {', '.join(recovery.damaged_attachments)}, kept as it is"
+        yield f"missing: the last {recovery.cut_bytes:,} bytes, which are an incomplete record"
     if recovery.lost:
         yield f"may be missing: {recovery.lost:,} messages, by the gaps in the sequence numbers"
-    if recovery.early_ports:
-        yield (
-            f"may be missing: the last messages of {recovery.early_ports:,} keys, "
-            f"{recovery.early_messages:,} were due up to the end of the run"
-        )
     if recovery.lossless:
-        yield "missing: nothing, the recording goes up to the end of the run"
+        yield "missing: nothing"
     elif not recovery.closed:
         yield (
             f"missing: everything after {_wall_time(recovery.last_ns)}, wall clock; if the "
             f"recorder was killed, at most its last {FLUSH_S:g} s"
-        )
-    if not recovery.ended:
-        yield (
-            f"the run was planned for {recovery.planned_cycles:,} cycles; the recording has none "
-            f"after cycle {recovery.last_cycle:,}"
         )
 
 

@@ -10,14 +10,11 @@ from msgspec.structs import replace
 from agents.events import Complaint
 from bus_schemas.printable import printable
 
+# Causes of complaints: numbers that cannot be right, messages that came again, and messages that
+# contradict others of their key. All of them are recorded.
 ABSURD: Final = "absurd"
-"""The cause of complaints about messages of the run whose numbers cannot be right."""
-
 REPEATED: Final = "repeated"
-"""The cause of complaints about messages that came again, which are recorded all the same."""
-
 TWO_SENDERS: Final = "two senders"
-"""The cause of complaints about messages that contradict others of their key. They are recorded."""
 
 _RECORDED: Final = frozenset({ABSURD, REPEATED, TWO_SENDERS})
 

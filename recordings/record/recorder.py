@@ -204,13 +204,10 @@ class Recorder:
             self._ask_end()
 
     def _ask_end(self) -> None:
-        """Let the recording end: with so many messages as are expected, if that is known.
-
-        Else once nothing comes any more, or soon if something always does.
-        """
         self._asked_at = self._asked_at or time.monotonic()
 
     def _may_end(self) -> bool:
+        """Whether all that is expected has come, or if that is unknown nothing comes any more."""
         asked_at, expected = self._asked_at, self._expected
         if asked_at is None:
             return False

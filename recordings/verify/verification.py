@@ -94,6 +94,7 @@ def verify(
     the share of the recording that has been read.
     """
     with RunReader(run) as reader:
+        reader.follow = progress
         plan, stop_cycle = reader.plan, reader.stop_cycle
         wanted = reader.clock.span(start, end)
         team, left_out = _team(plan, nodes, reader.path)
@@ -113,7 +114,6 @@ def verify(
             if cycle >= wanted.start:
                 cycles += bool(messages)
                 unrecorded += cycle in away and PRODUCTION.of(ROOT) not in messages
-            progress(reader.read_share)
         found = Verification(
             reader.path,
             plan,
