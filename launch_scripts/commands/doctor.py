@@ -104,15 +104,14 @@ def _processors() -> Iterator[Finding]:
 
 
 def _scheduling() -> Iterator[Finding]:
-    from agents.machine import MachineSettings, refusals, scheduling_policy
+    from agents.machine import MachineSettings, refusals
 
-    yield Finding("policy", scheduling_policy())
-    refused = refusals(MachineSettings(priority=20, lock_memory=True), lockstep=False)
+    refused = refusals(MachineSettings(priority=20), lockstep=False)
     for refusal in refused:
         about, _, why = refusal.partition(": ")
-        yield Finding(about, why, "slow", "matters only for --priority and machine.lock_memory")
+        yield Finding(about, why, "slow", "matters only for --priority")
     if not refused:
-        yield Finding("real time", "SCHED_FIFO and locked memory are permitted")
+        yield Finding("real time", "SCHED_FIFO is permitted")
 
 
 def _clock() -> Finding:

@@ -68,7 +68,7 @@ def test_the_examples_are_scenarios_that_are_accepted(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     path.write_text(whole, encoding="utf-8")
     found = load_scenario(str(path)).scenario
-    assert found.machine == MachineTable(cpus=("0-1", "recorder=1"), priority=20, lock_memory=True)
+    assert found.machine == MachineTable(cpus=("0-1", "recorder=1"), priority=20)
     assert found.timing.budgets.decision_p99_ms == {"direct": 4}
     option = "source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s"
     assert found.faults == (parse_fault(option),)

@@ -56,7 +56,7 @@ def recorded(
     tap.watch_tokens.return_value.changes.return_value = ()
     link = Mock(expected_messages=lambda: expected, by_hand=False, dismissed=expected is None)
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
-    Recorder(IN_LOCKSTEP, tap, writer, link, lambda text: None).run()
+    Recorder(IN_LOCKSTEP, tap, writer, link, lambda count, text: None).run()
     told = [call.args[0] for call in link.tell.call_args_list]
     (account,) = [event for event in told if isinstance(event, Recorded)]
     with RunReader(folder) as reader:
@@ -181,7 +181,7 @@ def test_what_comes_second_on_a_key_is_no_loss_and_a_false_stop_is_named(tmp_pat
 
 def test_keys_without_end_are_named_up_to_a_number_and_shown_without_control_characters() -> None:
     told: list[Complaint] = []
-    complaints = Complaints(lambda text: None, told.append)
+    complaints = Complaints(lambda count, text: None, told.append)
     for number in range(3000):
         complaints.add(f"oahu/\x1b[31m{number}", "unknown", "x" * 10_000)
     found = complaints.all()
