@@ -32,8 +32,16 @@ test: $(READY) ## all tests, about 5 minutes on 2 cores; three workers, because 
 docs: $(READY) ## the documents as a site in build/site; read them with `python -m http.server -d build/site`
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-golden: $(READY) ## record the golden runs anew, after a change of behaviour that is meant
-	$(BIN)/python -m recordings.verify.golden
+golden: $(READY) ## simulate the golden runs anew; `heliarch verify --accept` keeps their sky and clusters
+	$(call golden,oahu-predictive,oahu --duration 24s)
+	$(call golden,oahu-limit,oahu --actuator limit --duration 20s)
+	$(call golden,oahu-day-paper,oahu-day --scheme paper --from 12:13:08 --duration 16s)
+	$(call golden,valley-periods,recordings/golden/valley-periods.toml --duration 8s)
+
+define golden
+	rm -rf build/golden && $(BIN)/heliarch simulate $(2) --out build/golden
+	mkdir -p recordings/golden/$(1) && mv build/golden/run.mcap build/golden/profile.npz recordings/golden/$(1)
+endef
 
 check: $(READY) ## format, lint, types, directions of imports
 	$(BIN)/ruff format --check .

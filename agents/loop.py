@@ -16,10 +16,9 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable
-from copy import copy
 from functools import cache, partial
 from itertools import chain
-from typing import Final, Generic, Self, TypeVar
+from typing import Final, Generic, TypeVar
 
 import msgspec
 
@@ -256,18 +255,6 @@ class AgentLoop(Generic[S]):
         self.stop_heard = False
         if was_finished:
             self._go_to(self.cycle, now_ns)
-
-    def use_instead(self, port: Port[Message], message: Message) -> None:
-        self._inputs[port].newest = message
-
-    def twin(self) -> Self:
-        twin = copy(self)
-        twin.waiting = self.waiting.copy()
-        twin.dropped = self.dropped.copy()
-        twin._inputs = {port: copy(heard) for port, heard in self._inputs.items()}
-        for heard in twin._inputs.values():
-            heard.ahead = heard.ahead.copy()
-        return twin
 
     # Cycles ---------------------------------------------------------------------------------------
 

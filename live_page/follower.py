@@ -1,8 +1,7 @@
 """Follows a recording chunk by chunk: to its end, and on while it is being written.
 
-Of every cycle it keeps the plant's powers, of every chunk the cycles that it holds, and of what
-happened the newest events. All else is read from the file when somebody looks at it: following a
-run costs its agents nothing, however slow the reader is.
+It keeps the plant's powers in every cycle, the cycles of every chunk, and the newest events. All
+else is read from the file when somebody looks at it.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class RunFollower:
         self.events = EventLog()
         self.restarts: Counter[str] = Counter()
         self.start_time_ns: int | None = None
-        self._stop_cycle: int | None = None
+        self._stop_cycle = -1
         self._failed = False
         wall_s = self.plan.cycle_wall_ns / 1e9
         self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
@@ -73,7 +72,7 @@ class RunFollower:
             **{TELEMETRY.of(node): f"device {node}" for node, _ in self.plan.devices},
         }
         self._heard = dict.fromkeys(self._names, -1)
-        self._silent: set[Port[Message]] = set()
+        self._silent_from: dict[Port[Message], int] = {}
         # One column stands for all inverters: figures of merit need no more.
         shape = (self.plan.cycles, 1)
         self._series = RunSeries.of(
@@ -101,15 +100,12 @@ class RunFollower:
         self._look_for_failure()
         return self._next_chunk() is None
 
-    def close(self) -> None:
-        self.run.close()
-
     @property
     def state(self) -> State:
         if self._failed:
             return "failed"
-        if self.run.outline.closed or self._stop_cycle is not None:
-            return "over"
+        if self.run.outline.closed or self._stop_cycle >= self.cycles:
+            return "over"  # Unless the plant has gone on: then another program said so.
         if not self.cycles:
             return "waiting"
         longest_s = max(_SILENT_S, 3.0 * self.plan.cycle_wall_ns / 1e9)
@@ -176,11 +172,9 @@ class RunFollower:
             self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
         first = min(begin.cycle, head.cycle) if begin else self.cycles - 1
         self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
-        if self._stop_cycle is not None and self._stop_cycle < self.cycles:
-            text = f"a message said that it was over after {self._stop_cycle:,} cycles"
-            self.events.add("run", self._stop_cycle, PLANT, f"the run goes on, although {text}")
-            self._stop_cycle = None
-        self._note_silence()
+        for port, cycle in self._heard.items():
+            if self.cycles - 1 > cycle + self.plan.hold_cycles:
+                self._note_silence(port)
 
     def _see(self, port: Port[Message], payload: bytes) -> None:
         message = decode(port.signal, payload)
@@ -197,38 +191,35 @@ class RunFollower:
                 self.events.add("notice", cycle, message.source, message.text)
             case Run(state="start"):
                 self.start_time_ns = message.start_time_ns
-                pace = "in real time" if message.cycle_wall_ns else "in lockstep"
-                self.events.add("run", cycle, PLANT, f"the run begins, {pace}")
+                self.events.add("run", cycle, PLANT, "the run begins")
             case Run(state="stop"):
                 self._stop_cycle = cycle
-                self.events.add("run", cycle, PLANT, f"the run is over after {cycle:,} cycles")
+                self.events.add("run", cycle, PLANT, "the run is over")
 
     def _hear(self, port: Port[Message], cycle: int) -> None:
         """Note a message that comes in each cycle."""
         before, name = self._heard[port], self._names[port]
-        if port in self._silent:
-            self._silent.discard(port)
+        if cycle > before + 1 + self.plan.hold_cycles and before >= 0:
+            self._note_silence(port)
             self.events.add("back", cycle, name, "heard again")
-        elif cycle > before + 1 + self.plan.hold_cycles and before >= 0:
-            self.events.add("silent", before + 1, name, f"silent up to cycle {cycle - 1:,}")
         self._heard[port] = max(cycle, before)
 
-    def _note_silence(self) -> None:
-        for port, cycle in self._heard.items():
-            if self.cycles - 1 > cycle + self.plan.hold_cycles and port not in self._silent:
-                self._silent.add(port)
-                self.events.add("silent", cycle + 1, self._names[port], "silent")
+    def _note_silence(self, port: Port[Message]) -> None:
+        begin = self._heard[port] + 1
+        if self._silent_from.get(port) != begin:
+            self._silent_from[port] = begin
+            self.events.add("silent", begin, self._names[port], "silent")
 
     def _count(self, port: Port[Message], sequence: int, head: Head) -> None:
         """Count lost messages and restarts by a message's number on its key."""
-        gaps = self._gaps[port]
+        gaps, agent = self._gaps[port], port.publisher
         lost, restarts = gaps.lost, gaps.restarts
         gaps.see(head.cycle, sequence, head.incarnation)
         if gaps.restarts > restarts and port.signal is IMPP:
-            self.restarts[port.publisher] += 1
-            self.events.add("restart", head.cycle, port.publisher, "restarted")
+            self.restarts[agent] += 1
+            self.events.add("restart", head.cycle, agent, "restarted")
         if gaps.lost > lost:
-            self.events.add("lost", head.cycle, port.publisher, "messages lost", gaps.lost - lost)
+            self.events.add("lost", head.cycle, agent, "messages lost", gaps.lost - lost)
 
     def _look_for_failure(self) -> None:
         failure = self.run.path.parent / FAILURE_NAME

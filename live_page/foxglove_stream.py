@@ -9,7 +9,7 @@ from typing import Final
 from foxglove import Channel, Context, Schema, start_server
 from foxglove.websocket import Capability
 
-from agents.plan import RunPlan, load_plan
+from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
@@ -38,10 +38,9 @@ class FoxgloveStream:
         self._view = view
         self._context = Context()
         states = view.open()
-        if states is None:  # The run has not begun.
-            plan = load_plan(view.path.with_name("plan.json"))
-        else:
-            plan = states.follower.plan
+        if states is None:
+            raise InputError(f"--foxglove: expected a run that has begun, got {view.path.parent}")
+        plan = states.follower.plan
         # Before the server: a channel that comes later may be asked for before the server knows it.
         rows = [row for row in plan.wiring.ports if row.signal.logged and row.signal is not RUN]
         self._channels = {row: _channel(plan, row, self._context) for row in rows}

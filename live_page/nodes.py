@@ -114,10 +114,9 @@ class NodeStates:
     def _agents(self, cycle: int, found: Messages, newest: dict[str, int]) -> dict[str, Column]:
         """Return how the agents do: the plant first, then the nodes.
 
-        `age`: cycles since the newest message of an agent, None where none was found. `absent` and
-        `older`: inputs that it had to do without, and that were older than they should have been;
-        `input_age`: how old the oldest of them was. `loop_ms`: from the last input of a stage to
-        its message.
+        `age`: cycles since the newest message of an agent, None where none was found. `missed`:
+        inputs that were missing or older than they should have been; `input_age`: how old the
+        oldest of them was. `loop_ms`: from the last input of a stage to its message.
         """
         said: dict[str, list[Message]] = {agent: [] for agent in self.agents}
         for message in found.values():
@@ -125,15 +124,14 @@ class NodeStates:
                 said[message.source].append(message)
         rows: list[dict[str, float | None]] = []
         for agent, messages in said.items():
-            waits = [parse_missing(entry) for one in messages for entry in one.missing]
-            older = [cycle - missing.cycle for missing in waits if missing.cycle is not None]
+            missed = [parse_missing(entry) for one in messages for entry in one.missing]
+            older = [cycle - one.cycle for one in missed if one.cycle is not None]
             ready = [one for one in messages if one.ready_time_ns]
             loops_ns = [one.publish_time_ns - one.ready_time_ns for one in ready]
             rows.append(
                 {
                     "age": cycle - newest[agent] if agent in newest else None,
-                    "absent": len(waits) - len(older),
-                    "older": len(older),
+                    "missed": len(missed),
                     "input_age": max(older, default=0),
                     "loop_ms": round(max(loops_ns) / 1e6, 3) if loops_ns else None,
                     "restarts": self.follower.restarts[agent],
@@ -172,8 +170,9 @@ class NodeStates:
         for port in ports:
             agent, stage = port.publisher, stage_of(port, tree)
             kind = kind_of(agent, tree)
-            several = kind == "supervisor" and tree.height > 2
-            label = f"{stage}, {kind} tier {depth(agent)}" if several else f"{stage}, {kind}"
+            label = f"{stage}, {kind}"
+            if kind == "supervisor":
+                label += f" tier {depth(agent)}"
             place = stage_place(agent, stage, tree)
             stages[port] = place, label
             closes_ns[place] = plan.deadlines.deadline_ns(agent, stage)

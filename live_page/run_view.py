@@ -6,7 +6,6 @@ import asyncio
 import time
 from collections.abc import AsyncIterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +16,6 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from live_page.follower import RunFollower
 from live_page.nodes import NodeStates, columns
-from live_page.processes import RunProcesses
 from recordings.export.viewer_layout import viewer_layout
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 from studies.metrics import RunMetrics
@@ -34,7 +32,7 @@ _CATCH_UP: Final = 5
 """The page shows a fifth of what is new with each update: a recording grows in steps."""
 
 _SLOW_S: Final = 2.0
-"""Between two looks at the figures of merit and the processes, and at most between two updates."""
+"""Between two looks at the figures of merit, and at most between two updates."""
 
 _WAITING_S: Final = 0.5
 _UPDATE_POINTS: Final = 60
@@ -44,32 +42,15 @@ _NODE_MESSAGES: Final = 300_000
 """Messages to read at most for the history of a node."""
 
 
-@dataclass
-class _Sent:
-    """What a browser has been told: the figures of so many cycles at the time `slow_at`."""
-
-    state: dict[str, Any] = field(default_factory=dict)
-    cycle: int = -1
-    revision: int = 0
-    slow_at: float = float("-inf")
-    slow_cycles: int = 0
-
-
 class RunView:
     """A run that pages look at. Nothing is read while nobody does.
 
-    `path` is the recording, `watched` how many browsers follow it.
+    `path` is the recording.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
-        self.watched = 0
         self._states: NodeStates | None = None
-        self._processes: RunProcesses | None = None
-
-    def close(self) -> None:
-        if self._states is not None:
-            self._states.follower.close()
 
     def open(self) -> NodeStates | None:
         """Return the recording; None while it has not begun."""
@@ -145,11 +126,38 @@ class RunView:
         `position` is the cycle to begin with; None: follow the newest one. `speed` is in simulated
         seconds a second; 0: stay there.
         """
-        sent = _Sent()
+        shown, revision, counted = -1, 0, 0
+        sent, slow_at = b"", float("-inf")
         async for cycle in self.cycles(position, speed):
-            news = {"state": "waiting"} if cycle is None else self._news(cycle, sent)
-            if news:
-                yield msgspec.json.encode(news)
+            if cycle is None:
+                yield b'{"state":"waiting"}'
+                continue
+            states = self._begun()
+            follower = states.follower
+            news: dict[str, Any] = {
+                "state": follower.state,
+                "cycles": follower.cycles,
+                "reading": follower.read_share,
+                "cycle": cycle,
+                "events": follower.events.since(revision),
+            }
+            revision = follower.events.revision
+            if cycle >= 0 and cycle != shown:
+                begin = shown + 1 if 0 <= shown < cycle else cycle
+                news["frame"] = states.frame(cycle)
+                news["plant"] = follower.powers(range(begin, cycle + 1), _UPDATE_POINTS)
+                shown = cycle
+            if is_slow_due := time.monotonic() > slow_at + _SLOW_S:
+                slow_at = time.monotonic()
+                if follower.cycles > counted:
+                    news["figures"] = _figures(follower.metrics())
+                    accounts = read_accounts(self.path.parent)
+                    news["devices"] = {account.node: account for account in accounts}
+                counted = follower.cycles
+            update = msgspec.json.encode(news)
+            if is_slow_due or update != sent:
+                yield update
+            sent = update
 
     async def cycles(self, position: float | None, speed: float) -> AsyncIterator[int | None]:
         """Yield the cycle to show, at most ten times a second.
@@ -176,41 +184,6 @@ class RunView:
                 shown = min(shown + speed * (now - before) * 1e9 / follower.plan.cycle_ns, newest)
             yield min(int(shown), newest)
             await asyncio.sleep(_UPDATE_S if up_to_date else _READING_S / 3)
-
-    def _news(self, cycle: int, sent: _Sent) -> dict[str, Any]:
-        """Return what a browser does not know yet; nothing if it was told all and recently."""
-        states = self._begun()
-        follower = states.follower
-        now, revision = time.monotonic(), follower.events.revision
-        reading = follower.read_share
-        state = {"state": follower.state, "cycles": follower.cycles, "reading": reading}
-        is_slow_due = now > sent.slow_at + _SLOW_S
-        if not is_slow_due and (state, cycle, revision) == (sent.state, sent.cycle, sent.revision):
-            return {}
-        events = follower.events.since(sent.revision)
-        message: dict[str, Any] = {**state, "cycle": cycle, "events": events}
-        if cycle >= 0 and cycle != sent.cycle:
-            begin = sent.cycle + 1 if 0 <= sent.cycle < cycle else cycle
-            message["frame"] = states.frame(cycle)
-            message["plant"] = follower.powers(range(begin, cycle + 1), _UPDATE_POINTS)
-        if is_slow_due:
-            message |= self._slow_news(states, sent.slow_cycles)
-            sent.slow_at, sent.slow_cycles = now, follower.cycles
-        sent.state, sent.cycle, sent.revision = state, cycle, revision
-        return message
-
-    def _slow_news(self, states: NodeStates, cycles: int) -> dict[str, Any]:
-        """Return the figures of merit if there are more cycles, and what the processes take."""
-        follower = states.follower
-        news: dict[str, Any] = {}
-        if follower.cycles > cycles:
-            news["figures"] = _figures(follower.metrics())
-            accounts = read_accounts(self.path.parent)
-            news["devices"] = {account.node: account for account in accounts}
-        if not follower.run.outline.closed:
-            self._processes = self._processes or RunProcesses(self.path.parent, states.agents)
-            news["processes"] = self._processes.use()
-        return news
 
 
 def _figures(metrics: RunMetrics | None) -> list[dict[str, str]]:

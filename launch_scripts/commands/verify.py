@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from difflib import get_close_matches
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,8 +42,6 @@ def verify(
     --accept: Replace the recording by what the agents do now.
     Example: heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'
     """
-    from recordings.verify.report import json_ready
-
     console = console_for(json)
     names = [name.strip() for name in (ignored or "").split(",") if name.strip()]
     comparison = _comparison(tolerance, names)
@@ -58,7 +55,7 @@ def verify(
             origin(run)  # Refuses what cannot be recorded again, before any work.
     results = [_verify(run, nodes or "", comparison, start, end, console) for run in runs]
     equal = all(found.equal for found, _ in results)
-    write_json(json_ready({"equal": equal, "runs": [data for _, data in results]}), json)
+    write_json({"equal": equal, "runs": [data for _, data in results]}, json)
     if accept:
         for found, _ in results:
             _accept(found, console)
@@ -66,14 +63,13 @@ def verify(
 
 
 def _comparison(tolerance: float, ignored: Sequence[str]) -> Comparison:
-    from recordings.verify.comparison import COMPARED_FIELDS, Comparison
+    from recordings.verify.comparison import FIELDS, Comparison
 
     if not 0.0 <= tolerance < inf:
         raise InputError(f"--tolerance: expected a number from 0 on, got {tolerance:g}")
     for name in ignored:
-        if name not in COMPARED_FIELDS:
-            near = get_close_matches(name, COMPARED_FIELDS) or COMPARED_FIELDS
-            raise InputError(f"--ignore: expected a field such as {', '.join(near)}, got {name}")
+        if name not in FIELDS:
+            raise InputError(f"--ignore: expected a field such as power_kw, got {name}")
     return Comparison(tolerance, frozenset(ignored))
 
 
@@ -85,7 +81,7 @@ def _verify(
     end: str | None,
     console: Console,
 ) -> tuple[Verification, dict[str, Any]]:
-    from recordings.verify.report import verification_data, verification_lines, wrapped
+    from recordings.verify.report import verification_data, verification_lines
     from recordings.verify.verification import verify as verify_run
 
     began_at = time.monotonic()
@@ -93,8 +89,8 @@ def _verify(
         found = verify_run(run, nodes, comparison, follow, start, end)
     wall_s = time.monotonic() - began_at
     say(console, str(found.recording))
-    say(console, *wrapped(verification_lines(found, comparison, wall_s), console.width))
-    return found, verification_data(found, comparison, wall_s)
+    say(console, *verification_lines(found, comparison, wall_s))
+    return found, verification_data(found, wall_s)
 
 
 def _accept(found: Verification, console: Console) -> None:

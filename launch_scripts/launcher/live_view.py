@@ -37,9 +37,9 @@ class StatusLine:
         self._next_at = 0.0
         self._shown = ""
 
-    def is_due(self, *, now: bool = False) -> bool:
-        """Whether the shown line is old enough, or is to be renewed in place now."""
-        return time.monotonic() >= self._next_at or (now and self._in_place)
+    def is_due(self) -> bool:
+        """Whether the shown line is old enough."""
+        return time.monotonic() >= self._next_at
 
     def show(self, text: str) -> None:
         self._next_at = time.monotonic() + (_IN_PLACE_S if self._in_place else _PLAIN_S)

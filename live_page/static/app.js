@@ -196,7 +196,6 @@ function showRun(plan) {
       $("figures-about").textContent = `${cycles.toLocaleString("en")} cycles so far`;
     }
     devices = news.devices ?? devices;
-    if (over || news.processes) tree.use(over ? null : news.processes);
     if (news.frame) showFrame(news, fresh);
     if (!live && playing && cycle >= cycles - 1) { playing = false; connect(); }
     redrawBar();

@@ -23,12 +23,12 @@ export function controlTree(body, plan, select) {
     }
     name.append(row.path === "plant" ? "plant" : row.path.split("/").pop() || "central");
     if (row.external || row.device) name.append(row.device ? " (Modbus)" : " (device)");
-    row.cells = Array.from({length: 8}, (_, column) => { const cell = line.insertCell(); if (column) cell.className = "n"; return cell; });
+    row.cells = Array.from({length: 6}, (_, column) => { const cell = line.insertCell(); if (column) cell.className = "n"; return cell; });
     if (row.place !== null) line.addEventListener("click", () => select(row.place));
   }
   body.replaceChildren(...order.map(row => row.line));
 
-  let frame = null, processes = null, selected = null;
+  let frame = null, selected = null;
   const isLost = ({agent}) => frame.agents.age[agent] === null || frame.agents.age[agent] > plan.hold_cycles;
   const below = row => [row, ...row.children.flatMap(below)];
   function arrange() {
@@ -47,29 +47,20 @@ export function controlTree(body, plan, select) {
       const own = row.agent, age = agents.age[own], lost = isLost(row);
       const unread = frame.unread.includes(row.place);
       const dead = row.folded ? below(row).slice(1).filter(isLost).length : 0;
-      const [state, ages, inputs, oldest, loop, restarts, cpu, memory] = row.cells;
+      const [state, ages, inputs, oldest, loop, restarts] = row.cells;
       state.className = lost || dead || unread ? "dead" : "alive";
       state.textContent = lost ? "✕ silent" : unread ? "✕ no reading" : dead ? `✕ ${dead} below silent` : "● alive";
       ages.textContent = age ?? "–";
-      const absent = agents.absent[own], older = agents.older[own];
-      inputs.innerHTML = lost ? "–" : absent || older ? `<span class="late">${[absent && `${absent} missing`, older && `${older} old`].filter(Boolean).join(", ")}</span>` : "all";
+      const missed = agents.missed[own];
+      inputs.innerHTML = lost ? "–" : missed ? `<span class="late">${missed} missed</span>` : "all";
       oldest.textContent = lost ? "–" : agents.input_age[own];
       loop.textContent = agents.loop_ms[own]?.toFixed(2) ?? "–";
       restarts.textContent = agents.restarts[own];
-      cpu.textContent = processes?.cpu[own]?.toFixed(1) ?? "–";
-      memory.textContent = processes?.memory_mb[own]?.toFixed(0) ?? "–";
-      row.line.title = processes?.pid[own] ? `process ${processes.pid[own]}` : "";
     }
   }
   arrange();
   return {
     show,
-    // Without processes on this machine, as in a recording, their columns are left out.
-    use(next) {
-      processes = next;
-      body.closest("table").classList.toggle("no-processes", !next?.pid.some(pid => pid));
-      if (frame) show(frame);
-    },
     select(place) {
       order.find(row => row.place === selected)?.line.classList.remove("selected");
       selected = place;

@@ -52,10 +52,10 @@ class ReplayBus:
 
     def put(self, port: Port[Message], payload: bytes) -> bool:
         """Publish bytes, if the port is among those that are published; return whether it is."""
-        publisher = self._publishers.get(port)
-        if publisher is not None:
-            publisher.put(payload)
-        return publisher is not None
+        if port not in self._publishers:
+            return False
+        self._publishers[port].put(payload)
+        return True
 
     def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
         """Publish where the replay stands."""

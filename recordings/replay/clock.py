@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Final, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 from agents.plan import RunPlan
 from recordings.read.reader import RecordedMessage
@@ -12,8 +12,6 @@ from recordings.read.reader import RecordedMessage
 ClockKind: TypeAlias = Literal["sim", "wall"]
 """`sim`: a cycle begins at its simulated time; within it, messages are as far apart as when they
 were published. `wall`: all messages are as far apart as when they were published."""
-
-CLOCKS: Final[dict[ClockKind, str]] = {"sim": "simulated time", "wall": "recorded publish times"}
 
 
 def positions(

@@ -20,18 +20,15 @@ UP, DOWN, RIGHT, LEFT = "A", "B", "C", "D"
 """Arrow keys, by the end of their escape sequences; the other keys are their characters."""
 
 _KEYS: Final = re.compile(rb"\x1b[\[O]([A-D])|([ s+=q-])")
-_UNFINISHED: Final = re.compile(rb"\x1b[\[O]?$")
-"""The beginning of an arrow key, whose other bytes come with the next read."""
+
+Keyboard: TypeAlias = Callable[[float], str]
+"""Returns the next key that was pressed, at once if there is one; none after a time [s]: empty."""
 
 
-Keyboard: TypeAlias = Callable[[float], list[str]]
-"""Returns all keys that were pressed, at once if there are any, else after a time [s]."""
-
-
-def no_keyboard(seconds: float) -> list[str]:
+def no_keyboard(seconds: float) -> str:
     """Wait for the time: standard input is no terminal."""
     time.sleep(max(seconds, 0.0))
-    return []
+    return ""
 
 
 class TerminalKeyboard:
@@ -41,18 +38,13 @@ class TerminalKeyboard:
         self._descriptor = descriptor
         self._typed = b""
 
-    def wait(self, seconds: float) -> list[str]:
-        """Return all keys that were pressed, at once if there are any, else after a time."""
-        while select.select([self._descriptor], [], [], max(seconds, 0.0))[0]:
-            typed = os.read(self._descriptor, 1024)
-            if not typed:
-                break
-            self._typed += typed
-            seconds = 0.0
-        keys = [(found[1] or found[2]).decode() for found in _KEYS.finditer(self._typed)]
-        rest = _UNFINISHED.search(self._typed)
-        self._typed = rest[0] if rest else b""
-        return keys
+    def wait(self, seconds: float) -> str:
+        if not _KEYS.search(self._typed) and select.select([self._descriptor], [], [], seconds)[0]:
+            self._typed += os.read(self._descriptor, 1024)
+        if (found := _KEYS.search(self._typed)) is None:
+            return ""
+        self._typed = self._typed[found.end() :]
+        return (found[1] or found[2]).decode()
 
 
 def has_keyboard() -> bool:

@@ -25,7 +25,7 @@ from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import REPLAYER, ROOT, some_of
 from bus_schemas.zenoh_bus import Inbox
 from launch_scripts.launcher.interruption import Interruption
-from launch_scripts.launcher.supervision import Children, RunFailure, who_waits
+from launch_scripts.launcher.supervision import Children, RunFailure, stall
 from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus
@@ -79,15 +79,18 @@ class LiveComparison:
         if other is None:
             self._waiting[port, message.cycle, is_recorded] = message
         else:
-            self._compare(port, *((message, other) if is_recorded else (other, message)))
+            self._compare(port, message, other, is_recorded=is_recorded)
 
     def finish(self, before_cycle: int) -> None:
         """Count the messages without a counterpart in the cycles before one."""
         for (port, cycle, is_recorded), message in self._waiting.items():
             if cycle < before_cycle:
-                self._compare(port, *((message, None) if is_recorded else (None, message)))
+                self._compare(port, message, None, is_recorded=is_recorded)
 
-    def _compare(self, port: Port[Message], recorded: Message | None, new: Message | None) -> None:
+    def _compare(
+        self, port: Port[Message], one: Message, other: Message | None, *, is_recorded: bool
+    ) -> None:
+        recorded, new = (one, other) if is_recorded else (other, one)
         stage = stage_of(port, self._tree)
         self.findings[port.publisher].compare(self._comparison, port, recorded, new, stage)
 
@@ -152,7 +155,8 @@ class LiveBus(ReplayBus):
             if self._interruption:
                 raise KeyboardInterrupt
             if time.monotonic() > give_up_at:
-                raise RunFailure(f"no arming round closed: nothing came on {_names(silent)}")
+                names = some_of(sorted(map(str, silent)))
+                raise RunFailure(f"no arming round closed: nothing came on {names}")
 
     def put(self, port: Port[Message], payload: bytes) -> bool:
         """Take in a recorded message; return whether it was sent as it is."""
@@ -203,16 +207,12 @@ class LiveBus(ReplayBus):
         while self.cycles < cycles and not self._interruption:
             # The live controllers themselves report what they wait for.
             patience_s = self._plan.stall_timeout_s + 1.0
-            if self._plan.lockstep and (silent := self._await(self.cycles, patience_s)):
+            if self._plan.lockstep and self._await(self.cycles, patience_s):
                 if self._interruption:
                     return
-                waiting = {
-                    child.agent: child.waiting
-                    for child in self._children
-                    if child.waiting is not None and child.waiting.cycle >= self.cycles
-                }
-                stall = f"stalled in cycle {self.cycles}: nothing came on {_names(silent)}"
-                raise RunFailure(who_waits(waiting)[0] if waiting else stall)
+                if any(child.waiting for child in self._children):
+                    raise RunFailure(stall(self._children)[0])
+                raise RunFailure(f"stalled in cycle {self.cycles}")
             self.cycles += 1
 
     def _await(self, cycle: int, patience_s: float) -> set[Port[Message]]:
@@ -251,10 +251,9 @@ class LiveBus(ReplayBus):
 
     def _receive_the_last(self) -> None:
         """Let the live controllers end, and receive all that they have sent."""
-        late = self._children.await_exit(list(self._children), _END_S)
-        if late:
-            names = ", ".join(child.agent for child in late)
-            raise self._children.failure(late[0].agent, f"{names} did not end with the run")
+        if late := self._children.await_exit(list(self._children), _END_S):
+            agent = late[0].agent
+            raise self._children.failure(agent, f"{agent} did not end with the run")
         ended = [child.finished for child in self._children if child.finished is not None]
         sent = sum(sum(finished.published.values()) for finished in ended)
         until = time.monotonic() + _END_S
@@ -267,7 +266,3 @@ class LiveBus(ReplayBus):
         self._outbox.stamp(port, run, time.monotonic_ns())
         for put in (super().put, self._observers.put):
             put(port, encode(run))
-
-
-def _names(ports: Iterable[Port[Message]]) -> str:
-    return some_of(sorted(map(str, ports)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, Final, TextIO
@@ -17,7 +16,7 @@ from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
-from recordings.replay.clock import CLOCKS, ClockKind, PlaybackClock, positions
+from recordings.replay.clock import ClockKind, PlaybackClock, positions
 from recordings.replay.keyboard import (
     DOWN,
     KEYS_IN_WORDS,
@@ -32,9 +31,6 @@ from recordings.replay.publish_order import in_publish_order
 
 _LOOK_S: Final = 0.02
 """How often the keyboard is read."""
-
-_FASTEST: Final = 1024.0
-_SLOWEST: Final = 1.0 / 1024.0
 
 _SEEK_S: Final = {LEFT: -10.0, RIGHT: 10.0, DOWN: -60.0, UP: 60.0}
 """How far a key seeks, in simulated time."""
@@ -59,11 +55,11 @@ def replay_recording(
 ) -> dict[str, Any]:
     """Replay a recording; print the result, and return it for JSON.
 
-    The arguments are the options of the command.
-
-    `rate` is in seconds of the clock per second; 0: as fast as possible.
+    The arguments are the options of the command; `rate` 0: as fast as possible.
     """
     span = reader.clock.span(start, end)
+    if end is None:  # The message that ends the run names the cycle after the last one.
+        span = range(span.start, span.stop + 1)
     # A lockstep cycle has no length of its own, so only simulated time shows the plant's run.
     kind: ClockKind = clock or ("sim" if reader.plan.lockstep else "wall")
     with (
@@ -71,14 +67,11 @@ def replay_recording(
         replay_bus(reader, ports, listen, out) as bus,
         keyboard() as keys,
     ):
-        say(out, f"clock {kind}: {CLOCKS[kind]}")
+        say(out, f"clock {kind}")
         if has_keyboard():
             say(out, KEYS_IN_WORDS)
-        before = None if end is None else span.stop
         playing = PlaybackClock(rate, paused=start_paused)
-        playback = Playback(
-            reader, span.start, before, ports, bus, playing, kind, keys, interruption, out
-        )
+        playback = Playback(reader, span, ports, bus, playing, kind, keys, interruption, out)
         if wait:
             await_subscriber(bus, interruption, out)
         began_at = time.monotonic()
@@ -101,15 +94,13 @@ def replay_recording(
 
 @dataclass(eq=False)
 class Playback:
-    """Publishes the cycles from one to just before another (None: to the end).
+    """Publishes some cycles, and counts messages and cycles.
 
-    Counts published messages and begun cycles. Keeps how late messages were sent, except in steps
-    and at rate 0.
+    Keeps how late messages were sent, except in steps and at rate 0.
     """
 
     reader: RunReader
-    first_cycle: int
-    before_cycle: int | None
+    span: range
     ports: Collection[Port[Message]]
     bus: ReplayBus
     clock: PlaybackClock
@@ -125,8 +116,7 @@ class Playback:
         self._late = HdrHistogram(1, _LATEST_NS, 3)
         self._quit = False
         self._look_at_ns = self._position_ns = 0
-        self._keys: deque[str] = deque()
-        self._seek(self.first_cycle)
+        self._seek(self.span.start)
 
     def play(self, *, loop: bool = False) -> None:
         wake_precisely()
@@ -137,7 +127,7 @@ class Playback:
             if self._next is None and not self.clock.paused:
                 if not loop or self._cycle < 0:
                     break
-                self._seek(self.first_cycle)
+                self._seek(self.span.start)
             elif self._next is not None and self._is_due(self._next):
                 self._send(self._next)
                 self._turn_to_next()
@@ -156,8 +146,10 @@ class Playback:
         }
         texts = [f"{name} {value:,.0f} µs" for name, value in late_us.items()]
         say(self.out, f"sent later than due: {', '.join(texts)}")
-        figures = {f"{name.replace('.', '_')}_us": value for name, value in late_us.items()}
-        return {"count": count, **figures}
+        return {
+            "count": count,
+            **{f"{name.replace('.', '_')}_us": value for name, value in late_us.items()},
+        }
 
     @property
     def _here(self) -> int:
@@ -175,7 +167,7 @@ class Playback:
 
     def _seek(self, cycle: int) -> None:
         """Let the first message of a cycle be the next one, and be due now."""
-        records = in_publish_order(self.reader, self.ports, cycle, self.before_cycle)
+        records = in_publish_order(self.reader, self.ports, range(cycle, self.span.stop))
         self._messages = positions(records, self.reader.plan, self.kind)
         self._cycle = self._step_to = -1
         self._turn_to_next()
@@ -188,7 +180,6 @@ class Playback:
     def _send(self, record: RecordedMessage) -> None:
         if record.cycle > self._cycle:
             self._cycle = record.cycle
-            # The message that ends the run names the cycle after the last one.
             self.cycles += record.cycle <= self.reader.last_cycle
             self._announce()
         was_sent = self.bus.put(record.port, record.payload)
@@ -205,26 +196,22 @@ class Playback:
             self.bus.announce(self._next.cycle, rate=clock.rate, paused=clock.paused)
 
     def _obey_keys(self) -> None:
-        """Read the keyboard if it is time to, and do what the keys ask for, one after the other."""
-        if self._is_stepping():
+        """Read the keyboard if it is time to, and do what a key asks for."""
+        clock, key = self.clock, ""
+        # A step ends at the first message of a later cycle.
+        if self._next is not None and self._next.cycle <= self._step_to:
             return
-        now_ns = self.clock.now_ns()
-        if self.clock.paused and not self._keys:
-            self._keys.extend(self.keyboard(_LOOK_S))
-        elif now_ns >= self._look_at_ns:
-            self._look_at_ns = now_ns + round(_LOOK_S * 1e9)
-            self._keys.extend(self.keyboard(0.0))
+        if clock.paused:
+            key = self.keyboard(_LOOK_S)
+        elif clock.now_ns() >= self._look_at_ns:
+            self._look_at_ns = clock.now_ns() + round(_LOOK_S * 1e9)
+            key = self.keyboard(0.0)
             if self._line.is_due():
                 self._show(self._cycle)
-        while self._keys and not self._is_stepping():
-            self._do(self._keys.popleft())
+        if key:
+            self._do(key)
             self._announce()
-            if self._line.is_due(now=True):
-                self._show(self._here)
-
-    def _is_stepping(self) -> bool:
-        """Whether a step is under way: it ends at the first message of a later cycle."""
-        return self._next is not None and self._next.cycle <= self._step_to
+            self._show(self._here)
 
     def _do(self, key: str) -> None:
         match key:
@@ -233,9 +220,9 @@ class Playback:
             case " " | "s":
                 self.clock.toggle_pause()
             case "+" | "=":  # The same key, with and without shift.
-                self.clock.set_rate(min(self.clock.rate * 2.0, _FASTEST))
-            case "-" if self.clock.rate:  # Rate 0, as fast as possible, stays.
-                self.clock.set_rate(max(self.clock.rate / 2.0, _SLOWEST))
+                self.clock.set_rate(self.clock.rate * 2.0)
+            case "-":
+                self.clock.set_rate(self.clock.rate / 2.0)
             case "q":
                 self._quit = True
             case arrow if arrow in _SEEK_S:
@@ -245,14 +232,14 @@ class Playback:
         """Go forward or back by a simulated time, at least a cycle, within the span."""
         cycles = round(seconds * 1e9 / self.reader.plan.cycle_ns)
         cycles = cycles or (1 if seconds > 0.0 else -1)
-        last = (self.before_cycle or self.reader.last_cycle + 1) - 1
-        self._seek(min(max(self._here + cycles, self.first_cycle), last))
+        last = min(self.span.stop - 1, self.reader.last_cycle)
+        self._seek(min(max(self._here + cycles, self.span.start), last))
 
     def _show(self, cycle: int) -> None:
         if cycle >= 0:
             rate = f"pace {self.clock.rate:g}" if self.clock.rate else "as fast as possible"
             paused = " paused" if self.clock.paused else ""
-            last = self.reader.last_cycle  # The message that ends a run names the cycle after it.
+            last = self.reader.last_cycle
             cycle = min(cycle, last)
             place = f"{self.reader.clock.text(cycle)} cycle {cycle} of 0 to {last}"
             self._line.show(f"{place}, {rate}{paused}")

@@ -17,26 +17,19 @@ _REORDER_NS: Final = 1_000_000_000
 _LATE_CYCLES: Final = 10
 """Cycles by which a message may be published late, besides what periods allow."""
 
-_ENDLESS: Final = 1 << 62
-
 
 def in_publish_order(
-    reader: RunReader,
-    ports: Collection[Port[Message]] | None = None,
-    first_cycle: int = 0,
-    before_cycle: int | None = None,
+    reader: RunReader, ports: Collection[Port[Message]], cycles: range
 ) -> Iterator[RecordedMessage]:
     """Yield the messages of some cycles in the order of their publish times.
 
-    The cycles go from the first one to just before the other one, or to the end. Messages of one
-    key keep their order.
+    Messages of one key keep their order.
     """
-    before = _ENDLESS if before_cycle is None else before_cycle
-    beyond = before + reader.plan.periods.longest + _LATE_CYCLES
-    records = reader.records(ports, range(first_cycle, beyond + 1))
+    beyond = cycles.stop + reader.plan.periods.longest + _LATE_CYCLES
+    records = reader.records(ports, range(cycles.start, beyond + 1))
     # Nothing of the cycles comes after a message that is far beyond them.
     near = takewhile(lambda record: record.cycle < beyond, records)
-    return _sorted(record for record in near if record.cycle < before)
+    return _sorted(record for record in near if record.cycle < cycles.stop)
 
 
 def complete_cycles(reader: RunReader) -> int:

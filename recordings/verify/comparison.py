@@ -18,18 +18,8 @@ Value: TypeAlias = Any
 NOT_COMPARED: Final = ("ready_time_ns", "publish_time_ns", "sequence")
 """The driver sets these when it sends a message; the agent does not decide them."""
 
-COMPARED_FIELDS: Final = tuple(
-    sorted(
-        {
-            name
-            for signal in SIGNALS
-            if signal.logged and signal.decided
-            for name in signal.type.__struct_fields__
-            if name not in NOT_COMPARED
-        }
-    )
-)
-"""Names of all fields that are compared."""
+FIELDS: Final = {name for signal in SIGNALS for name in signal.type.__struct_fields__}
+"""Names of all fields of messages."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,46 +11,18 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from recordings.verify.comparison import Comparison, FieldDifference
 
-KINDS: Final[dict[str, tuple[str, str, str]]] = {
-    "differs": ("differs", "message differs", "messages differ"),
-    "only recorded": (
-        "recorded, but not sent any more",
-        "message is not sent any more",
-        "messages are not sent any more",
-    ),
-    "only new": (
-        "sent now, but not recorded",
-        "message was not recorded",
-        "messages were not recorded",
-    ),
-    "recorded twice": (
-        "recorded twice in one cycle",
-        "message was recorded twice",
-        "messages were recorded twice",
-    ),
-    "not recorded": (
-        "the recording lost messages before this one",
-        "gap in the recording",
-        "gaps in the recording",
-    ),
-    "input not recorded": (
-        "used, but not recorded",
-        "input was not recorded",
-        "inputs were not recorded",
-    ),
-    "two senders": (
-        "another program sent this message beside the agent's",
-        "message of another program",
-        "messages of another program",
-    ),
-    "input of two senders": (
-        "two programs sent it, so what the agent used is not certain",
-        "input was of two senders",
-        "inputs were of two senders",
-    ),
-    "fails": ("raises an error, or sends what cannot be sent", "error", "errors"),
+KINDS: Final = {
+    "differs": "differs",
+    "only recorded": "recorded, but not sent any more",
+    "only new": "sent now, but not recorded",
+    "recorded twice": "recorded twice in one cycle",
+    "not recorded": "the recording lost messages before this one",
+    "input not recorded": "used, but not recorded",
+    "two senders": "another program sent this message beside the agent's",
+    "input of two senders": "two programs sent it, so what the agent used is not certain",
+    "fails": "raises an error, or sends what cannot be sent",
 }
-"""How new messages can differ from the recorded ones: of one message, and counted."""
+"""How new messages can differ from the recorded ones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +31,7 @@ class Difference:
 
     `message` is the key of the message that differs, or of the input that is not recorded;
     `content` the recorded message if there is one, else the new one; `inputs` what the agent
-    received in that cycle, by key; `missing` the inputs that were not of that cycle.
+    received in that cycle, by key; `text` the error of an agent that fails.
     """
 
     kind: str
@@ -69,7 +41,6 @@ class Difference:
     fields: tuple[FieldDifference, ...] = ()
     content: Message | None = None
     inputs: dict[str, Message] = field(default_factory=dict)
-    missing: tuple[str, ...] = ()
     text: str = ""
 
 
@@ -77,15 +48,13 @@ class Difference:
 class Findings:
     """What the comparison of one agent found.
 
-    It counts messages in the recording, pairs that were compared, inputs that were missing at a
-    deadline or used in an older version, differences by kind, and recorded messages that could not
-    be compared. Nothing is compared before `from_cycle`, nor after the failure of the agent.
+    It counts messages in the recording, pairs that were compared, differences by kind, and recorded
+    messages that could not be compared. Nothing is compared before `from_cycle`, nor after the
+    failure of the agent.
     """
 
     recorded: int = 0
     compared: int = 0
-    missing_inputs: int = 0
-    old_inputs: int = 0
     differences: Counter[str] = field(default_factory=Counter)
     first: Difference | None = None
     last_cycle: int = -1
@@ -116,8 +85,7 @@ class Findings:
                 return
             kind = "differs"
         inputs = by_key(used or {})
-        cycle, missing = message.cycle, message.missing
-        self.add(Difference(kind, cycle, stage, str(port), fields, message, inputs, missing))
+        self.add(Difference(kind, message.cycle, stage, str(port), fields, message, inputs))
 
     def add(self, difference: Difference) -> None:
         """Count a difference, and keep it if it is the first."""

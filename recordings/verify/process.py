@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from agents.driver import Driver
@@ -47,8 +47,6 @@ class Process:
     heard: Newest cycle of each input.
     sequence: Number of the next message of each port.
     spoke: Cycle of the last recorded message of each port.
-    unsent: Messages of its last cycle that are not recorded, with stage and inputs. If it was
-        killed there, they are no difference.
     """
 
     loop: AgentLoop[Any]
@@ -59,7 +57,6 @@ class Process:
     heard: dict[Port[Message], int]
     sequence: dict[Port[Message], int] = field(default_factory=dict)
     spoke: dict[Port[Message], int] = field(default_factory=dict)
-    unsent: list[tuple[Port[Message], Message, str, Messages]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._clock = VirtualClock()
@@ -88,7 +85,3 @@ class Process:
     def sent(self, cycle: int, stage: str) -> list[Delivery]:
         """Return what the agent has published in a stage of a cycle, and forget it."""
         return self._bus.sent.pop((cycle, stage), [])
-
-    def twin(self) -> Process:
-        """Return an independent process in the same state."""
-        return replace(self, loop=self.loop.twin())

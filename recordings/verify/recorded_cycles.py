@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
-from typing import Final
+from typing import Final, TypeAlias
 
 from msgspec.structs import replace
 
@@ -17,73 +16,55 @@ from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
 from recordings.verify.comparison import NOT_COMPARED
 
-MOST_WAITING: Final = 200_000
-"""Most messages that wait for an agent that is late or has ended: about 100 MB."""
+_READ_AHEAD: Final = 50_000
+_CYCLES_AHEAD: Final = 50
+"""Messages, and cycles of them at least, that are read before a cycle counts as complete: the file
+mixes neighbouring cycles, since agents are not equally fast."""
 
-_MARGIN: Final = 20
-"""Messages of one agent may overtake each other by this many cycles on the way to the recorder."""
-
-
-@dataclass(slots=True)
-class RecordedCycle:
-    """The message of each port in a cycle that its listeners heard first, and further ones."""
-
-    number: int
-    messages: dict[Port[Message], Message] = field(default_factory=dict)
-    repeated: list[Delivery] = field(default_factory=list)
+RecordedCycle: TypeAlias = dict[Port[Message], list[Message]]
+"""The messages of a cycle by port, in the order in which the recorder heard them."""
 
 
 class RecordedCycles:
-    """The cycles of a recording in order, each as soon as it is complete.
+    """The cycles of a recording in order.
 
-    The file mixes the messages of neighbouring cycles, since agents are not equally fast. A cycle
-    is complete when every agent has gone on to a later one.
-
-    Without a `stop_cycle` the run broke off: incomplete cycles at its end are left out. When
-    `most_waiting` messages wait, the oldest cycle counts as complete.
+    Without a `stop_cycle` the run broke off: incomplete cycles at its end are left out.
 
     Of the messages that are read, some are in no cycle: those that no agent decides, misplaced ones
     that belong to no cycle of the run or come long after theirs, and those that are cut off: of
     cycles at the end that did not take place or are incomplete. `takeovers` are what standbys said
     as they took over, by agent and incarnation.
-
-    Of the newest cycles that were yielded, `heard` has what came on each port: as many messages as
-    an agent can still use, the one first that its listeners heard first.
     """
 
     def __init__(
-        self,
-        deliveries: Iterable[Delivery],
-        plan: RunPlan,
-        stop_cycle: int | None,
-        most_waiting: int = MOST_WAITING,
+        self, deliveries: Iterable[Delivery], plan: RunPlan, stop_cycle: int | None
     ) -> None:
         self.read = self.not_decided = self.misplaced = self.cut_off = 0
+        self.takeovers: dict[tuple[str, int], Takeover] = {}
         self._deliveries = deliveries
         self._external = plan.external
         self._cycles = plan.cycles
         self._broke_off = stop_cycle is None
         self._end = plan.cycles if stop_cycle is None else stop_cycle
-        self._most_waiting = max(most_waiting, len(plan.wiring.ports) * (plan.periods.longest + 2))
-        self._newest = {agent: -1 for agent in plan.tree.agents() if agent != RECORDER}
-        self._waiting: dict[int, RecordedCycle] = {}
-        self._waiting_messages = 0
+        longest = plan.periods.longest
+        self._most_waiting = max(_READ_AHEAD, len(plan.wiring.ports) * (longest + _CYCLES_AHEAD))
+        self._kept_cycles = plan.hold_cycles + longest
+        self._messages: dict[int, RecordedCycle] = {}
+        self._waiting = 0
         self._next = 0
-        self._incarnation: dict[Port[Message], int] = {}
         # The newest cycle of each process of each agent.
         self._spoke: dict[str, dict[int, int]] = {agent: {} for agent in plan.tree.agents()}
-        self.takeovers: dict[tuple[str, int], Takeover] = {}
-        self.heard: dict[Port[Message], dict[int, list[Message]]] = {
-            port: {} for port in plan.wiring.ports
-        }
-        self._most_heard = plan.hold_cycles + 2
+
+    def on(self, port: Port[Message], cycle: int) -> Sequence[Message]:
+        """Return what came on a port in one of the newest cycles."""
+        return self._messages.get(cycle, {}).get(port, ())
 
     def has_two_senders(self, port: Port[Message], cycle: int) -> bool:
         """Whether two programs said different things on a port in one of the newest cycles.
 
         Of a device that repeats itself the first message counts.
         """
-        first, *others = self.heard[port][cycle]
+        first, *others = self.on(port, cycle)
         return port.publisher not in self._external and any(
             _of_two_senders(first, other) for other in others
         )
@@ -96,62 +77,48 @@ class RecordedCycles:
         processes = sorted(self._spoke[publisher].items())
         return any(spoke <= cycle <= joined for (_, spoke), (joined, _) in pairwise(processes))
 
-    def __iter__(self) -> Iterator[RecordedCycle]:
+    def was_killed_in(self, publisher: str, incarnation: int, cycle: int) -> bool:
+        """Whether a process of an agent was replaced after a cycle, and last spoke in it."""
+        spoke = self._spoke[publisher]
+        return max(spoke, default=0) > incarnation and spoke.get(incarnation, -1) <= cycle
+
+    def __iter__(self) -> Iterator[tuple[int, RecordedCycle]]:
         for port, message in self._deliveries:
             self.read += 1
-            if not port.signal.decided:
+            if port.signal.decided:
+                self._add(port, message)
+            else:
                 self.not_decided += 1
                 if isinstance(message, Takeover):
                     self.takeovers[port.publisher, message.incarnation] = message
-            elif self._add(port, message):
-                slowest = min(self._newest.values())
-                while self._next < slowest - _MARGIN:
-                    yield self._pop()
-            if self._waiting_messages >= self._most_waiting:
+            while self._waiting > self._most_waiting:
                 yield self._pop()
         complete = self._end
         if self._broke_off:  # Then no agent may have completed the cycle that it came to.
-            own = self._newest.keys() - self._external
-            complete = min(self._newest[agent] for agent in own)
+            own = self._spoke.keys() - {RECORDER, *self._external}
+            complete = min(max(self._spoke[agent].values(), default=-1) for agent in own)
         while self._next < complete and self._waiting:
             yield self._pop()
-        self.cut_off += self._waiting_messages
+        self.cut_off += self._waiting
 
-    def _add(self, port: Port[Message], message: Message) -> bool:
-        """Keep a message; return whether its agent has gone on to another cycle."""
+    def _add(self, port: Port[Message], message: Message) -> None:
         number, agent = message.cycle, port.publisher
-        if not self._next <= number < self._end:
-            if self._end <= number < self._cycles:  # Agents may begin what did not take place.
-                self.cut_off += 1
-            elif agent not in self._external:  # A device may send anything.
-                self.misplaced += 1
-            return False
-        cycle = self._waiting.setdefault(number, RecordedCycle(number))
-        newest = self._incarnation.get(port, 0)
-        self._incarnation[port] = max(newest, message.incarnation)
-        spoke = self._spoke[agent]
-        spoke[message.incarnation] = max(number, spoke.get(message.incarnation, -1))
-        # What a process that was replaced sends later, nobody uses.
-        if port in cycle.messages or message.incarnation < newest:
-            cycle.repeated.append((port, message))
-        else:
-            cycle.messages[port] = message
-        self._waiting_messages += 1
-        if number <= self._newest[agent]:
-            return False
-        self._newest[agent] = number
-        return True
+        if self._next <= number < self._end:
+            self._messages.setdefault(number, {}).setdefault(port, []).append(message)
+            self._waiting += 1
+            spoke = self._spoke[agent]
+            spoke[message.incarnation] = max(number, spoke.get(message.incarnation, -1))
+        elif self._end <= number < self._cycles:  # Agents may begin what did not take place.
+            self.cut_off += 1
+        elif agent not in self._external:  # A device may send anything.
+            self.misplaced += 1
 
-    def _pop(self) -> RecordedCycle:
-        cycle = self._waiting.pop(self._next, None) or RecordedCycle(self._next)
-        self._waiting_messages -= len(cycle.messages) + len(cycle.repeated)
-        self._next += 1
-        for port, message in (*cycle.messages.items(), *cycle.repeated):
-            heard = self.heard[port]
-            heard.setdefault(cycle.number, []).append(message)
-            if len(heard) > self._most_heard:
-                del heard[next(iter(heard))]
-        return cycle
+    def _pop(self) -> tuple[int, RecordedCycle]:
+        number, self._next = self._next, self._next + 1
+        self._messages.pop(number - self._kept_cycles - 1, None)
+        messages = self._messages.get(number, {})
+        self._waiting -= sum(map(len, messages.values()))
+        return number, messages
 
 
 def _of_two_senders(one: Message, other: Message) -> bool:

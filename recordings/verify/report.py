@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from math import isfinite
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import msgspec
@@ -21,10 +18,10 @@ _HEAD: Final = frozenset(Message.__struct_fields__)
 
 
 def verification_lines(found: Verification, comparison: Comparison, wall_s: float) -> Iterator[str]:
-    """Yield the result line by line, see `wrapped`."""
+    """Yield the result line by line."""
     speed = found.cycles * found.plan.cycle_ns / 1e9 / max(wall_s, 1e-9)
     yield (
-        f"{found.cycles:,} cycles, {_agents(len(found.agents))} run again, "
+        f"{found.cycles:,} cycles, {len(found.agents)} agents run again, "
         f"{found.total('compared'):,} of {found.recorded:,} messages compared"
     )
     yield f"{wall_s:.1f} s, {speed:,.0f} x simulated time"
@@ -35,72 +32,35 @@ def verification_lines(found: Verification, comparison: Comparison, wall_s: floa
     yield _verdict(found, comparison)
 
 
-def wrapped(lines: Iterable[str], width: int) -> Iterator[str]:
-    """Wrap long lines; what follows stands further to the right."""
-    for line in lines:
-        indent = " " * (len(line) - len(line.lstrip()) + 8)
-        yield textwrap.fill(line, width, subsequent_indent=indent, break_on_hyphens=False)
-
-
 def finding_lines(found: Mapping[str, Findings], clock: RunClock) -> Iterator[str]:
-    """Yield what was found of agents; those that differ alike, say in a lost input, together."""
-    alike: dict[object, dict[str, Findings]] = {}
-    for name, findings in found.items():
-        if findings.first is not None:
-            alike.setdefault(_kind_of(name, findings), {})[name] = findings
-    for group in alike.values():
+    """Yield what was found of each agent: its differences by kind, and the first of them."""
+    for agent, findings in found.items():
+        first, failure = findings.first, findings.failure
+        if first is None:
+            continue
+        counts = ", ".join(f"{count:,} x {kind}" for kind, count in findings.differences.items())
         yield ""
-        yield from _group_lines(group, clock)
+        yield f"{agent}: {counts}, {clock.span_text(first.cycle, findings.last_cycle)}"
+        yield from _difference_lines(agent, first)
+        if failure is not None and failure is not first:
+            yield f"  fails in cycle {failure.cycle:,}: {failure.text}"
+        if findings.not_compared:
+            begin = findings.not_compared_from
+            yield f"{agent}: {findings.not_compared:,} messages not compared, from cycle {begin} on"
 
 
-def _kind_of(name: str, findings: Findings) -> object:
-    """Return what agents that differ alike have in common: a name if no other can be alike."""
-    first = findings.first
-    fails_later = findings.failure is not None and findings.failure is not first
-    if first is None or first.content is not None or fails_later:
-        return name
-    return first.kind, first.cycle, first.message, first.text
-
-
-def _group_lines(group: Mapping[str, Findings], clock: RunClock) -> Iterator[str]:
-    names, every = list(group), list(group.values())
-    first, failure = every[0].first, every[0].failure
-    assert first is not None
-    counts = sum((findings.differences for findings in every), Counter[str]())
-    texts = [f"{count:,} {KINDS[kind][1 if count == 1 else 2]}" for kind, count in counts.items()]
-    last_cycle = max(findings.last_cycle for findings in every)
-    agents = ", ".join(names)
-    when = clock.span_text(first.cycle, last_cycle)
-    yield f"{agents}: {', '.join(texts)} {when}"
-    yield from _difference_lines(names[0], first)
-    if failure is not None and failure is not first:
-        yield f"{agents}: fails {clock.span_text(failure.cycle, failure.cycle)}"
-        yield from _difference_lines(names[0], failure)
-    not_compared = sum(findings.not_compared for findings in every)
-    if not_compared:
-        begin = min(found.not_compared_from or 0 for found in every if found.not_compared)
-        who = agents if len(names) == 1 else "all of these"
-        yield f"{who}: {not_compared:,} messages not compared, from cycle {begin} on"
-
-
-def verification_data(found: Verification, comparison: Comparison, wall_s: float) -> dict[str, Any]:
+def verification_data(found: Verification, wall_s: float) -> dict[str, Any]:
     """Return the result as plain data."""
-    names = ("stop_cycle", "cycles", "recorded", "not_decided", "differences")
-    totals = ("compared", "not_compared", "missing_inputs", "old_inputs")
+    names = (
+        *("equal", "stop_cycle", "cycles", "recorded", "not_decided", "differences", "misplaced"),
+        *("cut_off", "unrecorded_cycles", "left_out"),
+    )
     return {
         "recording": str(found.recording),
         "run_id": found.plan.run_id,
-        "equal": found.equal,
-        "tolerance": comparison.tolerance,
-        "ignored": sorted(comparison.ignored),
-        "lockstep": found.plan.lockstep,
         **{name: getattr(found, name) for name in names},
-        **{name: found.total(name) for name in totals},
+        **{name: found.total(name) for name in ("compared", "not_compared")},
         "first_agent": found.first[0] if found.first is not None else None,
-        "misplaced": found.misplaced,
-        "cut_off": found.cut_off,
-        "unrecorded_cycles": found.unrecorded_cycles,
-        "left_out": found.left_out,
         "wall_s": wall_s,
         "agents": finding_data(found.agents),
     }
@@ -111,84 +71,58 @@ def finding_data(found: Mapping[str, Findings]) -> list[dict[str, Any]]:
     return [{"agent": name, **msgspec.to_builtins(findings)} for name, findings in found.items()]
 
 
-def json_ready(value: Value) -> Value:
-    """Return plain data with the floats that JSON has no number for as text: nan, inf, -inf."""
-    if isinstance(value, float):
-        return value if isfinite(value) else str(value)
-    if isinstance(value, dict):
-        return {name: json_ready(entry) for name, entry in value.items()}
-    return list(map(json_ready, value)) if isinstance(value, list | tuple) else value
-
-
 def _remarks(found: Verification) -> Iterator[str]:
     for name, why in found.left_out.items():
         yield f"{name}: left out, {why}"
-    missing = found.total("missing_inputs")
-    if missing and not found.plan.lockstep:
-        yield (
-            f"{missing:,} inputs were missing at their deadlines, {found.total('old_inputs'):,} "
-            "older ones were used"
-        )
     if found.stop_cycle is None:
         yield (
             f"the run or its recording broke off: {found.cut_off:,} messages of incomplete cycles "
             "left out"
         )
-    later = sum(one.not_compared for one in found.agents.values() if one.first is None)
     if found.unrecorded_cycles is not None:
+        yield f"the recorder was started again: {found.unrecorded_cycles:,} cycles not recorded"
+    later = sum(one.not_compared for one in found.agents.values() if one.first is None)
+    if later:
         yield (
-            f"the recorder was started again: {found.unrecorded_cycles:,} cycles were not recorded "
-            f"and are not compared, nor are {later:,} later messages of agents that remember them"
-        )
-    elif later:
-        yield (
-            f"{later:,} messages are not compared: they follow from what a process sent as it was "
-            "killed, which the recorder did not hear"
+            f"{later:,} messages not compared: they follow from messages that the recorder did not "
+            "hear, as it was restarted or their sender was killed"
         )
     if found.misplaced:
         yield f"{found.misplaced:,} messages belong to no cycle of the run, or come long after it"
 
 
 def _verdict(found: Verification, comparison: Comparison) -> str:
-    count = sum(findings.first is not None for findings in found.agents.values())
     if found.first is not None:
         name, first = found.first
-        by = "which two senders sent" if "two senders" in first.kind else f"by {name}"
         return (
-            f"NOT equal: {found.differences:,} differences of {_agents(count)}, the first: "
-            f"{first.message or first.text}, {by} in cycle {first.cycle}"
+            f"NOT equal: {found.differences:,} differences, the first: {name} in cycle "
+            f"{first.cycle}, {first.message or first.text} ({first.kind})"
         )
     if not found.equal:
         return "NOT equal"
-    if not comparison.ignored and not comparison.tolerance:
-        return f"equal bit for bit; left out: {', '.join(NOT_COMPARED)}"
-    within = f" within {comparison.tolerance:g}" if comparison.tolerance else ""
-    return f"equal{within} except for {', '.join([*sorted(comparison.ignored), *NOT_COMPARED])}"
-
-
-def _agents(count: int) -> str:
-    return f"{count:,} agent" + "s" * (count != 1)
+    left_out = ", ".join([*sorted(comparison.ignored), *NOT_COMPARED])
+    within = f"within {comparison.tolerance:g}" if comparison.tolerance else "bit for bit"
+    return f"equal {within}; left out: {left_out}"
 
 
 def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
     stage = f" (stage {difference.stage})" if difference.stage else ""
-    content = difference.text
-    if difference.content is not None and difference.kind != "differs":
-        content = _content(difference.content)
-    what = KINDS[difference.kind][0] + (f": {content}" if content else "")
+    message, content = difference.content, difference.text
+    if message is not None and difference.kind != "differs":
+        content = _content(message)
+    what = KINDS[difference.kind] + (f": {content}" if content else "")
     yield f"  {difference.message or 'the agent'}{stage}: {what}"
     width = max((len(entry.field) for entry in difference.fields), default=0)
     for entry in difference.fields:
         yield f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}"
         yield f"    {'':{width}}  new       {_value(entry.new)}"
-    if difference.inputs or difference.missing:
+    if difference.inputs:
         yield f"  inputs of {agent} in cycle {difference.cycle}"
-    named = sorted(difference.inputs.items())
-    width = max((len(key) for key, _ in named), default=0)
-    for key, message in named:
-        yield f"    {key:{width}}  {_content(message)}"
-    if difference.missing:
-        yield f"    {in_words(difference.missing)}"
+    width = max(map(len, difference.inputs), default=0)
+    for key, used in sorted(difference.inputs.items()):
+        yield f"    {key:{width}}  {_content(used)}"
+    if message is not None and message.missing:
+        yield f"    {in_words(message.missing)}"
 
 
 def _content(message: Message) -> str:

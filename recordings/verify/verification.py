@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,12 +12,10 @@ from agents.agent import Agent
 from agents.cycle import stage_place
 from agents.plan import RunPlan
 from agents.team import controller
-from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
 from bus_schemas.tree import PLANT, ROOT, agent_name
 from recordings.read.gaps import recorder_absences
-from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RunReader
 from recordings.read.selection import find_agents
 from recordings.verify.comparison import Comparison
@@ -100,8 +98,7 @@ def verify(
         plan, stop_cycle = reader.plan, reader.stop_cycle
         wanted = reader.clock.span(start, end)
         team, left_out = _team(plan, nodes, reader.path)
-        missed = _missed_inputs(plan)
-        recorded = RecordedCycles(_counted(reader.messages(), missed), plan, stop_cycle)
+        recorded = RecordedCycles(reader.messages(), plan, stop_cycle)
         absences = list(recorder_absences(reader))
         reruns = [
             AgentRerun(name, make, plan, recorded, absences, comparison, wanted.start)
@@ -109,19 +106,14 @@ def verify(
         ]
         away = {cycle for name, absence in absences if name == PLANT for cycle in absence}
         cycles = unrecorded = 0
-        for cycle in recorded:
-            if cycle.number >= wanted.stop:
+        for cycle, messages in recorded:
+            if cycle >= wanted.stop:
                 break
             for rerun in reruns:
-                rerun.take(cycle.number)
-            if cycle.number >= wanted.start:
-                cycles += bool(cycle.messages)
-                unrecorded += cycle.number in away and PRODUCTION.of(ROOT) not in cycle.messages
-        for rerun in reruns:
-            rerun.end()
-            if missed is not None:
-                rerun.findings.missing_inputs = missed.missing[rerun.name].total()
-                rerun.findings.old_inputs = missed.old[rerun.name]
+                rerun.take(cycle)
+            if cycle >= wanted.start:
+                cycles += bool(messages)
+                unrecorded += cycle in away and PRODUCTION.of(ROOT) not in messages
         found = Verification(
             reader.path,
             plan,
@@ -138,21 +130,6 @@ def verify(
     if not found.total("recorded") and found.equal:
         raise InputError(f"{found.recording}: expected messages of {', '.join(team)}, got none")
     return found
-
-
-def _missed_inputs(plan: RunPlan) -> MissedInputs | None:
-    """Return what counts missed inputs; None if an agent cannot be made, which is a finding."""
-    try:
-        return MissedInputs(plan)
-    except (Exception, SystemExit):
-        return None
-
-
-def _counted(messages: Iterable[Delivery], missed: MissedInputs | None) -> Iterator[Delivery]:
-    for port, message in messages:
-        if missed is not None:
-            missed.count(port, message)
-        yield port, message
 
 
 def run_profile(plan: RunPlan, recording: Path) -> Profile | None:

@@ -7,18 +7,23 @@ import json
 import os
 import sys
 import threading
+import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import psutil
+from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant
 from running import Heliarch
 
+from bus_schemas.bus import Outbox
+from bus_schemas.codec import encode
 from live_page.place import Place, open_place
 from live_page.server import PageServer
+from recordings.record.writer import RunWriter
 
 
 class Served:
@@ -66,6 +71,21 @@ def served(
         server.end()
         thread.join(20)
         assert not thread.is_alive()
+
+
+@contextmanager
+def growing_run(path: Path) -> Iterator[Callable[[int], None]]:
+    """Write a recording by hand; give a function that adds a cycle to it."""
+    outbox, writer = Outbox(), RunWriter(path, PLAN, SCENARIO, driver="simulate")
+
+    def add(cycle: int) -> None:
+        for port, message in cycle_of_the_plant(cycle):
+            outbox.stamp(port, message, time.monotonic_ns())
+            writer.add(port, message, encode(message), time.monotonic_ns())
+        writer.flush()
+
+    yield add
+    writer.close()
 
 
 def page_of(run: Heliarch) -> str:

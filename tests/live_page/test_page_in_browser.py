@@ -58,8 +58,6 @@ def test_a_launched_run_moves_and_stays_when_it_is_over(
     here = int(window.until("return +document.querySelector('#position').value", "a cycle"))
     window.until(moved.format(here + 5), "later cycles")
     window.until(curve("power-chart"), "curves")
-    memory_mb = "document.querySelector('#tree tr td:last-child').textContent"
-    window.until(f"return +{memory_mb} > 10", "the memory of the plant's process")
     run.process.send_signal(signal.SIGINT)
     window.until("return document.querySelector('#state').textContent == 'over'", "its end")
     window.until(at(run.recorded_cycles()), "the last cycle")
@@ -106,6 +104,8 @@ def test_a_recording_is_played_stepped_and_scrubbed(window: Browser, run: Path) 
         before = window.run("return document.documentElement.dataset.theme")
         window.press("t")
         assert window.run("return document.documentElement.dataset.theme") != before
+        window.resize(800, 900)
+        assert window.run("return document.documentElement.scrollWidth <= innerWidth")
         assert window.problems() == []
 
 
@@ -118,14 +118,6 @@ def test_a_lost_connection_is_said_and_taken_up_again(window: Browser, run: Path
     assert window.run(at(CYCLES))  # What was shown stays.
     with served(run, port=port):
         window.until("return document.querySelector('#banner').hidden", "the connection")
-
-
-def test_nothing_runs_off_a_narrow_window(window: Browser, run: Path) -> None:
-    window.resize(800, 900)
-    with served(run) as page:
-        window.open(page.address)
-        window.until(at(CYCLES), "the last cycle")
-        assert window.run("return document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_a_folder_of_runs_leads_to_each_of_them(window: Browser, run: Path) -> None:

@@ -9,8 +9,6 @@ from pathlib import Path
 import msgspec
 import pytest
 from command_line import heliarch, refusal
-from recordings_by_hand import PLAN as PLAN_BY_HAND
-from recordings_by_hand import whole_run, write_run
 from replayed_runs import CYCLE_NS, PLAN, run_in_memory, write
 
 SAID = run_in_memory()
@@ -65,16 +63,6 @@ def test_an_address_that_is_taken_is_refused(recorded: Path) -> None:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         line = refusal("replay", recorded, "--listen", endpoint)
     assert endpoint in line
-
-
-def test_a_controller_whose_standby_took_over_is_not_run_live(tmp_path: Path) -> None:
-    plan = msgspec.structs.replace(PLAN_BY_HAND, standby=("c2",), cycle_wall_ns=CYCLE_NS)
-    deliveries = list(whole_run(20))
-    for _, message in deliveries:
-        message.incarnation = 12 * (message.source == "c2" and message.cycle >= 12)
-    write_run(tmp_path / "run.mcap", deliveries, plan=plan)
-    line = refusal("replay", tmp_path, "--live", "c1,c2")
-    assert "c2 was taken over in cycle 12: its standby decided" in line
 
 
 def test_a_plan_of_another_plant_is_refused(recorded: Path, tmp_path: Path) -> None:

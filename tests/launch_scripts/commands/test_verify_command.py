@@ -29,10 +29,10 @@ def run(tmp_path: Path) -> Path:
     return record(tmp_path / "run", PLAN, PUBLISHED, PROFILE)
 
 
-def with_alpha(port: Port[Message], message: Message, alpha: float = 0.0625) -> Delivery:
+def with_alpha(port: Port[Message], message: Message) -> Delivery:
     """The same message, or with another alpha if it is a certain command."""
     if port is COMMAND.of("c2/d") and message.cycle == 3:
-        return port, replace(message, alpha=alpha)
+        return port, replace(message, alpha=0.0625)
     return port, message
 
 
@@ -81,7 +81,6 @@ def test_a_difference_is_found_with_its_place_its_values_and_its_inputs(changed:
     result = heliarch("verify", changed)
     for text in ("cycle 3", "12:00:03", "c2/d/command", "alpha", "0.0625", str(field["new"])):
         assert text in result.stdout
-    assert max(map(len, result.stdout.splitlines()[1:])) <= 100
 
 
 @pytest.mark.parametrize(
@@ -107,32 +106,12 @@ def test_what_the_user_allows_or_leaves_out_does_not_count(
     assert outcome["compared"] == len(messages)
 
 
-def test_a_lost_input_is_one_block_for_all_who_used_it(tmp_path: Path) -> None:
-    messages = [pair for pair in PUBLISHED if (str(pair[0]), pair[1].cycle) != ("dispatch", 5)]
-    result = heliarch("verify", record(tmp_path / "run", PLAN, messages, PROFILE))
-    assert result.exit_code == 1
-    blocks = [block for block in result.stdout.split("\n\n") if "not compared" in block]
-    (block,) = blocks
-    heading = " ".join(block.split("\n  dispatch ")[0].split())
-    assert heading.startswith(f"{', '.join(AGENTS[1:])}: ")
-    assert heading.endswith("in cycle 5 (12:00:05)")
-
-
-def test_numbers_that_are_none_are_text_in_json(tmp_path: Path) -> None:
-    messages = [with_alpha(*pair, alpha=float("nan")) for pair in PUBLISHED]
-    _, outcome = outcome_of(record(tmp_path / "run", PLAN, messages), "--nodes", "c2/d")
-    first = outcome["agents"][0]["first"]
-    assert first["fields"][0]["recorded"] == first["content"]["alpha"] == "nan"
-
-
-def test_a_run_in_real_time_says_how_many_inputs_were_missing(tmp_path: Path) -> None:
+def test_a_run_in_real_time_cannot_be_recorded_again(tmp_path: Path) -> None:
     plan = faulty_plan(cycles=20)
     profile = cloudy_profile(plan)
     folder = record(tmp_path / "run", plan, published(plan, profile), profile)
-    status, outcome = outcome_of(folder)
-    assert (status, outcome["missing_inputs"] > 0) == (0, True)
-    assert f"{outcome['missing_inputs']:,} inputs" in heliarch("verify", folder).stdout
-    assert "real time" in refusal("verify", folder, "--accept")
+    assert outcome_of(folder)[0] == 0
+    assert "lockstep" in refusal("verify", folder, "--accept")
 
 
 # What it refuses ----------------------------------------------------------------------------------

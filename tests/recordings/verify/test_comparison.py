@@ -19,9 +19,7 @@ NODE = "c1/a"
         (0.0, -0.0, 0.0, False),
         (1.0, math.nextafter(1.0, 2.0), 0.0, False),
         (math.nan, math.nan, 0.0, True),
-        (-0.0, -0.0, 0.0, True),
         (5.0, 5, 0.0, True),  # What a listener gets is the same.
-        (5.0, 6, 0.0, False),
         (0.0, -0.0, 1e-9, True),
         (1.0, 1.001, 0.0009, False),
         (1.0, 1.001, 0.0011, True),

@@ -16,11 +16,12 @@ from recorded_runs import AGENTS, cloudy_profile, of_publisher, plan_of, publish
 from agents.direct import DirectController
 from agents.parent import Parent, Supervisor
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Help, Message, Setpoint
+from bus_schemas.messages import Help, Impp, Message, Setpoint
 from bus_schemas.signals import COMMAND, HELP, IMPP, SETPOINT, SIGNALS, TELEMETRY, Port, Signal
 from bus_schemas.tree import PLANT
 from recordings.verify.comparison import Comparison, FieldDifference
 from recordings.verify.findings import Difference
+from recordings.verify.recorded_cycles import RecordedCycles
 from recordings.verify.verification import Verification, verify
 
 PLAN = plan_of(cycles=30)
@@ -191,12 +192,7 @@ def test_a_wrong_allocation_is_found(verified: Verify, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(
-    ("alpha", "error"),
-    [
-        (None, "ValidationError: Expected `float`, got `None`"),
-        ("x", "ValidationError: Expected `float`, got `str`"),
-        (np.float64(0.5), "TypeError: Encoding objects of type numpy.float64 is unsupported"),
-    ],
+    ("alpha", "error"), [(None, "ValidationError"), (np.float64(0.5), "TypeError")]
 )
 def test_a_value_that_cannot_be_sent_is_a_finding(
     alpha: object, error: str, verified: Verify, monkeypatch: pytest.MonkeyPatch
@@ -220,10 +216,7 @@ def test_a_value_that_cannot_be_sent_is_a_finding(
 
 @pytest.mark.parametrize(
     ("method", "error"),
-    [
-        *(("__init__", RuntimeError), ("initial_state", SystemExit)),
-        *(("stages", RuntimeError), ("step", SystemExit)),
-    ],
+    [("__init__", RuntimeError), ("stages", RuntimeError), ("step", SystemExit)],
 )
 def test_an_agent_that_fails_anywhere_is_a_finding_and_the_others_go_on(
     method: str, error: type[BaseException], verified: Verify, monkeypatch: pytest.MonkeyPatch
@@ -242,3 +235,14 @@ def test_an_agent_that_fails_anywhere_is_a_finding_and_the_others_go_on(
         assert first.text == f"{error.__name__}: by hand"
         assert findings.not_compared == findings.recorded > PLAN.cycles
     assert found.first is not None
+
+
+def test_a_long_recording_is_not_kept_in_memory() -> None:
+    plan = plan_of(cycles=100_000)
+    port = IMPP.of("c1/a")
+    messages = (
+        (port, Impp(cycle, 0, "c1/a", (), power_kw=1.0, stale_cycles=0)) for cycle in range(100_000)
+    )
+    recorded = RecordedCycles(messages, plan, plan.cycles)
+    assert next(iter(recorded))[0] == 0
+    assert recorded.read < 60_000
