@@ -17,6 +17,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+import launch_scripts.app
 import launch_scripts.commands.run
 import launch_scripts.launcher.launch  # noqa: F401
 from bus_schemas.errors import InputError

@@ -13,7 +13,7 @@ import typer
 from agents.settings import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import ResultOptions, is_run, refuse_others
-from launch_scripts.commands.output import publish, shared
+from launch_scripts.commands.output import do_all, publish, shared
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 from studies.report.result import Result
 
@@ -74,7 +74,7 @@ def compare(
         publish(_two_runs((Path(scenario), other)), files, "compare.html")
         return
     if is_run(Path(scenario)):
-        raise InputError(f"{scenario}: expected a second run to compare it with, or a scenario")
+        raise InputError(f"{scenario}: expected two runs, or one scenario")
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.arrays.schemes import SCHEMES
     from studies.compare.cases import cases, parse_days, parse_seeds, parse_setting
@@ -104,10 +104,10 @@ def compare(
     else:
         results = shared(partial(run_case, comparison), found, workers, "cases", scheduler)
         result = _cases_result(results, shown)
-    try:
-        _write_summary(results, csv)
-    finally:
-        publish(result, files, "compare.html")
+    do_all(
+        partial(_write_summary, results, csv),
+        partial(publish, result, files, "compare.html"),
+    )
 
 
 def _names(option: str, text: str, known: Collection[str]) -> tuple[str, ...]:
@@ -164,10 +164,7 @@ def _two_runs(paths: tuple[Path, Path]) -> Result:
 
     for path in paths:
         if not is_run(path):
-            raise InputError(
-                f"{path}: expected a recorded run, its folder or run.mcap; schemes are compared on "
-                "one scenario alone"
-            )
+            raise InputError(f"{path}: expected a recorded run, its folder or run.mcap")
     series, lines = read_two_runs(paths)
     tables = two_runs_tables(*series)
     figures, differences = map(json_rows, tables)
@@ -179,17 +176,11 @@ def _two_runs(paths: tuple[Path, Path]) -> Result:
 def _cases_result(results: Sequence[CaseResult], shown: Sequence[str]) -> Result:
     from studies.compare.results import cases_tables, json_rows
 
-    prepare_s = sum(result.prepare_s for result in results)
-    run_s = sum(result.run_s for result in results)
     return Result(
         f"{len(results):,} cases",
         cases_tables(shown, results),
         json_rows(results),
         lines=list(dict.fromkeys(line for result in results for line in result.remarks)),
-        conclusions=[
-            f"sky and market took {prepare_s:.1f} s, the schemes and their figures {run_s:.1f} s, "
-            "added up over all cases"
-        ],
     )
 
 

@@ -49,7 +49,7 @@ def export(
         wanted = find_signals(signals or "")
         rows = tuple(row for row in SIGNALS if row.logged and (not wanted or row in wanted))
         cycles = None if start is None and end is None else reader.clock.span(start, end)
-        with progress_bar(f"{form} {path.name}") as reader.follow:
+        with progress_bar(form) as reader.follow:
             summary = export_run(reader, form, path, rows, nodes or "", cycles, clock or "wall")
         damage = reader.damage_text()
     _print(summary, console_for(json))
@@ -58,25 +58,16 @@ def export(
 
 
 def _print(summary: ExportSummary, console: Console) -> None:
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[str | int | float, ...], ...]
-    if summary.form == "json-mcap":
-        columns = (key_column("signal"), Column("messages"))
-        rows = tuple((part.name, part.rows) for part in summary.parts)
-    else:
-        columns = (key_column("table"), Column("rows"), Column("size", "MB", 2))
-        rows = tuple((part.name, part.rows, part.size_bytes / 1e6) for part in summary.parts)
     notes = []
     if not summary.whole:
         notes.append("the recording was cut short, or is still written: this is what it holds")
     if summary.left_out:
         notes.append(f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
-    extent = ""
-    if summary.first_cycle is not None:
-        extent = f", cycles {summary.first_cycle:,} to {summary.last_cycle:,},"
     title = (
-        f"{summary.messages:,} messages{extent} in {summary.wall_s:.1f} s, "
+        f"{summary.messages:,} messages in {summary.wall_s:.1f} s, "
         f"{summary.size_bytes / 1e6:,.1f} MB"
     )
+    columns = key_column("table"), Column("rows")
+    rows = tuple((part.name, part.rows) for part in summary.parts)
     print_table(console, Table(title, columns, rows, tuple(notes)))
     say(console, f"{summary.form}: {summary.path}")

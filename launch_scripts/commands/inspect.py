@@ -12,7 +12,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.printable import printable
 from bus_schemas.tree import agent_name
 from launch_scripts.commands.boundary import OK, complain
-from launch_scripts.commands.output import json_rows, progress_bar, write_json
+from launch_scripts.commands.output import progress_bar, write_json
 from studies.tables import (
     Column,
     Table,
@@ -59,43 +59,48 @@ def inspect(
         raise InputError("--cycle: expected neither --nodes, --from nor --to with it")
     console = console_for(json)
     with RunReader(run, skip_damaged=True) as reader:
+        found: object
         if cycle is not None:
-            _show_plant(reader, reader.clock.cycle(cycle, "--cycle"), json, console)
+            found = _show_plant(reader, reader.clock.cycle(cycle, "--cycle"), console)
         elif nodes is not None:
-            found = find_nodes(reader.plan.tree, nodes)
-            _show_nodes(reader, found, reader.clock.span(start, end), json, console)
+            names = find_nodes(reader.plan.tree, nodes)
+            cycles = reader.clock.span(start, end)
+            found = _show_nodes(reader, names, cycles, console, keep=json is not None)
         else:
             part = None if start is None and end is None else reader.clock.span(start, end)
-            _show_overview(reader, part, json, console)
+            found = _show_overview(reader, part, console)
+        write_json(found, json)
+        if not reader.whole:
+            text = (
+                f"{reader.path} or a file that it goes on in was cut, is damaged, or is still "
+                "being recorded. `heliarch recover` makes a whole file of it."
+            )
+            console.print(Text(text, "yellow"))
         damage = reader.damage_text()
     return complain(damage, OK) if damage else OK
-
-
-def _width(console: Console) -> int:
-    from recordings.inspect.timeline import NARROWEST
-
-    return max(console.width, NARROWEST)
 
 
 # Nodes, cycle by cycle ----------------------------------------------------------------------
 
 
 def _show_nodes(
-    run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
-) -> None:
-    from recordings.inspect.timeline import node_table, timeline
+    run: RunReader, nodes: Sequence[str], cycles: range, console: Console, *, keep: bool
+) -> list[NodeCycle]:
+    """Print nodes cycle by cycle, of a recording of any length; return what is to be kept."""
+    from recordings.inspect.timeline import NARROWEST, node_table, timeline
 
-    with json_rows(json) as write:
-        for node in nodes:
-            if len(nodes) > 1:
-                _print_lines(console, [agent_name(node)], "bold")
-            table = node_table(run.plan.tree, node, len(run.clock.text(0)), _width(console))
-            _print_lines(console, table.heading(), "bold")
-            for rows in timeline(run, [node], cycles):
-                for row in rows:
-                    _print_lines(console, table.row(row), _style(row))
-                    write(row)
-    _warn_if_cut(run, console)
+    found = []
+    for node in nodes:
+        if len(nodes) > 1:
+            _print_lines(console, [agent_name(node)], "bold")
+        width = max(console.width, NARROWEST)
+        table = node_table(run.plan.tree, node, len(run.clock.text(0)), width)
+        _print_lines(console, table.heading(), "bold")
+        for (row,) in timeline(run, [node], cycles):
+            _print_lines(console, table.row(row), _style(row))
+            if keep:
+                found.append(row)
+    return found
 
 
 def _style(row: NodeCycle) -> str:
@@ -106,8 +111,8 @@ def _style(row: NodeCycle) -> str:
 # The plant in one cycle ----------------------------------------------------------------------
 
 
-def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) -> None:
-    from recordings.inspect.timeline import plant_lines, timeline
+def _show_plant(run: RunReader, cycle: int, console: Console) -> Sequence[NodeCycle]:
+    from recordings.inspect.timeline import NARROWEST, plant_lines, timeline
 
     found = next(timeline(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
     if found is None:
@@ -116,11 +121,11 @@ def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) 
     central = found[0]
     _print_lines(console, [f"cycle {cycle}, {run.clock.local(cycle):%Y-%m-%d} {central.time}"])
     _print_lines(console, [_plant_text(central)])
-    heading, units, *lines = plant_lines(run.plan.tree, found, _width(console))
+    width = max(console.width, NARROWEST)
+    heading, units, *lines = plant_lines(run.plan.tree, found, width)
     _print_lines(console, ["", heading, units], "bold")
     _print_lines(console, lines)
-    write_json(found, json)
-    _warn_if_cut(run, console)
+    return found
 
 
 def _plant_text(central: NodeCycle) -> str:
@@ -143,17 +148,14 @@ def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> Non
 # The whole recording -------------------------------------------------------------------------
 
 
-def _show_overview(
-    run: RunReader, cycles: range | None, json: str | None, console: Console
-) -> None:
+def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Overview:
     from recordings.inspect.overview import read_overview
 
     with progress_bar("reading") as run.follow:
         overview = read_overview(run, cycles)
     for table in _overview_tables(overview, run.clock):
         print_table(console, table)
-    _warn_if_cut(run, console)
-    write_json(overview, json)
+    return overview
 
 
 def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
@@ -185,15 +187,3 @@ def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
             ),
             (f"and {rest:,} more gaps (--json has the first 100)",) if rest else (),
         )
-
-
-def _warn_if_cut(run: RunReader, console: Console) -> None:
-    if not run.whole:
-        text = (
-            f"{run.path} can be read up to byte {run.outline.readable_end:,} of "
-            f"{run.outline.size:,}: it was cut, is damaged there, or is still being recorded."
-        )
-        if run.outline.closed:
-            text = f"{run.path}, or a file that it goes on in, was cut or is damaged."
-        text += " `heliarch recover` makes a whole file of it."
-        console.print(Text(text, "yellow"))

@@ -30,7 +30,7 @@ class PlantOptions:
     """What is different from the scenario.
 
     --actuator: Whether a command is a fraction of the maximum or a power limit.
-    --fault RULE (faults): Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source,
+    --fault RULE (faults): Make links imperfect: source=c1/*,delay=50ms (fields: source,
         listener, signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by,
         silent=60s..90s, at=60s..90s). Or cut links, freeze or kill controllers:
         partition=c1|c2,at=5s..9s, freeze=c2,at=5s..9s, kill=c2,at=5s. May be given several times.

@@ -17,7 +17,7 @@ from command_line import heliarch
 from documents import DOCUMENTS, REPOSITORY, Block, blocks_of, heliarch_lines, words_of
 
 from bus_schemas.errors import InputError
-from launch_scripts.cli import app
+from launch_scripts.app import app
 
 USAGE_ERROR: Final[type[Exception]] = typer.BadParameter.__bases__[0]
 """No such command, no such option."""

@@ -11,7 +11,7 @@ from command_line import python
 from typer.testing import CliRunner
 
 from agents.settings import Actuator, Scheme
-from launch_scripts.cli import COMMANDS, app
+from launch_scripts.app import COMMANDS, app
 from launch_scripts.scenarios.scenario import shipped_scenarios
 from studies.arrays.schemes import SCHEMES
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT

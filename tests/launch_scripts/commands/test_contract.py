@@ -26,7 +26,7 @@ from running import small_plant
 from timed_recordings import cycle, recorded
 from typer.testing import CliRunner
 
-from launch_scripts.cli import COMMANDS, app
+from launch_scripts.app import COMMANDS, app
 
 NAMES: Final = [name for names in COMMANDS.values() for name in names]
 FULL: Final = Path("/dev/full")

@@ -26,7 +26,7 @@ from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Impp
 from bus_schemas.signals import IMPP
-from launch_scripts.cli import app
+from launch_scripts.app import app
 from recordings.record.writer import RunWriter
 
 PORT = IMPP.of("c1/a")
