@@ -123,12 +123,7 @@ def share_over_cluster(
 
     Raises WorkerLostError: The cluster gave up.
     """
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError:
-        raise InputError(
-            "--scheduler: Dask is not installed; install it with pip install 'heliarch[cluster]'"
-        ) from None
+    distributed: Any = import_module("distributed")
     try:
         client = distributed.Client(scheduler, timeout="10s")
     except (OSError, TimeoutError, ValueError) as error:

@@ -41,6 +41,15 @@ _BAD_PATH: Final = (
     NotADirectoryError,
     PermissionError,
 )
+_EXTRAS: Final = {
+    "cryptography": "keys",
+    "distributed": "cluster",
+    "foxglove": "foxglove",
+    "pymodbus": "modbus",
+    "sunspec2": "modbus",
+}
+"""Packages that not every user needs, and the extra that installs them."""
+
 _UsageError: Final[Any] = typer.BadParameter.__mro__[1]
 """What typer raises for an option or argument that it cannot accept."""
 
@@ -97,8 +106,13 @@ def boundary() -> Iterator[None]:
         _end(_text(error), BAD_INPUT)
     except (FailureError, OSError) as error:
         _end(_text(error), FAILED)
-    except (KeyboardInterrupt, typer.Abort):
+    except KeyboardInterrupt:
         _end("interrupted", INTERRUPTED)
+    except ModuleNotFoundError as error:
+        if error.name not in _EXTRAS:
+            raise
+        extra = f"pip install 'heliarch[{_EXTRAS[error.name]}]'"
+        _end(f"{error.name} is not installed: {extra}", BAD_INPUT)
     except _UsageError as error:
         _end(" ".join(error.format_message().split()), BAD_INPUT)
     finally:

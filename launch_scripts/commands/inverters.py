@@ -10,7 +10,6 @@ from pathlib import Path
 
 import typer
 
-from bus_schemas.errors import InputError
 from launch_scripts.commands.options import changed_scenario
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 
@@ -41,14 +40,8 @@ def inverters(
     """
     from launch_scripts.launcher.run_folder import new_run_id
     from launch_scripts.scenarios.preparation import prepare
-
-    try:
-        from sunspec.limited_inverter import LimitedInverter
-        from sunspec.server import Sky, served
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"inverters: {error.name} is not installed: pip install 'heliarch[modbus]'"
-        ) from None
+    from sunspec.limited_inverter import LimitedInverter
+    from sunspec.server import Sky, served
 
     scenario_file = changed_scenario(scenario, data, settings)
     options = RunOptions(**vars(span), seed=seed)

@@ -116,8 +116,15 @@ def refuse_others(context: typer.Context, allowed: Collection[str], why: str) ->
 
 def is_run(path: Path) -> bool:
     """Whether a path names a run rather than a scenario. The run need not exist."""
+    from launch_scripts.scenarios.scenario import shipped_scenarios
+
     is_elsewhere = len(path.parts) > 1 and path.suffix != ".toml"
-    return is_elsewhere or path.suffix == ".mcap" or (path / "run.mcap").exists()
+    if is_elsewhere or path.suffix == ".mcap" or (path / "run.mcap").exists():
+        return True
+    if path.suffix != ".toml" and str(path) not in shipped_scenarios():
+        names = ", ".join(shipped_scenarios())
+        raise InputError(f"{path}: expected a run, a scenario *.toml, or one of {names}")
+    return False
 
 
 def changed_scenario(

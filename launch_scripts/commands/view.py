@@ -68,15 +68,9 @@ def _holds_several(path: Path) -> bool:
 
 
 def _foxglove_stream(path: Path, port: int) -> FoxgloveStream:
+    from live_page.foxglove_stream import FoxgloveStream
     from live_page.run_view import RunView
 
-    try:
-        from live_page.foxglove_stream import FoxgloveStream
-    except ModuleNotFoundError:
-        raise InputError(
-            "--foxglove: expected the package foxglove-sdk; `pip install 'heliarch[foxglove]'` "
-            "installs it"
-        ) from None
     return FoxgloveStream(RunView(path), port)
 
 
