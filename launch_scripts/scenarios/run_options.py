@@ -50,7 +50,7 @@ class ProcessOptions:
     --external AGENT: Do not start this agent; wait for your own device: c2/inv07, c2, central or
         plant. May be given several times.
     --device NODE=ADDRESS (devices): Use a real inverter, over Modbus TCP:
-        c2/inv07=modbus://10.0.0.7/1. May be given several times.
+        NODE=modbus://10.0.0.7/1. May be given several times.
     --external-timeout SECONDS (external_timeout_s): How long to wait for external agents and other
         hosts. Once all are there, they have 30 s to answer the arming rounds.
     --base-port PORT: Listen on this port and those after it, with the plant's name as namespace, so

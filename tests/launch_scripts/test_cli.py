@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from command_line import python
-from typer.testing import CliRunner
+from command_line import done, heliarch, python
 
 from agents.settings import Actuator, Scheme
-from launch_scripts.app import COMMANDS, app
+from launch_scripts.app import COMMANDS
 from launch_scripts.scenarios.scenario import shipped_scenarios
 from studies.arrays.schemes import SCHEMES
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
@@ -21,10 +20,10 @@ NAMES = [name for names in COMMANDS.values() for name in names]
 HEAVY = {"numba", "pandas", "plotly", "pvlib", "scipy", "zenoh"}
 
 
-def help_of(*words: str) -> str:
-    found = CliRunner().invoke(app, [*words, "--help"])
-    assert found.exit_code == 0
-    return found.stdout
+def help_of(command: str) -> str:
+    text = done(command, "-h")
+    assert text == done(command, "--help")
+    return text
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -64,9 +63,9 @@ def test_help_does_not_wait_for_what_a_run_needs(words: list[str]) -> None:
 
 
 def test_version_and_scenarios_are_told() -> None:
-    assert CliRunner().invoke(app, ["--version"]).stdout.startswith("heliarch ")
-    found = CliRunner().invoke(app, ["scenarios", "--json", "-"])
-    assert {entry["name"] for entry in json.loads(found.stdout)} == set(shipped_scenarios())
+    assert heliarch("--version").stdout.startswith("heliarch ")
+    found = json.loads(heliarch("scenarios", "--json", "-").stdout)
+    assert {entry["name"] for entry in found} == set(shipped_scenarios())
 
 
 @pytest.mark.parametrize(
