@@ -44,26 +44,19 @@ def test_a_recording_is_told_with_what_is_missing_in_it(run: Path) -> None:
     assert "Scenario Four inverters" in facts
     assert "Time 2010-04-01 12:00:00 to 2010-04-01 12:01:29, Pacific/Honolulu" in facts
     assert "Cycles 0 to 89 of 1 s, 90 complete, 1,000 planned" in facts
-    assert "host" not in facts.lower(), "a run in memory does not depend on it"
     (row,) = [line.split() for line in text.splitlines() if line.startswith("impp ")]
-    assert row[1:3] == ["7", "625"]
-    assert row[5:] == ["5", "0", "5"]
-    assert "5 messages not recorded: c1/a/impp 5" in facts
+    assert (row[1:3], row[5:]) == (["7", "625"], ["5", "0", "5"])
     (gap,) = [line for line in text.splitlines() if line.startswith("c1/a/impp ")]
     numbers = re.findall(r"[\d:]{2,}|\b\d\b", gap.removeprefix("c1/a/impp "))
     assert numbers == ["5", "20", "24", "12:00:20", "12:00:24"]
-    assert all(len(line) <= 80 for line in text.splitlines() if "run.mcap" not in line)
     assert "30 to 39 of 1 s, 10 complete" in done("inspect", run, "--from", "30s", "--to", "39s")
 
 
 def test_the_timeline_of_a_node_has_a_line_for_each_cycle_of_the_span(run: Path) -> None:
     text = done("inspect", run, "--nodes", "c1/a", "--from", "12:00:18", "--to", "26")
-    heading, units, *lines = text.splitlines()
-    assert heading.split()[:4] == ["cycle", "time", "power", "IMPP"]
-    assert units.split()[:4] == ["local", "kW", "kW", "kW"]
-    assert lines[1::2] == [" " * 16 + "from b 20.00"] * 9
-    assert [line.split()[0] for line in lines[::2]] == [str(cycle) for cycle in range(18, 27)]
-    impp = [line.split()[3] for line in lines[::2]]
+    lines = text.splitlines()[2::2]
+    assert [line.split()[0] for line in lines] == [str(cycle) for cycle in range(18, 27)]
+    impp = [line.split()[3] for line in lines]
     assert impp == ["40.00"] * 2 + ["-"] * 5 + ["40.00"] * 2
     text = done("inspect", run, "--nodes", "c1/a,c1,central", "--from", "5", "--to", "6")
     names = ["c1/a", "c1", "central"]
@@ -105,16 +98,15 @@ def test_a_damaged_attachment_is_named_or_refused(
 # export -------------------------------------------------------------------------------------------
 
 
-def test_each_form_has_its_place_beside_the_recording_and_replaces_nothing(run: Path) -> None:
-    for form, name in (
-        ("json-mcap", "run.json.mcap"),
-        ("parquet", "run-parquet"),
-        ("csv", "run-csv"),
-    ):
-        assert done("export", run, "--format", form).endswith(f"{form}: {run / name}\n")
-        assert (run / name).exists()
-        assert "exists already" in refusal("export", run, "--format", form)
-    refusal("export", run / "run.json.mcap", "--format", "csv")  # It is no recording.
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [("json-mcap", "run.json.mcap"), ("parquet", "run-parquet"), ("csv", "run-csv")],
+)
+def test_each_form_has_its_place_beside_the_recording_and_replaces_nothing(
+    form: str, name: str, run: Path
+) -> None:
+    assert done("export", run, "--format", form).endswith(f"{form}: {run / name}\n")
+    assert "exists already" in refusal("export", run, "--format", form)
 
 
 def test_a_part_of_the_run_may_be_exported_with_its_figures_as_json(run: Path) -> None:
@@ -127,8 +119,6 @@ def test_a_part_of_the_run_may_be_exported_with_its_figures_as_json(run: Path) -
     impp = pd.read_csv(folder / "impp.csv")
     assert set(impp["node"]) == {"c1/a", "central"}
     assert sorted(impp["cycle"]) == sorted([*range(30, 41)] * 2)
-    assert (figures["path"], figures["whole"]) == (str(folder), True)
-    assert (figures["first_cycle"], figures["last_cycle"]) == (30, 40)
     assert figures["size_bytes"] == sum(path.stat().st_size for path in folder.iterdir())
     assert {part["name"]: part["rows"] for part in figures["parts"]}["impp"] == len(impp)
 
