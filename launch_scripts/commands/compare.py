@@ -78,6 +78,7 @@ def compare(
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.arrays.schemes import SCHEMES
     from studies.compare.cases import cases, parse_days, parse_seeds, parse_setting
+    from studies.compare.results import cases_tables, json_rows
     from studies.compare.study import Comparison, run_case
     from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
@@ -103,7 +104,12 @@ def compare(
         result, *results = _one(found[0], comparison)
     else:
         results = shared(partial(run_case, comparison), found, workers, "cases", scheduler)
-        result = _cases_result(results, shown)
+        result = Result(
+            f"{len(results):,} cases",
+            cases_tables(shown, results),
+            json_rows(results),
+            lines=list(dict.fromkeys(line for one in results for line in one.remarks)),
+        )
     do_all(
         partial(_write_summary, results, csv),
         partial(publish, result, files, "compare.html"),
@@ -125,8 +131,6 @@ def _groups(text: str | None) -> ReferenceGroups:
     if text is None:
         return ReferenceGroups()
     names = tuple(name.strip() for name in text.split(","))
-    if not all(names):
-        raise InputError(f"--reference: expected sizes (1,4,8) or inverters, got {text!r}")
     if all(name.isdecimal() for name in names):
         return ReferenceGroups(sizes=tuple(int(name) for name in names))
     return ReferenceGroups(members=names)
@@ -171,17 +175,6 @@ def _two_runs(paths: tuple[Path, Path]) -> Result:
     runs = [str(path) for path in paths]
     document = {"runs": runs, "figures": figures, "differences": differences}
     return runs_result(f"{paths[0].name} and {paths[1].name}", series, tables, lines, document)
-
-
-def _cases_result(results: Sequence[CaseResult], shown: Sequence[str]) -> Result:
-    from studies.compare.results import cases_tables, json_rows
-
-    return Result(
-        f"{len(results):,} cases",
-        cases_tables(shown, results),
-        json_rows(results),
-        lines=list(dict.fromkeys(line for result in results for line in result.remarks)),
-    )
 
 
 def _write_summary(results: Sequence[CaseResult], csv: str | None) -> None:

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, OK
-from launch_scripts.commands.output import write_json
+from launch_scripts.commands.output import say, write_json
 from studies.tables import console_for
 
 _PACKAGES: Final = {
@@ -26,7 +26,6 @@ _PACKAGES: Final = {
 }
 _CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
-_STYLES: Final = {"ok": "green", "slow": "yellow", "wrong": "bold red"}
 
 
 class Finding(NamedTuple):
@@ -52,21 +51,14 @@ def doctor(
     --out DIR: Folder in which runs will be recorded.
     Example: heliarch doctor
     """
-    from rich.table import Table
-    from rich.text import Text
-
     if not out.is_dir():
         raise InputError(f"--out: expected an existing folder, got {out}")
     found = [*_machine(), *_scheduling(), _loopback(), _zenoh(), *_limits(out), *_versions()]
     write_json([finding._asdict() for finding in found], json)
-    rows = Table.grid(padding=(0, 1))
-    for finding in found:
-        style = _STYLES[finding.verdict]
-        rows.add_row(finding.about, Text(finding.verdict, style), Text(finding.found))
-        if finding.advice:
-            rows.add_row("", "", Text(finding.advice, "dim"))
-    console = console_for(json)
-    console.print(rows, width=min(console.width, 100))
+    for about, what, verdict, advice in found:
+        say(console_for(json), f"{about:14} {verdict:6} {what}")
+        if advice:
+            say(console_for(json), f"{'':21} {advice}")
     return FAILED if any(finding.verdict == "wrong" for finding in found) else OK
 
 

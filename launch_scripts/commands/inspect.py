@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -17,11 +17,11 @@ from studies.tables import (
     Column,
     Table,
     attributes,
+    cell_text,
     console_for,
     key_column,
     print_table,
     texts_table,
-    word_column,
 )
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from recordings.inspect.overview import Overview
     from recordings.inspect.timeline import NodeCycle
     from recordings.read.reader import RunReader
-    from recordings.read.run_clock import RunClock
 
 _SHOWN_GAPS: Final = 10
 
@@ -130,14 +129,14 @@ def _show_plant(run: RunReader, cycle: int, console: Console) -> Sequence[NodeCy
 
 def _plant_text(central: NodeCycle) -> str:
     """Return desired, possible and produced power of the plant as a line."""
-
-    def text(value_kw: float | None) -> str:
-        return "not recorded" if value_kw is None else f"{value_kw:.2f} kW"
-
-    return (
-        f"dispatch {text(central.dispatch_kw)} (commitment {text(central.commitment_kw)}), "
-        f"possible {text(central.possible_kw)}, produced {text(central.delivered_kw)}"
+    values_kw = (
+        ("dispatch", central.dispatch_kw),
+        ("of it commitment", central.commitment_kw),
+        ("possible", central.possible_kw),
+        ("produced", central.delivered_kw),
     )
+    power = Column("power", decimals=2)
+    return ", ".join(f"{name} {cell_text(value_kw, power)} kW" for name, value_kw in values_kw)
 
 
 def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> None:
@@ -149,20 +148,11 @@ def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> Non
 
 
 def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Overview:
-    from recordings.inspect.overview import read_overview
+    from recordings.inspect.health import health_lines
+    from recordings.inspect.overview import facts, read_overview
 
     with progress_bar("reading") as run.follow:
-        overview = read_overview(run, cycles)
-    for table in _overview_tables(overview, run.clock):
-        print_table(console, table)
-    return overview
-
-
-def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
-    from recordings.inspect.health import health_lines
-    from recordings.inspect.overview import facts
-
-    yield texts_table(f"{overview.run_id}, heliarch {overview.driver}", facts(overview))
+        found = read_overview(run, cycles)
     columns = (
         key_column("signal"),
         Column("nodes"),
@@ -173,17 +163,18 @@ def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
         Column("repeated"),
         Column("cycles without", name="missing_cycles"),
     )
-    yield Table("Signals", columns, attributes(overview.signals, columns))
-    yield texts_table("Health of the run", health_lines(overview.health, clock))
-    shown = overview.gaps[:_SHOWN_GAPS]
-    rest = len(overview.gaps) - len(shown) + overview.more_gaps
-    if shown:
-        yield Table(
-            "Cycles without a message that was due",
-            (key_column("key"), Column("cycles"), word_column("when")),
-            tuple(
-                (gap.port, gap.cycles, clock.span_text(gap.first_cycle, gap.last_cycle))
-                for gap in shown
-            ),
-            (f"and {rest:,} more gaps (--json has the first 100)",) if rest else (),
-        )
+    gaps = (
+        (gap.port, f"{gap.cycles:,}: {run.clock.span_text(gap.first_cycle, gap.last_cycle)}")
+        for gap in found.gaps[:_SHOWN_GAPS]
+    )
+    tables = [
+        texts_table(f"{found.run_id}, heliarch {found.driver}", facts(found)),
+        Table("Signals", columns, attributes(found.signals, columns)),
+        texts_table("Health of the run", health_lines(found.health, run.clock)),
+    ]
+    if found.gaps:
+        title = f"Cycles without a message that was due: the first {_SHOWN_GAPS} gaps"
+        tables.append(texts_table(title, gaps))
+    for table in tables:
+        print_table(console, table)
+    return found
