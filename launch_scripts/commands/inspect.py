@@ -130,13 +130,13 @@ def _show_plant(run: RunReader, cycle: int, console: Console) -> Sequence[NodeCy
 def _plant_text(central: NodeCycle) -> str:
     """Return desired, possible and produced power of the plant as a line."""
     values_kw = (
-        ("dispatch", central.dispatch_kw),
-        ("of it commitment", central.commitment_kw),
-        ("possible", central.possible_kw),
-        ("produced", central.delivered_kw),
+        central.dispatch_kw,
+        central.commitment_kw,
+        central.possible_kw,
+        central.delivered_kw,
     )
-    power = Column("power", decimals=2)
-    return ", ".join(f"{name} {cell_text(value_kw, power)} kW" for name, value_kw in values_kw)
+    texts = (cell_text(value_kw, Column("power", decimals=2)) for value_kw in values_kw)
+    return "dispatch {} kW (commitment {} kW), possible {} kW, produced {} kW".format(*texts)
 
 
 def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> None:
