@@ -22,6 +22,7 @@ from studies.tables import (
     key_column,
     print_table,
     texts_table,
+    word_column,
 )
 
 if TYPE_CHECKING:
@@ -163,8 +164,8 @@ def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Ov
         Column("repeated"),
         Column("cycles without", name="missing_cycles"),
     )
-    gaps = (
-        (gap.port, f"{gap.cycles:,}: {run.clock.span_text(gap.first_cycle, gap.last_cycle)}")
+    gaps = tuple(
+        (gap.port, f"{gap.cycles:,} {run.clock.span_text(gap.first_cycle, gap.last_cycle)}")
         for gap in found.gaps[:_SHOWN_GAPS]
     )
     tables = [
@@ -174,7 +175,7 @@ def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Ov
     ]
     if found.gaps:
         title = f"Cycles without a message that was due: the first {_SHOWN_GAPS} gaps"
-        tables.append(texts_table(title, gaps))
+        tables.append(Table(title, (key_column("key"), word_column("cycles")), gaps))
     for table in tables:
         print_table(console, table)
     return found
