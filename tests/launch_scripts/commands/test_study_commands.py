@@ -1,4 +1,4 @@
-"""`heliarch clusters`: its table, its JSON, its page, and what it refuses."""
+"""`heliarch clusters` and `heliarch delays`: tables, JSON and page agree."""
 
 from __future__ import annotations
 
@@ -57,3 +57,21 @@ def test_under_the_measured_sky_of_melpitz_virtual_neighbours_spare_the_central_
     found = [[way[name] for name in names] for way in document["ways"][:2]]
     # As docs/clusters.md has it: virtual, then geographic.
     assert found == [pytest.approx([58.2, 8.5], abs=0.05), pytest.approx([71.7, 38.0], abs=0.05)]
+
+
+def test_tables_json_and_page_have_every_run_with_delays(plant: str, tmp_path: Path) -> None:
+    document, page = tmp_path / "delays.json", tmp_path / "delays.html"
+    words = ("--duration", "124", "--workers", "2", "--json", document, "--report", page)
+    text = done("delays", plant, *words)
+    found = json.loads(document.read_bytes())
+    outcomes = found["outcomes"]
+    # 4 s count: of the central periods they hold two of 1 and two of 2 s.
+    assert len(outcomes) == 2 * (9 + 7 + 2)
+    assert {one["scheme"] for one in outcomes} == {"paper", "predictive"}
+    assert found["cycles"] == 124
+    html = page.read_text(encoding="utf-8")
+    for one in outcomes:
+        mileage = f"{one['figures']['mileage']:,.0f}"
+        assert mileage in text
+        assert mileage in html
+    assert 'id="study-plot"' in html
