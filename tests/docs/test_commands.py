@@ -130,6 +130,8 @@ def complaint_about(line: str, in_prose: bool) -> str:
     words = words_of(line)
     if "--install-completion" in words:
         return "parsing it would install it"
+    if list(words) == ["--version"]:
+        return ""
     group = typer.main.get_command(app)
     assert isinstance(group, typer.core.TyperGroup)
     try:
@@ -138,7 +140,7 @@ def complaint_about(line: str, in_prose: bool) -> str:
         assert name is not None
         assert command is not None
         command.make_context(name, rest, parent=context)
-    except (InputError, typer.Exit):  # a folder that the document makes; --help and --version
+    except (InputError, typer.Exit):  # a folder that the document makes; --help
         return ""
     except typer.BadParameter as error:
         return "" if in_prose else str(error)  # in prose an argument may be left out
