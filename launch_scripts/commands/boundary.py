@@ -11,7 +11,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any, ClassVar, Final, NoReturn, TypeAlias
+from typing import Any, ClassVar, Final, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -30,9 +30,6 @@ INTERRUPTED: Final = 130
 
 _LOOK_S: Final = 0.1
 """How often to look whether an exception that ends the program got lost."""
-
-_Report: TypeAlias = Callable[["sys.UnraisableHookArgs"], object]
-"""What Python calls with an exception that it has dropped."""
 
 _BAD_PATH: Final = (
     FileExistsError,
@@ -163,7 +160,9 @@ def _leave(number: int, frame: FrameType | None) -> None:
     raise _Leave(number)
 
 
-def _unless_ending(report: _Report) -> _Report:
+def _unless_ending(
+    report: Callable[[sys.UnraisableHookArgs], object],
+) -> Callable[[sys.UnraisableHookArgs], None]:
     """Return the hook that reports what Python has dropped, except what ends the program.
 
     A dropped Ctrl-C is sent once more. Only this hook shows that it was lost: `_Interrupt`, unlike
