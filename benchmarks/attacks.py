@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -115,21 +115,21 @@ class Attack(NamedTuple):
         ]
 
 
-def dispatch(kw: float, cycle: int) -> dict[str, object]:
-    other = dict.fromkeys(("commitment_kw", "regulation_kw"), 0.0)
-    return {"power_kw": kw, "plant_rating_kw": kw, **other}
-
-
-def production(kw: float, cycle: int) -> dict[str, object]:
-    powers = dict.fromkeys(("desired_kw", "possible_kw", "delivered_kw"), 9e6)
-    return powers | dict.fromkeys(("inverter_mpp_kw", "inverter_power_kw"), (9e6 / 17,) * 17)
-
+NO_OTHER: Final[dict[str, object]] = {"commitment_kw": 0.0, "regulation_kw": 0.0}
+MUCH: Final[dict[str, object]] = {
+    **dict.fromkeys(("desired_kw", "possible_kw", "delivered_kw"), 9e6),
+    **dict.fromkeys(("inverter_mpp_kw", "inverter_power_kw"), (9e6 / 17,) * 17),
+}
 
 # What lasts comes last: whom a successor has replaced is not heard any more.
 ATTACKS: Final = (
     Attack("`command`, alpha 1", COMMAND, lambda kw, _: {"alpha": 1.0, "power_kw": kw}),
     Attack("`command`, alpha 1e-9", COMMAND, lambda kw, _: {"alpha": 1e-9, "power_kw": 1e-9}),
-    Attack("`dispatch` of 8 MW", DISPATCH, dispatch),
+    Attack(
+        "`dispatch` of 8 MW",
+        DISPATCH,
+        lambda kw, _: {"power_kw": kw, "plant_rating_kw": kw, **NO_OTHER},
+    ),
     Attack(
         "`setpoint`, ratings",
         SETPOINT,
@@ -141,7 +141,7 @@ ATTACKS: Final = (
         lambda *_: dict.fromkeys(("power_kw", "alpha", "limit_kw"), 0.0),
     ),
     Attack("`impp` of 0", IMPP, lambda *_: {"power_kw": 0.0, "stale_cycles": 0}),
-    Attack("`production` of 9 GW", PRODUCTION, production),
+    Attack("`production` of 9 GW", PRODUCTION, lambda *_: MUCH),
     Attack("flood of 60 kB", RESIDUAL, payload=bytes(60_000)),
     Attack("payloads of 50 MB", METER, payload=bytes(50_000_000)),
     Attack(
@@ -190,20 +190,19 @@ def sessions_of(attacker: Attacker, plan: RunPlan, keys: Path) -> Iterator[Sessi
             config.insert_json5("connect/timeout_ms", "500")
             configs.append((name, config))
     found: dict[str, list[zenoh.Session]] = {}
-    with ExitStack() as stack:
-        with ThreadPoolExecutor(64) as pool:  # Who is not admitted waits for the time-out.
-            opened = list(pool.map(lambda each: session_of(each[1]), configs))
-        for (name, _), session in zip(configs, opened, strict=True):
-            if session is not None:
-                found.setdefault(name, []).append(stack.enter_context(session))
+
+    def link(name: str, config: zenoh.Config) -> None:
+        with suppress(zenoh.ZError):  # A client has no session where it has no link.
+            found.setdefault(name, []).append(zenoh.open(config))
+
+    with ThreadPoolExecutor(64) as pool:  # Who is not admitted waits for the time-out.
+        for name, config in configs:
+            pool.submit(link, name, config)
+    try:
         yield lambda agent: found.get("" if "" in found else agent, ())
-
-
-def session_of(config: zenoh.Config) -> zenoh.Session | None:
-    """Open a session; a client has none where it has no link."""
-    with suppress(zenoh.ZError):
-        return zenoh.open(config)
-    return None
+    finally:
+        for session in chain.from_iterable(found.values()):
+            session.close()
 
 
 def perform(plan: RunPlan, sessions: Sessions, start_ns: int, alive: Callable[[], bool]) -> None:
@@ -229,11 +228,11 @@ def attacked(attacker: Attacker, options: argparse.Namespace, folder: Path) -> l
     words = [*options.launch, "--pace", str(options.rate), *attacker.words, "--out", str(out)]
     with ExitStack() as stack:
         # The plan is written as soon as the run has ports; a device waits for it by itself.
-        process = stack.enter_context(started([str(options.program), *words], options.keys))
+        process = started([str(options.program), *words], options.keys, stack)
         if attacker.words == EXTERNAL:
             example = Path(__file__).parents[1] / "examples" / "direct_controller.py"
             device = [sys.executable, str(example), "--plan", str(out / "plan.json")]
-            stack.enter_context(started([*device, "--node", DEVICE], options.keys))
+            started([*device, "--node", DEVICE], options.keys, stack)
         start_ns = start_of(out, process)
         plan = load_plan(out / "plan.json")
         with sessions_of(attacker, plan, options.keys) as sessions:
@@ -245,19 +244,13 @@ def attacked(attacker: Attacker, options: argparse.Namespace, folder: Path) -> l
     return column(plan, out, status, told, options.undisturbed_kw)
 
 
-@contextmanager
-def started(command: list[str], folder: Path) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen(
-        command,
-        cwd=folder,
-        stdout=subprocess.DEVNULL,
-        preexec_fn=die_with_parent,  # noqa: PLW1509
-    )
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.wait()
+def started(command: list[str], folder: Path, stack: ExitStack) -> subprocess.Popen[bytes]:
+    """Start a program that ends with the stack."""
+    nowhere = subprocess.DEVNULL
+    process = subprocess.Popen(command, cwd=folder, stdout=nowhere, preexec_fn=die_with_parent)  # noqa: PLW1509
+    stack.callback(process.wait)
+    stack.callback(process.terminate)
+    return process
 
 
 def start_of(out: Path, process: subprocess.Popen[bytes]) -> int:
@@ -305,14 +298,9 @@ def main() -> None:
         length = str(FIRST + 2 * ATTACK * len(ATTACKS))
         same = ["--from", START, "--scheme", "paper", "--duration", length]
         options.launch = ["launch", "oahu", *same]
-        undisturbed = heliarch.simulate(
-            "oahu",
-            start=START,
-            duration=length,
-            scheme="paper",
-            out=options.keys / "undisturbed",
-        )
-        options.undisturbed_kw = read_plant_series(undisturbed.folder / RECORDING_NAME).delivered_kw
+        out = options.keys / "undisturbed"
+        heliarch.simulate("oahu", start=START, duration=length, scheme="paper", out=out)
+        options.undisturbed_kw = read_plant_series(out / RECORDING_NAME).delivered_kw
         columns = []
         for attacker in chosen:
             sys.stderr.write(f"{attacker.name}\n")

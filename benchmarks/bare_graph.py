@@ -42,7 +42,7 @@ from mcap.writer import CompressionType, Writer
 
 RECORDER: Final = "recorder"
 WARM_UP: Final = 50
-ARM_LIMIT_S: Final = 30.0
+ARM_LIMIT_S: Final = 60.0
 STALL_S: Final = 10.0
 RUN_LIMIT_S: Final = 300.0
 NAP_S: Final = 0.002
@@ -86,21 +86,16 @@ class Process(msgspec.Struct, frozen=True):
         return [put.key for stage in self.stages for put in stage.puts]
 
 
-class Graph(msgspec.Struct, frozen=True):
-    """All processes, the recorder excepted. The first one begins each cycle."""
-
-    processes: list[Process]
-
-    def says(self) -> list[str]:
-        return [key for process in self.processes for key in process.says()]
+Graph = list[Process]
+"""All processes, the recorder excepted. The first one begins each cycle."""
 
 
 class Network:
     """Who links with whom, and through which ports."""
 
     def __init__(self, graph: Graph) -> None:
-        pairs = [(RECORDER, process.name) for process in graph.processes]
-        for one, other in itertools.combinations(graph.processes, 2):
+        pairs = [(RECORDER, process.name) for process in graph]
+        for one, other in itertools.combinations(graph, 2):
             if {*one.says()} & {*other.hears} or {*other.says()} & {*one.hears}:
                 pairs.append((one.name, other.name))
         self._pairs = pairs
@@ -125,14 +120,15 @@ class Network:
         token = session.liveliness().declare_token(f"alive/{name}")
         partners = {each for pair in self._pairs if name in pair for each in pair} - {name}
         wanted = {f"alive/{partner}" for partner in partners}
-        give_up = time.monotonic() + ARM_LIMIT_S
         while wanted:
             for reply in session.liveliness().get("alive/**"):
                 wanted.discard(str(reply.ok.key_expr) if reply.ok else "")
-            if time.monotonic() > give_up:
-                raise TimeoutError(f"{name} does not see {sorted(wanted)}")
             time.sleep(0.05)
         return token
+
+
+def says(graph: Graph) -> list[str]:
+    return [key for process in graph for key in process.says()]
 
 
 Work = Callable[[], object]
@@ -175,11 +171,7 @@ class Player:
         """Begin, if this is the process that begins each cycle; return when all began and ended."""
         with self._lock:
             self._go_on()
-        began = self._cycle
-        while not self._is_over.wait(STALL_S):
-            if self._cycle == began:
-                raise TimeoutError(f"nothing came in cycle {began}")
-            began = self._cycle
+        self._is_over.wait()
         return self._began, self._ended
 
     def _hear(self, key: str) -> None:
@@ -217,7 +209,7 @@ class Player:
 def recorder(graph: Graph, cycles: int, session: zenoh.Session) -> Work:
     """Return what the recorder does: write and count payloads until nothing more comes."""
     subscriber = session.declare_subscriber("**", zenoh.handlers.FifoChannel(65536))
-    keys = graph.says()
+    keys = says(graph)
 
     def record() -> int:
         written = 0
@@ -268,10 +260,8 @@ def run(graph: Graph, cycles: int) -> dict[str, object]:
     os.environ["ZENOH_RUNTIME"] = RUNTIME
     network = Network(graph)
     roles: dict[str, Callable[[zenoh.Session], Work]]
-    roles = {each.name: partial(Player, each, cycles) for each in graph.processes}
+    roles = {each.name: partial(Player, each, cycles) for each in graph}
     roles[RECORDER] = partial(recorder, graph, cycles)
-    if len(list(Path("/proc/self/task").iterdir())) > 1:
-        raise RuntimeError("a process with several threads must not fork")
     gc.collect()
     gc.freeze()
     fork = multiprocessing.get_context("fork")
@@ -283,7 +273,7 @@ def run(graph: Graph, cycles: int) -> dict[str, object]:
             process.start()
             children.append((child, process))
         for each in children:
-            hear(*each, 2 * ARM_LIMIT_S)
+            hear(*each, ARM_LIMIT_S)
         for child, _ in reversed(children):
             child.send("go")
         (began, ended), *_, written = [hear(*each, RUN_LIMIT_S) for each in children]
@@ -292,7 +282,7 @@ def run(graph: Graph, cycles: int) -> dict[str, object]:
         for _, started in children:
             started.kill()
             started.join()
-    messages = len(graph.says()) * (WARM_UP + cycles)
+    messages = len(says(graph)) * (WARM_UP + cycles)
     counts = {"cycles": cycles, "messages": messages, "lost": messages - written}
     return {"began": began, "ended": ended, **counts, "own_mb": median(own)}
 

@@ -12,22 +12,27 @@ machine's load.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
-import sys
 import tempfile
 import threading
 import urllib.request
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Final, NamedTuple
 
 import msgspec
-from harness import OURS, Launch, die_with_parent, launch, run
-from rounds import measured, print_rounds
+from harness import OURS, Figures, Launch, die_with_parent, launch, run
+from rounds import measure, options
+
+SHOWN: Final = (
+    *("cycles_per_s", "processor_ms", "startup_s", "loop_p50_ms", "loop_p99_ms"),
+    *("missed_inputs", "page_ms", "page_real_ms"),
+)
 
 
 class Way(NamedTuple):
@@ -47,69 +52,59 @@ class Cost(Launch, frozen=True, kw_only=True):
     page_real_ms: float
 
 
-COLUMNS: Final = {
-    "cycles_per_s": ("cycles/s", "", 1),
-    "processor_ms": ("processor time", "ms a cycle", 1),
-    "startup_s": ("start-up", "s", 1),
-    "loop_p50_ms": ("loop p50", "ms", 1),
-    "loop_p99_ms": ("loop p99", "ms", 1),
-    "missed_inputs": ("missed inputs", "", 0),
-    "page_ms": ("page, lockstep", "ms/s", 1),
-    "page_real_ms": ("page, real time", "ms/s", 1),
-    "page_mb": ("page", "MB", 1),
-}
+def browsers(count: int) -> Callable[[str], None]:
+    """Return what opens the page of a run in some browsers, as soon as its address is printed."""
+    opened: list[str] = []
+
+    def look(output: str) -> None:
+        if count and not opened and (page := re.search(r"page: (\S+)", output)):
+            opened.append(page[1])
+            # This process runs one thread, so it may fork.
+            get_context("fork").Process(target=read, args=(page[1], count), daemon=True).start()
+
+    return look
 
 
-class Browsers:
-    """Browsers that open the page of a run as soon as its address is printed."""
-
-    def __init__(self, count: int) -> None:
-        self._count = count
-        self._process: subprocess.Popen[bytes] | None = None
-
-    def look(self, output: str) -> None:
-        if self._count and self._process is None and (page := re.search(r"page: (\S+)", output)):
-            words = ["--read", f"{page[1]}stream", str(self._count)]
-            self._process = subprocess.Popen([sys.executable, __file__, "page", *words])
-
-
-def read(address: str, browsers: int) -> None:
+def read(page: str, count: int) -> None:
     """Take all updates until the run is over, as so many browsers do."""
     die_with_parent()
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
     def follow() -> None:
         # A short run may be over, and its page gone, before a browser is there.
-        with suppress(ConnectionError), urllib.request.urlopen(address) as updates:
+        with suppress(ConnectionError), urllib.request.urlopen(f"{page}stream") as updates:
             for update in updates:
                 if b'"state":"over"' in update:
                     return
 
-    for _ in range(browsers):
+    for _ in range(count):
         threading.Thread(target=follow).start()
 
 
-def measure(way: Way, scenario: str, cycles: int, rate: int, seconds: int) -> Cost:
+def cost(way: Way, scenario: str, cycles: int, rate: int, seconds: int) -> Cost:
     """Launch the plant in lockstep and in real time."""
-    fast = launch(way.program, scenario, cycles, *way.words, look=Browsers(way.browsers).look)
+    fast = launch(way.program, scenario, cycles, *way.words, look=browsers(way.browsers))
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-        out, figures = Path(folder) / "run", Path(folder) / "timing.json"
-        browsers = Browsers(way.browsers)
-        cycles, pace = seconds * rate, str(rate)
+        out, timing = Path(folder) / "run", Path(folder) / "timing.json"
         real = launch(
-            way.program, scenario, cycles, *way.words, pace=pace, keep=out, look=browsers.look
+            way.program,
+            scenario,
+            seconds * rate,
+            *way.words,
+            pace=str(rate),
+            keep=out,
+            look=browsers(way.browsers),
         )
         # Its exit status says whether budgets are met, which does not matter here.
-        judge = [str(way.program), "timing", str(out), "--json", str(figures)]
+        judge = [str(way.program), "timing", str(out), "--json", str(timing)]
         subprocess.run(judge, stdout=subprocess.DEVNULL, check=False)
         (loop,) = (
             each["times"]
-            for each in msgspec.json.decode(figures.read_bytes())["times"]
+            for each in msgspec.json.decode(timing.read_bytes())["times"]
             if (each["measure"], each["of"]) == ("loop", "all commands")
         )
-    of_real = {"missed_inputs": real.missed_inputs, "page_mb": max(fast.page_mb, real.page_mb)}
     return Cost(
-        **msgspec.structs.asdict(fast) | of_real,
+        **msgspec.structs.asdict(fast) | {"missed_inputs": real.missed_inputs},
         loop_p50_ms=loop["p50_us"] / 1e3,
         loop_p99_ms=loop["p99_us"] / 1e3,
         page_real_ms=real.page_ms,
@@ -117,33 +112,27 @@ def measure(way: Way, scenario: str, cycles: int, rate: int, seconds: int) -> Co
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__, rounds=5, cycles=600)
     parser.add_argument("what", choices=("page", "keys"))
     parser.add_argument("--scenario", default="oahu")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--cycles", type=int, default=600, help="of a launch in lockstep")
     parser.add_argument("--rate", type=int, default=5, help="cycles per second in real time")
     parser.add_argument("--seconds", type=int, default=20, help="of a launch in real time")
     parser.add_argument("--before", type=Path, help="program of another checkout")
-    parser.add_argument("--read", nargs=2, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.read:
-        read(options.read[0], int(options.read[1]))
-        return
+    words = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="bench-keys-") as keys:
-        ways = [Way("before", options.before)] if options.before else []
-        if options.what == "page":
+        ways = [Way("before", words.before)] if words.before else []
+        if words.what == "page":
             ways += [Way("no page", OURS), Way("page, no browser", OURS, ("--page",))]
             ways += [Way(f"page, browsers: {count}", OURS, ("--page",), count) for count in (1, 5)]
         else:
-            run([str(OURS), "keys", options.scenario, "--out", keys])
+            run([str(OURS), "keys", words.scenario, "--out", keys])
             ways += [Way("without keys", OURS)]
             ways += [Way("with keys", OURS, ("--secure", "--keys", keys))]
-        settings = (options.scenario, options.cycles, options.rate, options.seconds)
-        costs = measured(
-            options.rounds, {way.name: partial(measure, way, *settings) for way in ways}
-        )
-    print_rounds(f"{options.scenario}: {options.rounds} rounds", costs, COLUMNS)
+        settings = (words.scenario, words.cycles, words.rate, words.seconds)
+        costs: dict[str, Callable[[], Figures]] = {
+            way.name: partial(cost, way, *settings) for way in ways
+        }
+        measure(words.scenario, words.rounds, costs, SHOWN)
 
 
 if __name__ == "__main__":

@@ -4,17 +4,14 @@ Each round launches the plant with `heliarch launch --pace max` and runs the bar
 messages, recorded (see `bare_graph.py`). Another checkout with a `.venv` of its own can be launched
 in the same rounds, for before and after:
 
-    python benchmarks/cycle_rate.py --rounds 5 --other ../before --json bench.json
+    python benchmarks/cycle_rate.py --rounds 5 --other ../before
 
 Processor time is seen from outside: user and system time of the program and all its descendants
-while cycles run. The exit status is 0 unless a run failed or messages got lost. How fast it was
-does not matter.
+while cycles run. The exit status is 0 unless a run failed or messages got lost.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Callable
@@ -24,8 +21,8 @@ from typing import Final
 
 import bare_graph
 import msgspec
-from harness import OURS, Failure, Figures, launch, run_script
-from rounds import measured, print_rounds, write_figures
+from harness import OURS, Figures, launch, run_script
+from rounds import measure, options
 
 from agents.cycle import stage_of
 from agents.team import controllers
@@ -34,18 +31,11 @@ from sim_plant.plant import Plant
 from sim_plant.profile import load_profile
 
 SAMPLE_CYCLES: Final = 60
-COLUMNS: Final = {
-    "cycles_per_s": ("cycles/s", "recorded", 0),
-    "processor_ms": ("processor time", "ms a cycle", 1),
-    "switches_per_message": ("switches", "per message", 1),
-    "startup_s": ("start-up", "s", 2),
-    "own_mb": ("direct controller", "MB, its own", 1),
-    "resident_mb": ("direct controller", "MB, resident", 1),
-}
+SHOWN: Final = ("cycles_per_s", "processor_ms", "switches_per_message", "startup_s", "own_mb")
 
 
 def describe(scenario: str, folder: Path) -> Path:
-    """Record some cycles; write one of them as the bare graph reads it (see `bare_graph.Graph`)."""
+    """Record some cycles; write one of them as the bare graph reads it."""
     launch(OURS, scenario, SAMPLE_CYCLES, keep=folder / "run")
     middle = range(SAMPLE_CYCLES // 2, SAMPLE_CYCLES // 2 + 1)
     puts: dict[tuple[str, str], list[bare_graph.Put]] = defaultdict(list)
@@ -71,7 +61,7 @@ def describe(scenario: str, folder: Path) -> Path:
         for agent in agents
     ]
     path = folder / "graph.json"
-    path.write_bytes(msgspec.json.encode(bare_graph.Graph(processes)))
+    path.write_bytes(msgspec.json.encode(processes))
     return path
 
 
@@ -86,36 +76,22 @@ def bare(graph: Path, cycles: int) -> Bare:
     return Bare(**msgspec.structs.asdict(figures), own_mb=said["own_mb"])
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main() -> None:
+    parser = options(__doc__, rounds=3, cycles=800)
     parser.add_argument("--scenario", default="oahu")
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--cycles", type=int, default=800)
     parser.add_argument("--other", type=Path, metavar="DIR", help="another checkout to set beside")
-    parser.add_argument("--json", type=Path, metavar="PATH", help="write all figures as JSON")
-    options = parser.parse_args()
-    scenario, cycles = options.scenario, options.cycles
-    try:
-        with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-            ways: dict[str, Callable[[], Figures]] = {
-                "launch": partial(launch, OURS, scenario, cycles),
-                "bare graph": partial(bare, describe(scenario, Path(folder)), cycles),
-            }
-            if options.other:
-                other = options.other / ".venv/bin/heliarch"
-                ways["the other checkout"] = partial(launch, other, scenario, cycles)
-            found = measured(options.rounds, ways)
-    except Failure as failure:
-        sys.stderr.write(f"cycle rate: {failure}\n")
-        return 1
-    title = f"{scenario}: {options.rounds} rounds of {cycles:,} cycles"
-    print_rounds(title, found, COLUMNS)
-    write_figures(found, options.json)
-    lost = sum(each.lost for runs in found.values() for each in runs)
-    if lost:
-        sys.stderr.write(f"cycle rate: {lost:,} messages lost\n")
-    return 1 if lost else 0
+    words = parser.parse_args()
+    scenario, cycles = words.scenario, words.cycles
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        ways: dict[str, Callable[[], Figures]] = {
+            "launch": partial(launch, OURS, scenario, cycles),
+            "bare graph": partial(bare, describe(scenario, Path(folder)), cycles),
+        }
+        if words.other:
+            other = words.other / ".venv/bin/heliarch"
+            ways["the other checkout"] = partial(launch, other, scenario, cycles)
+        measure(f"{scenario}: {cycles:,} cycles", words.rounds, ways, SHOWN)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

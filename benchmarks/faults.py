@@ -28,7 +28,6 @@ from typing import Final, NamedTuple
 
 import harness
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
 import heliarch
@@ -36,7 +35,7 @@ from bus_schemas.messages import Run
 from bus_schemas.missing import parse_missing
 from recordings import open_run
 from recordings.read.run_file import RECORDING_NAME
-from recordings.read.series import read_plant_series
+from recordings.read.series import RunSeries, read_plant_series
 from studies.tables import Cell, Column, Table, key_column, print_table
 
 AT_S: Final = 30.7
@@ -60,17 +59,14 @@ STARTS: Final = ("12:00", "12:10", "12:20", "12:30", "12:40", "12:50")
 class Recorded(NamedTuple):
     """What the figures rest on.
 
-    power_kw, desired_kw: Of the plant, shape (cycles,).
-    sent: Key and cycle of each message that comes in every cycle.
+    plant: Its powers, shape (cycles,).
+    sent: Key and cycle of each message that comes in every cycle; `lost`: how many were lost.
     lacking: Inputs that messages go without: time [s], cycle, publisher, who lacks it.
-    rating_kw, lost: Of the plant; messages that were lost on their way.
     """
 
-    power_kw: NDArray[np.float64]
-    desired_kw: NDArray[np.float64]
+    plant: RunSeries
     sent: set[tuple[str, int]]
     lacking: list[tuple[float, int, str, str]]
-    rating_kw: float
     lost: int
 
 
@@ -98,8 +94,7 @@ def main() -> None:
                     start=start,
                     duration=LENGTH,
                     faults=(fault,) if fault else (),
-                    # A list is several values to choose from: this one value is a list itself.
-                    settings={"standby": [json.loads(standby)]} if fault else {},
+                    settings={"standby": json.loads(standby)} if fault else {},
                     out=place,
                 )
             return recorded(place)
@@ -120,7 +115,7 @@ def main() -> None:
         *(("under", "kW", 0), ("under", "kWh", 2), ("missing", "", 0)),
     )
     columns = (*keys, *(Column(*measure) for measure in measures))
-    print_table(Console(width=100), Table(title, columns, tuple(rows)))
+    print_table(Console(width=100), Table(title, columns, rows))
 
 
 def recorded(folder: Path) -> Recorded:
@@ -140,17 +135,9 @@ def recorded(folder: Path) -> Recorded:
             for entry in message.missing:
                 publisher = publisher_of[parse_missing(entry).key]
                 lacking.append((time_s, message.cycle, publisher, port.publisher))
-        rating_kw = run.plan.tree.rating_kw("")
-    series = read_plant_series(folder / RECORDING_NAME)
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    return Recorded(
-        series.delivered_kw,
-        series.desired_kw,
-        sent,
-        lacking,
-        rating_kw,
-        summary["faults"].get("lost", 0),
-    )
+    plant = read_plant_series(folder / RECORDING_NAME)
+    return Recorded(plant, sent, lacking, summary["faults"].get("lost", 0))
 
 
 def figures(victim: str, found: Recorded, healthy: Recorded) -> Iterator[float]:
@@ -162,12 +149,13 @@ def figures(victim: str, found: Recorded, healthy: Recorded) -> Iterator[float]:
     ]
     noticed_s = min((time_s for time_s, _ in after), default=None)
     yield -1.0 if noticed_s is None else noticed_s - AT_S
-    apart_kw = np.abs(found.power_kw - healthy.power_kw)
-    apart = np.flatnonzero(apart_kw > NEAR_SHARE * found.rating_kw)
+    power_kw, healthy_kw = found.plant.delivered_kw, healthy.plant.delivered_kw
+    apart_kw = np.abs(power_kw - healthy_kw)
+    apart = np.flatnonzero(apart_kw > NEAR_SHARE * found.plant.rating_kw.sum())
     last = max([*apart.tolist(), *(cycle for _, cycle in after)], default=None)
     yield -1.0 if last is None else last + 1 - AT_S
-    over_kw = found.power_kw - np.maximum(found.desired_kw, healthy.power_kw)
-    under_kw = np.minimum(found.desired_kw, healthy.power_kw) - found.power_kw
+    over_kw = power_kw - np.maximum(found.plant.desired_kw, healthy_kw)
+    under_kw = np.minimum(found.plant.desired_kw, healthy_kw) - power_kw
     for kw in (over_kw, under_kw):
         yield max(float(kw.max()), 0.0)
         yield float(np.maximum(kw, 0.0).sum()) / 3600.0

@@ -26,21 +26,15 @@ _PR_SET_PDEATHSIG: Final = 1
 _prctl: Final = ctypes.CDLL(None).prctl
 
 
-class Failure(Exception):  # noqa: N818 - what failed is the program that was run
-    """A program that did not end as it should, with what it said."""
-
-
 class Sample(msgspec.Struct, frozen=True):
-    """Processor time of all processes so far [s], at one moment of the monotonic clock [s].
+    """Processor time [s] so far, at one moment of the monotonic clock [s].
 
-    `page_s` and `page_mb` are those of the live page's process, 0 without one.
+    That of all processes, and of the live page's process alone, 0 without one.
     """
 
     at: float
     processor_s: float
-    processes: int
     page_s: float
-    page_mb: float
 
 
 class Figures(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,7 +49,6 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     startup_s: float
     processor_ms: float
     switches_per_message: float
-    processes: int
     lost: int
 
 
@@ -80,7 +73,6 @@ class Watched(msgspec.Struct, frozen=True):
             startup_s=began - self.started,
             processor_ms=1e3 * self.busy(began, ended) / cycles_per_s,
             switches_per_message=self.switches / messages,
-            processes=max((each.processes for each in self.samples), default=0),
             lost=lost,
         )
 
@@ -123,7 +115,7 @@ def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None)
         try:
             while process.poll() is None:
                 if time.monotonic() > started + LIMIT_S:
-                    raise Failure(f"{command[1:3]} took over {LIMIT_S:g} s")
+                    raise SystemExit(f"{command[1:3]} took over {LIMIT_S:g} s")
                 samples += _sample(process.pid)
                 look(Path(output.name).read_text(encoding="utf-8"))
                 time.sleep(SAMPLE_S)
@@ -132,7 +124,7 @@ def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None)
                 _end(process)
         text = Path(output.name).read_text(encoding="utf-8")
     if process.returncode:
-        raise Failure(f"{' '.join(command)}\nended with status {process.returncode}:\n{text}")
+        raise SystemExit(f"{' '.join(command)}\nended with status {process.returncode}:\n{text}")
     return Watched(text, started, samples, _switches() - switches)
 
 
@@ -151,33 +143,28 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 def _sample(pid: int) -> Iterable[Sample]:
     """Yield what the processes have used so far; nothing if one has just ended."""
-    processor_s = page_s = page_mb = 0.0
+    processor_s = page_s = 0.0
     try:
         root = psutil.Process(pid)
-        processes = [root, *root.children(recursive=True)]
-        for process in processes:
+        for process in [root, *root.children(recursive=True)]:
             used_s = sum(process.cpu_times()[:2])
             processor_s += used_s
             if "live_page" in process.cmdline():
-                page_s, page_mb = used_s, process.memory_info().rss / 1e6
+                page_s = used_s
     except psutil.Error:
         return
-    yield Sample(time.monotonic(), processor_s, len(processes), page_s, page_mb)
+    yield Sample(time.monotonic(), processor_s, page_s)
 
 
 class Launch(Figures, frozen=True, kw_only=True):
-    """One launch.
+    """One launch: memory of the median direct controller, and time of the page for each second.
 
-    Memory is that of the median direct controller [MB], NaN if unknown: a launcher looks at its
-    processes one after another, and in a short run it may not come round. `page_ms` is the
-    processor time of the live page for each second.
+    The memory is NaN if the run was too short for the launcher to look at it.
     """
 
     missed_inputs: int
-    resident_mb: float
     own_mb: float
     page_ms: float
-    page_mb: float
 
 
 def launch(
@@ -189,17 +176,12 @@ def launch(
     keep: Path | None = None,
     look: Callable[[str], None] = lambda text: None,
 ) -> Launch:
-    """Launch a scenario with cycles of one second, recorded, in a folder that goes unless kept.
-
-    `words` are further options.
-    """
+    """Launch a scenario with cycles of one second, recorded; `words` are further options."""
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         summary = Path(folder) / "summary.json"
         out = str(keep or Path(folder) / "run")
         command = [str(heliarch), "launch", scenario, "--pace", pace, "--duration", f"{cycles}s"]
         watched = run([*command, *words, "--out", out, "--json", str(summary)], look)
-        if not summary.exists():
-            raise Failure(f"{heliarch} wrote no summary:\n{watched.output}")
         return _read(msgspec.json.decode(summary.read_bytes()), watched)
 
 
@@ -214,10 +196,8 @@ def _read(summary: dict[str, Any], watched: Watched) -> Launch:
     return Launch(
         **msgspec.structs.asdict(seen),
         missed_inputs=summary["missing_inputs"],
-        resident_mb=memory.get("resident_median_mb") or nan,
         own_mb=memory.get("own_median_mb") or nan,
         page_ms=1e3 * watched.busy(began, ended, "page_s"),
-        page_mb=max((each.page_mb for each in watched.samples), default=0.0),
     )
 
 

@@ -1,6 +1,6 @@
 """The control graph as HELICS federates, each a process with a core of its own.
 
-    python benchmarks/peer_helics.py CYCLES [CORE]
+    python benchmarks/peer_helics.py CYCLES
 
 Prints one JSON document; `peers.py` runs it. HELICS gives a federate its values when it grants the
 time that the federate requests. Each hop of a cycle is one unit of time: the plant acts at 6k,
@@ -9,9 +9,9 @@ Each federate requests the times at which it acts and is `uninterruptible`, as t
 timing optimisation recommends. An output delay of 0.9 lets HELICS see that a value published now
 cannot matter before the next hop, which helped; `single_thread_federate` is set because it is true.
 
-CORE is `ipc` unless stated: beside it, `zmq`, `tcp` and `tcp_ss` took five to ten times as long and
-`zmq_ss` longer still. On a busy machine `ipc` itself varies by ten times from run to run. Federates
-that request the largest time and wait to be interrupted by their inputs did not get to the end.
+The core is `ipc`: beside it, `zmq`, `tcp` and `tcp_ss` took five to ten times as long and `zmq_ss`
+longer still. On a busy machine `ipc` itself varies by ten times from run to run. Federates that
+request the largest time and wait to be interrupted by their inputs did not get to the end.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ import json
 import multiprocessing
 import os
 import signal
-import socket
 import sys
 import time
 from multiprocessing.connection import Connection
@@ -35,22 +34,22 @@ HOPS: Final = 6
 TIMES: Final = {"plant": (6,), "direct": (1, 5), "supervisor": (2, 4), "central": (3,)}
 OUTPUT_DELAY: Final = 0.9
 START_LIMIT_S: Final = 30.0
+CORE: Final = "ipc"
 
 
-def broker(core: str, address: str, port: int, ready: Connection) -> None:
+def broker(address: str, ready: Connection) -> None:
     die_with_parent()
-    where = f"--local_interface={address}" if core == "ipc" else f"--port={port}"
-    federates = len(peer_graph.NAMES)
+    federates, where = len(peer_graph.NAMES), f"--local_interface={address}"
     options = f"--federates={federates} --name={address} --loglevel=error {where}"
-    started = h.helicsCreateBroker(core, address, options)
+    started = h.helicsCreateBroker(CORE, address, options)
     ready.send(bool(h.helicsBrokerIsConnected(started)))
     h.helicsBrokerWaitForDisconnect(started, -1)
 
 
-def federate(name: str, cycles: int, core: str, address: str, port: int, out: Connection) -> None:
+def federate(name: str, cycles: int, address: str, out: Connection) -> None:
     die_with_parent()
     node = peer_graph.node(name)
-    value_federate = _connect(name, core, address, port)
+    value_federate = _connect(name, address)
     says = {key for stage in node.stages for key in stage.says}
     hears = {key for stage in node.stages for key in stage.hears}
     double = h.HELICS_DATA_TYPE_DOUBLE
@@ -77,16 +76,13 @@ def federate(name: str, cycles: int, core: str, address: str, port: int, out: Co
     h.helicsCloseLibrary()
 
 
-def _connect(name: str, core: str, address: str, port: int) -> Any:
+def _connect(name: str, address: str) -> Any:
     plain = name.replace("/", "-")  # The ipc core makes a file of this name.
-    where = f"--broker_address={address}"
-    if core != "ipc":
-        scheme = "tcp://" if core.startswith("zmq") else ""
-        where = f"--broker_address={scheme}127.0.0.1 --brokerport={port}"
+    options = f"--federates=1 --loglevel=error --broker_address={address}"
     info = h.helicsCreateFederateInfo()
     h.helicsFederateInfoSetCoreName(info, f"{address}-{plain}")
-    h.helicsFederateInfoSetCoreTypeFromString(info, core)
-    h.helicsFederateInfoSetCoreInitString(info, f"--federates=1 --loglevel=error {where}")
+    h.helicsFederateInfoSetCoreTypeFromString(info, CORE)
+    h.helicsFederateInfoSetCoreInitString(info, options)
     h.helicsFederateInfoSetTimeProperty(info, h.HELICS_PROPERTY_TIME_PERIOD, 1.0)
     h.helicsFederateInfoSetTimeProperty(info, h.HELICS_PROPERTY_TIME_DELTA, 1.0)
     h.helicsFederateInfoSetTimeProperty(info, h.HELICS_PROPERTY_TIME_OUTPUT_DELAY, OUTPUT_DELAY)
@@ -95,20 +91,19 @@ def _connect(name: str, core: str, address: str, port: int) -> Any:
     return h.helicsCreateValueFederate(plain, info)
 
 
-def run(cycles: int, core: str) -> dict[str, object]:
+def run(cycles: int) -> dict[str, object]:
     """Run the graph; return when its cycles began and ended, and what the plant delivered."""
-    address, port = f"helics-{os.getpid()}", _free_port()
+    address = f"helics-{os.getpid()}"
     fork = multiprocessing.get_context("fork")
     result, out = fork.Pipe(duplex=False)
     ready, ready_out = fork.Pipe(duplex=False)
-    common = (core, address, port)
     # Nothing of HELICS is running yet in this process, so it may fork.
-    processes = [fork.Process(target=broker, args=(*common, ready_out), daemon=True)]
+    processes = [fork.Process(target=broker, args=(address, ready_out), daemon=True)]
     processes[0].start()
     if not ready.poll(START_LIMIT_S) or not ready.recv():
-        raise RuntimeError(f"the {core} broker did not start")
+        raise RuntimeError("the broker did not start")
     for name in peer_graph.NAMES:
-        process = fork.Process(target=federate, args=(name, cycles, *common, out), daemon=True)
+        process = fork.Process(target=federate, args=(name, cycles, address, out), daemon=True)
         process.start()
         processes.append(process)
     out.close()
@@ -122,12 +117,6 @@ def run(cycles: int, core: str) -> dict[str, object]:
     return {"began": began, "ended": ended, "cycles": cycles, "delivered_kw": delivered_kw}
 
 
-def _free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
-
-
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # Leave no shared memory behind.
-    print(json.dumps(run(int(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else "ipc")))
+    print(json.dumps(run(int(sys.argv[1]))))

@@ -2,71 +2,88 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from importlib.metadata import version
 from math import isnan, nan
-from pathlib import Path
 from statistics import median
-from typing import TypeVar
+from typing import Final
 
-import msgspec
 import psutil
 from harness import Figures
 from rich.console import Console
 
 from studies.tables import Column, Table, key_column, print_table
 
-Found = TypeVar("Found", bound=Figures)
+COLUMNS: Final = (
+    Column("cycles/s", "", 1, name="cycles_per_s"),
+    Column("processor time", "ms a cycle", 1, name="processor_ms"),
+    Column("switches", "per message", 1, name="switches_per_message"),
+    Column("start-up", "s", 2, name="startup_s"),
+    Column("direct controller", "MB, its own", 1, name="own_mb"),
+    Column("loop p50", "ms", 1, name="loop_p50_ms"),
+    Column("loop p99", "ms", 1, name="loop_p99_ms"),
+    Column("missed inputs", "", 0, name="missed_inputs"),
+    Column("page, lockstep", "ms/s", 1, name="page_ms"),
+    Column("page, real time", "ms/s", 1, name="page_real_ms"),
+)
+"""What each figure is called."""
 
 
-def measured(count: int, ways: Mapping[str, Callable[[], Found]]) -> dict[str, list[Found]]:
-    """Measure each way once in each round; every round begins with another one.
+def options(about: str | None, rounds: int, cycles: int) -> argparse.ArgumentParser:
+    """Return the options that all benchmarks in rounds have."""
+    parser = argparse.ArgumentParser(description=(about or "").splitlines()[0])
+    parser.add_argument("--rounds", type=int, default=rounds)
+    parser.add_argument("--cycles", type=int, default=cycles, help="of a launch in lockstep")
+    return parser
+
+
+def measure(
+    title: str, count: int, ways: Mapping[str, Callable[[], Figures]], shown: Collection[str]
+) -> None:
+    """Measure each way once in each round, and print some figures; each round begins elsewhere.
 
     Other work on the machine comes and goes: it meets all ways, and ratios of one round hold where
-    the figures themselves do not.
+    the figures themselves do not. Ends the program if messages got lost.
     """
-    found: dict[str, list[Found]] = {name: [] for name in ways}
+    found: dict[str, list[Figures]] = {name: [] for name in ways}
     in_turn = deque(ways)
     for number in range(count):
-        load = psutil.getloadavg()[0]
-        sys.stderr.write(f"round {number + 1} of {count}, load {load:.1f}\n")
+        sys.stderr.write(f"round {number + 1} of {count}, load {psutil.getloadavg()[0]:.1f}\n")
         for name in in_turn:
             found[name].append(ways[name]())
         in_turn.rotate()
-    return found
+    columns = [column for column in COLUMNS if column.name in shown]
+    _print_rounds(f"{title}, {count} rounds", found, columns)
+    if lost := sum(each.lost for runs in found.values() for each in runs):
+        raise SystemExit(f"{lost:,} messages lost")
 
 
-def print_rounds(
-    title: str,
-    found: Mapping[str, Sequence[Figures]],
-    columns: Mapping[str, tuple[str, str, int]],
+def _print_rounds(
+    title: str, found: Mapping[str, Sequence[Figures]], columns: Sequence[Column]
 ) -> None:
-    """Print the figures of each way, and its rate beside that of the first, round by round.
-
-    columns: Field of the figures: title, unit and decimals.
-    """
+    """Print the figures of each way, and its rate beside that of the first, round by round."""
     first, *_ = found.values()
     rows = []
     for name, runs in found.items():
         cells = [
-            _spread([getattr(one, field, nan) for one in runs], decimals)
-            for field, (_, _, decimals) in columns.items()
+            _spread((getattr(one, column.name, nan) for one in runs), column.decimals)
+            for column in columns
         ]
         pairs = zip(first, runs, strict=True)
         ratios = [base.cycles_per_s / one.cycles_per_s for base, one in pairs]
         rows.append((name, *cells, "" if runs is first else _spread(ratios, 2)))
-    titles = [Column(what, unit) for what, unit, _ in columns.values()]
-    titles.append(Column(f"{next(iter(found))}: times as many cycles/s"))
+    ratio = Column(f"{next(iter(found))}: times as many cycles/s")
     machine = (
         f"{platform.system()} {platform.release()}, {os.cpu_count()} cores, Python "
         f"{platform.python_version()}, Zenoh {version('eclipse-zenoh')}"
     )
     notes = ("median (least, most) of all rounds; times as many: round by round", machine)
-    print_table(Console(width=100), Table(title, (key_column("", "way"), *titles), rows, notes))
+    print_table(Console(width=100), Table(title, [key_column("way"), *columns, ratio], rows, notes))
 
 
 def _spread(values: Iterable[float], decimals: int) -> str:
@@ -75,9 +92,3 @@ def _spread(values: Iterable[float], decimals: int) -> str:
         return "-"
     middle, least, most = (f"{of(known):,.{decimals}f}" for of in (median, min, max))
     return f"{middle} ({least}, {most})"
-
-
-def write_figures(found: Mapping[str, Sequence[Figures]], path: Path | None) -> None:
-    """Write all figures as JSON, if they are wanted."""
-    if path is not None:
-        path.write_bytes(msgspec.json.format(msgspec.json.encode(found), indent=1))

@@ -148,7 +148,7 @@ def _one(case: Case, comparison: Comparison) -> tuple[Result, CaseResult]:
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
     schemes, series = zip(*results_of(preparation, comparison), strict=True)
-    found = CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)
+    found = CaseResult(case.label, "", schemes, remarks)
     title = preparation.title()
     lines = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
     tables, document = case_tables(title, schemes), json_rows([found])

@@ -30,7 +30,7 @@ def delays(
     """
     from launch_scripts.scenarios.preparation import prepare
     from studies.delays.results import study_result
-    from studies.delays.study import WARM_UP_S, conditions, counted_s, run_under
+    from studies.delays.study import WARM_UP_S, conditions, run_under
 
     changes, start, duration = tuple(settings or ()), span.start, span.duration
     if scenario is None:
@@ -40,15 +40,10 @@ def delays(
     changed = changed_scenario(scenario, files.data, changes)
     preparation = prepare(changed, RunOptions(start, duration, seed=seed, end=span.end), "delays")
     plan = preparation.plan
-    cycle_s = plan.cycle_ns / 1e9
     if plan.faults:
         raise InputError(f"{changed.path} faults: expected none, this study has its own")
-    if plan.cycles * cycle_s <= WARM_UP_S:
-        raise InputError(
-            f"--duration: expected more than the {WARM_UP_S:g} s at the beginning of each run "
-            f"that do not count, got {plan.cycles * cycle_s:g} s"
-        )
-    chosen = conditions(cycle_s, counted_s(plan))
+    if plan.cycles * plan.cycle_ns <= WARM_UP_S * 1e9:
+        raise InputError(f"--duration: expected more than the {WARM_UP_S:g} s that do not count")
     run = partial(run_under, plan, preparation.profile)
-    outcomes = shared(run, chosen, workers, "runs")
+    outcomes = shared(run, conditions(plan), workers, "runs")
     publish(study_result(preparation, changes, outcomes), files, "delays.html")

@@ -12,6 +12,7 @@ import msgspec
 from rich.console import Console
 
 from bus_schemas.errors import FailureError, InputError
+from bus_schemas.tree import some_of
 from launch_scripts.commands.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.commands.options import FileOptions, PageOptions, changed_scenario
 from launch_scripts.commands.output import do_all, say, write_json
@@ -22,7 +23,6 @@ from launch_scripts.launcher.simulation import simulate
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
-from launch_scripts.launcher.wrong_messages import one_line_each
 from launch_scripts.scenarios.run_options import RunOptions
 from live_page.process import PageProcess
 from studies.tables import console_for
@@ -84,7 +84,7 @@ def _print_result(
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
     if attacked := summary.two_senders:
-        text = "; ".join(f"{one.key}: {one.example}" for one in one_line_each(attacked))
+        text = some_of([f"{one.key}: {one.example}" for one in attacked])
         return complain(f"more than one program sent messages on {text}", FAILED)
     if summary.lost_by_processes:
         lost = ", ".join(count.signal for count in summary.messages if count.lost)

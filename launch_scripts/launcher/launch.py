@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Final
@@ -35,39 +34,38 @@ from launch_scripts.launcher.summary import (
     memory_use,
     merge_counts,
     process_account,
+    published_at_least,
     recorded_health,
     recorded_metrics,
     without_external,
+    wrong_messages,
 )
 from launch_scripts.launcher.supervision import (
     Children,
     ForkServerProcess,
-    Memory,
     RunFailure,
     stall,
 )
 from launch_scripts.launcher.tcp_ports import reserved_ports
-from launch_scripts.launcher.wrong_messages import wrong_messages
 from launch_scripts.scenarios.devices import check_devices
 from launch_scripts.scenarios.externals import listening
 from launch_scripts.scenarios.preparation import Preparation
 from sunspec.process import GatewayProcess
 
 _PLANT_PATIENCE_S: Final = 30.0
-"""How long the plant waits for processes to appear, and how much longer for each of them."""
+"""How long the plant waits for processes to appear."""
+
+_ARMING_S: Final = 60.0
+"""How long it may take from the command to cycle 0. The plant gives up before that by itself."""
+
+_PATIENCE_S: Final = 5.0
+"""How long processes may take to end once the run is over."""
 
 _PER_PROCESS_S: Final = 0.1
+"""How much longer each of these may take for each process."""
 
 _GATHER_S: Final = 0.5
 """After the first event of a stall: time for the others to say what they wait for."""
-
-_ARMING_S: Final = 60.0
-"""How long it may take from the command to cycle 0, and more for each process. The plant gives up
-before that by itself."""
-
-_PATIENCE_S: Final = 5.0
-"""How long processes may take to end once the run is over, and more for each process."""
-
 
 _UNKNOWN: Final = 1 << 62
 """More messages than any run has."""
@@ -93,12 +91,11 @@ class _Launch:
         self._view = view
         self._began_at = began_at
         self._patience_s = preparation.options.external_timeout_s if plan.elsewhere else 0.0
-        self._armed_at = began_at
+        self._started_at = self._armed_at = began_at
         self._watch = RunWatch(plan, view.say)
         self._stalled_at: float | None = None
         self._asked_at: float | None = None
-        self._rounds = 0
-        self._started_at = began_at
+        self._is_armed = False
         self._over = self._ended_early = False
         self._external = ExternalWatch(plan, folder.plan, self._patience_s, time.monotonic())
         self._interruption = Interruption()
@@ -107,26 +104,26 @@ class _Launch:
         """Start the processes, see them through the run, compare what they say at its end."""
         plan, view = self._plan, self._view
         refused = refusals(plan.machine, lockstep=plan.lockstep)
-        for refusal in refused:
-            view.say(refusal)
         agents = tuple(agent for agent in plan.processes if agent not in plan.elsewhere)
         if plan.lockstep and plan.standby:
             view.say("no standby in lockstep, where nothing has a deadline: give a --pace")
-        view.say(f"starting {len(agents)} processes, logs in {self._folder.logs}")
-        for line in directions(plan, self._folder.plan, self._patience_s):
+        for line in (
+            *refused,
+            f"starting {len(agents)} processes, logs in {self._folder.logs}",
+            *directions(plan, self._folder.plan, self._patience_s),
+        ):
             view.say(line)
         with (
             interruptible() as self._interruption,
             Children(self._server, plan, agents, self._folder.logs) as children,
         ):
-            self._started_at = time.monotonic()
             self._restarts = Restarts(plan, children, self._start_again, view.say)
+            self._started_at = time.monotonic()
             self._start(agents)
             try:
                 self._follow(children)
             except FailureError as failure:
-                text = self._external.explain(str(failure), running=bool(self._rounds))
-                raise RunFailure(text) from failure
+                raise RunFailure(self._external.explain(str(failure))) from failure
             ended_at = time.monotonic()
             self._restarts.end()
             # Who was away as the plant ended the run has not heard of it.
@@ -152,7 +149,7 @@ class _Launch:
                 self._restarts.hear(child, event)
             if self._gateway is not None:
                 self._gateway.look(self._view.say)
-            self._restarts.look(self._watch.recorder_silent_s(time.monotonic()))
+            self._restarts.look(self._watch.recorder_silent_s)
             self._check_progress(children)
             if self._interruption:
                 self._ask_stop(children)
@@ -174,48 +171,47 @@ class _Launch:
                     child.cpu_at_start_s = child.cpu_s()
                 self._watch.begin(now)
                 self._restarts.begin(event.start_time_ns / 1e9)
-                self._rounds = event.rounds
+                self._is_armed = True
+                took_s = now - self._started_at
                 self._view.say(
-                    f"armed: cycle 0 began {now - self._started_at:.2f} s after the processes were "
-                    f"started, {now - self._began_at:.1f} s after the command"
+                    f"armed: cycle 0 began {took_s:.2f} s after the processes were started"
                 )
             case Status():
-                self._watch.hear(event.cycle, now)
+                self._watch.hear(event.cycle)
                 for child in children:
                     if child.waiting is not None and event.cycle > child.waiting.cycle:
                         child.waiting = None  # It has gone on meanwhile.
-                self._external.note(event)
+                self._external.unheard = event.unheard
                 self._view.show(event)
             case Presence():
-                self._view.say(self._external.hear(event, now, running=bool(self._rounds)))
+                self._view.say(self._external.hear(event, now))
             case Over():
                 self._over = True
                 self._ended_early = event.cycle < self._plan.cycles
             case Complaint():
-                self._external.complain(event)
                 self._view.say(f"wrong message on {event.key}: {event.example}")
             case RecordingEnded():
                 self._view.say(f"{event.text}; the run goes on without it")
 
     def _check_progress(self, children: Children) -> None:
         now = time.monotonic()
-        if not self._rounds:
+        if not self._is_armed:
             self._check_arming(children, now)
         waiting = [child for child in children if child.waiting is not None]
         self._stalled_at = (self._stalled_at or now) if waiting else None
         if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
             line, to_blame = stall(children)
             # While the recorder stands still, everybody waits for it.
-            is_silent = self._watch.recorder_silent_s(now) > HEARTBEAT_S
+            is_silent = self._watch.recorder_silent_s > HEARTBEAT_S
             if not is_silent and not self._restarts.mends(to_blame):
                 raise children.failure(to_blame[0], line)
             for child in waiting:
                 child.waiting = None
-        if self._rounds and (trouble := self._watch.check(now)) is not None:
+        if self._is_armed and (trouble := self._watch.check(now)) is not None:
             raise children.failure(*trouble)
-        gone_at = self._external.plant_gone_at
-        if self._rounds and gone_at is not None and now > gone_at + HEARTBEAT_S:
-            raise RunFailure("the plant (external) is gone and did not say that the run is over")
+        for agent, gone_at in self._external.gone.items():
+            if self._is_armed and now > gone_at + HEARTBEAT_S:
+                raise RunFailure(f"{agent} (external) is gone: the run cannot go on without it")
 
     def _check_arming(self, children: Children, now: float) -> None:
         if late := self._external.late(now):
@@ -223,22 +219,18 @@ class _Launch:
         complete_at = self._external.complete_at
         longest_s = _ARMING_S + _PER_PROCESS_S * len(children.by_agent)
         if complete_at is not None and now > complete_at + longest_s:
-            absent = [child.agent for child in children if not child.ready] or [PLANT]
-            text = f"not armed after {longest_s:.0f} s: nothing came from {some_of(absent)}"
-            raise children.failure(absent[0], text)
+            absent = next((child.agent for child in children if not child.ready), PLANT)
+            raise children.failure(absent, f"not armed after {longest_s:.0f} s: see {absent}")
 
     def _ask_stop(self, children: Children) -> None:
         """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
-        if not self._rounds:
+        if not self._is_armed:
             raise KeyboardInterrupt  # There is no cycle yet that could be completed.
         if self._asked_at is None:
             self._restarts.end()
-            if PLANT in children.by_agent:
-                self._view.say("interrupted: ending after this cycle")
-                children.ask_to_end((PLANT,))
-            else:
-                self._view.say("interrupted: the controllers end; the external plant goes on")
-                children.ask_to_end([child.agent for child in children.controllers()])
+            self._view.say("interrupted: ending after this cycle")
+            own_plant = [PLANT] if PLANT in children.by_agent else None
+            children.ask_to_end(own_plant or [child.agent for child in children.controllers()])
             self._asked_at = time.monotonic()
         longest_s = _PATIENCE_S + 2.0 * self._plan.cycle_wall_ns / 1e9
         if self._interruption.count > 1 or time.monotonic() > self._asked_at + longest_s:
@@ -250,14 +242,13 @@ class _Launch:
         if self._interruption or self._ended_early:
             # After an early end, a controller waits in case the plant goes on after all.
             children.ask_to_end([child.agent for child in children.controllers()])
-        late = children.await_exit(children.controllers(), longest_s)
-        silent_s = time.monotonic() - children[RECORDER].heard_at
-        if late and silent_s > HEARTBEAT_S:
-            # In lockstep all agents wait for a recorder that hangs.
-            raise children.failure(RECORDER, f"recorder has been silent for {silent_s:.0f} s")
-        if late:
-            names = some_of([child.agent for child in late])
-            raise children.failure(late[0].agent, f"{names} did not end with the run")
+        if late := [
+            child.agent for child in children.await_exit(children.controllers(), longest_s)
+        ]:
+            silent_s = time.monotonic() - children[RECORDER].heard_at
+            if silent_s > HEARTBEAT_S:  # In lockstep all agents wait for it.
+                raise children.failure(RECORDER, f"recorder has been silent for {silent_s:.0f} s")
+            raise children.failure(late[0], f"{some_of(late)} did not end with the run")
         published = self._published(children)
         recorder = children[RECORDER]
         # What a process that died has published nobody knows: wait until nothing more comes.
@@ -268,12 +259,9 @@ class _Launch:
         return recorder.recorded
 
     def _published(self, children: Children) -> dict[str, int]:
-        """Return what the processes have published, by signal.
-
-        What a standby says for an agent on another host counts as that agent's.
-        """
+        """Return what the processes have published, by signal; a standby of an external one not."""
         own = [child for child in children if agent_of(child.agent) not in self._plan.elsewhere]
-        return merge_counts([child.finished.published for child in own if child.finished])
+        return merge_counts(child.finished.published for child in own if child.finished)
 
     def _summary(
         self, children: Children, recorded: Recorded, ended_at: float, refused: tuple[str, ...]
@@ -282,26 +270,13 @@ class _Launch:
         plan, cycles = self._plan, recorded.cycles
         accounts = [child.finished for child in children if child.finished is not None]
         processes = tuple(map(process_account, children))
-        dropped = merge_counts([process.dropped for process in processes])
+        dropped = merge_counts(process.dropped for process in processes)
         if recorded.foreign:
             dropped["at the recorder"] = recorded.foreign
-        memory: dict[str, list[Memory]] = {}
-        for child in children:
-            if child.memory.resident_mb:  # A short run may be over before all were looked at.
-                memory.setdefault(child.kind, []).append(child.memory)
         health = recorded_health(self._folder.recording, plan)
-        published = self._published(children)
-        heard = without_external(recorded)
+        published, heard = self._published(children), without_external(recorded)
         if self._restarts.lost_processes:
-            # Nobody knows what processes published that died: the numbers of messages tell.
-            lost: Counter[str] = Counter()
-            for port in plan.wiring.ports:
-                if health is not None and port.publisher not in plan.elsewhere:
-                    lost[port.signal.name] += health.lost.get(str(port), 0)
-            published |= {
-                name: max(published.get(name, 0), heard.get(name, 0) + lost[name])
-                for name in {*heard, *lost}
-            }
+            published = published_at_least(published, heard, health, plan)
         return RunSummary(
             run_id=plan.run_id,
             scenario=plan.plant,
@@ -319,13 +294,17 @@ class _Launch:
             takeovers=dict(self._restarts.takeovers),
             dropped=dropped,
             missing_inputs=health.missing_inputs if health else 0,
-            memory=memory_use(memory),
+            memory=memory_use(
+                # A short run may be over before all were looked at.
+                (child.kind, child.memory)
+                for child in children
+                if child.memory.resident_mb
+            ),
             hindsight_neighbours=self._preparation.hindsight,
             remarks=(*self._preparation.remarks, *refused),
             interrupted=bool(self._interruption),
             recording_ended=recorded.ended_early,
             faults=health.faults if health else {},
-            old_inputs=health.old_inputs if health else 0,
             skipped_cycles=sum(process.skipped_cycles for process in processes),
             processes=processes,
             external=recorded.external,
@@ -360,7 +339,7 @@ def launch(
 ) -> RunSummary:
     """Run and record a plant as processes over Zenoh, which the server starts.
 
-    Start-up counts from `began_at`, the monotonic time at which the user asked for the run [s].
+    The user asked for it at `began_at`, monotonic [s].
     """
     plan, base_port = preparation.plan, preparation.options.base_port
     agents, further = listening(plan)

@@ -11,20 +11,16 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.panel import Panel
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.progress_bar import ProgressBar
-from rich.table import Table
 from rich.text import Text
 
 from agents.events import Status
 from agents.plan import RunPlan
 from bus_schemas.printable import printable
+from bus_schemas.tree import some_of
 
 _PLAIN_S: Final = 2.0
 _IN_PLACE_S: Final = 0.1
-
-_BAR_WIDTH: Final = 50
 _NAMED: Final = 6
-"""How many nodes in need are named before the rest is counted."""
 
 
 def view_for(console: Console, plan: RunPlan) -> View:
@@ -97,8 +93,15 @@ class LivePanel(View):
 
     def __init__(self, console: Console, plan: RunPlan) -> None:
         super().__init__(console, plan)
-        self._rating_kw = sum(rating_kw for _, rating_kw in plan.inverters)
-        self._progress = Progress(
+        self._powers = Progress(
+            TextColumn("{task.description:10}"),
+            TextColumn("{task.completed:>8,.0f} kW"),
+            BarColumn(bar_width=50, complete_style="green", finished_style="green"),
+        )
+        rating_kw = sum(rating_kw for _, rating_kw in plan.inverters)
+        for name in ("desired", "delivered", "possible"):
+            self._powers.add_task(name, total=rating_kw)
+        self._cycles = Progress(
             TextColumn("cycle"),
             MofNCompleteColumn(),
             BarColumn(bar_width=None),
@@ -106,7 +109,7 @@ class LivePanel(View):
             TimeRemainingColumn(),
             console=console,
         )
-        self._task = self._progress.add_task("run", total=plan.cycles)
+        self._cycles.add_task("run", total=plan.cycles)
         self._live = Live(console=console, refresh_per_second=8, transient=True)
 
     def __enter__(self) -> Self:
@@ -119,30 +122,18 @@ class LivePanel(View):
     def show(self, status: Status) -> None:
         if status.cycle < 0:
             return
-        self._progress.update(self._task, completed=status.cycle + 1)
-        powers = Table.grid(padding=(0, 1))
-        powers.add_column(width=10)
-        powers.add_column(justify="right", width=11)
-        powers.add_column()
-        for name, power_kw, style in (
-            ("desired", status.desired_kw, "yellow"),
-            ("delivered", status.delivered_kw, "green"),
-            ("possible", status.possible_kw, "cyan"),
-        ):
-            bar = ProgressBar(
-                self._rating_kw, power_kw, _BAR_WIDTH, complete_style=style, finished_style=style
-            )
-            powers.add_row(name, f"{power_kw:,.0f} kW", bar)
+        self._cycles.update(self._cycles.task_ids[0], completed=status.cycle + 1)
+        powers_kw = status.desired_kw, status.delivered_kw, status.possible_kw
+        for task, power_kw in zip(self._powers.task_ids, powers_kw, strict=True):
+            self._powers.update(task, completed=power_kw)
         needy = Text(f"needs help: {_needy(status)}", style="red" if status.needy else "dim")
         title = f"{self._plan.plant} {self.local_time(status)}"
         subtitle = f"{status.recorded:,} messages recorded"
-        body = Group(powers, needy, self._progress)
+        body = Group(self._powers, needy, self._cycles)
         self._live.update(Panel(body, title=Text(title), subtitle=subtitle, width=90))
 
 
 def _needy(status: Status) -> str:
     # A cluster that lacks power contains inverters that do: the clusters come first.
     nodes = sorted(status.needy, key=lambda node: (node.count("/"), node))
-    named = ", ".join(node or "the whole plant" for node in nodes[:_NAMED])
-    rest = len(nodes) - _NAMED
-    return f"{named} and {rest} more" if rest > 0 else named or "nobody"
+    return some_of([node or "the whole plant" for node in nodes], _NAMED) or "nobody"

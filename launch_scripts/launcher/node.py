@@ -11,7 +11,6 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from agents.events import Joined
 from agents.plan import RunPlan
 from agents.process import STANDING_S
 from bus_schemas.errors import InputError
@@ -49,8 +48,9 @@ def share_of(plan: RunPlan, host: str) -> tuple[str, ...]:
     agents = tuple(agent for agent in plan.elsewhere if plan.addresses.get(agent) == host)
     if not agents:
         hosts = ", ".join(dict.fromkeys(plan.addresses.values()))
-        expected = hosts or "a plan with agents on other hosts (launch --on)"
-        raise InputError(f"--host: expected {expected}, got {host}")
+        raise InputError(
+            f"--host: expected a host of the plan ({hosts or 'it has none'}), got {host}"
+        )
     return agents
 
 
@@ -76,14 +76,12 @@ def run_share(
         restarts = Restarts(replace(plan, faults=()), children, start, say)
         start(*agents, again=False)
         restarts.begin(time.monotonic())
-        waiting = set(agents)
+        are_ready = False
         while not all(child.finished and child.exited for child in children):
-            for child, event in children.events(0.1):
-                if isinstance(event, Joined) and child.agent in waiting:
-                    waiting.discard(child.agent)
-                    if not waiting:
-                        place = f"{plan.host_of(PLANT)}:{plan.tcp_ports[PLANT]}"
-                        say(f"all are ready for the plant at {place}")
+            children.events(0.1)
+            if not are_ready and all(child.ready for child in children):
+                are_ready = True
+                say(f"all are ready for the plant at {plan.host_of(PLANT)}:{plan.tcp_ports[PLANT]}")
             restarts.look(0.0)
             if not plan.lockstep:
                 silent_since = time.monotonic() - _SILENT_S

@@ -28,8 +28,7 @@ def run_process(
 ) -> int:
     """Be the process of an agent in the run of a folder. Returns the exit status.
 
-    patience_s: How long the plant waits for everybody.
-    rejoins: Whether the run is under way.
+    The plant waits `patience_s` for everybody; who `rejoins` finds the run under way.
     """
     match kind_of(agent, plan.tree):
         case "recorder":

@@ -14,18 +14,16 @@ from agents.events import Event, Exited, Standing, Status, TookOver
 from agents.plan import RunPlan
 from agents.process import STANDING_S
 from bus_schemas.faults import incidents
-from bus_schemas.tree import RECORDER, agent_of, some_of, standby_of
+from bus_schemas.tree import RECORDER, agent_of, standby_of
+from launch_scripts.launcher.run_watch import LONGEST_STEP_S
 from launch_scripts.launcher.supervision import Child, Children
 from recordings.record.recorder import longest_pause_s
-
-_LONGEST_STEP_S: Final = 0.5
-"""Between two reports no more than this counts as silence: a machine that stood still proves
-nothing."""
 
 _RETURN_S: Final = 10.0
 """In lockstep: how long a process that was started again may take to join."""
 
 _SAME_CLOCK_S: Final = 10.0
+"""If cycle 0 began farther from now, it was by the clock of another host."""
 
 _SIGNALS: Final = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP, "thaw": signal.SIGCONT}
 
@@ -70,7 +68,6 @@ class Restarts:
     def begin(self, start_s: float) -> None:
         """Replace processes and let rules act from the beginning of cycle 0 on."""
         now = self._status_at = self._now_s()
-        # An external plant on another host has another clock.
         self._began_at = start_s if abs(start_s - now) < _SAME_CLOCK_S else now
 
     def end(self) -> None:
@@ -82,7 +79,7 @@ class Restarts:
 
     @property
     def lost_processes(self) -> bool:
-        """Whether a process has ended, or was killed, that could not say what it had published."""
+        """Whether a process has ended that could not say what it had published."""
         return bool(self.counts or self._killed)
 
     def replaces(self, child: Child, why: str) -> bool:
@@ -103,8 +100,7 @@ class Restarts:
         earlier.append(now)
         self.counts[name] += 1
         if name not in self._killed:
-            later = f" in {wait_s:g} s" if wait_s else ""
-            self._say(f"{why.splitlines()[0].split('; last lines')[0]}; it is started again{later}")
+            self._say(f"{why}; it is started again")
         self._killed.discard(name)
         self._silent_s.pop(name, None)
         self._start_at[name] = now + wait_s, child.exited
@@ -118,17 +114,12 @@ class Restarts:
         if self._began_at is None:
             return
         self._start_due(now)
-        due: dict[str, list[Child]] = {}
         while self._due and self._due[0].time_s * self._wall_per_s <= now - self._began_at:
             incident = self._due.pop(0)
-            due.setdefault(incident.what, []).append(self._victim(incident.agent, incident.what))
-        for what, victims in due.items():
-            again = "; started again" if what == "kill" and self._allowed else ""
-            self._say(f"fault: {what} {some_of([child.agent for child in victims])}{again}")
-            for child in victims:
-                self._send(child, _SIGNALS[what])
-        started_at = max(self._times.get(RECORDER, [self._began_at]))
-        if self._allowed and min(recorder_silent_s, now - started_at) >= self._policy.frozen_s:
+            child = self._victim(incident.agent, incident.what)
+            self._say(f"fault: {incident.what} {child.agent}")
+            self._send(child, _SIGNALS[incident.what])
+        if self._allowed and recorder_silent_s >= self._policy.frozen_s:
             self._kill_silent(self._children[RECORDER])
 
     def hear(self, child: Child, event: Event) -> None:
@@ -142,12 +133,12 @@ class Restarts:
                 self.note_silence(event.silent, self._pause_s)
 
     def note_silence(self, silent: Sequence[str], for_s: float) -> None:
-        """Count how long each controller has said nothing; name it, and kill it after a while.
+        """Count how long each controller has said nothing, and kill it after a while.
 
         To be called again and again with those that have said nothing for so long [s].
         """
         now = self._now_s()
-        step_s, self._status_at = min(now - self._status_at, _LONGEST_STEP_S), now
+        step_s, self._status_at = min(now - self._status_at, LONGEST_STEP_S), now
         for child in self._children.controllers():
             name, agent = child.agent, agent_of(child.agent)
             speaks = self._speaker.get(agent, (name, 0))[0] == name
@@ -158,7 +149,7 @@ class Restarts:
             self._silent_s[name] = before_s + step_s
             # One that stands by says so every now and then.
             pause_s = for_s if speaks else -2.0 * STANDING_S
-            if speaks and 0.0 < before_s <= _LONGEST_STEP_S < before_s + step_s:
+            if speaks and 0.0 < before_s <= LONGEST_STEP_S < before_s + step_s:
                 self._say(f"{name} (process {child.pid}) says nothing")
             if self._allowed and before_s and before_s + step_s + pause_s >= self._policy.frozen_s:
                 self._kill_silent(child)

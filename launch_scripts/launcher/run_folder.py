@@ -6,9 +6,7 @@ import os
 import secrets
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import count
 from pathlib import Path
-from typing import Final
 
 import msgspec
 
@@ -21,36 +19,17 @@ from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
 from recordings.read.whole_file import named_in_errors, whole_file
 
-_NUMBERS: Final = count(1)
-"""Runs of this process: a script can start several in one second."""
 
-
-@dataclass(frozen=True, slots=True)
 class RunFolder:
-    """Plan, profile, scenario, logs, recording and summary of one run."""
+    """Plan, profile, scenario, logs, recording and summary of one run, or why it failed."""
 
-    path: Path
-
-    @property
-    def plan(self) -> Path:
-        return self.path / "plan.json"
-
-    @property
-    def logs(self) -> Path:
-        return self.path / "logs"
-
-    @property
-    def recording(self) -> Path:
-        return self.path / RECORDING_NAME
-
-    @property
-    def summary(self) -> Path:
-        return self.path / SUMMARY_NAME
-
-    @property
-    def failure(self) -> Path:
-        """Why the launcher gave up, in words; there only if it did."""
-        return self.path / FAILURE_NAME
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.plan = path / "plan.json"
+        self.logs = path / "logs"
+        self.recording = path / RECORDING_NAME
+        self.summary = path / SUMMARY_NAME
+        self.failure = path / FAILURE_NAME
 
     def make(self) -> None:
         self.logs.mkdir(parents=True)
@@ -63,7 +42,7 @@ class RunFolder:
     ) -> RunPlan:
         """Write what the processes need; return the plan with its ports.
 
-        The plan comes last and complete: a device may be waiting for it to appear.
+        The plan comes last: a device may be waiting for it to appear.
         """
         self.make()
         plan = preparation.plan
@@ -91,10 +70,8 @@ class RunFolder:
 
 
 def new_run_id(scenario: str) -> str:
-    """Return a name that no other run has: scenario, time, process, and its number in that one."""
-    number = next(_NUMBERS)
-    name = f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}"
-    return name if number == 1 else f"{name}-{number}"
+    """Return a name that no other run has."""
+    return f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{secrets.token_hex(4)}"
 
 
 def run_folder(run_id: str, out: Path | None) -> RunFolder:
@@ -110,7 +87,7 @@ def run_folder(run_id: str, out: Path | None) -> RunFolder:
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """A scenario, what is different from it, and the folder of the run (None: a new one)."""
+    """A scenario, what is different from it, and the folder of the run."""
 
     scenario: ScenarioFile
     options: RunOptions

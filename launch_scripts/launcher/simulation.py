@@ -34,6 +34,7 @@ from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.summary import (
     RunSummary,
+    count_causes,
     count_messages,
     memory_use,
     recorded_health,
@@ -165,13 +166,10 @@ class MemoryRun:
         if not isfinite(self._restart_takes_s):
             return
         earlier_s, now_s = self._restarted_s.setdefault(name, []), self._driver.now_ns() / 1e9
-        policy = self.plan.restart
-        wait_s = policy.wait_s(earlier_s, now_s)
+        wait_s = self.plan.restart.wait_s(earlier_s, now_s)
         if wait_s is None:
-            why = f"it was started again {policy.most} times within {policy.within_s:g} s"
-            if policy.when == "never":
-                why = 'restart.when is "never"'
-            raise RunFailure(f"{name} was killed in the middle of the run, and {why}")
+            times = f"after {len(earlier_s)} restarts the policy allows no other"
+            raise RunFailure(f"{name} was killed in the middle of the run; {times}")
         earlier_s.append(now_s)
         yield wait_s + self._restart_takes_s, incident._replace(what="start")
 
@@ -246,10 +244,6 @@ def simulate(
         writer.close()
     wall_s = time.monotonic() - started_at
     health = recorded_health(folder.recording, plan)
-    drops: Counter[str] = Counter()
-    for loop in run.loops.values():
-        for (_, cause), number in loop.dropped.items():
-            drops[cause] += number
     return RunSummary(
         run_id=plan.run_id,
         scenario=plan.plant,
@@ -262,11 +256,14 @@ def simulate(
         startup_s=started_at - began_at,
         metrics=recorded_metrics(folder.recording),
         messages=count_messages(run.bus.outbox.published, writer.recorded),
-        dropped=dict(drops),
+        dropped=count_causes(
+            (port, cause, number)
+            for loop in run.loops.values()
+            for (port, cause), number in loop.dropped.items()
+        ),
         missing_inputs=health.missing_inputs if health else 0,
         faults=health.faults if health else {},
-        old_inputs=health.old_inputs if health else 0,
-        memory=memory_use({"simulation": [memory_of(os.getpid())]}),
+        memory=memory_use([("simulation", memory_of(os.getpid()))]),
         hindsight_neighbours=preparation.hindsight,
         remarks=preparation.remarks,
         interrupted=interrupted,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import msgspec
 
-from agents.events import ExternalAccount, Recorded
+from agents.events import Complaint, ExternalAccount, Recorded
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
@@ -37,23 +37,20 @@ class MessageCount(msgspec.Struct, frozen=True):
 
 
 class MemoryUse(msgspec.Struct, frozen=True):
-    """Memory of the processes of one kind, the median process and the largest [MB]."""
+    """Memory of the median process of one kind [MB]: resident in all, and its own."""
 
     kind: str
     processes: int
     resident_median_mb: float
-    resident_largest_mb: float
     own_median_mb: float
 
 
 class ProcessAccount(msgspec.Struct, frozen=True):
-    """What one process of a run over processes said at its end, and what it took.
+    """What one process said at its end, and what it took.
 
-    agent, kind: Its name, and `recorder`, `plant`, `central`, `supervisor` or `direct`.
     dropped: Messages that it could not use, by cause.
-    resident_mb: Most memory that was seen resident [MB].
     skipped_cycles: Cycles that were over before it came to them.
-    cpu_s: Processor time from cycle 0 to its end [s].
+    cpu_s: Processor time from cycle 0 on [s].
     """
 
     agent: str
@@ -67,10 +64,9 @@ class ProcessAccount(msgspec.Struct, frozen=True):
 class RunSummary(LauncherAccount, frozen=True, kw_only=True):
     """The figures of a run.
 
-    `processes` is empty if the run was in one process. `messages` are those of the processes;
-    `external` is what was heard of external agents, which report nothing about themselves.
-    `devices` is what the gateway measured, `takeovers` how often a standby took each agent over.
-    `health` is None if the recording was not read.
+    `messages` are those of Heliarch's processes, `external` what was heard of external agents.
+    `takeovers` counts how often a standby took each agent over. `health` is None if the recording
+    was not read.
     """
 
     scenario: str
@@ -89,7 +85,6 @@ class RunSummary(LauncherAccount, frozen=True, kw_only=True):
     remarks: tuple[str, ...]
     interrupted: bool
     faults: dict[str, int] = msgspec.field(default_factory=dict)
-    old_inputs: int = 0
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
     devices: tuple[DeviceAccount, ...] = ()
@@ -98,7 +93,6 @@ class RunSummary(LauncherAccount, frozen=True, kw_only=True):
 
     @property
     def cycles_per_s(self) -> float:
-        """Cycles per second of wall time, arming left out."""
         return self.cycles / self.wall_s if self.wall_s > 0.0 else 0.0
 
     @property
@@ -110,20 +104,17 @@ class RunSummary(LauncherAccount, frozen=True, kw_only=True):
 
     @property
     def lost(self) -> int:
-        """Messages that were published and not recorded, or recorded and not published.
-
-        Processes count what they publish. Of external agents the numbers of their messages tell.
-        """
+        """Messages that were published and not recorded, or recorded and not published."""
         return self.lost_by_processes + sum(account.lost for account in self.external)
 
     @property
     def lost_by_processes(self) -> int:
-        """Those of the launcher's own processes, which is a failure of the run."""
+        """Those of Heliarch's processes: a failure of the run."""
         return sum(abs(count.lost) for count in self.messages)
 
     @property
     def two_senders(self) -> tuple[WrongMessages, ...]:
-        """Keys of the launcher's own processes on which another program sent messages as well."""
+        """Keys of Heliarch's processes on which another program sent messages as well."""
         external = {account.agent for account in self.external}
         return tuple(
             wrong
@@ -134,14 +125,9 @@ class RunSummary(LauncherAccount, frozen=True, kw_only=True):
     @property
     def troubled(self) -> bool:
         """Whether messages, inputs or agents were missing at some time."""
-        return bool(
-            self.lost
-            or self.missing_inputs
-            or self.skipped_cycles
-            or self.recording_ended
-            or any(device.is_troubled for device in self.devices)
-            or any((self.dropped, self.faults, self.wrong, self.restarts, self.takeovers))
-        )
+        counts = self.lost, self.missing_inputs, self.skipped_cycles, self.recording_ended
+        found = self.dropped, self.faults, self.wrong, self.restarts, self.takeovers
+        return any((*counts, *found, *(device.is_troubled for device in self.devices)))
 
     def as_json(self) -> bytes:
         """Return the summary as JSON, with the figures that follow from others."""
@@ -155,7 +141,7 @@ class RunSummary(LauncherAccount, frozen=True, kw_only=True):
 
 
 def recorded_metrics(recording: Path) -> RunMetrics | None:
-    """Read the figures of merit from a closed recording; None if it has no complete cycle."""
+    """Read the figures of merit; None if the recording has no complete cycle."""
     try:
         return run_metrics(read_plant_series(recording))
     except InputError:
@@ -163,10 +149,7 @@ def recorded_metrics(recording: Path) -> RunMetrics | None:
 
 
 def recorded_health(recording: Path, plan: RunPlan) -> Health | None:
-    """Return the health of a run from its recording; None if it needs no look or cannot be read.
-
-    In lockstep nothing can be missing, unless a process was replaced or is not Heliarch's.
-    """
+    """Read the health of a run; None in lockstep, unless a process may be replaced or external."""
     if plan.lockstep and not plan.restarts and not plan.elsewhere:
         return None
     try:
@@ -200,38 +183,82 @@ def without_external(recorded: Recorded) -> dict[str, int]:
     return {signal: max(count, 0) for signal, count in counts.items()}
 
 
-def memory_use(samples: Mapping[str, list[Memory]]) -> tuple[MemoryUse, ...]:
-    """Summarise the largest memory seen of each process, kind by kind."""
+def published_at_least(
+    published: Mapping[str, int], heard: Mapping[str, int], health: Health | None, plan: RunPlan
+) -> dict[str, int]:
+    """Return what processes published of which some died, by signal.
+
+    Nobody knows what those published: the numbers of the recorded messages tell.
+    """
+    sent = Counter(heard)
+    for port in plan.wiring.ports:
+        if health is not None and port.publisher not in plan.elsewhere:
+            sent[port.signal.name] += health.lost.get(str(port), 0)
+    return dict(sent | Counter(published))
+
+
+def memory_use(samples: Iterable[tuple[str, Memory]]) -> tuple[MemoryUse, ...]:
+    """Summarise the memory of processes, given with their kinds."""
+    by_kind: dict[str, list[Memory]] = {}
+    for kind, memory in samples:
+        by_kind.setdefault(kind, []).append(memory)
     return tuple(
-        MemoryUse(
-            kind,
-            len(values),
-            statistics.median(value.resident_mb for value in values),
-            max(value.resident_mb for value in values),
-            statistics.median(value.own_mb for value in values),
-        )
-        for kind, values in samples.items()
+        MemoryUse(kind, len(values), *map(statistics.median, zip(*values, strict=True)))
+        for kind, values in by_kind.items()
     )
 
 
-def merge_counts(counts: list[dict[str, int]]) -> dict[str, int]:
+def merge_counts(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
     total: Counter[str] = Counter()
     for count in counts:
         total.update(count)
     return dict(total)
 
 
+def count_causes(dropped: Iterable[tuple[str, str, int]]) -> dict[str, int]:
+    """Count dropped messages, given as port, cause and number, by cause."""
+    counts: Counter[str] = Counter()
+    for _, cause, number in dropped:
+        counts[cause] += number
+    return dict(counts)
+
+
 def process_account(child: Child) -> ProcessAccount:
     """Return the account of a process that has ended."""
     finished, cpu_s, before_s = child.finished, child.cpu_s(), child.cpu_at_start_s
-    dropped: Counter[str] = Counter()
-    for _, cause, number in finished.dropped if finished else ():
-        dropped[cause] += number
     return ProcessAccount(
         child.agent,
         child.kind,
-        dropped=dict(dropped),
+        dropped=count_causes(finished.dropped) if finished else {},
         resident_mb=child.memory.resident_mb,
         skipped_cycles=finished.skipped_cycles if finished else 0,
         cpu_s=None if before_s is None or cpu_s is None else cpu_s - before_s,
+    )
+
+
+def wrong_messages(
+    plan: RunPlan,
+    complaints: Iterable[Complaint],
+    dropped: Iterable[tuple[str, str, int]],
+) -> tuple[WrongMessages, ...]:
+    """Return the wrong messages of a run by key and cause, the most frequent first.
+
+    The recorder complains of what it hears, and agents have `dropped` (port, cause and number) what
+    they could not use. Both may have counted the same message: the larger count holds. Of what was
+    dropped only that of external agents counts: other late messages are the machine's fault.
+    """
+    publishers = {str(port): port.publisher for port in plan.wiring.ports}
+    theirs = {port for port, publisher in publishers.items() if publisher in plan.external}
+    counts: Counter[tuple[str, str]] = Counter()
+    for port, cause, count in dropped:
+        if port in theirs:
+            counts[port, cause] += count
+    examples = dict.fromkeys(counts, "dropped by an agent")
+    for complaint in complaints:
+        place = (complaint.key.removeprefix(f"{plan.plant}/"), complaint.cause)
+        counts[place] = max(counts[place], complaint.count)
+        examples[place] = complaint.example
+    return tuple(
+        WrongMessages(key, cause, count, examples[key, cause], publishers.get(key, ""))
+        for (key, cause), count in counts.most_common()
     )

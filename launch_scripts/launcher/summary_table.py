@@ -11,9 +11,7 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from bus_schemas.errors import InputError
-from bus_schemas.tree import some_of
 from launch_scripts.launcher.summary import RunSummary
-from launch_scripts.launcher.wrong_messages import one_line_each
 from recordings.inspect.health import counts_text
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
@@ -28,9 +26,6 @@ Row: TypeAlias = tuple[str, Cell, str, str]
 _COLUMNS: Final = (key_column(""), Column(""), word_column(""), word_column(""))
 _GAP: Final = ("", "", "", "")
 
-_MOST_WRONG: Final = 12
-"""Kinds of wrong messages that the table names one by one."""
-
 _SHARES: Final = {
     "shortfall-energy": FIGURES_OF_MERIT["shortfall"],
     "unavoidable-energy": FIGURES_OF_MERIT["unavoidable"],
@@ -41,16 +36,13 @@ _SHARES: Final = {
 
 
 def print_summary(summary: RunSummary, console: Console) -> None:
-    """Print the table, and the health of a run with faults or where something went wrong."""
+    """Print the table; then the health of a run with faults, or in which something went wrong."""
     for table in (summary_table(summary), *devices_tables(summary.devices)):
         print_table(console, table)
     with suppress(InputError), RunReader(Path(summary.folder)) as run:
         if summary.troubled or run.plan.faults:
-            health = replace(
-                summary.health or read_overview(run).health,
-                launcher=summary,
-                devices=summary.devices,
-            )
+            health = summary.health or read_overview(run).health
+            health = replace(health, launcher=summary, devices=summary.devices)
             print_table(console, health_table(health, run.clock))
 
 
@@ -66,7 +58,6 @@ def summary_table(summary: RunSummary) -> Table:
             _GAP,
             *_message_rows(summary),
             *_external_rows(summary),
-            *_wrong_rows(summary),
             _GAP,
             *_process_rows(summary),
         ),
@@ -101,51 +92,25 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
     help_calls = sum(count.recorded for count in summary.messages if count.signal == "help")
     published = sum(count.published for count in summary.messages)
     recorded = sum(count.recorded for count in summary.messages)
-    used_instead = f"{summary.old_inputs:,} older ones used instead" if summary.old_inputs else ""
     yield "Messages published", published, "", f"{help_calls:,} of them calls for help"
     yield "Messages recorded", recorded, "", ""
     yield "Missing in the recording", summary.lost, "", ""
     yield "Messages dropped", sum(summary.dropped.values()), "", counts_text(summary.dropped)
-    yield "Inputs missed at deadlines", summary.missing_inputs, "", used_instead
-    if summary.skipped_cycles:
-        skipped = {process.agent: process.skipped_cycles for process in summary.processes}
-        agent = max(skipped, key=skipped.__getitem__)
-        yield "Cycles skipped", summary.skipped_cycles, "", f"most by {agent}: {skipped[agent]:,}"
-    for title, counts in (
-        ("Takeovers by standbys", summary.takeovers),
-        ("Processes restarted", summary.restarts),
-    ):
-        if counts:
-            named = some_of([f"{agent} {count}" for agent, count in counts.items()])
-            yield title, sum(counts.values()), "", named
-    if summary.faults:
-        injected = f"injected between agents: {counts_text(summary.faults)}"
-        yield "Network faults", sum(summary.faults.values()), "", injected
+    yield "Inputs missed at deadlines", summary.missing_inputs, "", ""
 
 
 def _external_rows(summary: RunSummary) -> Iterator[Row]:
     for account in summary.external:
         answered = f"answered {account.answered:,} of {account.expected:,} times"
-        notes = ["messages recorded", answered]
-        if account.lost:
-            notes.append(f"{account.lost:,} never came or could not be decoded")
         own = [wrong for wrong in summary.wrong if wrong.publisher == account.agent]
         late = sum(wrong.count for wrong in own if wrong.cause == "late")
         refused = sum(wrong.count for wrong in own if wrong.cause not in {"late", "repeated"})
-        notes += [f"{late:,} late"] * bool(late) + [f"{refused:,} refused"] * bool(refused)
+        counts = {"lost": account.lost, "late": late, "refused": refused}
+        notes = ["messages recorded", answered]
+        notes += [f"{count:,} {name}" for name, count in counts.items() if count]
         for gone, back in account.outages:
-            until = f"since cycle {gone:,}" if back is None else f"in cycles {gone:,} to {back:,}"
-            notes.append(f"gone {until}")
+            notes.append(f"gone from cycle {gone:,} to {'the end' if back is None else back}")
         yield f"External {account.agent}", sum(account.recorded.values()), "", "; ".join(notes)
-
-
-def _wrong_rows(summary: RunSummary) -> Iterator[Row]:
-    found = one_line_each(summary.wrong)
-    for wrong in found[:_MOST_WRONG]:
-        yield f"Wrong: {wrong.key}", wrong.count, "", f"{wrong.cause}: {wrong.example}"
-    if rest := found[_MOST_WRONG:]:
-        count = sum(wrong.count for wrong in rest)
-        yield "Wrong: other keys", count, "", f"{len(rest)} more kinds, see --json"
 
 
 def _process_rows(summary: RunSummary) -> Iterator[Row]:

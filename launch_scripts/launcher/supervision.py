@@ -36,8 +36,6 @@ from launch_scripts.launcher.fork_requests import Expect, Request, Signal
 from recordings.read.run_file import log_name
 
 _LOG_LINES: Final = 5
-"""Lines of a log that are shown when its process is to blame."""
-
 _SAMPLE_S: Final = 0.5
 """Time between two looks at the memory of a process, once all have been looked at."""
 
@@ -50,10 +48,7 @@ end: see docs/decisions/0003-zenoh-tuning.md."""
 
 
 class Memory(NamedTuple):
-    """Memory of a process [MB of 1,000,000 bytes]: resident in all, and its own.
-
-    The difference is shared with the other processes: the pages of Python and of its libraries.
-    """
+    """Memory of a process [MB]: resident in all, and its own, which it shares with no other."""
 
     resident_mb: float
     own_mb: float
@@ -68,11 +63,11 @@ def memory_of(pid: int) -> Memory:
 
 
 class RunFailure(FailureError):  # noqa: N818 - what failed is the run, not the program
-    """A run that could not go on. The text names the process, who waited for what, and its log."""
+    """A run that could not go on."""
 
 
 class ForkServerProcess(SideProcess):
-    """The fork server as the launcher sees it. Start it early: it imports while others prepare."""
+    """The fork server. Start it early: it imports while others prepare."""
 
     def __init__(self) -> None:
         self.control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -98,9 +93,9 @@ class ForkServerProcess(SideProcess):
         self.send_requests()
 
     def send_requests(self) -> None:
-        """Send requests while there is room: a server that forks hundreds does not read.
+        """Send requests while there is room, without blocking: the server may not read now.
 
-        Call it repeatedly: it does not block, since the server may wait until its events are read.
+        To be called again and again: a server that forks hundreds waits until its events are read.
         """
         self.control.setblocking(False)
         with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):
@@ -132,9 +127,7 @@ class Child:
     exited: Exited | None = None
     memory: Memory = NOTHING_SEEN
     cpu_at_start_s: float | None = None
-    """Its processor time when cycle 0 began [s]."""
     heard_at: float = 0.0
-    """When its last event came, monotonic [s]."""
 
     def begin_again(self) -> None:
         """Forget all events of its process, which has ended."""
@@ -152,7 +145,7 @@ class Child:
                 setattr(self, type(event).__name__.lower(), event)  # Each has a field of its name.
 
     def cpu_s(self) -> float | None:
-        """Return the processor time of all its threads so far; None if it is not known."""
+        """Return its processor time so far; None if it is not known."""
         if self.exited is not None:
             return self.exited.cpu_s
         try:
@@ -217,8 +210,14 @@ class Children:
                 self._server_gone = True
                 break
             control.settimeout(0.0)
-            if (event := self._reader.feed(packet)) is not None:
-                self._note(*event, heard)
+            if (found := self._reader.feed(packet)) is None:
+                continue
+            agent, event = found
+            if agent in self.by_agent:
+                self[agent].note(event)
+                heard.append((self[agent], event))
+            elif isinstance(event, Failed):
+                self._server_failure = event.text
         self._sample_memory()
         self._check()
         return heard
@@ -228,7 +227,7 @@ class Children:
         return [child for child in self if child.agent != RECORDER]
 
     def failure(self, agent: str, text: str) -> RunFailure:
-        """Return the failure of a run that an agent is to blame for, with its last log lines."""
+        """Return a failure that an agent is to blame for, with the last lines of its log."""
         if agent not in self.by_agent:
             return RunFailure(f"{text} ({agent} is external)")
         log = self[agent].log
@@ -249,26 +248,17 @@ class Children:
     def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
         """Wait until processes end or send no events any more; return those that have not ended."""
         until = time.monotonic() + timeout_s
-        left = [child for child in children if child.exited is None]
-        while left and time.monotonic() < until:
+        while left := [child for child in children if child.exited is None]:
             if any(child in left for child, _ in self.events(0.02)):
                 until = time.monotonic() + timeout_s
-            left = [child for child in left if child.exited is None]
+            if time.monotonic() > until:
+                break
         return left
-
-    def _note(self, agent: str, event: Event, heard: list[tuple[Child, Event]]) -> None:
-        if agent in self.by_agent:
-            child = self.by_agent[agent]
-            child.note(event)
-            heard.append((child, event))
-        elif isinstance(event, Failed):
-            self._server_failure = event.text
 
     def _sample_memory(self) -> None:
         """Look at the memory of one process, each in its turn.
 
-        The kernel walks through all pages of a process for it, a millisecond in which that process
-        may have to wait: once everybody has been seen, that is done rarely.
+        That process may have to wait for a millisecond: once all have been seen, look rarely.
         """
         children = [child for child in self if child.ready and child.exited is None]
         now = time.monotonic()
@@ -312,31 +302,24 @@ class Children:
 def who_waits(waiting: Mapping[str, Waiting], stopped: Sequence[str] = ()) -> tuple[str, list[str]]:
     """Say in one line who waits for whom in a run that stalls; return it with those to blame.
 
-    To blame is a process that a signal has stopped; else one that others wait for and that does not
-    wait itself; else one that has gone on without sending what others wait for.
+    To blame are processes that a signal has stopped; else those that others wait for and that do
+    not wait in the same cycle themselves.
     """
     first = min(event.cycle for event in waiting.values())
+    stuck = {agent: event for agent, event in waiting.items() if event.cycle == first}
     needed: dict[str, list[str]] = {}
-    for agent, event in waiting.items():
-        for port, publisher in event.needs if event.cycle == first else ():
+    for agent, event in stuck.items():
+        for port, publisher in event.needs:
             needed.setdefault(publisher, []).append(f"{agent} waits for {port}")
-    silent = [agent for agent in needed if agent not in waiting]
-    ahead = [agent for agent in needed if agent in waiting and waiting[agent].cycle > first]
-    if stopped:
-        to_blame, what = list(stopped), "stopped by a signal:"
-    elif silent:
-        to_blame, what = silent, "nothing more came from"
-    elif ahead:
-        to_blame, what = ahead, "no usable dispatch, so nothing was sent by"
-    else:
-        to_blame, what = list(needed), "all wait for each other:"
+    to_blame = list(stopped) or [agent for agent in needed if agent not in stuck] or list(needed)
+    what = "stopped by a signal:" if stopped else "nothing that can be used came from"
     waits = [line for agent in to_blame for line in needed.get(agent, ())]
     line = f"stalled in cycle {first}: {what} {some_of(to_blame)}"
     return "; ".join(filter(None, (line, some_of(waits)))), to_blame
 
 
 def stall(children: Children) -> tuple[str, list[str]]:
-    """Say in one line why a run stalls; return it with those to blame."""
+    """Say in one line why the run of some processes stalls; return it with those to blame."""
     waiting = {child.agent: child.waiting for child in children if child.waiting is not None}
     stopped = [child.agent for child in children if child.is_stopped()]
     return who_waits(waiting, stopped)

@@ -13,13 +13,11 @@ from bus_schemas.errors import InputError
 def reserved_ports(
     agents: Sequence[str], base_port: int | None = None, address: str = "127.0.0.1"
 ) -> Iterator[dict[str, int]]:
-    """Reserve a port for each agent, as long as the context lasts.
+    """Reserve a port at an address of this host for each agent, as long as the context lasts.
 
     A socket stays bound to each port without listening on it, so that the kernel gives the port to
-    nobody else, while Zenoh, which sets SO_REUSEADDR as well, can listen on it.
-
-    The first agent gets `base_port`, and the others the next ones; None: whatever is free. The
-    agents listen at `address`, which is one of this host.
+    nobody else, while Zenoh, which sets SO_REUSEADDR as well, can listen on it. The first agent
+    gets `base_port`, and the others the next ones; None: whatever is free.
     """
     with ExitStack() as sockets:
         ports: dict[str, int] = {}

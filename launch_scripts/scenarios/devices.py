@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 
 import msgspec
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.tree import PLANT, ControlTree
+from bus_schemas.tree import PLANT, ControlTree, some_of
 from sim_plant.devices import parse_address
 
 
@@ -34,10 +33,7 @@ def devices(
         found[node] = ("--device", address)
     for node, (where, address) in found.items():
         if node not in tree.leaves:
-            near = get_close_matches(node, tree.leaves, n=3, cutoff=0.5) or tree.leaves[:3]
-            raise InputError(
-                f"{where}: expected an inverter of this run such as {', '.join(near)}, got {node}"
-            )
+            raise InputError(f"{where}: expected one of {some_of(tree.leaves)}, got {node}")
         parse_address(address, f"{where} {node}")
     return tuple((leaf, found[leaf][1]) for leaf in tree.leaves if leaf in found)
 

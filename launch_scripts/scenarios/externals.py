@@ -7,13 +7,12 @@ A device of the user's own takes the place of a process. It finds the bus by the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from ipaddress import IPv4Address, IPv6Address, ip_address
 from typing import Final
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.tree import PLANT, RECORDER, ControlTree
+from bus_schemas.tree import PLANT, RECORDER, ControlTree, some_of
 from recordings.read.selection import find_agents
 
 _LONGEST_WAIT_S: Final = 86_400.0
@@ -27,10 +26,7 @@ def check_externals(
     team = tuple(agent for agent in tree.agents() if agent != RECORDER)
     for agent in external:
         if agent not in team:
-            near = get_close_matches(agent, team, n=4, cutoff=0.5) or team[:4]
-            raise InputError(
-                f"--external: expected an agent of this run such as {', '.join(near)}, got {agent}"
-            )
+            raise InputError(f"--external: expected one of {some_of(team)}, got {agent}")
     if not 0.0 < timeout_s <= _LONGEST_WAIT_S:
         raise InputError(
             f"--external-timeout: expected seconds above 0, up to {_LONGEST_WAIT_S:g}, got "

@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from bus_schemas.errors import InputError
-from bus_schemas.faults import UNHEARD, FaultRule, check_rule
+from bus_schemas.faults import FaultRule, check_rule
 from bus_schemas.times import duration_s, split_range
 from bus_schemas.tree import ControlTree
 from launch_scripts.scenarios.fields import readable
@@ -30,20 +30,12 @@ def fault_rules(
     """Return the rules of a run, the scenario's first."""
     rules = scenario_file.scenario.faults
     for place, rule in enumerate(rules):
-        check_rule(rule, tree, f"{scenario_file.path}: faults[{place}]", external, addresses)
+        check_rule(rule, tree, f"faults[{place}]", external, addresses)
     for text in options:
         rule = parse_fault(text)
         check_rule(rule, tree, f"--fault {text}", external, addresses)
         rules += (rule,)
     return rules
-
-
-def fault_remarks(rules: Sequence[FaultRule]) -> tuple[str, ...]:
-    """Name the signals of which faults change nothing, a line each."""
-    unheard = dict.fromkeys(rule.signal for rule in rules if rule.signal in UNHEARD)
-    return tuple(
-        f"faults on {signal} change nothing: no agent acts on {signal}" for signal in unheard
-    )
 
 
 def parse_fault(text: str) -> FaultRule:

@@ -9,48 +9,31 @@ from typing import Any, Final
 import msgspec
 from msgspec import inspect
 
-_LONGEST_SHOWN: Final = 60
 _NO_BOUND: Final = 1e12
 """A bound that only keeps infinity out."""
 
 
 def readable(error: msgspec.ValidationError, struct: type[Any], document: object) -> str:
     """Say `FIELD: expected X, got Y` of an error in a document that should be a struct."""
-    where, what = place_and_objection(error)
+    found = re.fullmatch(r"(.*) - at (?:`key` in )?`\$\.?(.*)`", str(error), re.DOTALL)
+    what, where = found.groups() if found else (str(error), "")
     if unknown := re.fullmatch(r"Object contains unknown field `(.*)`", what, re.DOTALL):
-        text = f"expected the fields {', '.join(field_names(struct, where, document))}"
-        text += f", got {unknown[1]}"
+        names = _field_names(_types_and_value(struct, where, document)[0])
+        text = f"expected the fields {', '.join(names)}, got {unknown[1]}"
     elif missing := re.fullmatch(r"Object missing required field `(.*)`", what):
         where = f"{where}.{missing[1]}".removeprefix(".")
-        text = f"expected {_needs(struct, where, document)}, got nothing"
+        text = f"expected {takes(_types_and_value(struct, where, document)[0])}, got nothing"
     elif what.startswith(("Expected", "Invalid")):
         types, value = _types_and_value(struct, where, document)
-        if " in `$" in str(error) and isinstance(value, Mapping):
-            tables = (one for one in types if isinstance(one, inspect.DictType))
-            types = [key for table in tables for key in members(table.key_type)]
-            value = ", ".join(map(str, value))
-        shown = repr(value) if isinstance(value, str) else str(value)
-        shown = shown if len(shown) <= _LONGEST_SHOWN else f"{shown[:_LONGEST_SHOWN]}..."
-        text = f"expected {takes(types) or what}, got {shown}"
+        text = f"expected {takes(types) or what}, got {value!r:.60}"
     else:
         text = what  # From a `__post_init__`, in its own words.
     return f"{where}: {text}" if where else text
 
 
-def place_and_objection(error: msgspec.ValidationError) -> tuple[str, str]:
-    """Return where in a document an error of msgspec lies, such as `a.b`, and what it is."""
-    found = re.fullmatch(r"(.*) - at (?:`key` in )?`\$\.?(.*)`", str(error), re.DOTALL)
-    return (found[2], found[1]) if found else ("", str(error))
-
-
-def field_names(struct: type[Any], path: str, document: object = None) -> tuple[str, ...]:
-    """Return the names of the fields of a table, as a file writes them.
-
-    Where several structs can stand, the document says which is meant; if it does not, the fields of
-    all of them are named.
-    """
+def _field_names(tables: Iterable[inspect.Type]) -> tuple[str, ...]:
     names: dict[str, None] = {}
-    for table in _types_and_value(struct, path, document)[0]:
+    for table in tables:
         if isinstance(table, inspect.StructType):
             if table.tag_field is not None:
                 names[table.tag_field] = None
@@ -80,21 +63,6 @@ def members(kind: inspect.Type) -> tuple[inspect.Type, ...]:
 
 def takes(types: Iterable[inspect.Type]) -> str:
     return " or ".join(dict.fromkeys(_takes(one) for one in types))
-
-
-def _needs(struct: type[Any], place: str, document: object) -> str:
-    """Say in words what a field takes that is missing; of a table also its required fields."""
-
-    def taken_at(path: str) -> str:
-        return takes(_types_and_value(struct, path, document)[0])
-
-    types, _ = _types_and_value(struct, place, document)
-    tables = [one for one in types if isinstance(one, inspect.StructType)]
-    names = [field.encode_name for table in tables[:1] for field in table.fields if field.required]
-    if tables and tables[0].tag_field is not None:
-        names = [tables[0].tag_field]
-    fields = ", ".join(f"{name} ({taken_at(f'{place}.{name}')})" for name in names)
-    return f"{takes(types)} with {fields}" if fields else takes(types)
 
 
 def _takes(kind: inspect.Type) -> str:
@@ -159,12 +127,7 @@ def _value_in(document: object, part: str) -> object:
 
 def _meant(types: list[inspect.Type], document: object) -> list[inspect.Type]:
     """Return those types whose tag the document names; all, where it names none."""
-    named: list[inspect.Type] = [
-        one
-        for one in types
-        if isinstance(one, inspect.StructType)
-        and one.tag_field is not None
-        and isinstance(document, Mapping)
-        and document.get(one.tag_field) == one.tag
-    ]
-    return named or types
+    tables = [one for one in types if isinstance(one, inspect.StructType) and one.tag_field]
+    if not isinstance(document, Mapping):
+        return types
+    return [one for one in tables if document.get(one.tag_field) == one.tag] or types

@@ -33,19 +33,14 @@ def machine_settings(
 ) -> MachineSettings:
     """Return what the processes of a run may take, by the scenario and the command line."""
     where, entries = ("--cpus", cpus) if cpus else ("machine.cpus:", table.cpus)
-    everywhere: tuple[int, ...] = ()
-    of_kind: dict[Kind, tuple[int, ...]] = {}
+    of_kind: dict[str, tuple[int, ...]] = {}
     for entry in entries:
         kind, equals, listed = entry.rpartition("=")
         if equals and kind not in KINDS:
             raise InputError(
                 f"{where} {entry}: expected a kind of process ({', '.join(KINDS)}), got {kind!r}"
             )
-        found = _cpu_list(f"{where} {entry}", listed)
-        if equals:
-            of_kind[cast("Kind", kind)] = found
-        else:
-            everywhere = found
+        of_kind[kind] = _cpu_list(f"{where} {entry}", listed)
     if priority is None:
         priority = table.priority
     elif not LOWEST_PRIORITY <= priority <= HIGHEST_PRIORITY:
@@ -57,7 +52,9 @@ def machine_settings(
             "--priority: expected a --pace such as 1 with it, got lockstep, where nothing can be "
             "late"
         )
-    return MachineSettings(everywhere, of_kind, priority, table.lock_memory)
+    everywhere = of_kind.pop("", ())
+    kinds = cast("dict[Kind, tuple[int, ...]]", of_kind)
+    return MachineSettings(everywhere, kinds, priority, table.lock_memory)
 
 
 def _cpu_list(where: str, text: str) -> tuple[int, ...]:

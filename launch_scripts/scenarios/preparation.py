@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, time
@@ -28,8 +27,7 @@ from launch_scripts.scenarios.externals import (
     check_externals,
     own_address,
 )
-from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
-from launch_scripts.scenarios.fields import field_names
+from launch_scripts.scenarios.fault_rules import fault_rules
 from launch_scripts.scenarios.machine_table import machine_settings
 from launch_scripts.scenarios.power_sources import power_source
 from launch_scripts.scenarios.real_time import cycle_wall_ns, parse_pace, tier_deadlines_ns
@@ -54,9 +52,6 @@ _HOUR_NS: Final = 3_600_000_000_000
 
 _FINEST_PAST_S: Final = 1.0
 """Finest step of the past: shorter ones add nothing, since clouds change over seconds."""
-
-_LARGEST_INVERTER_KW: Final = 10_000.0
-"""Larger than any on the market: a larger rating is probably in W."""
 
 _LARGEST_DISTANCE_M: Final = 100_000.0
 """Farther from the middle than in any plant: a larger distance is probably a mistyped position."""
@@ -134,7 +129,8 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             zone, data_path = scenario.time.timezone, scenario_file.data_path
             regulation = regulation_kw(offer, day.times, zone, data_path)
     except InputError as error:
-        raise InputError(_with_file(scenario_file, str(error))) from None
+        of_option = str(error).startswith("--")
+        raise error if of_option else InputError(f"{scenario_file.path}: {error}") from None
     if plan.revert is not None and plan.revert != scenario.plant.revert:
         remarks.append(f"inverters revert after {plan.revert.after_s:g} s, which is three cycles")
     if of_commitment := hindsight(scenario.commitment):
@@ -147,16 +143,11 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         plan.regulation_capacity_kw,
         meter_error=scenario.plant.meter_noise * meter.standard_normal(day.possible_kw.shape),
     )
-    remarks += fault_remarks(plan.faults)
     return Preparation(plan, profile, scenario_file, options, tuple(remarks))
 
 
 def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -> _Day:
-    """Work out power, commitment and control tree.
-
-    Clusters and neighbours are those of the scenario's own times and cycle, whatever the options.
-    """
-    own = scenario_file.scenario
+    own = scenario_file.scenario  # Clusters and neighbours are its own, whatever the options.
     times = _times(scenario, options)
     source = power_source(scenario_file, options.seed, times)
     check_size(len(times), len(source.sites.names), "time.duration_s")
@@ -179,12 +170,6 @@ def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -
 def _doubts(day: _Day) -> Iterator[str]:
     """Say what can be run, but is hardly meant."""
     sites, highest_kw = day.source.sites, day.commitment_kw.max()
-    largest = int(sites.rating_kw.argmax())
-    if sites.rating_kw[largest] > _LARGEST_INVERTER_KW:
-        yield (
-            f"plant: expected inverters of {_LARGEST_INVERTER_KW:,.0f} kW at most, got "
-            f"{sites.names[largest]} of {sites.rating_kw[largest]:,.0f} kW; ratings are in kW"
-        )
     away_m = np.hypot(*east_north_m(sites.lat_deg, sites.lon_deg))
     farthest = int(away_m.argmax())
     if away_m[farthest] > _LARGEST_DISTANCE_M:
@@ -275,10 +260,7 @@ def _plan(
 
 
 def _renewable(revert: Revert | None, scenario: Scenario) -> Revert | None:
-    """Let a revert time be three cycles at least.
-
-    Controllers renew commands in each cycle, and must do so within a third of the revert time.
-    """
+    """Let a revert time be three cycles at least: commands are renewed within a third of it."""
     if revert is None:
         return None
     return replace(revert, after_s=max(revert.after_s, 3.0 * scenario.time.cycle_s))
@@ -308,7 +290,7 @@ def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     table = scenario.time
-    start = _start(table, options.start, "--from")
+    start = _start(table, options.start, "time.start" if options.start is None else "--from")
     where, duration_s = "time.duration_s", table.duration_s
     if options.duration is not None:
         where, duration_s = "--duration", parse_duration_s(options.duration, "--duration")
@@ -318,8 +300,6 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
         end = _start(table, options.end, "--to", start)
         # In UTC: between two times of one zone Python counts the hours of the wall clock.
         where, duration_s = "--to", (end.astimezone(UTC) - start.astimezone(UTC)).total_seconds()
-        if duration_s <= 0.0:
-            raise InputError(f"--to: expected a time after {start}, got {end}")
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(
@@ -335,29 +315,22 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
 def _start(
     table: TimeTable, option: str | None, name: str, day: datetime | None = None
 ) -> datetime:
-    if option is None and not FIRST_YEAR <= table.start.year <= LAST_YEAR:
-        raise InputError(
-            f"time.start: expected a year from {FIRST_YEAR} to {LAST_YEAR}, got {table.start}"
-        )
     scheduled = day or local_start(table)
-    if option is None:
-        return scheduled
-    moment = read_time(option)
+    moment = scheduled if option is None else read_time(option)
     if isinstance(moment, time) and moment.tzinfo is None:
         return datetime.combine(scheduled.date(), moment, scheduled.tzinfo)
     if isinstance(moment, datetime) and FIRST_YEAR <= moment.year <= LAST_YEAR:
         return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
     raise InputError(
         f"{name}: expected a local time such as 12:30 or 2010-04-01T12:30:00, "
-        f"year {FIRST_YEAR} to {LAST_YEAR}, got {option}"
+        f"year {FIRST_YEAR} to {LAST_YEAR}, got {moment if option is None else option}"
     )
 
 
 def _covariance(scenario: Scenario, source: PowerSource, times: pd.DatetimeIndex) -> HourlyMatrices:
     """Covariance of the inverters' power in the past, for the hours of scenario and run.
 
-    The past does not depend on which part of the scenario is run, nor at which rate: the same
-    plant keeps its clusters and neighbours.
+    Whichever part of the scenario is run, the plant keeps its clusters and neighbours.
     """
     measured = source.measured_times
     if scenario.neighbours.history == "hindsight":
@@ -393,13 +366,3 @@ def _beginnings_ns(times: pd.DatetimeIndex, scenario: Scenario) -> dict[int, int
     """For each hour of the run the simulated time at which it begins [ns]."""
     hours, first = np.unique(_local_hours(times, scenario.time.timezone), return_index=True)
     return {int(hour): times[int(row)].value for hour, row in zip(hours, first, strict=True)}
-
-
-def _with_file(scenario_file: ScenarioFile, text: str) -> str:
-    """Name the scenario where the text begins with one of its fields."""
-    found = re.match(r"(\w+)(?:\.(\w+))?\W", text)
-    table, field = found.groups() if found else ("", None)
-    is_field = table in field_names(Scenario, "")
-    if is_field and (field is None or field in field_names(Scenario, table)):
-        return f"{scenario_file.path}: {text}"
-    return text

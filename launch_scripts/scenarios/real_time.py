@@ -9,6 +9,7 @@ several cycles, and its late setpoints are used in the next decision.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final, Literal
 
 from agents.cycle import parts_up_to, stage_place
@@ -60,8 +61,7 @@ def tier_deadlines_ns(
 ) -> tuple[int, ...]:
     """Return when the last message of each tier must be out after the beginning of a cycle [ns].
 
-    Without deadlines of the scenario nothing is returned: each stage gets its share of the cycle.
-    The central controller's come first. In lockstep, where `cycle_ns` is 0, none is used.
+    Empty: each stage gets its share of the cycle. In lockstep `cycle_ns` is 0, and none is used.
     """
     if deadlines_ms is None:
         return ()
@@ -72,20 +72,14 @@ def tier_deadlines_ns(
         )
     found = tuple(round(deadline_ms * 1e6) for deadline_ms in deadlines_ms)
     # The stages up to the central controller's solve share the time before its deadline.
-    earliest_ns = parts_up_to(stage_place(CENTRAL, "solve", tree)) * SHORTEST_CYCLE_NS
-    for tier, deadline_ns in enumerate(found):
-        if deadline_ns < earliest_ns:
-            raise _misplaced(tier, deadline_ns, f"{earliest_ns / 1e6:.10g} ms or more")
-        earliest_ns = deadline_ns + SHORTEST_CYCLE_NS  # Each tier acts after its parent.
+    least_ns = parts_up_to(stage_place(CENTRAL, "solve", tree)) * SHORTEST_CYCLE_NS
     # The plant applies the commands halfway between the last deadline and its next tick.
-    latest_ns = cycle_ns - 2 * SHORTEST_CYCLE_NS
-    if cycle_ns and found[-1] > latest_ns:
-        wanted = f"at most {latest_ns / 1e6:.10g} ms in a cycle of {cycle_ns / 1e6:g} ms"
-        raise _misplaced(len(found) - 1, found[-1], wanted)
+    most_ns = cycle_ns - 2 * SHORTEST_CYCLE_NS if cycle_ns else found[-1]
+    apart_ns = min((later - one for one, later in pairwise(found)), default=SHORTEST_CYCLE_NS)
+    if found[0] < least_ns or apart_ns < SHORTEST_CYCLE_NS or found[-1] > most_ns:
+        longest = f" to {most_ns / 1e6:.10g} ms" if cycle_ns else ""
+        raise InputError(
+            f"control.deadlines_ms: expected {least_ns / 1e6:.10g} ms{longest}, each "
+            f"{SHORTEST_DEADLINE_MS:g} ms or more after the one before, got {list(deadlines_ms)}"
+        )
     return found
-
-
-def _misplaced(tier: int, deadline_ns: int, expected: str) -> InputError:
-    return InputError(
-        f"control.deadlines_ms[{tier}]: expected {expected}, got {deadline_ns / 1e6:.10g} ms"
-    )

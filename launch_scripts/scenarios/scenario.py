@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
@@ -283,22 +282,16 @@ class ScenarioFile(msgspec.Struct, frozen=True):
     def data_path(self, name: str) -> Path:
         """Path of a file or folder that the scenario names.
 
-        It is looked for beside the scenario, then in the data folder, then beside the shipped
-        scenarios: a changed copy of one of those still finds its inverters.
+        It is looked for beside the shipped scenarios too, for changed copies of those.
         """
         for folder in (self.path.parent, self.data_folder, _SHIPPED):
             if (folder / name).exists():
                 return folder / name
         raise InputError(
-            f"{name}: expected it beside {self.path}, in the folder of --data, or beside the "
+            f"{name}: expected it beside the scenario, in the folder of --data, or beside the "
             "shipped scenarios, got none"
         )
 
-
-_WITHOUT_SECONDS: Final = re.compile(
-    r"=\s*(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d(Z|[+-]\d\d:\d\d)?\s*(#|$)"
-)
-"""A time in a line of TOML, which requires the seconds too."""
 
 _SHIPPED: Final = Path(str(files("launch_scripts.scenarios")))
 
@@ -319,24 +312,13 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         # An editor may have put a byte order mark first.
         text = path.read_text(encoding="utf-8-sig")
         scenario = msgspec.toml.decode(text, type=Scenario)
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected UTF-8, got byte {error.start} that is not") from None
     except msgspec.ValidationError as error:
         document = msgspec.toml.decode(text)
         raise InputError(f"{path}: {readable(error, Scenario, document)}") from None
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise InputError(f"{path}: {_no_toml(text, str(error))}") from None
+    except (UnicodeDecodeError, msgspec.DecodeError, RecursionError) as error:
+        raise InputError(f"{path}: expected TOML in UTF-8: {error}") from None
     check_scenario(scenario, str(path))
     return ScenarioFile(scenario, text, path, data_folder or path.parent)
-
-
-def _no_toml(text: str, objection: str) -> str:
-    """Say what is wrong with a text that is no TOML."""
-    found = re.search(r"\(at line (\d+)", objection)
-    line = text.split("\n")[int(found[1]) - 1].strip() if found else ""
-    if found and _WITHOUT_SECONDS.search(line):
-        return f"line {found[1]}: expected a time with seconds, such as 13:00:00, got {line}"
-    return f"expected TOML: {objection}"
 
 
 def check_scenario(scenario: Scenario, where: str) -> None:

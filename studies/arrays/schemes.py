@@ -15,7 +15,7 @@ from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from recordings.read.series import RunSeries
 from sim_plant.profile import Profile
-from studies.arrays.closed_loop import LoopResult, run_loop
+from studies.arrays.closed_loop import run_loop
 
 SCHEMES: Final = {
     "uncontrolled": "every inverter at its maximum",
@@ -29,7 +29,6 @@ SCHEMES: Final = {
 
 BOUNDS: Final = ("uncontrolled", "physical-limit")
 """Schemes that command nothing: they have no actuator, and say what is possible."""
-
 
 _SIZES: Final = (1, 2, 3, 4, 6, 8)
 """Sizes of the reference groups that are tried if none are given."""
@@ -80,38 +79,50 @@ def run_scheme(
 ) -> list[RunSeries]:
     """Run one of `SCHEMES`; grouping control gives one series for each reference group."""
     if name in get_args(Scheme):
-        found = run_loop(plan, profile, cast(Scheme, name), actuator)
-        return [_series(name, plan, profile, found)]
-    if name == "grouping":
-        return _grouping(plan, profile, actuator, groups)
-    power_kw = profile.mpp_kw
-    if name == "uniform-cap":
-        power_kw = _uniform_cap(plan, profile, actuator)
-    if name == "physical-limit":
-        possible_kw = profile.mpp_kw.sum(axis=1)
-        wanted_kw = np.clip(_desired_kw(profile), 0.0, possible_kw)
-        share = np.ones_like(wanted_kw)
-        np.divide(wanted_kw, possible_kw, out=share, where=possible_kw > 0.0)
-        power_kw = np.asarray(profile.mpp_kw * share[:, None])
-    return [_series(name, plan, profile, _result(profile, power_kw))]
+        results = [run_loop(plan, profile, cast(Scheme, name), actuator)._asdict()]
+    else:
+        powers_kw = _powers_kw(name, plan, profile, actuator, groups)
+        results = [{"power_kw": kw, "alpha": _share(kw, profile.mpp_kw)} for kw in powers_kw]
+    return [
+        RunSeries.of(
+            plan,
+            name,
+            commitment_kw=profile.commitment_kw,
+            regulation_kw=profile.regulation_kw,
+            mpp_kw=profile.mpp_kw,
+            **result,
+        )
+        for result in results
+    ]
+
+
+def _powers_kw(
+    name: str, plan: RunPlan, profile: Profile, actuator: Actuator, groups: ReferenceGroups
+) -> Iterator[NDArray[np.float64]]:
+    match name:
+        case "uncontrolled":
+            yield profile.mpp_kw
+        case "uniform-cap":
+            yield _uniform_cap(plan, profile, actuator)
+        case "grouping":
+            yield from _grouping(plan, profile, actuator, groups)
+        case "physical-limit":
+            possible_kw = profile.mpp_kw.sum(axis=1)
+            wanted_kw = np.clip(_desired_kw(profile), 0.0, possible_kw)
+            yield profile.mpp_kw * _share(wanted_kw, possible_kw)[:, None]
 
 
 def _grouping(
     plan: RunPlan, profile: Profile, actuator: Actuator, groups: ReferenceGroups
-) -> list[RunSeries]:
+) -> Iterator[NDArray[np.float64]]:
     rating_kw = _rating_kw(plan)
     measured_kw = _measured_maximum_kw(profile)
-    found = []
-    names = [leaf.rpartition("/")[2] for leaf in plan.tree.leaves]
-    for mask in groups.groups(names):
+    for mask in groups.groups([leaf.rpartition("/")[2] for leaf in plan.tree.leaves]):
         seen = measured_kw[:, mask].sum(axis=1), _desired_kw(profile), rating_kw, mask
         if actuator == "limit":
-            power_kw = np.minimum(profile.mpp_kw, grouping_limits_kw(*seen))
+            yield np.minimum(profile.mpp_kw, grouping_limits_kw(*seen))
         else:
-            power_kw = profile.mpp_kw * grouping_levels(*seen)
-        members = ",".join(name for name, chosen in zip(names, mask, strict=True) if chosen)
-        found.append(_series(f"grouping({members})", plan, profile, _result(profile, power_kw)))
-    return found
+            yield profile.mpp_kw * grouping_levels(*seen)
 
 
 def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
@@ -122,29 +133,13 @@ def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray
     if actuator == "limit":
         return np.minimum(profile.mpp_kw, request_kw)
     impp_kw = np.minimum(_measured_maximum_kw(profile), rating_kw)
-    level = np.ones_like(impp_kw)
-    np.divide(request_kw, impp_kw, out=level, where=impp_kw > request_kw)
+    level = np.minimum(_share(request_kw, impp_kw), 1.0)
     return np.asarray(profile.mpp_kw * np.maximum(level, plan.alpha_min))
 
 
-def _result(profile: Profile, power_kw: NDArray[np.float64]) -> LoopResult:
-    unknown = np.full_like(power_kw, np.nan)
-    alpha = np.divide(power_kw, profile.mpp_kw, out=np.ones_like(power_kw), where=power_kw > 0.0)
-    return LoopResult(power_kw, unknown, unknown, alpha)
-
-
-def _series(label: str, plan: RunPlan, profile: Profile, result: LoopResult) -> RunSeries:
-    return RunSeries.of(
-        plan,
-        label,
-        commitment_kw=profile.commitment_kw,
-        regulation_kw=profile.regulation_kw,
-        mpp_kw=profile.mpp_kw,
-        power_kw=result.power_kw,
-        impp_kw=result.impp_kw,
-        residual_kw=result.residual_kw,
-        alpha=result.alpha,
-    )
+def _share(power_kw: NDArray[np.float64], of_kw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a power as a share of another; 1 where that other is 0."""
+    return np.divide(power_kw, of_kw, out=np.ones_like(power_kw), where=of_kw > 0.0)
 
 
 def _desired_kw(profile: Profile) -> NDArray[np.float64]:

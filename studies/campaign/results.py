@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 
 from launch_scripts.scenarios.preparation import Preparation
 from studies.campaign.curves import RATES_PER_H, REPAIRS_S, Point, Protection
-from studies.campaign.study import Campaign, Outcome, rerun
+from studies.campaign.study import Campaign, Outcome, tried
 from studies.report import style
 from studies.report.result import Result
 from studies.tables import Cell, Column, Table, key_column
@@ -30,17 +30,14 @@ _COSTS: Final = (
 _MEASURES: Final = {"over_percent": "Over-delivered", "short_percent": "Shortfall"}
 """What a `Point` says of the cost of failures."""
 
-_DRAWN: Final = 3
+_DRAWN: Final = 6
 _HEIGHT_PX: Final = 320
 
 
 def campaign_result(
     preparation: Preparation, campaign: Campaign, outcomes: Sequence[Outcome]
 ) -> Result:
-    """Return what the faults of all seeds cost, and how many seeds broke which invariant.
-
-    The figures show seeds that broke an invariant, and the most expensive ones.
-    """
+    """Return what the faults of all seeds cost, and how many seeds broke which invariant."""
     rows: list[tuple[Cell, ...]] = []
     for name, unit, field in _COSTS:
         values = [getattr(outcome, field) for outcome in outcomes]
@@ -49,10 +46,8 @@ def campaign_result(
     counts = Counter(outcome.violations[0].invariant for outcome in broken)
     listed = ", ".join(f"{name} {count:,}" for name, count in sorted(counts.items()))
     plan = preparation.plan
-    title = (
-        f"{plan.plant}: {len(outcomes):,} seeds of {plan.cycles} cycles from "
-        f"{preparation.local_start()}"
-    )
+    begins = preparation.local_start()
+    title = f"{plan.plant}: {len(outcomes):,} seeds of {plan.cycles} cycles from {begins}"
     columns = (
         key_column("", "figure"),
         key_column("", "unit"),
@@ -62,22 +57,20 @@ def campaign_result(
         "All relative to the same run without faults.",
         f"Broken invariants, with the number of seeds: {listed or 'none'}.",
     )
-    most_over = sorted(outcomes, key=lambda outcome: outcome.over_kwh, reverse=True)
-    most_under = sorted(outcomes, key=lambda outcome: outcome.under_kwh, reverse=True)
-    worst = (*broken[:_DRAWN], *most_over[:_DRAWN], *most_under[:_DRAWN])
-    drawn = {outcome.seed: outcome for outcome in worst}
+    by_cost = sorted(outcomes, key=lambda one: one.over_kwh + one.under_kwh, reverse=True)
+    drawn = sorted(by_cost, key=lambda one: not one.violations)[:_DRAWN]
     return Result(
         f"Campaign: {title}",
         [Table(title, columns, rows, notes)],
         outcomes,
         verdict=(not broken, f"{len(broken):,} of {len(outcomes):,} seeds broke an invariant"),
-        figures=lambda: [_seed_figure(campaign, outcome) for outcome in drawn.values()],
+        figures=lambda: [_seed_figure(campaign, outcome) for outcome in drawn],
     )
 
 
 def _seed_figure(campaign: Campaign, outcome: Outcome) -> style.ReportFigure:
     """Draw the power of a seed beside what was desired and the run without faults."""
-    trace = rerun(campaign, outcome)
+    trace, _ = tried(campaign, outcome.fault_rules)
     cycles = len(trace.produced)
     time_s = np.arange(cycles) * campaign.plan.cycle_ns / 1e9
     figure = go.Figure()

@@ -12,11 +12,12 @@ from typing import Final
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agents.plan import RunPlan
 from bus_schemas.faults import FaultRule, links
-from bus_schemas.tree import agent_name
+from bus_schemas.tree import agent_name, depth
 from launch_scripts.launcher.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
 from launch_scripts.launcher.supervision import RunFailure
 from launch_scripts.scenarios.fault_rules import parse_fault
@@ -38,9 +39,7 @@ _SETTLED_S: Final = 10.0
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """The result of one seed.
 
-    rules: Its faults, as `--fault` reads them.
-    violations: Invariants that did not hold. The faults are then the shortest list that breaks the
-        first.
+    rules: Its faults, as `--fault` reads them; the shortest list that breaks the first invariant.
     over_kwh, under_kwh: Energy beyond and below what the plant delivers without faults.
     over_kw, under_kw: The most of it in a cycle.
     """
@@ -60,10 +59,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """A plant and its run without faults.
-
-    healthy_kw: Its power, shape (cycles,).
-    """
+    """A plant, and its power without faults, shape (cycles,)."""
 
     plan: RunPlan
     profile: Profile
@@ -72,17 +68,17 @@ class Campaign:
 
 def campaign(preparation: Preparation) -> Campaign:
     plan = on_the_clock(preparation.plan)
-    healthy = trace_of(plan, preparation.profile, ())
-    return Campaign(plan, preparation.profile, healthy.delivered_kw)
+    profile = preparation.profile
+    return Campaign(plan, profile, trace_of(plan, profile, ()).delivered_kw)
 
 
 def run_seed(campaign: Campaign, seed: int) -> Outcome:
     """Run one seed; shrink it if it breaks an invariant."""
     rules = random_rules(campaign.plan, seed)
-    trace, broken = _tried(campaign, rules)
+    trace, broken = tried(campaign, rules)
     if broken:
         rules = _shrunk(campaign, rules, broken[0].invariant)
-        trace, broken = _tried(campaign, rules)
+        trace, broken = tried(campaign, rules)
     apart_kw = trace.delivered_kw - campaign.healthy_kw[: len(trace.produced)]
     hours = campaign.plan.cycle_ns / 3.6e12
     return Outcome(
@@ -96,16 +92,11 @@ def run_seed(campaign: Campaign, seed: int) -> Outcome:
     )
 
 
-def rerun(campaign: Campaign, outcome: Outcome) -> Trace:
-    """Return the messages of a seed once more."""
-    return _tried(campaign, outcome.fault_rules)[0]
-
-
 def judge(campaign: Campaign, rules: tuple[FaultRule, ...], trace: Trace) -> list[Violation]:
     """Return the invariants that a run under some faults breaks."""
     plan = campaign.plan
     # When all faults are over, and inverters have done what they were told.
-    last_s = max(map(_end_s, rules), default=0.0) + _slowest_s(plan)
+    last_s = max(map(_end_s, rules)) + _slowest_s(plan)
     # Inverters that hear nothing more obey for the revert time. Where direct controllers live and
     # hear the plant, and somebody only divides on old reports, `hold_cycles` is the longest.
     hold_s = plan.hold_cycles * plan.cycle_ns / 1e9
@@ -117,12 +108,12 @@ def judge(campaign: Campaign, rules: tuple[FaultRule, ...], trace: Trace) -> lis
     return list(violations(plan, trace, healthy_kw, last_s, longest_s))
 
 
-def _tried(campaign: Campaign, rules: tuple[FaultRule, ...]) -> tuple[Trace, list[Violation]]:
+def tried(campaign: Campaign, rules: tuple[FaultRule, ...]) -> tuple[Trace, list[Violation]]:
     """Return a run under some faults, up to when it must have settled, and what it breaks."""
     plan = campaign.plan
-    last_s = max(map(_end_s, rules), default=0.0) + _settles_s(plan) + _SETTLED_S
+    last_s = max(map(_end_s, rules)) + _settles_s(plan) + _SETTLED_S
     last = round(last_s * 1e9 / plan.cycle_ns)
-    shorter = msgspec.structs.replace(plan, cycles=min(plan.cycles, last))
+    shorter = replace(plan, cycles=min(plan.cycles, last))
     trace = trace_of(shorter, campaign.profile, rules)
     return trace, judge(campaign, rules, trace)
 
@@ -149,7 +140,7 @@ def random_rules(plan: RunPlan, seed: int) -> tuple[FaultRule, ...]:
     # The upper tiers are few and matter most: each tier is as likely as the others.
     tiers: dict[int, list[str]] = {}
     for node in plan.tree.nodes:
-        tiers.setdefault(node.count("/") + 1 if node else 0, []).append(agent_name(node))
+        tiers.setdefault(depth(node), []).append(agent_name(node))
     pairs = sorted({(port.publisher, listener) for port, listener in links(plan.tree)})
     found = []
     for _ in range(draw.randint(1, MOST_FAULTS)):
@@ -192,9 +183,7 @@ def _is_above(plan: RunPlan, rule: FaultRule) -> bool:
     inverters = set(plan.tree.leaves)
     if rule.stops is not None:
         return rule.stops not in inverters
-    if rule.partition is not None:
-        return inverters.isdisjoint(rule.partition.split("|"))
-    return False
+    return rule.partition is not None and inverters.isdisjoint(rule.partition.split("|"))
 
 
 def _shrunk(
@@ -203,9 +192,7 @@ def _shrunk(
     """Leave out one fault after the other, as long as the invariant still breaks."""
     for rule in rules:
         fewer = tuple(other for other in rules if other is not rule)
-        if not fewer:
-            break
-        if any(one.invariant == invariant for one in _tried(campaign, fewer)[1]):
+        if fewer and any(one.invariant == invariant for one in tried(campaign, fewer)[1]):
             rules = fewer
     return rules
 
@@ -216,14 +203,11 @@ def trace_of(
     rules: tuple[FaultRule, ...],
     restart_takes_s: float = RESTART_TAKES_S,
 ) -> Trace:
-    """Return the messages of a run under some faults.
-
-    restart_takes_s: How long a killed controller is away [s]; infinite: it never comes back.
-    """
+    """Return the messages of a run under some faults; a killed controller is away for so long."""
     trace = Trace()
     # A run without faults goes by the same clock: a rule of no length says so.
     idle = (FaultRule(loss=1.0, at=(1e9, 2e9)),)
-    plan = msgspec.structs.replace(plan, faults=rules or idle)
+    plan = replace(plan, faults=rules or idle)
     try:
         for _ in MemoryRun(plan, profile, trace, restart_takes_s).cycles():
             pass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, time, timedelta
 from itertools import chain, product
@@ -16,25 +16,18 @@ from bus_schemas.errors import InputError
 from bus_schemas.times import read_time
 from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.preparation import RunOptions
-from launch_scripts.scenarios.scenario import (
-    Scenario,
-    ScenarioFile,
-    check_scenario,
-    local_start,
-)
-from launch_scripts.scenarios.toml_text import toml_text
+from launch_scripts.scenarios.scenario import Scenario, ScenarioFile, check_scenario, local_start
+from launch_scripts.scenarios.toml_text import toml_text, toml_value
 
 _MOST: Final = 100_000
-
-_STRING_OR_LETTER: Final = re.compile(r"""(?<!\w)(?:"(?:\\.|[^"\\])*"|'[^']*')|.""", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A field of the scenario and the values that it takes in a study, as TOML."""
+    """A field of the scenario and the values that it takes in a study."""
 
     field: str
-    values: tuple[str, ...]
+    values: tuple[object, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +42,23 @@ class Case:
 
 def parse_setting(text: str) -> Setting:
     """Read `commitment.share=0.5,0.7`: a field of the scenario, and its values as TOML."""
-    field, equals, values = text.partition("=")
-    if not equals or not re.fullmatch(r"\w+(\.\w+)*", field.strip()) or not values.strip():
+    field, _, values = (part.strip() for part in text.partition("="))
+    if not re.fullmatch(r"\w+(\.\w+)*", field) or not values:
         raise InputError(
             f"--set: expected a field and values such as commitment.share=0.5,0.7, got {text}"
         )
-    return Setting(field.strip(), tuple(_split(values)))
+    listed = _toml(f"[{values}]")
+    if not isinstance(listed, list):  # Words without quotes are no TOML.
+        listed = [_toml(value.strip()) for value in values.split(",")]
+    return Setting(field, tuple(listed))
+
+
+def _toml(text: str) -> object:
+    """Return the value of a TOML expression, or the text if it is none."""
+    try:
+        return msgspec.toml.decode(f"value = {text}")["value"]
+    except (msgspec.DecodeError, RecursionError):
+        return text
 
 
 def with_settings(scenario: ScenarioFile, texts: Sequence[str]) -> ScenarioFile:
@@ -76,8 +80,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     for part in text.split(","):
         first, _, last = part.partition("..")
         ranges.append(range(int(first), int(last or first) + 1))
-    # Count before listing: a typing error must not fill the memory.
-    if not all(ranges) or sum(map(len, ranges)) > _MOST:
+    if not all(ranges) or sum(map(len, ranges)) > _MOST:  # Not listed yet: it may not fit.
         raise InputError(
             f"--seeds: expected ranges from low to high, at most {_MOST:,} seeds, got {text}"
         )
@@ -117,7 +120,7 @@ def cases(
     found = []
     for chosen in product(*choices):
         changed = _with_settings(scenario, chosen)
-        names = [f"{field.rpartition('.')[2]}={value}" for field, value in chosen]
+        names = [f"{field.rpartition('.')[2]}={_text(value)}" for field, value in chosen]
         for day, seed in product(days or (None,), seeds or (None,)):
             its_options, label = options, [*names]
             if day is not None:
@@ -138,54 +141,32 @@ def _on(day: date, scenario: ScenarioFile, options: RunOptions) -> RunOptions:
     return replace(options, start=datetime.combine(day, clock).isoformat())
 
 
-def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) -> ScenarioFile:
+def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, object]]) -> ScenarioFile:
     if not chosen:
         return scenario
     document = msgspec.to_builtins(scenario.scenario, builtin_types=(datetime,))
+    stated = msgspec.toml.decode(scenario.text)
     for field, value in chosen:
         _put(document, field, value)
-    settings = " ".join(f"--set {field}={value}" for field, value in chosen)
+        _put(stated, field, value)
+    settings = " ".join(f"--set {field}={_text(value)}" for field, value in chosen)
     try:
         changed = msgspec.convert(document, Scenario, str_keys=True)
         check_scenario(changed, settings)
     except msgspec.ValidationError as error:
         raise InputError(f"{settings}: {readable(error, Scenario, document)}") from None
-    stated = msgspec.toml.decode(scenario.text)
-    for field, value in chosen:
-        _put(stated, field, value)
     return msgspec.structs.replace(scenario, scenario=changed, text=toml_text(stated))
 
 
-def _put(document: dict[str, Any], field: str, value: str) -> None:
+def _put(document: dict[str, Any], field: str, value: object) -> None:
+    """Set a field; what stands in the place of a table gives way, and is refused later."""
     *tables, name = field.split(".")
-    table: Any = document
-    for depth, part in enumerate(tables):
-        # A table that the scenario left out is begun: what stands in it is checked with the rest.
-        if table.get(part) is None:
-            table[part] = {}
-        table = table[part]
-        if not isinstance(table, dict):
-            where = ".".join(tables[: depth + 1])
-            raise InputError(f"--set {field}: expected a field of a table, but {where} is a value")
-    table[name] = _toml(value)
+    for part in tables:
+        if not isinstance(document.get(part), dict):
+            document[part] = {}
+        document = document[part]
+    document[name] = value
 
 
-def _toml(text: str) -> object:
-    """Value of a TOML expression; what is none is taken for text, so that quotes are not needed."""
-    try:
-        return msgspec.toml.decode(f"value = {text}")["value"]
-    except (msgspec.DecodeError, RecursionError):
-        return text
-
-
-def _split(values: str) -> Iterator[str]:
-    """Split at the commas that stand outside of brackets and quotes."""
-    depth, part = 0, ""
-    for token in _STRING_OR_LETTER.findall(values):
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(token, 0)
-        if token == "," and depth == 0:
-            yield part.strip()
-            part = ""
-        else:
-            part += token
-    yield part.strip()
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else toml_value(value)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial, reduce
+from itertools import product
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from agents.settings import Actuator
@@ -89,29 +90,22 @@ def _cases_table(figures: Sequence[FigureOfMerit], results: Sequence[CaseResult]
 
     Mean and quantiles of all cases stand below.
     """
-    first, *others = (figure.heading for figure in figures)
-    columns = (
-        key_column("case"),
-        *(
-            Column(entry.scheme, actuator or "")
-            for entry, actuator in zip(results[0].schemes, actuators_of(results), strict=True)
-        ),
-    )
-    values = np.stack([values_of(figure, results) for figure in figures], axis=-1)
-    of_all = {"mean": values.mean(axis=0)}
-    for name, share in QUANTILES.items():
-        of_all[name] = np.quantile(values, share, axis=0)
-    labelled = [*zip((result.label for result in results), values, strict=True), *of_all.items()]
-    rows = [(label, *(_together(figures, pair) for pair in row)) for label, row in labelled]
-    return Table(first + (f" ({', '.join(others)})" if others else ""), columns, rows)
-
-
-def _together(figures: Sequence[FigureOfMerit], values: Sequence[float]) -> str:
-    first, *others = (
-        cell_text(float(value), figure.column)
-        for figure, value in zip(figures, values, strict=True)
-    )
-    return f"{first} ({', '.join(others)})" if others else first
+    texts = []
+    for figure in figures:
+        values = values_of(figure, results)
+        quantiles = values.quantile([*QUANTILES.values()]).set_axis([*QUANTILES])
+        rows = pd.concat([values, values.agg(["mean"]), quantiles])
+        texts.append(rows.map(partial(cell_text, column=figure.column)))
+    title, *titles = (figure.heading for figure in figures)
+    shown, *others = texts
+    if others:
+        title += f" ({', '.join(titles)})"
+        shown += " (" + reduce(lambda some, other: some + ", " + other, others) + ")"
+    columns = [
+        Column(entry.scheme, actuator or "")
+        for entry, actuator in zip(results[0].schemes, actuators_of(results), strict=True)
+    ]
+    return Table(title, [key_column("case"), *columns], shown.reset_index().to_numpy().tolist())
 
 
 def _summary_table(figure: FigureOfMerit, results: Sequence[CaseResult]) -> Table:
@@ -158,9 +152,8 @@ def summaries(
     """Summarise each figure of each scheme over the cases with the same settings.
 
     If every case has settings of its own, all cases are taken together. Errors are half the width
-    of a 95 % interval by Student's t, NaN for one case; `low` and `high` are the quantiles at 5 and
-    95 %. `difference` is the mean over the cases of the scheme less the baseline: `predictive`,
-    else the first scheme, with the same actuator.
+    of a 95 % interval by Student's t, NaN for one case. `difference` is the mean of the scheme less
+    the baseline, `predictive` or else the first scheme, with the same actuator.
     """
     samples: dict[str, list[CaseResult]] = {}
     for result in results:
@@ -175,36 +168,35 @@ def summaries(
     }
     beside = [baselines.get(entry.actuator, names.index(baseline)) for entry in entries]
     found = []
-    for figure in figures:
-        for settings, cases in samples.items():
-            values = pd.DataFrame(values_of(figure, cases))
-            less = values - values[beside].to_numpy()
-            less[beside] = np.nan
-            low, median, high = (values.quantile(share) for share in QUANTILES.values())
-            columns = {
-                "figure": figure.name,
-                "unit": figure.unit,
-                "settings": settings,
-                "scheme": names,
-                "actuator": actuators_of(cases),
-                "cases": values.count(),
-                "mean": values.mean(),
-                "mean_error": _half_interval(values),
-                "low": low,
-                "median": median,
-                "high": high,
-                "baseline": baseline,
-                "difference": less.mean(),
-                "difference_error": _half_interval(less),
-            }
-            found.append(pd.DataFrame(columns).query("cases > 0"))
+    for figure, (settings, cases) in product(figures, samples.items()):
+        values = values_of(figure, cases)
+        less = values - values[beside].to_numpy()
+        less[beside] = np.nan
+        low, median, high = (values.quantile(share) for share in QUANTILES.values())
+        columns = {
+            "figure": figure.name,
+            "unit": figure.unit,
+            "settings": settings,
+            "scheme": names,
+            "actuator": actuators_of(cases),
+            "cases": values.count(),
+            "mean": values.mean(),
+            "mean_error": _half_interval(values),
+            "low": low,
+            "median": median,
+            "high": high,
+            "baseline": baseline,
+            "difference": less.mean(),
+            "difference_error": _half_interval(less),
+        }
+        found.append(pd.DataFrame(columns).query("cases > 0"))
     return pd.concat(found)
 
 
-def values_of(figure: FigureOfMerit, cases: Sequence[CaseResult]) -> NDArray[np.float64]:
-    """Return a figure in each case under each scheme, shape (cases, schemes); NaN: not defined."""
+def values_of(figure: FigureOfMerit, cases: Sequence[CaseResult]) -> pd.DataFrame:
+    """Return a figure with a row for each case, a column for each scheme; NaN: not defined."""
     rows = [[figure.read(entry.metrics) for entry in case.schemes] for case in cases]
-    return np.array(rows, dtype=float)
+    return pd.DataFrame(rows, [case.label for case in cases], dtype=float)
 
 
 def actuators_of(cases: Sequence[CaseResult]) -> list[Actuator | None]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
-from recordings.read.gaps import recorder_absences
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, read_series
 from studies.metrics import run_metrics
@@ -35,41 +34,37 @@ _GIVEN: Final = ("commitment_kw", "regulation_kw", "mpp_kw")
 
 
 def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]:
-    """Read two recordings as A and B, the cycles that both have, and a line about each."""
+    """Read two recordings as A and B, the cycles that both have, and what a reader must know."""
     series, lines = [], []
-    away: set[int] = set()
     for label, path in zip("AB", paths, strict=True):
         with RunReader(path) as reader:
-            away.update(*(absence for _, absence in recorder_absences(reader)))
             lines.append(f"{label}: {path}, run {reader.plan.run_id}. {run_line(reader.plan)}")
         series.append(replace(read_series(path), label=label))
     cycles = min(one.cycles for one in series)
-    if any(one.cycles > cycles for one in series):
-        lengths = " and ".join(f"{one.cycles:,}" for one in series)
-        lines.append(f"A and B have {lengths} cycles; the first {cycles:,} are compared.")
-    first, second = series = [one.between(0, cycles) for one in series]
+    longest = max(one.cycles for one in series)
+    first, second = (one.between(0, cycles) for one in series)
     if first.inverters != second.inverters:
         raise InputError(f"{paths[1]}: expected the inverters of {paths[0]}, got others")
     if (first.start_time_ns, first.cycle_s) != (second.start_time_ns, second.cycle_s):
         raise InputError(f"{paths[1]}: expected {when(first)} as in {paths[0]}, got {when(second)}")
-    left_out = ~(first.known & second.known) | np.isin(np.arange(cycles), list(away))
-    if left_out.any():
-        lines.append(
-            f"{left_out.sum():,} of {cycles:,} cycles are left out: A or B has not recorded them."
-        )
-        first, second = series = [_without(one, left_out) for one in series]
-    if left_out.all():
+    both = first.known & second.known
+    if not both.any():
         raise InputError(f"{paths[1]}: expected a cycle that {paths[0]} has recorded too, got none")
+    if both.sum() < longest:
+        lines.append(
+            f"{both.sum():,} of {longest:,} cycles are compared: those that both have recorded."
+        )
+    first, second = series = [_only(one, both) for one in (first, second)]
     if any(_differ(first, second, name).any() for name in _GIVEN):
         lines.append("Sky or dispatch differ: figures of possible power and regulation show A's.")
     return series, lines
 
 
-def _without(series: RunSeries, cycles: NDArray[np.bool_]) -> RunSeries:
-    """Return a run as if some of its cycles had not been recorded."""
+def _only(series: RunSeries, cycles: NDArray[np.bool_]) -> RunSeries:
+    """Return a run as if only some of its cycles had been recorded."""
     arrays = {name: getattr(series, name).copy() for name in _IN_ORDER}
     for array in arrays.values():
-        array[cycles] = np.nan
+        array[~cycles] = np.nan
     return replace(series, **arrays)
 
 
@@ -97,9 +92,11 @@ def _differences(first: RunSeries, second: RunSeries) -> Table:
             continue
         cycle = int(cycles[0])
         column = int(differ[cycle].argmax())
-        arrays = [getattr(one, name) for one in (first, second)]
-        node = first.inverters[column] if arrays[0].ndim > 1 else "plant"
-        values = (Number(float(np.atleast_1d(array[cycle])[column]), 6) for array in arrays)
+        node = first.inverters[column] if getattr(first, name).ndim > 1 else "plant"
+        values = (
+            Number(float(getattr(one, name).reshape(differ.shape)[cycle, column]), 6)
+            for one in (first, second)
+        )
         rows.append((cycle, (title, node, cycle, clock_text(first, cycle), *values, len(cycles))))
     rows.sort(key=lambda row: row[0])
     columns = (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -27,17 +26,11 @@ class SchemeResult:
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """The results of all schemes in one case, each with one actuator after the other.
-
-    Grouping control has three: its best, median and worst reference group, see `results_of`. It
-    took `prepare_s` to work out sky and market, and `run_s` to run all schemes.
-    """
+    """The results of all schemes in one case, each with one actuator after the other."""
 
     label: str
     settings: str
     schemes: tuple[SchemeResult, ...]
-    prepare_s: float
-    run_s: float
     remarks: tuple[str, ...]
 
 
@@ -52,16 +45,12 @@ class Comparison:
 
 def run_case(comparison: Comparison, case: Case) -> CaseResult:
     """Run the schemes on one case; InputError where one does not fit the plant or its data."""
-    began = time.perf_counter()
     try:
         preparation = prepare(case.scenario, case.options, "study")
-        prepared = time.perf_counter()
         found = tuple(result for result, _ in results_of(preparation, comparison))
     except InputError as error:
         raise InputError(f"{case.label}: {error}" if case.label else str(error)) from None
-    done = time.perf_counter()
-    times = prepared - began, done - prepared
-    return CaseResult(case.label, case.settings, found, *times, remarks_of(preparation))
+    return CaseResult(case.label, case.settings, found, remarks_of(preparation))
 
 
 def results_of(
@@ -69,8 +58,8 @@ def results_of(
 ) -> Iterator[tuple[SchemeResult, RunSeries]]:
     """Yield the result and the series of each scheme of a prepared run.
 
-    The reference groups of grouping control are ranked by the energy that control caused to be
-    missing plus the energy delivered too much: a group that trades one for the other does not win.
+    Grouping control has its best, median and worst reference group, by control-caused plus
+    over-delivered energy: a group that trades one for the other does not win.
     """
 
     def missed_kwh(found: tuple[RunMetrics, RunSeries]) -> float:
@@ -89,10 +78,8 @@ def results_of(
             for label, place in ranks.items():
                 metrics, one = found[place]
                 title = f"{label}, {actuator}" if actuator and len(actuators) > 1 else label
-                yield (
-                    SchemeResult(label, actuator, metrics),
-                    dataclasses.replace(one, label=title),
-                )
+                result = SchemeResult(label, actuator, metrics)
+                yield result, dataclasses.replace(one, label=title)
 
 
 def remarks_of(preparation: Preparation) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Final, get_args
 from agents.settings import Scheme
 from launch_scripts.scenarios.preparation import Preparation
 from studies.compare.study import remarks_of
-from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble, counted_s
+from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
 from studies.report.result import Result
 from studies.report.style import ReportFigure, panels
@@ -26,7 +26,7 @@ TROUBLES: Final[dict[Trouble, tuple[str, str, str]]] = {
 """Title of each trouble, what measures it, and its unit."""
 
 _LEGEND: Final = (
-    "absent: inputs that had not come at their deadline, in % of all",
+    "absent: inputs that had not come at their deadline",
     "old inputs: older messages used in their place",
     f"the first {WARM_UP_S:g} s of each run do not count",
 )
@@ -42,36 +42,14 @@ def study_result(
     preparation: Preparation, settings: Sequence[str], outcomes: Sequence[Outcome]
 ) -> Result:
     """Return the tables, and how much of each trouble the plant survives."""
-    plan, title = preparation.plan, preparation.title()
-    document = {
-        "scenario": plan.plant,
-        "start": preparation.local_start(),
-        "cycles": plan.cycles,
-        "cycle_s": plan.cycle_ns / 1e9,
-        "settings": settings,
-        "remarks": remarks_of(preparation),
-        "outcomes": outcomes,
-    }
+    title, remarks = preparation.title(), remarks_of(preparation)
     return Result(
         f"{title}: delay, loss and a slow central controller",
         [trouble_table(trouble, outcomes) for trouble in VALUES],
-        document,
-        lines=[title, *study_notes(preparation)],
+        {"title": title, "settings": settings, "remarks": remarks, "outcomes": outcomes},
+        lines=[title, *remarks, *_LEGEND],
         conclusions=survived(outcomes),
         figures=lambda: [_study_figure(outcomes)],
-    )
-
-
-def study_notes(preparation: Preparation) -> tuple[str, ...]:
-    """Say what a reader of the tables must know."""
-    notes = (*remarks_of(preparation), *_LEGEND)
-    counted = counted_s(preparation.plan)
-    if counted / 2.0 >= max(VALUES["period"]):
-        return notes
-    return (
-        *notes,
-        f"central periods above {counted / 2.0:g} s are left out: the {counted:g} s that count do "
-        "not hold two of them",
     )
 
 
@@ -110,7 +88,7 @@ def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
         key_column(f"{measure} [{unit}]", "value"),
         key_column("scheme"),
         *(figure.column for figure in figures),
-        Column("absent", "%", 1, name="missed_percent"),
+        Column("absent", name="absent_inputs"),
         Column("old inputs", name="old_inputs"),
     )
     rows = [
@@ -118,7 +96,7 @@ def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
             f"{one.value:g}",
             one.scheme,
             *(one.figures[figure.name] for figure in figures),
-            one.missed_percent,
+            one.absent_inputs,
             one.old_inputs,
         )
         for one in outcomes

@@ -15,7 +15,6 @@ from msgspec.structs import replace
 
 from agents.plan import RunPlan
 from agents.settings import Scheme
-from agents.team import controllers
 from bus_schemas.faults import FaultRule
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from recordings.read.series import RunSeries, SeriesCollector
@@ -49,30 +48,25 @@ class Condition:
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """The figures of merit of one run, without its warm-up, and what happened to its messages.
 
-    `missed_percent` are inputs that had not come at their deadline, in % of all that were awaited;
-    `old_inputs` the older messages that were used in their place; `lost` what the network lost.
+    `absent_inputs` had not come at their deadline; `old_inputs` were used in their place.
     """
 
     trouble: Trouble
     value: float
     scheme: Scheme
     figures: dict[str, float | None]
-    missed_percent: float
+    absent_inputs: int
     old_inputs: int
-    lost: int
 
 
-def counted_s(plan: RunPlan) -> float:
-    """Return how much of each run counts [s]."""
-    return plan.cycles * plan.cycle_ns / 1e9 - WARM_UP_S
-
-
-def conditions(cycle_s: float, counted_s: float) -> list[Condition]:
+def conditions(plan: RunPlan) -> list[Condition]:
     """List the runs of the study: each value with each scheme.
 
     Left out are central periods that are no whole number of cycles, and those of which the time
     that counts does not hold two.
     """
+    cycle_s = plan.cycle_ns / 1e9
+    counted_s = plan.cycles * cycle_s - WARM_UP_S
     return [
         Condition(trouble, value, scheme)
         for trouble, values in VALUES.items()
@@ -110,22 +104,11 @@ def run_under(plan: RunPlan, profile: Profile, condition: Condition) -> Outcome:
     run, series = run_in_memory(plan_under(plan, condition), profile)
     warm_up = round(WARM_UP_S * 1e9) // plan.cycle_ns
     metrics = run_metrics(series.between(warm_up, series.cycles))
-    loops = run.loops.values()
-    missed = sum(loop.missing_inputs for loop in loops)
-    # How many inputs the stages of the run await in all; the plant awaits the commands.
-    plan, team = run.plan, controllers(run.plan)
-    awaited = plan.cycles * len(plan.tree.leaves) + sum(
-        len(stage.awaits)
-        for cycle in range(plan.cycles)
-        for agent in team
-        for stage in agent.stages(cycle)
-    )
     return Outcome(
         trouble=condition.trouble,
         value=condition.value,
         scheme=condition.scheme,
         figures=figures_json(metrics),
-        missed_percent=100.0 * missed / awaited,
-        old_inputs=sum(loop.old_inputs for loop in loops),
-        lost=run.bus.tally["lost"],
+        absent_inputs=sum(loop.missing_inputs for loop in run.loops.values()),
+        old_inputs=sum(loop.old_inputs for loop in run.loops.values()),
     )

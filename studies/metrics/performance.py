@@ -23,8 +23,6 @@ import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-PASSING_SCORE: Final = 0.75
-
 _SAMPLE_S: Final = 10
 _WINDOW: Final = 30
 _LATENCY: Final = 1
@@ -48,7 +46,6 @@ class HourScore:
     precision: float
     score: float
     unclipped_score: float
-    passed: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +58,6 @@ class PerformanceScore:
     precision: float
     score: float
     unclipped_score: float
-    passed: bool
 
 
 def performance_score(
@@ -99,17 +95,16 @@ def performance_score(
     if not hours:
         return None
     weights = [one.windows for one in hours]
-    accuracy, delay, precision, mean, unclipped = (
+    means = (
         float(np.average([getattr(one, part) for one in hours], weights=weights))
         for part in ("accuracy", "delay", "precision", "score", "unclipped_score")
     )
-    passed = mean >= PASSING_SCORE
-    return PerformanceScore(tuple(hours), accuracy, delay, precision, mean, unclipped, passed)
+    return PerformanceScore(tuple(hours), *means)
 
 
 def _hour_score(
     signal: NDArray[np.float64], response: NDArray[np.float64], first: NDArray[np.intp]
-) -> tuple[float, float, float, float, float, bool] | None:
+) -> tuple[float, float, float, float, float] | None:
     """Return what an `HourScore` has of windows that begin at these samples."""
     window = first[:, None] + np.arange(_WINDOW)
     asked = np.abs(signal[window]).mean()
@@ -124,7 +119,7 @@ def _hour_score(
     parts = clipped, float(delay.mean()), float(np.clip(precision, 0.0, 1.0))
     score = sum(parts) / 3.0
     unclipped_score = score + (float(accuracy.mean()) - clipped) / 3.0
-    return *parts, score, unclipped_score, score >= PASSING_SCORE
+    return *parts, score, unclipped_score
 
 
 def window_scores(
@@ -132,9 +127,8 @@ def window_scores(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Score W windows of 5 minutes for accuracy, up to 1 and not clipped at 0, and delay, 0 to 1.
 
-    The signal of each window, every 10 s, is of shape (W, 30), and the response over the same
-    window, shifted by 0, 10, ... 300 s, of (W, 31, 30). It is NaN where there is none, but not at
-    the first shift.
+    The signal of each window, every 10 s, is of shape (W, 30), the response over the same window,
+    shifted by 0, 10, ... 300 s, of (W, 31, 30). It is NaN where there is none, never at shift 0.
     """
     correlation = _correlations(signal, shifted)
     promptness = 1.0 - np.arange(_WINDOW + 1) / _WINDOW

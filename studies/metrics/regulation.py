@@ -6,7 +6,6 @@ beyond its commitment, in per unit of the capacity.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -30,18 +29,14 @@ class RequestsFulfilled:
     """Requests of a regulation signal that were fulfilled entirely.
 
     A request lasts 2 s, or a cycle where that is longer. It is fulfilled if
-    |delivered - desired| is within the tolerance (in % of the rating, and in kW) in every cycle
-    that begins in it. It is short if it is below that in some cycle, over if above it and never
-    below. It is feasible, the paper's condition, if possible power was at least the desired power
-    in each of its cycles. The paper gives 99.88 % without a tolerance.
+    |delivered - desired| is within the tolerance (in % of the rating) in every cycle that begins in
+    it. It is feasible, the paper's condition, if possible power was at least the desired power in
+    each of its cycles. The paper gives 99.88 % without a tolerance.
     """
 
     tolerance_percent: float
-    tolerance_kw: float
     requests: int
     fulfilled: int
-    short: int
-    over: int
     feasible: int
     feasible_fulfilled: int
 
@@ -89,7 +84,7 @@ def regulation_metrics(series: RunSeries) -> RegulationMetrics | None:
         capacity_kw=capacity_kw,
         offered_h=offered_h,
         signal_mileage_per_hour=float(steps.sum()) / offered_h,
-        requests=requests_fulfilled(
+        requests=_requests_fulfilled(
             (delivered_kw - series.desired_kw)[offered],
             request[offered],
             (series.possible_kw >= series.desired_kw)[offered],
@@ -117,36 +112,28 @@ def offered_cycles(regulation_kw: NDArray[np.float64], cycle_s: float) -> NDArra
     return np.cumsum(change)[:-1] > 0
 
 
-def requests_fulfilled(
+def _requests_fulfilled(
     deviation_kw: NDArray[np.float64],
     request: NDArray[np.int64],
     is_able: NDArray[np.bool_],
     rating_kw: float,
-    tolerances_percent: Sequence[float] = TOLERANCES_PERCENT,
 ) -> tuple[RequestsFulfilled, ...]:
-    """Count the requests that were fulfilled, short, over and feasible, at each tolerance.
+    """Count the requests that were fulfilled and feasible, at each tolerance.
 
     Cycle by cycle, shape (K,): delivered less desired power, the number of the request that the
     cycle belongs to, ascending, and whether possible power was at least the desired power.
     """
     begins = np.flatnonzero(np.diff(request, prepend=request[0] - 1))
-    lowest_kw = np.minimum.reduceat(deviation_kw, begins)
-    highest_kw = np.maximum.reduceat(deviation_kw, begins)
+    largest_kw = np.maximum.reduceat(np.abs(deviation_kw), begins)
     feasible = np.logical_and.reduceat(is_able, begins)
     counts = []
-    for percent in tolerances_percent:
-        tolerance_kw = rating_kw * percent / 100.0
-        short = lowest_kw < -tolerance_kw
-        over = ~short & (highest_kw > tolerance_kw)
-        fulfilled = ~short & ~over
+    for percent in TOLERANCES_PERCENT:
+        fulfilled = largest_kw <= rating_kw * percent / 100.0
         counts.append(
             RequestsFulfilled(
                 tolerance_percent=percent,
-                tolerance_kw=tolerance_kw,
                 requests=len(begins),
                 fulfilled=int(fulfilled.sum()),
-                short=int(short.sum()),
-                over=int(over.sum()),
                 feasible=int(feasible.sum()),
                 feasible_fulfilled=int((feasible & fulfilled).sum()),
             )

@@ -72,15 +72,13 @@ class RampMetrics:
     """Changes of the delivered power over a minute, P(t + 60 s) - P(t), from every cycle on.
 
     Where 60 s is no multiple of the cycle, it is the change over the nearest number of cycles, at
-    least one, as a rate per minute. `minutes` are those over which there is a ramp; one of them is
-    above the limit if a larger ramp began in it. Without a limit what belongs to it is None.
+    least one, as a rate per minute. A minute is above the limit if a larger ramp began in it.
+    Without a limit what belongs to it is None.
     """
 
     largest_up_kw_per_min: float
     largest_down_kw_per_min: float
     limit_kw_per_min: float | None
-    minutes: int
-    minutes_above_limit: int | None
     above_limit_percent: float | None
 
     @property
@@ -177,17 +175,15 @@ def ramp_metrics(
     largest_kw_per_min = largest_kw_per_min[np.isfinite(largest_kw_per_min)]
     if not len(largest_kw_per_min):
         return None
-    limit_kw_per_min = above = above_percent = None
+    limit_kw_per_min = above_percent = None
     if limit_percent_per_min is not None:
         limit_kw_per_min = rating_kw * limit_percent_per_min / 100.0
         # A plant that ramps exactly as fast as it may is not too fast by a rounding error.
         too_fast = largest_kw_per_min > limit_kw_per_min + _ROUNDING * rating_kw
-        above, above_percent = int(too_fast.sum()), 100.0 * float(too_fast.mean())
+        above_percent = 100.0 * float(too_fast.mean())
     return RampMetrics(
         largest_up_kw_per_min=max(0.0, float(np.nanmax(ramp_kw_per_min))),
         largest_down_kw_per_min=max(0.0, -float(np.nanmin(ramp_kw_per_min))),
         limit_kw_per_min=limit_kw_per_min,
-        minutes=len(largest_kw_per_min),
-        minutes_above_limit=above,
         above_limit_percent=above_percent,
     )

@@ -7,7 +7,6 @@ from typing import Final
 
 import msgspec
 
-from launch_scripts.launcher.wrong_messages import one_line_each
 from studies.report.tables import devices_tables
 from studies.tables import (
     Cell,
@@ -56,6 +55,7 @@ _TIER_NOTE: Final = (
     "CPU in % of one core, of all processes and of the busiest; memory of the largest one"
 )
 _ACROSS: Final = "* between two clocks: worked out from both, see the table of clocks"
+_MOST_WRONG: Final = 12
 _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 """Decimals of a budget's figures, by unit."""
 
@@ -105,7 +105,7 @@ def network_lines(report: TimingReport) -> list[str]:
     ]
     lines += [
         f"wrong {entry.key}, {counted(entry.count, 'time')}: {entry.cause}: {entry.example}"
-        for entry in one_line_each(report.wrong)
+        for entry in report.wrong[:_MOST_WRONG]
     ]
     if report.faults:
         counts = ", ".join(f"{count:,} {name}" for name, count in report.faults.items())

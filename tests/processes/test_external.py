@@ -15,10 +15,10 @@ from typing import Any
 import command_line
 import pytest
 from command_line import done
-from misbehaving_device import FIRST_ABSURD
 from running import Heliarch, Start, assert_none_left
 from test_launch import decided, decisions, summary_of
 from verifying import verified
+from wrong_device import FIRST_ABSURD
 
 from bus_schemas.messages import Message, Production
 from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, Signal
@@ -32,7 +32,7 @@ Device = Callable[..., subprocess.Popen[bytes]]
 REPOSITORY = Path(__file__).parents[2]
 CONTROLLER = REPOSITORY / "examples" / "direct_controller.py"
 PLANT = REPOSITORY / "examples" / "plant.py"
-MISBEHAVING = Path(__file__).with_name("misbehaving_device.py")
+WRONG = Path(__file__).with_name("wrong_device.py")
 NODE = "c1/inv01"
 LOCKSTEP = ("--duration", "25", "--seed", "3", "--scheme", "paper")
 
@@ -96,7 +96,7 @@ def test_in_lockstep_a_device_that_goes_away_ends_the_run_also_if_it_comes_back(
     run.until_shown(f"{NODE} (external) is gone in cycle")
     controller(device, run.folder)
     assert run.wait() == 1
-    assert f"{NODE} went away in cycle" in run.error_text()
+    assert f"{NODE} (external) is gone" in run.error_text()
 
 
 def test_in_real_time_a_device_may_die_and_come_back(
@@ -189,7 +189,7 @@ def test_a_device_that_does_everything_wrong_is_named_and_contained(
     device: Device, plant: str, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
-    device(MISBEHAVING, folder / "plan.json", NODE)
+    device(WRONG, "everything", folder / "plan.json", NODE)
     output = done("launch", plant, *LOCKSTEP, "--external", NODE, "--out", folder)
     contained(decisions(folder), our_decisions(plant))
     summary = summary_of(folder)

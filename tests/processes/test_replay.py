@@ -227,14 +227,11 @@ def test_who_waits_for_what_the_recording_lacks_is_named(
     assert replay.processes() == []
 
 
-@pytest.mark.parametrize(("sent", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
-def test_no_live_agent_outlives_its_replay(
-    heliarch: Start, recorded: Path, plan: RunPlan, sent: signal.Signals, status: int
-) -> None:
+def test_no_live_agent_outlives_its_replay(heliarch: Start, recorded: Path, plan: RunPlan) -> None:
     replay = heliarch("replay", recorded, "--live", ",".join(plan.tree.agents()[2:]))
     replay.until(lambda: len(replay.processes()) > 3, "its processes")
-    replay.process.send_signal(sent)
-    assert replay.wait() == status
+    replay.process.send_signal(signal.SIGKILL)
+    replay.wait()
     assert_none_left(replay.folder)
 
 

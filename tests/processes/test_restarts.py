@@ -54,15 +54,6 @@ def test_killed_controllers_are_started_again_and_the_run_goes_on(
     assert_equal_as_far_as_recorded(run, verified(run.folder))
 
 
-def test_a_controller_that_dies_again_and_again_ends_the_run(heliarch: Start, plant: str) -> None:
-    faults = [word for at in (10, 20, 30) for word in ("--fault", f"kill=c1,at={at}s")]
-    words = (*REAL_TIME, "--set", "restart.most=2", *faults)
-    run = heliarch("launch", plant, *words)
-    assert run.wait() == 1
-    assert "c1 was started again 2 times" in run.output.read_text()
-    assert "c1 (process" in run.error_text()
-
-
 # A standby ----------------------------------------------------------------------------------------
 
 STANDBY = (*REAL_TIME, "--set", 'standby=["central","supervisors"]')

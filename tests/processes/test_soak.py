@@ -6,7 +6,6 @@ import os
 import random
 import re
 import signal
-import time
 from collections import Counter
 from itertools import count
 from pathlib import Path
@@ -82,10 +81,7 @@ def test_a_kill_every_ten_seconds_leaves_no_orphan_no_leak_and_nothing_unaccount
     assert run.wait() == 0, run.error_text()
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
     with capsys.disabled():
-        print(f"\nseed {seed}: {kills.total()} kills in {cycles:,} cycles, {dict(kills)}")
-        print(f"takeovers {summary['takeovers']}, dropped {summary['dropped']}")
-        for name, found in uses.items():
-            print(f"{name}: {found[1]} after 2 kills, {found[-1]} at the end")
+        print(f"\nseed {seed}: {kills.total()} kills in {cycles:,} cycles, {uses}")
     assert summary["restarts"] == kills
     assert summary["cycles"] == cycles
     assert summary["messages_lost"] == 0
@@ -100,24 +96,6 @@ def test_a_kill_every_ten_seconds_leaves_no_orphan_no_leak_and_nothing_unaccount
     found_again = verified(run.folder)
     assert findings(found_again) == {}
     assert found_again.equal
-
-
-def test_in_lockstep_a_recorder_that_stands_still_for_long_loses_nothing(
-    heliarch: Start, plant: str
-) -> None:
-    """All queues on the way to it fill up, and everybody waits. Zenoh would cut it off in 5 s."""
-    patient = ("--set", "restart.when=always", "--set", "restart.frozen_s=60")
-    run = heliarch("launch", plant, "--duration", "10h", *patient)
-    run.until_recorded()
-    recorder = run.process_of("recorder")
-    recorder.send_signal(signal.SIGSTOP)
-    time.sleep(30.0)
-    recorder.send_signal(signal.SIGCONT)
-    run.until_recorded(run.recorded_cycles() + 10)
-    assert run.interrupt() == 130
-    summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
-    assert summary["messages_lost"] == 0
-    assert summary["restarts"] == {}
 
 
 @pytest.mark.timeout(900)

@@ -1,17 +1,24 @@
-"""A direct controller with faults: `python wrong_device.py FAULT,FAULT... PLAN NODE`."""
+"""Direct controllers with faults: `python wrong_device.py FAULT,FAULT... PLAN NODE`.
+
+The fault `everything` does one thing wrong after the other, beside answering rightly.
+"""
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Any
+
+import msgpack
+import zenoh
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 sys.path.insert(0, str(EXAMPLES))
 
 import direct_controller  # noqa: E402
 
-FAULTS = set(sys.argv[1].split(","))
+FAULTS = set(sys.argv[1].split(",")) if __name__ == "__main__" else set[str]()
 """The requirements that the device does not meet."""
 
 
@@ -61,9 +68,58 @@ def believes_all(signal: str, payload: bytes, source: str) -> dict[str, Any] | N
 
 READ = direct_controller.read_message
 
+FIRST_WRONG = 5
+FIRST_ABSURD = 20
+"""From this cycle on its numbers are absurd instead of right."""
+
+FLOOD = 10_000
+ABSURD_KW = (math.nan, -5.0, 1e9, math.inf, -math.inf)
+
+
+class MisbehavingDevice(direct_controller.DirectController):
+    """The example, with a wrong of its own in each cycle."""
+
+    def estimate(self) -> None:
+        """Answer, and then do what must not be done."""
+        super().estimate()
+        place, wrongs = self.cycle - FIRST_WRONG, self.wrongs()
+        for key, payload in wrongs[place] if 0 <= place < len(wrongs) else ():
+            # None of them gets lost, however slow who hears it.
+            block = zenoh.CongestionControl.BLOCK
+            self.session.put(f"{self.plan['plant']}/{key}", payload, congestion_control=block)
+
+    def wrongs(self) -> list[list[tuple[str, bytes]]]:
+        """Keys and payloads, cycle by cycle."""
+        own, pack, good = f"{self.node}/impp", msgpack.packb, self.impp(self.cycle)
+        missing = {key: value for key, value in good.items() if key != "power_kw"}
+        other_types = ([1, 2], 7, missing, good | {"power_kw": "a lot"}, good | {"more": 1})
+        other_cycles = (0, self.cycle - 1, self.cycle + 500, 10**12, -7)
+        other = next(node for node, _ in self.plan["inverters"] if node != self.node)
+        return [
+            [(own, payload) for payload in (b"\xc1 garbage", b"", bytes(range(256)) * 1000)],
+            [(own, pack(wrong)) for wrong in other_types],
+            [(own, pack(self.impp(cycle))) for cycle in other_cycles],
+            [(own, pack(good))] * 10,
+            [(own, pack(good | {"source": "central"})), (f"{other}/impp", pack(good))],
+            [(f"{self.node.rpartition('/')[0]}/nobody/impp", b"")],
+            [(own, pack(good))] * FLOOD,
+        ]
+
+    def publish(self, signal: str, **fields: float | None) -> None:
+        if self.cycle >= FIRST_ABSURD and signal in ("impp", "command"):
+            fields["power_kw"] = ABSURD_KW[self.cycle % len(ABSURD_KW)]
+        super().publish(signal, **fields)
+
+    def impp(self, cycle: int) -> dict[str, Any]:
+        """Return an IMPP message as it should be."""
+        head = {"cycle": cycle, "sim_time_ns": 0, "source": self.node, "missing": []}
+        return head | {"publish_time_ns": 1, "sequence": 0, "power_kw": 1.0, "stale_cycles": 0}
+
+
 if __name__ == "__main__":
     sys.argv = [sys.argv[0], "--plan", sys.argv[2], "--node", sys.argv[3]]
-    direct_controller.DirectController = WrongDevice  # type: ignore[misc]
+    kind = MisbehavingDevice if "everything" in FAULTS else WrongDevice
+    direct_controller.DirectController = kind  # type: ignore[misc]
     if "wrong messages" in FAULTS:
         direct_controller.read_message = believes_all
     direct_controller.main()

@@ -103,8 +103,8 @@ SKY = ("production, maximum", "c1/b", 3, "12:00:03", 90.0, 95.0)
             *(range(0), [SKY, POWER], 20, 5.0, "Sky or dispatch differ"),
         ),
         # In the cycles that both have recorded they are the same.
-        (whole_run(6), range(0), [], 6, 0.0, "first 6 are compared"),
-        (whole_run(20), range(5, 9), [], 16, 0.0, "4 of 20 cycles"),
+        (whole_run(6), range(0), [], 6, 0.0, "6 of 20 cycles are compared"),
+        (whole_run(20), range(5, 9), [], 16, 0.0, "16 of 20 cycles are compared"),
     ],
     ids=["another command", "another sky", "shorter", "with a gap"],
 )

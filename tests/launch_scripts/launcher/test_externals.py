@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import socket
 from pathlib import Path
+from typing import Any
 
 import pytest
-from plans_by_hand import plan_at_noon
+from plans_by_hand import REAL_TIME, plan_at_noon
 
-from agents.events import Complaint, Presence, Status
+from agents.events import Presence
 from agents.plan import load_plan
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.external_watch import ExternalWatch
@@ -20,9 +21,9 @@ from launch_scripts.scenarios.scenario import load_scenario
 NODE = "c1/a"
 
 
-def watch(*agents: str) -> ExternalWatch:
-    """A run in lockstep that waits for these agents since 100 s, up to a minute."""
-    plan = plan_at_noon(external=agents)
+def watch(*agents: str, **changes: Any) -> ExternalWatch:
+    """A run that waits for these agents since 100 s, up to a minute."""
+    plan = plan_at_noon(external=agents, **changes)
     return ExternalWatch(plan, Path("my-run/plan.json"), 60.0, began_at=100.0)
 
 
@@ -48,35 +49,39 @@ def test_ports_begin_with_the_base_port_and_must_be_free() -> None:
 
 def test_only_who_never_came_is_missed_and_only_after_the_time_out() -> None:
     externals = watch(NODE, "central")
-    externals.hear(Presence(NODE, True, -1), 101.0, running=False)
+    externals.hear(Presence(NODE, True, -1), 101.0)
     assert (externals.complete_at, externals.late(159.0)) == (None, "")
     assert externals.late(161.0).startswith("no sign of central after 60 s")
-    externals.hear(Presence("central", True, -1), 161.0, running=False)
+    externals.hear(Presence("central", True, -1), 161.0)
     assert (externals.complete_at, externals.late(162.0)) == (161.0, "")
 
 
-def test_a_plant_that_goes_in_lockstep_has_missed_what_came_since() -> None:
-    externals = watch("plant")
-    externals.hear(Presence("plant", True, -1), 101.0, running=False)
-    externals.hear(Presence("plant", False, 41), 150.0, running=True)
-    assert externals.plant_gone_at == 150.0
-    back = externals.hear(Presence("plant", True, 41), 151.0, running=True)
-    assert "what it missed since cycle 41" in back, "in lockstep nothing is sent again"
-    assert "plant went away in cycle 41" in externals.explain("stalled", running=True)
+@pytest.mark.parametrize(
+    ("agent", "changes", "gone"),
+    [
+        ("plant", {}, [True, True]),
+        (NODE, {}, [True, True]),
+        ("plant", {"cycle_wall_ns": REAL_TIME}, [True, False]),
+        (NODE, {"cycle_wall_ns": REAL_TIME}, [False, False]),
+    ],
+)
+def test_the_plant_is_missed_while_it_is_gone_and_in_lockstep_each_device_from_then_on(
+    agent: str, changes: dict[str, Any], gone: list[bool]
+) -> None:
+    externals = watch(agent, **changes)
+    externals.hear(Presence(agent, True, -1), 101.0)
+    found = []
+    for alive in (False, True):
+        externals.hear(Presence(agent, alive, 41), 150.0)
+        found.append(externals.gone == {agent: 150.0})
+    assert found == gone
 
 
-def test_who_does_not_answer_arming_rounds_is_named_first_with_what_was_wrong() -> None:
+def test_keys_without_an_answer_to_the_arming_rounds_are_named() -> None:
     externals = watch(NODE, "c1")
-    externals.complain(Complaint("oahu/c1/a/impp", "other_cycle", 1, "it is of cycle 0"))
-    externals.complain(Complaint("oahu/c2/inv99/impp", "unknown", 1, "not of this run"))
-    unheard = ["c1/setpoint", "c1/a/command", "c1/a/impp"]
-    externals.note(Status(-1, 0, 0.0, 0.0, 0.0, [], 0, unheard=unheard))
-    first, *others = externals.explain("plant gave up", running=False).splitlines()
-    assert first.startswith(
-        "c1/a (external) does not answer the arming rounds: nothing came on c1/a/command, "
-        "c1/a/impp; "
-    )
-    assert others == ["plant gave up", "wrong message on oahu/c1/a/impp: it is of cycle 0"]
+    externals.unheard = ["c1/setpoint"]
+    failure, unheard = externals.explain("plant gave up").splitlines()
+    assert (failure, unheard.split()[-1]) == ("plant gave up", "c1/setpoint")
 
 
 def test_a_plan_appears_whole_after_all_that_it_refers_to(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,12 +19,15 @@ PLAN = plan_at_noon(cycle_wall_ns=REAL_TIME, standby=("c1",))
 """Cycles of 1 s in real time; who says nothing for 5 s is killed."""
 
 
+NOBODY = 2**31 - 1
+"""No process has this number."""
+
+
 class Watched:
-    """A run whose processes all sleep: they live, and say what the test says for them."""
+    """A run whose processes say what the test says for them."""
 
     def __init__(self, plan: RunPlan) -> None:
         self.now_s = 1000.0
-        self.sleepers: list[subprocess.Popen[bytes]] = []
         self.said: list[str] = []
         self.started: list[str] = []
         names = ("plant", "recorder", "central", "c1", "c1+standby", "c2")
@@ -38,8 +40,7 @@ class Watched:
     def child(self, name: str) -> Child:
         kinds = {"plant": "plant", "recorder": "recorder", "central": "central"}
         child = Child(name, cast("Any", kinds.get(name, "supervisor")), Path("log"))
-        self.sleepers.append(subprocess.Popen(("sleep", "600")))
-        child.pid = self.sleepers[-1].pid
+        child.pid = NOBODY
         return child
 
     def __getitem__(self, name: str) -> Child:
@@ -56,21 +57,14 @@ class Watched:
             self.restarts.hear(self["recorder"], status)
             self.restarts.look(0.0)
 
-    def end(self) -> None:
-        for sleeper in self.sleepers:
-            sleeper.kill()
-            sleeper.wait()
-
     @property
     def killed(self) -> Sequence[str]:
         return [text.split()[0] for text in self.said if "killed" in text]
 
 
 @pytest.fixture
-def run() -> Iterator[Watched]:
-    watched = Watched(PLAN)
-    yield watched
-    watched.end()
+def run() -> Watched:
+    return Watched(PLAN)
 
 
 @pytest.mark.parametrize("cycle_s", [1, 60])
@@ -83,7 +77,6 @@ def test_a_controller_that_says_nothing_is_named_and_killed_however_long_cycles_
             watched.now_s += 0.25
             watched.restarts.note_silence(["c2"], 2.0)
         assert watched.killed == killed
-    watched.end()
     assert watched.said[0].startswith("c2 (process")
 
 

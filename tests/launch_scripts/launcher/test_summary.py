@@ -9,10 +9,16 @@ from typing import Any
 import pytest
 from command_line import heliarch
 from msgspec.structs import replace
+from plans_by_hand import plan_at_noon
 from reports_by_hand import summary_of
 
-from agents.events import ExternalAccount
-from launch_scripts.launcher.summary import MessageCount, ProcessAccount, RunSummary
+from agents.events import Complaint, ExternalAccount
+from launch_scripts.launcher.summary import (
+    MessageCount,
+    ProcessAccount,
+    RunSummary,
+    wrong_messages,
+)
 from launch_scripts.launcher.summary_table import summary_table
 
 SUMMARY = replace(summary_of(Path("runs/r")), cycles=3600, cycle_s=1.0, processes=())
@@ -24,8 +30,8 @@ def rows_of(summary: RunSummary) -> dict[str, list[str]]:
 
 BUSY = (
     ProcessAccount("recorder", "recorder", {}, 40.0, cpu_s=3.6),
-    ProcessAccount("c1/a", "direct", {}, 40.0, skipped_cycles=2, cpu_s=3.6),
-    ProcessAccount("c1/b", "direct", {}, 40.0, skipped_cycles=5),
+    ProcessAccount("c1/a", "direct", {}, 40.0, cpu_s=3.6),
+    ProcessAccount("c1/b", "direct", {}, 40.0),
 )
 DEVICE = ExternalAccount("c1/inv01", {"impp": 5}, lost=100, expected=20, answered=5)
 SEEN = MessageCount("production", 3600, 3589)
@@ -37,13 +43,7 @@ SEEN = MessageCount("production", 3600, 3589)
         ({}, "Figures of merit", ["-"]),
         ({}, "Tracking RMSE", None),
         ({"processes": BUSY}, "Processor time per cycle", ["2.00", "ms"]),
-        (
-            {"processes": BUSY, "missing_inputs": 13, "old_inputs": 4},
-            "Inputs missed at deadlines",
-            ["13", "", "4"],
-        ),
-        ({"processes": BUSY, "skipped_cycles": 7}, "Cycles skipped", ["7", "", "c1/b"]),
-        ({}, "Cycles skipped", None),
+        ({"missing_inputs": 13}, "Inputs missed at deadlines", ["13"]),
         ({"messages": (SEEN,)}, "Cycles", ["3,600", "", "3,589 of them recorded"]),
         ({"messages": (SEEN,)}, "Cycle rate", ["360.0"]),
         ({"external": (DEVICE,)}, "Missing in the recording", ["100"]),
@@ -65,3 +65,19 @@ def test_the_figures_of_merit_are_those_that_the_run_defines(plant: str, tmp_pat
     rows = {line.split("  ")[0]: line for line in result.stderr.splitlines()}
     assert f"{figures['rmse']:,.2f}" in rows["Tracking RMSE"]
     assert "PJM performance score" not in rows
+
+
+def test_of_recorder_and_listeners_the_larger_count_holds_and_processes_may_be_late() -> None:
+    complaints = [Complaint("oahu/c1/a/impp", "duplicate", 5, "it came twice in cycle 3")]
+    dropped = [
+        ("c1/a/impp", "duplicate", 4),
+        ("c1/a/impp", "late", 2),
+        ("c1/b/impp", "late", 9),
+        ("c1/a/impp", "late", 1),
+    ]
+    found = wrong_messages(plan_at_noon(external=("c1/a",)), complaints, dropped)
+    assert [(wrong.key, wrong.cause, wrong.count) for wrong in found] == [
+        ("c1/a/impp", "duplicate", 5),
+        ("c1/a/impp", "late", 3),
+    ]
+    assert found[0].example == "it came twice in cycle 3"

@@ -20,7 +20,7 @@ class Folder:
         self._data = data
 
     def write(self, name: str, text: str) -> None:
-        (self.path / name).write_text(text, encoding="utf-8")
+        (self.path / name).write_text(text, encoding="utf-8", errors="surrogateescape")
 
     def change(self, old: str, new: str, name: str = "scenario.toml") -> None:
         text = (self.path / name).read_text(encoding="utf-8")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -39,64 +39,50 @@ def test_renewed_certificates_are_of_the_same_authority_and_keys(plant: str) -> 
     assert same == {"ca.pem", *(name for name in before if name.endswith(".key"))}
 
 
-def expired(folder: Path, plant: str) -> None:
-    done("keys", plant, "--days", "0.0000001")
-
-
-def expires_soon(folder: Path, plant: str) -> None:
-    done("keys", plant, "--days", "0.02")
-
-
-def of_another_plant(folder: Path, plant: str) -> None:
+def spoil(how: str, folder: Path, plant: str) -> None:
+    """Do something to the keys of a plant."""
+    certificate, key = folder / "c1.pem", folder / "c1.key"
     done("keys", plant, "--out", "other")
-    shutil.copy("other/c1.pem", folder / "c1.pem")
-
-
-def of_another_agent(folder: Path, plant: str) -> None:
-    shutil.copy(folder / "c2.pem", folder / "c1.pem")
-
-
-def for_everybody(folder: Path, plant: str) -> None:
-    (folder / "c1.key").chmod(0o644)
-
-
-def of_older_keys(folder: Path, plant: str) -> None:
-    done("keys", plant, "--out", "other")
-    shutil.copy("other/c1.key", folder / "c1.key")
-
-
-def gone(folder: Path, plant: str) -> None:
-    (folder / "c1.pem").unlink()
-
-
-def broken(folder: Path, plant: str) -> None:
-    (folder / "c1.pem").write_text("nothing")
-
-
-def never_made(folder: Path, plant: str) -> None:
-    shutil.rmtree(folder)
+    match how:
+        case "expired":
+            done("keys", plant, "--days", "0.0000001")
+        case "expires soon":
+            done("keys", plant, "--days", "0.02")
+        case "of another plant":
+            shutil.copy("other/c1.pem", certificate)
+        case "of another agent":
+            shutil.copy(folder / "c2.pem", certificate)
+        case "for everybody":
+            key.chmod(0o644)
+        case "of older keys":
+            shutil.copy("other/c1.key", key)
+        case "gone":
+            certificate.unlink()
+        case "broken":
+            certificate.write_text("nothing")
+        case "never made":
+            shutil.rmtree(folder)
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words", "told"),
+    ("how", "words", "told"),
     [
-        (expired, SHORT, "valid up to the end"),
-        (expires_soon, ("--pace", "1", "--duration", "30m"), "valid up to the end"),
-        (of_another_plant, SHORT, "another plant"),
-        (of_another_plant, (*SHORT, "--external", "c1"), "c1.pem"),
-        (of_another_agent, SHORT, "a certificate for c1, got c2"),
-        (for_everybody, SHORT, "c1.key"),
-        (of_older_keys, SHORT, "c1.key: expected the key of"),
-        (gone, SHORT, "c1.pem: no such file"),
-        (broken, SHORT, "c1.pem"),
-        (never_made, SHORT, "heliarch keys"),
+        ("expired", SHORT, "valid up to the end"),
+        ("expires soon", ("--pace", "1", "--duration", "30m"), "valid up to the end"),
+        ("of another plant", SHORT, "another plant"),
+        ("of another plant", (*SHORT, "--external", "c1"), "c1.pem"),
+        ("of another agent", SHORT, "a certificate for c1, got c2"),
+        ("for everybody", SHORT, "c1.key"),
+        ("of older keys", SHORT, "c1.key: expected the key of"),
+        ("gone", SHORT, "c1.pem: no such file"),
+        ("broken", SHORT, "c1.pem"),
+        ("never made", SHORT, "heliarch keys"),
     ],
-    ids=lambda value: getattr(value, "__name__", ""),
 )
 def test_wrong_keys_are_refused_before_anything_starts(
-    plant: str, spoil: Callable[[Path, str], None], words: Sequence[str], told: str
+    plant: str, how: str, words: Sequence[str], told: str
 ) -> None:
-    spoil(Path("keys/small"), plant)
+    spoil(how, Path("keys/small"), plant)
     assert told in refusal("launch", plant, *words, "--secure")
     assert not Path("runs").exists()
 

@@ -139,37 +139,29 @@ def test_a_file_may_begin_with_a_byte_order_mark(folder: Folder) -> None:
     assert folder.prepare().plan.plant == "small"
 
 
-def test_some_fields_come_as_they_are_into_the_plan(folder: Folder) -> None:
-    before = folder.prepare(pace=1.0).plan
-    assert (before.tier_deadlines_ns, before.available_bias) == ((), None)
-    folder.change("[[2, 1]]", "[[2, 1]]\ndeadlines_ms = [20, 30.5, 40]")
-    folder.change("[plant]", "[plant]\navailable_bias = 0.02")
-    found = folder.prepare(pace=1.0).plan
-    assert found.tier_deadlines_ns == (20_000_000, 30_500_000, 40_000_000)
-    assert found.available_bias == 0.02
-
-
 @pytest.mark.parametrize(
-    ("deadlines_ms", "expected"),
+    "deadlines_ms",
     [
-        ([100.0, 200.0], ": expected 3 entries"),
-        ([], ": expected 3 entries"),
-        ([100.0, 100.0, 200.0], "[1]: expected 100.1 ms or more"),
-        ([100.0, 200.0, 150.0], "[2]: expected 200.1 ms or more"),
-        ([0.1, 500.0, 900.0], "[0]: expected 0.5 ms or more"),
-        ([100.0, 500.0, 999.81], "[2]: expected at most 999.8 ms"),
-        ([0.5, 0.6, 0.7], ""),
-        ([100.0, 500.0, 999.8], ""),
+        [100.0, 200.0],
+        [],
+        [100.0, 100.0, 200.0],
+        [100.0, 200.0, 150.0],
+        [0.1, 500.0, 900.0],
+        [100.0, 500.0, 999.81],
     ],
 )
 def test_deadlines_leave_each_stage_what_it_takes_to_wake_a_process(
-    folder: Folder, deadlines_ms: list[float], expected: str
+    folder: Folder, deadlines_ms: list[float]
 ) -> None:
     folder.change("[[2, 1]]", f"[[2, 1]]\ndeadlines_ms = {deadlines_ms}")
-    if expected:
-        assert f"control.deadlines_ms{expected}" in folder.complaint(pace=1.0)
-    if not expected or "at most" in expected:
-        folder.prepare(pace=None if expected else 1.0)  # In lockstep no cycle is too short.
+    assert "control.deadlines_ms: expected" in folder.complaint(pace=1.0)
+
+
+def test_deadlines_of_a_scenario_are_those_of_the_plan(folder: Folder) -> None:
+    folder.change("[[2, 1]]", "[[2, 1]]\ndeadlines_ms = [0.5, 0.6, 999.8]")
+    assert folder.prepare(pace=1.0).plan.tier_deadlines_ns == (500_000, 600_000, 999_800_000)
+    folder.change("999.8", "5000")
+    assert folder.prepare().plan.lockstep, "there no cycle is too short"
 
 
 def test_a_cycle_too_short_for_any_clock_is_refused(folder: Folder) -> None:
@@ -218,7 +210,7 @@ def test_data_may_lie_in_a_folder_of_its_own(measured: Folder, tmp_path: Path) -
     data.mkdir()
     for name in ("ghi.csv", "positions.csv"):
         (measured.path / name).rename(data / name)
-    assert measured.complaint().startswith(f"ghi.csv: expected it beside {measured.scenario}, in")
+    assert "ghi.csv: expected it beside" in measured.complaint()
     scenario = load_scenario(str(measured.scenario), data)
     assert prepare(scenario, RunOptions(), "by-hand").plan.cycles == 4
 
@@ -234,7 +226,6 @@ def test_every_shipped_scenario_loads(name: str) -> None:
     ("old", "new", "place"),
     [
         ("power_kw = 100", "power_kw = 301", "commitment"),
-        ("rating_kw = 300", "rating_kw = 300_000", "plant"),
         ("13:00:00", "01:00:00", "time"),
     ],
 )
@@ -271,47 +262,46 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
             "rating_kw = -300",
             "plant.rating_kw: expected number above 0 up to 10000000, got -300",
         ),
-        ("rating_kw = 300", 'rating_kw = "8 MW"', "plant.rating_kw: expected number"),
         (
             'history = "earlier-day"',
             'history = "later"',
             'neighbours.history: expected "earlier-day", "hindsight", got \'later\'',
         ),
         ('kind = "clouds"', 'kind = "moon"', 'irradiance.kind: expected "clouds" or "measured"'),
-        ("sizes = [[2, 1]]", "count = [4]", "control.cluster_count[0]: expected"),
         ("sizes = [[2, 1]]", "count = [2, 3]", "control.cluster_count[1]: expected"),
-        ("sizes = [[2, 1]]", "count = [0]", "control.cluster_count[0]: expected"),
         ("cluster_sizes = [[2, 1]]", "", "control.cluster_sizes"),
         ("[[2, 1]]", "[[2, 1]]\ncluster_count = [2]", "control.cluster_sizes"),
-        ("[[2, 1]]", "[[2, 2]]", "control.cluster_sizes[0]: expected"),
         ("[[2, 1]]", "[[2, 1], [2, 1]]", "control.cluster_sizes[1]: expected"),
         ("[[2, 1]]", "[[3, 0]]", "control.cluster_sizes[0][1]: expected whole number"),
         ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 5, 1]", "control.period_cycles: expected"),
         ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 3]", "control.period_cycles[0]: expected"),
-        ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 0]", "control.period_cycles[1]: expected"),
-        ("[[2, 1]]", "[[2, 1]]\ndeadlines_ms = [0, 2, 3]", "control.deadlines_ms[0]: expected"),
         ("2024-05-12T13:00:00", '"13:00"', "time.start: expected date and time"),
-        ("13:00:00", "13:00", "line 5: expected a time with seconds"),
         ("Europe/Madrid", "Europe/Madird", "time.timezone: expected an IANA name"),
-        ("[time]", "[time", "expected TOML"),
+        ("13:00:00", "13:00", "expected TOML"),
+        ("Three", "Thr\udce9", "expected TOML in UTF-8"),
         ('inverters = "plant.csv"\n', "", "plant.inverters: expected a CSV"),
         ("duration_s = 30", "duration_s = nan", "time.duration_s: expected number"),
         ("duration_s = 30", "duration_s = 30\ncycle_s = 4", "time.duration_s: expected a whole"),
-        ('"constant"', '"half"', 'commitment.kind: expected "constant"'),
-        ('"constant"\npower_kw', '"share-of-median"\nshare', "commitment.share: expected number"),
         ("seed = 7", "clouds.cloud_cover = nan", "irradiance.clouds.cloud_cover: expected"),
         ('title = "', 'pace = 1e7\ntitle = "', "pace: expected number"),
         ('"small"', '"../x"', "name"),
-        ('"small"', f'"{"x" * 300}"', "name: expected up to 200"),
+        ('[neighbours]\nhistory = "earlier-day"\n', "", "neighbours: expected table, got nothing"),
+        ("[control]", "[[faults]]\nloss = 2\n[control]", "faults[0].loss: expected"),
+        ("[control]", "[[faults]]\nsignal = 'impp'\n[control]", "faults[0]: expected a delay"),
         (
-            '[neighbours]\nhistory = "earlier-day"\n',
-            "",
-            'neighbours: expected table with history ("earlier-day", "hindsight"), got nothing',
+            "[control]",
+            f"{BUDGETS}hop_p99_ms.production = 3\n[control]",
+            "timing.budgets.hop_p99_ms: expected table from telemetry",
         ),
         (
-            '[commitment]\nkind = "constant"\npower_kw = 100\n',
-            "",
-            'commitment: expected table with kind ("constant" or',
+            "[control]",
+            f"{BUDGETS}hop_p99_ms.setpoint = 0.0\n[control]",
+            "timing.budgets.hop_p99_ms[...]: expected number",
+        ),
+        (
+            "[control]",
+            f"{SYNTHETIC}capacity_kw = 1\nfrom = 09:00:00\nto = 09:00:00\n[control]",
+            "regulation.from, regulation.to: expected",
         ),
     ],
 )
@@ -322,51 +312,20 @@ def test_a_bad_scenario_is_refused_with_file_and_field(
     assert folder.complaint().startswith(f"{folder.scenario}: {complaint}")
 
 
-@pytest.mark.parametrize(
-    ("table", "complaint"),
-    [
-        ("[machine]\nnice = 3", "machine: expected the fields cpus"),
-        ("[pv]\ntilt_deg = -1.0", "pv.tilt_deg: expected"),
-        ('[[faults]]\ndelay = "5ms"', "faults[0]: expected the fields"),
-        ("[[faults]]\nloss = 2", "faults[0].loss: expected"),
-        ("[[faults]]\nsignal = 'impp'", "faults[0]: expected a delay"),
-        (f"{BUDGETS}foo = 3", "timing.budgets: expected the fields loop_p99_ms"),
-        (f"{BUDGETS}hop_p99_ms.production = 3", "timing.budgets.hop_p99_ms: expected telemetry"),
-        (f"{BUDGETS}decision_p99_ms.recorder = 3", "timing.budgets.decision_p99_ms: expected"),
-        (f"{BUDGETS}hop_p99_ms.setpoint = 0.0", "timing.budgets.hop_p99_ms[...]: expected number"),
-        (f"{BUDGETS}missed_deadlines = 1.5", "timing.budgets.missed_deadlines: expected whole"),
-        (f"{SYNTHETIC}capacity_kw = -1.0", "regulation.capacity_kw: expected"),
-        (f"{SYNTHETIC}capacity_kw = 1\nseed = -1", "regulation.seed: expected"),
-        ('[regulation]\nkind = "file"\ncapacity_kw = 1', "regulation.path: expected"),
-        (
-            f"{SYNTHETIC}capacity_kw = 1\nfrom = 09:00:00\nto = 09:00:00",
-            "regulation.from, regulation.to: expected",
-        ),
-    ],
-)
-def test_a_bad_table_is_refused_with_file_and_field(
-    folder: Folder, table: str, complaint: str
-) -> None:
-    folder.change("[control]", f"{table}\n[control]")
-    assert folder.complaint().startswith(f"{folder.scenario}: {complaint}")
-
-
-def test_a_scenario_that_is_not_there_or_no_text_is_refused(folder: Folder) -> None:
-    folder.scenario.write_bytes(folder.scenario.read_bytes().replace(b"Three", b"Thr\xe9"))
-    assert folder.complaint().startswith(f"{folder.scenario}: expected UTF-8")
-    for name in ("ohau", "nowhere/scenario.toml"):
-        assert name in complaint_of(load_scenario, name)
+@pytest.mark.parametrize("name", ["ohau", "nowhere/scenario.toml"])
+def test_a_scenario_that_is_not_there_is_refused(name: str) -> None:
+    assert name in complaint_of(load_scenario, name)
 
 
 @pytest.mark.parametrize(
     ("scenario", "old", "new", "complaint"),
     [
-        (SCENARIO, "plant.csv", "plants.csv", "plants.csv: expected it beside {}/scenario.toml"),
+        (SCENARIO, "plant.csv", "plants.csv", "plants.csv: expected it beside"),
         (SCENARIO, '"plant.csv"', '""', "{}: expected"),
         (SCENARIO, "rating_kw = 300\n", "", "plant.csv: expected plant.rating_kw"),
-        (MEASURED, "[irradiance]", 'inverters = "12"\n[irradiance]', "{}/scenario.toml: plant.inv"),
+        (MEASURED, "[irradiance]", 'inverters = "12"\n[irradiance]', "plant.inverters"),
         (MEASURED, "_s = 4", "_s = 3\ncycle_s = 1.5", "{}/ghi.csv: expected a time.cycle_s"),
-        (MEASURED, "hindsight", "earlier-day", "{}/scenario.toml: neighbours.history: expected"),
+        (MEASURED, "hindsight", "earlier-day", "neighbours.history: expected"),
     ],
 )
 def test_bad_inverters_and_measurements_are_refused(
@@ -374,7 +333,8 @@ def test_bad_inverters_and_measurements_are_refused(
 ) -> None:
     measured.write("scenario.toml", scenario)
     measured.change(old, new)
-    assert measured.complaint().startswith(complaint.format(measured.path))
+    found = f"{measured.scenario}: {complaint.format(measured.path)}"
+    assert measured.complaint().startswith(found)
 
 
 # Options ------------------------------------------------------------------------------------------
@@ -383,10 +343,9 @@ def test_bad_inverters_and_measurements_are_refused(
 @pytest.mark.parametrize(
     ("option", "value"),
     [
-        *(("duration", text) for text in ("0", "soon", "745h", "9" * 400, "0.5", "1.25s")),
-        *(("start", text) for text in ("noon", "25:00", "2024-13-01T12:00", "", "12:30Z")),
-        *(("start", text) for text in ("1899-12-31", "2201-01-01", "9999-01-01")),
-        *(("end", text) for text in ("13:00", "12:59", "later")),
+        *(("duration", text) for text in ("0", "soon", "745h", "9" * 400, "1.25s")),
+        *(("start", text) for text in ("noon", "25:00", "12:30Z", "1899-12-31", "9999-01-01")),
+        *(("end", text) for text in ("13:00", "later")),
         ("seed", -1),
     ],
 )
@@ -404,21 +363,12 @@ def test_a_bad_option_is_refused_in_one_short_line(
 ONE_O_CLOCK_S = 13 * 3600
 
 
-def with_regulation(folder: Folder, table: str) -> Folder:
-    folder.change("[control]", f"[regulation]\n{table}\n[control]")
-    return folder
-
-
 def test_a_file_beside_the_scenario_is_held_onto_its_cycles(folder: Folder) -> None:
     values = np.linspace(-1.0, 1.0, 10)
     rows = [f"{ONE_O_CLOCK_S + 2 * row},{value}" for row, value in enumerate(values.tolist())]
     folder.write("regd.csv", "\n".join(["t_s,regd", *rows]))
     table = 'kind = "file"\npath = "regd.csv"\ncapacity_kw = 40\nto = 13:00:20'
-    found = with_regulation(folder, table).prepare()
+    folder.change("[control]", f"[regulation]\n{table}\n[control]")
+    found = folder.prepare()
     assert found.profile.regulation_capacity_kw == 40.0
     assert found.profile.regulation_kw.tolist() == [*np.repeat(40.0 * values, 2), *[0.0] * 10]
-
-
-def test_a_regulation_file_that_is_not_there_is_refused(folder: Folder) -> None:
-    table = 'kind = "file"\npath = "regd.csv"\ncapacity_kw = 1'
-    assert with_regulation(folder, table).complaint().startswith("regd.csv: expected")

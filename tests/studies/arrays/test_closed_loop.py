@@ -15,12 +15,7 @@ from agents.settings import Actuator, Scheme
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.series import RunSeries
-from studies.arrays.closed_loop import (
-    LoopResult,
-    closed_loop,
-    loop_inputs,
-    run_loop,
-)
+from studies.arrays.closed_loop import LoopResult, closed_loop, loop_inputs, run_loop
 from studies.arrays.compiled import compiled
 from studies.arrays.control_arrays import is_corrected
 from studies.arrays.schemes import ReferenceGroups, run_scheme
@@ -37,11 +32,6 @@ def valley() -> Preparation:
     return prepare(load_scenario("valley"), RunOptions(duration="60"), "loop")
 
 
-def with_meter_error(preparation: Preparation, share: float) -> Preparation:
-    error = share * np.random.default_rng(3).standard_normal(preparation.profile.mpp_kw.shape)
-    return with_profile(preparation, meter_error=error)
-
-
 def with_profile(preparation: Preparation, **changes: Any) -> Preparation:
     return replace(preparation, profile=replace(preparation.profile, **changes))
 
@@ -54,13 +44,13 @@ def assert_equal(preparation: Preparation, scheme: Scheme) -> None:
     """The loop is the same compiled, in plain Python and through the agents."""
     plan, profile = preparation.plan, preparation.profile
     compiled = run_loop(plan, profile, scheme, plan.actuator)
-    plain = LoopResult(*closed_loop(*loop_inputs(plan, profile, scheme, plan.actuator)))
-    for name, by_compiled, by_plain in zip(LoopResult._fields, compiled, plain, strict=True):
-        np.testing.assert_array_equal(by_compiled, by_plain, err_msg=f"plain Python: {name}")
+    plain = closed_loop(*loop_inputs(plan, profile, scheme, plan.actuator))
     correction = is_corrected(plan, scheme)
     own_plan = msgspec.structs.replace(plan, scheme=scheme, correction=correction)
     _, by_agents = run_in_memory(own_plan, profile)
-    for name, by_compiled in compiled._asdict().items():
+    for name in LoopResult._fields:
+        by_compiled, by_plain = getattr(compiled, name), getattr(plain, name)
+        np.testing.assert_array_equal(by_compiled, by_plain, err_msg=f"plain Python: {name}")
         np.testing.assert_allclose(
             by_compiled, getattr(by_agents, name), rtol=0, atol=1e-9, err_msg=f"agents: {name}"
         )
@@ -84,6 +74,10 @@ def absurd_meters(preparation: Preparation) -> Preparation:
     return with_profile(preparation, meter_error=error)
 
 
+def available_power_stated(preparation: Preparation) -> Preparation:
+    return with_plan(preparation, available_bias=0.02, actuator="limit")
+
+
 def next_hour(preparation: Preparation) -> Preparation:
     options = RunOptions(start="12:58:20", duration="200")
     over = prepare(load_scenario("oahu"), options, "loop")
@@ -99,11 +93,14 @@ def next_hour(preparation: Preparation) -> Preparation:
 def test_loop_and_agents_give_the_same(
     oahu: Preparation, scheme: Scheme, actuator: Actuator, noise: float
 ) -> None:
-    assert_equal(with_plan(with_meter_error(oahu, noise), actuator=actuator), scheme)
+    error = noise * np.random.default_rng(3).standard_normal(oahu.profile.mpp_kw.shape)
+    assert_equal(with_plan(with_profile(oahu, meter_error=error), actuator=actuator), scheme)
 
 
 @pytest.mark.parametrize("scheme", get_args(Scheme))
-@pytest.mark.parametrize("odd", [night, absurd_dispatch, absurd_meters, next_hour])
+@pytest.mark.parametrize(
+    "odd", [night, absurd_dispatch, absurd_meters, available_power_stated, next_hour]
+)
 def test_so_they_do_where_something_is_odd(
     oahu: Preparation, scheme: Scheme, odd: Callable[[Preparation], Preparation]
 ) -> None:
@@ -159,18 +156,6 @@ def test_the_correction_makes_up_for_what_the_estimates_got_wrong(
     assert found.power_kw[200:].sum(axis=1) == pytest.approx(3000.0, abs=1.0)
     without = run_loop(plan, profile, "paper", "fraction")
     assert without.power_kw[200:].sum(axis=1) == pytest.approx(3000.0 / 1.04, abs=1.0)
-
-
-@pytest.mark.parametrize("actuator", get_args(Actuator))
-def test_so_they_do_with_available_power_stated(oahu: Preparation, actuator: Actuator) -> None:
-    plan, profile = oahu.plan, oahu.profile
-    loop = compiled(closed_loop)
-    stated_kw = np.minimum(profile.mpp_kw * 1.02, 8000.0 / 17.0)
-    for scheme in get_args(Scheme):
-        inputs = loop_inputs(plan, profile, scheme, actuator)
-        assert np.isnan(inputs[-1]).all()
-        found = closed_loop(*inputs[:-1], stated_kw)
-        np.testing.assert_array_equal(loop(*inputs[:-1], stated_kw), found)
 
 
 def test_meters_that_read_a_little_low_do_not_set_all_inverters_free_again_and_again() -> None:

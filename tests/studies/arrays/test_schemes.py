@@ -50,12 +50,6 @@ def test_meters_that_read_high_curtail_too_much_and_the_floor_holds() -> None:
     assert powers_kw("uniform-cap", "fraction", 0.0) == pytest.approx(PLAN.alpha_min * MPP_KW)
 
 
-@pytest.mark.parametrize("scheme", ["uncontrolled", "physical-limit"])
-def test_a_bound_has_no_actuator(scheme: str) -> None:
-    found = powers_kw(scheme, "limit", 190.0)
-    np.testing.assert_array_equal(found, powers_kw(scheme, "fraction", 190.0))
-
-
 @pytest.mark.parametrize(("sizes", "groups"), [((), 4 + 12 + 12), ((1,), 4), ((1, 2), 4 + 12)])
 def test_grouping_tries_the_sizes_that_the_plant_is_large_enough_for(
     sizes: tuple[int, ...], groups: int

@@ -27,6 +27,7 @@ from studies.clusters.study import (
 )
 from studies.compare.cases import cases, parse_setting
 
+OPTIONS = RunOptions(scheme="paper")
 WAYS = ("correlation", "geographic", "random", "most-alike")
 
 
@@ -38,12 +39,12 @@ def scenario() -> ScenarioFile:
 
 @pytest.fixture(scope="module")
 def oahu(scenario: ScenarioFile) -> Preparation:
-    return prepare(scenario, RunOptions(), "clusters")
+    return prepare(scenario, OPTIONS, "clusters")
 
 
 @pytest.fixture(scope="module")
 def arrange(scenario: ScenarioFile) -> Arrange:
-    return partial(by_scenario, scenario, RunOptions())
+    return partial(by_scenario, scenario, OPTIONS)
 
 
 @pytest.fixture(scope="module")
@@ -67,17 +68,6 @@ def members(preparation: Preparation) -> set[frozenset[str]]:
     return {frozenset(cluster) for cluster in found.values()}
 
 
-# Ways to choose clusters --------------------------------------------------------------------------
-
-
-def test_the_run_is_the_one_that_every_other_command_prepares(
-    scenario: ScenarioFile, oahu: Preparation, arrange: Arrange
-) -> None:
-    found = arrange(scenario.scenario.control)
-    assert found.plan == oahu.plan
-    np.testing.assert_array_equal(found.profile.mpp_kw, oahu.profile.mpp_kw)
-
-
 def test_the_virtual_clusters_are_the_best_that_the_search_finds_in_the_past(
     scenario: ScenarioFile, arrange: Arrange, past: pd.DataFrame
 ) -> None:
@@ -90,9 +80,7 @@ def test_the_virtual_clusters_are_the_best_that_the_search_finds_in_the_past(
 def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
     scenario: ScenarioFile, arrange: Arrange, past: pd.DataFrame
 ) -> None:
-    worth = {
-        way: worth_of(arrange(chosen(scenario, clusters=way)), past, "paper", (1,)) for way in WAYS
-    }
+    worth = {way: worth_of(arrange(chosen(scenario, clusters=way)), past, (1,)) for way in WAYS}
     alike = [worth[way].past_correlation for way in ("correlation", "random", "most-alike")]
     assert alike == sorted(alike)
     assert alike[0] < worth["geographic"].past_correlation <= alike[2]
@@ -103,25 +91,14 @@ def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
     assert len({found.help.plant.needy for found in worth.values()}) == 1
 
 
-def test_random_clusters_go_by_their_seed(scenario: ScenarioFile, arrange: Arrange) -> None:
-    one, other, again = (
-        members(arrange(chosen(scenario, clusters="random", clusters_seed=seed)))
-        for seed in (1, 2, 1)
-    )
-    assert one == again != other
-
-
 def test_correlation_in_the_run_is_that_of_its_own_power(
     oahu: Preparation, past: pd.DataFrame
 ) -> None:
-    found = worth_of(oahu, past, "paper", (1,))
+    found = worth_of(oahu, past, (1,))
     # The run is one hour long, from twelve to one.
     power = np.asarray(np.corrcoef(oahu.profile.mpp_kw.T))
     expected = within_cluster_correlation(power, [range(6), range(6, 12), range(12, 17)])
     assert found.run_correlation == pytest.approx(expected, abs=1e-12)
-
-
-# Shortfall and the central controller's period ----------------------------------------------------
 
 
 def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
@@ -132,7 +109,7 @@ def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
     mpp_kw[9] = 200.0
     plan = msgspec.structs.replace(oahu.plan, cycles=30)
     changed = dataclasses.replace(oahu, plan=plan, profile=Profile(mpp_kw, np.full(30, 5000.0)))
-    always, tenth = worth_of(changed, past, "paper", (1, 10)).shortfalls
+    always, tenth = worth_of(changed, past, (1, 10)).shortfalls
     # In cycle 9 the plant gives 5000 x 3400 / 6800 of the 3400 kW that it has: 900 kW less.
     percent_of_a_cycle = 100.0 / 30
     unavoidable = percent_of_a_cycle * 1600 / 5000
@@ -147,29 +124,16 @@ def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
     assert tenth.begun_lacking_percent == pytest.approx(held)
 
 
-# The order of help --------------------------------------------------------------------------------
-
-
-def test_other_orders_of_help_leave_the_clusters_as_they_are(oahu: Preparation) -> None:
+def test_in_the_last_order_of_help_siblings_are_asked_the_other_way_round(
+    oahu: Preparation,
+) -> None:
     orders = in_other_orders(oahu)
-    assert list(orders) == ["least alike first", "as listed", "most alike first"]
-    assert {found.plan.inverters for found in orders.values()} == {oahu.plan.inverters}
     assert orders["as listed"].plan.neighbourhoods == ()
-    assert orders["least alike first"].plan is oahu.plan
-    turned = orders["most alike first"].plan
     for node in oahu.plan.tree.parents:
-        (before,) = oahu.plan.neighbourhoods_of(node)
-        (after,) = turned.neighbourhoods_of(node)
+        (before,) = orders["least alike first"].plan.neighbourhoods_of(node)
+        (after,) = orders["most alike first"].plan.neighbourhoods_of(node)
         forwards, backwards = help_order(before.correlation), help_order(after.correlation)
         assert [siblings[::-1] for siblings in backwards] == list(forwards)
-
-
-# Clusters from the first part of a run ------------------------------------------------------------
-
-
-def with_mpp(preparation: Preparation, mpp_kw: np.ndarray) -> Preparation:
-    profile = dataclasses.replace(preparation.profile, mpp_kw=mpp_kw)
-    return dataclasses.replace(preparation, profile=profile)
 
 
 def test_what_is_left_begins_where_learning_ends(oahu: Preparation, scenario: ScenarioFile) -> None:
@@ -185,21 +149,19 @@ def test_what_is_left_begins_where_learning_ends(oahu: Preparation, scenario: Sc
 def test_clusters_are_chosen_from_the_first_part_alone(
     oahu: Preparation, scenario: ScenarioFile
 ) -> None:
-    virtual = chosen(scenario, clusters="correlation")
-    mpp_kw = oahu.profile.mpp_kw
-    late, early = mpp_kw.copy(), mpp_kw.copy()
-    late[120:] = mpp_kw[120:, ::-1]
-    early[:120] = mpp_kw[:120, ::-1]
-    before = by_first_part(oahu, 1200.0)(virtual)
-    other_future = by_first_part(with_mpp(oahu, late), 1200.0)(virtual)
-    assert other_future.plan == before.plan
-    other_past = by_first_part(with_mpp(oahu, early), 1200.0)(virtual)
-    assert members(other_past) != members(before)
+    def clusters(changed: slice) -> set[frozenset[str]]:
+        mpp_kw = oahu.profile.mpp_kw.copy()
+        mpp_kw[changed] = mpp_kw[changed, ::-1]
+        profile = dataclasses.replace(oahu.profile, mpp_kw=mpp_kw)
+        other = dataclasses.replace(oahu, profile=profile)
+        return members(by_first_part(other, 1200.0)(chosen(scenario, clusters="correlation")))
+
+    assert clusters(slice(0)) == clusters(slice(120, None)) != clusters(slice(120))
 
 
-@pytest.mark.parametrize("learn_s", [10.0, 15.0, 3600.0, 7200.0])
+@pytest.mark.parametrize("learn_s", [10.0, 15.0, 3600.0])
 def test_a_first_part_that_leaves_nothing_to_learn_from_or_to_run_is_refused(
     oahu: Preparation, learn_s: float
 ) -> None:
-    with pytest.raises(InputError, match=f"--learn: .*got {learn_s:g} s"):
+    with pytest.raises(InputError, match="--learn"):
         by_first_part(oahu, learn_s)

@@ -33,9 +33,11 @@ def study(
 
 def test_a_setting_is_a_field_and_its_values() -> None:
     found = parse_setting("control.period_cycles=[1, 1], [10, 1]")
-    assert (found.field, found.values) == ("control.period_cycles", ("[1, 1]", "[10, 1]"))
-    titles = parse_setting('title="Clouds, it\'s windy", calm')
-    assert titles.values == ('"Clouds, it\'s windy"', "calm")
+    assert (found.field, found.values) == ("control.period_cycles", ([1, 1], [10, 1]))
+    assert parse_setting("title=\"Clouds, it's windy\", 'calm'").values == (
+        "Clouds, it's windy",
+        "calm",
+    )
     assert parse_setting("title=it's windy, calm").values == ("it's windy", "calm")
 
 
@@ -62,24 +64,20 @@ def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> N
     assert (alone.label, alone.scenario) == ("", oahu)
 
 
-@pytest.mark.parametrize(("start", "clock"), [("12:30", "12:30:00"), ("9:05", "09:05:00")])
-def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile, start: str, clock: str) -> None:
-    (case,) = study(oahu, days="2010-07-04", start=start)
-    assert case.options.start == f"2010-07-04T{clock}"
+def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile) -> None:
+    (case,) = study(oahu, days="2010-07-04", start="9:05")
+    assert case.options.start == "2010-07-04T09:05:00"
     assert case.label == "2010-07-04"
 
 
 @pytest.mark.parametrize(
     ("words", "wrong"),
     [
-        (("commitment.share",), "--set: expected"),
         (("commitment.share=",), "--set: expected"),
         (("commitment.share=two",), "commitment.share: expected"),
-        (("plant.actuator=wheel",), "got 'wheel'"),
         ((f"plant.actuator={'[' * 10_000}",), "plant.actuator: expected"),
         (("nothing.at.all=1",), "got nothing"),
-        (("commitment.share=0.6", "foo.bar=2"), "--set foo.bar=2: "),
-        (("plant.actuator=limit", "commitment.shares=0.5"), "--set commitment.shares=0.5: "),
+        (("title.text=1",), "title: expected"),
         (("control.hold_cycles=3", "plant.actuator=wheel"), "--set plant.actuator=wheel: "),
     ],
 )
@@ -94,8 +92,8 @@ def test_a_setting_that_the_scenario_does_not_accept_is_named(
 @pytest.mark.parametrize(
     ("parse", "text"),
     [
-        *((parse_seeds, text) for text in ("", "1..", "a", "1,,2", "-1")),
-        *((parse_days, text) for text in ("tomorrow", "2010-02-30", "2010-04-02..2010-04-01")),
+        *((parse_seeds, text) for text in ("1..", "a", "3..1", "1..1000000")),
+        *((parse_days, text) for text in ("2010-02-30", "2010-04-02..2010-04-01")),
     ],
 )
 def test_what_is_no_list_is_refused(parse: Callable[[str], object], text: str) -> None:

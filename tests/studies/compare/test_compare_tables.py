@@ -39,7 +39,7 @@ def result(
 def case(label: str, caused: Mapping[str, float], settings: str = "") -> CaseResult:
     """A case with the fraction actuator: control-caused shortfall of each scheme in %."""
     schemes = tuple(result(scheme, "fraction", value) for scheme, value in caused.items())
-    return CaseResult(label, settings, schemes, 0.0, 0.0, ())
+    return CaseResult(label, settings, schemes, ())
 
 
 SCHEMES = (
@@ -129,7 +129,7 @@ def test_schemes_are_paired_with_the_baseline_of_their_own_actuator() -> None:
         result("predictive", "limit", 2.0),
         result("uncontrolled", None, 0.0),
     )
-    cases = [CaseResult(f"seed={seed}", "", schemes, 0.0, 0.0, ()) for seed in (1, 2)]
+    cases = [CaseResult(f"seed={seed}", "", schemes, ()) for seed in (1, 2)]
     found = [(one.scheme, one.actuator, one.difference) for one in summaries_of(cases)]
     assert found == [
         ("paper", "fraction", 4.0),
@@ -163,7 +163,7 @@ def test_of_one_case_there_is_no_interval_and_no_summary_of_what_it_lacks() -> N
 
 def test_cases_with_different_actuators_have_none_in_common() -> None:
     cases = [
-        CaseResult(f"actuator={name}", f"actuator={name}", (result("paper", name, 1.0),), 0, 0, ())
+        CaseResult(f"actuator={name}", f"actuator={name}", (result("paper", name, 1.0),), ())
         for name in get_args(Actuator)
     ]
     (found,) = summaries_of(cases)

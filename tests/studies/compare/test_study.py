@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import pytest
 
 from bus_schemas.errors import InputError
@@ -13,7 +11,6 @@ from studies.arrays.schemes import ReferenceGroups
 from studies.compare.cases import Case, cases
 from studies.compare.results import cases_tables
 from studies.compare.study import CaseResult, Comparison, run_case
-from studies.workers import share_work
 
 COMPARISON = Comparison(("paper", "predictive", "grouping"), ReferenceGroups((1, 5), 3))
 SCHEMES = ["paper", "predictive", "grouping best", "grouping median", "grouping worst"]
@@ -40,23 +37,11 @@ def test_grouping_has_its_best_median_and_worst_reference_group(alone: list[Case
 def test_every_scheme_but_the_bounds_is_run_with_each_actuator(study: list[Case]) -> None:
     both = Comparison(("uncontrolled", "uniform-cap", "paper"), actuators=("fraction", "limit"))
     found = {(one.scheme, one.actuator): one.metrics for one in run_case(both, study[0]).schemes}
-    assert list(found) == [
-        ("uncontrolled", None),
-        ("uniform-cap", "fraction"),
-        ("uniform-cap", "limit"),
-        ("paper", "fraction"),
-        ("paper", "limit"),
-    ]
     (own,) = run_case(Comparison(("paper",)), study[0]).schemes
     assert own.metrics == found["paper", "fraction"], "oahu's own actuator"
     # A limit holds whatever the sky does, a fraction of an old maximum does not.
     assert found["uniform-cap", "limit"].commitment.over_delivered_kwh == pytest.approx(0.0)
     assert found["uniform-cap", "fraction"].commitment.over_delivered_kwh > 1e-3
-
-
-def test_several_processes_give_the_same(study: list[Case], alone: list[CaseResult]) -> None:
-    found = share_work(partial(run_case, COMPARISON), study, workers=2)
-    assert [result.schemes for result in found] == [result.schemes for result in alone]
 
 
 def test_a_case_that_does_not_fit_is_named() -> None:

@@ -47,16 +47,17 @@ def perfect(prepared: Preparation) -> Outcome:
 
 
 @pytest.mark.parametrize(
-    ("cycle_s", "counted_s", "periods_s"),
+    ("cycle_s", "cycles", "periods_s"),
     [
-        (5.0, 3600.0, {5.0, 10.0, 30.0, 60.0}),  # Whole numbers of cycles,
-        (1.0, 30.0, {1.0, 2.0, 5.0, 10.0}),  # of which what counts holds two.
+        (5, 744, {5.0, 10.0, 30.0, 60.0}),  # Whole numbers of cycles,
+        (1, 150, {1.0, 2.0, 5.0, 10.0}),  # of which what counts, 30 s, holds two.
     ],
 )
 def test_central_periods_that_do_not_fit_are_left_out(
-    cycle_s: float, counted_s: float, periods_s: set[float]
+    prepared: Preparation, cycle_s: int, cycles: int, periods_s: set[float]
 ) -> None:
-    chosen = conditions(cycle_s, counted_s)
+    plan = msgspec.structs.replace(prepared.plan, cycle_ns=cycle_s * 10**9, cycles=cycles)
+    chosen = conditions(plan)
     assert {one.value for one in chosen if one.trouble == "period"} == periods_s
 
 
@@ -80,7 +81,7 @@ def test_a_perfect_network_gives_what_lockstep_gives_without_the_beginning(
     counted = series.between(round(WARM_UP_S), series.cycles)
     assert counted.cycles == CYCLES - 120
     assert perfect.figures == figures_json(run_metrics(counted))
-    assert (perfect.missed_percent, perfect.old_inputs, perfect.lost) == (0.0, 0, 0)
+    assert (perfect.absent_inputs, perfect.old_inputs) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -99,8 +100,9 @@ def test_a_trouble_costs_the_more_the_worse_it_is(
 
 def test_losses_cost_the_more_the_more_there_are(prepared: Preparation) -> None:
     found = [outcome(prepared, Condition("loss", value, "paper")) for value in (0.0, 5.0, 20.0)]
-    assert [one.lost > 0 for one in found] == [False, True, True]
-    assert found[1].missed_percent == pytest.approx(5.0, abs=0.5)
+    absent = [one.absent_inputs for one in found]
+    assert absent[0] == 0
+    assert absent[2] == pytest.approx(4 * absent[1], rel=0.1)
     mileages = np.array([one.figures["mileage"] for one in found], dtype=float)
     assert np.all(np.diff(mileages) > 0.0)
 
@@ -120,9 +122,8 @@ def made_up(
         value=value,
         scheme="paper",
         figures=figures,
-        missed_percent=0.0,
+        absent_inputs=0,
         old_inputs=0,
-        lost=0,
     )
 
 

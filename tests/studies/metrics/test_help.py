@@ -31,14 +31,6 @@ def test_calls_are_counted_by_plant_and_by_cluster() -> None:
     assert found.clusters_sufficient == CallsForHelp(needy=6, central=2)
 
 
-def test_other_clusters_of_the_same_inverters_need_the_central_controller_elsewhere() -> None:
-    regrouped = help_metrics(RESIDUAL_KW, ("c1/a", "c2/b", "c2/c", "c1/d"))
-    assert regrouped.plant.needy == 6
-    # Beside a, d has too little in the second cycle; beside c, b has too little in the fifth.
-    assert regrouped.plant_sufficient == CallsForHelp(needy=4, central=1 + 1)
-    assert regrouped.clusters_sufficient == CallsForHelp(needy=6, central=2)
-
-
 @pytest.mark.parametrize(
     ("inverters", "central"),
     [

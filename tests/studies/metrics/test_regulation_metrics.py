@@ -48,12 +48,8 @@ def test_a_request_is_fulfilled_if_every_cycle_in_it_is_within_the_tolerance() -
         # within 1  short of 1  over         short       within 1
     )
     assert found.requests == (
-        RequestsFulfilled(
-            0.1, 1.0, requests=5, fulfilled=2, short=2, over=1, feasible=5, feasible_fulfilled=2
-        ),
-        RequestsFulfilled(
-            1.0, 10.0, requests=5, fulfilled=4, short=1, over=0, feasible=5, feasible_fulfilled=4
-        ),
+        RequestsFulfilled(0.1, requests=5, fulfilled=2, feasible=5, feasible_fulfilled=2),
+        RequestsFulfilled(1.0, requests=5, fulfilled=4, feasible=5, feasible_fulfilled=4),
     )
     assert [one.fulfilled_percent for one in found.requests] == [40.0, 80.0]
     assert found.capacity_kw == CAPACITY_KW

@@ -43,7 +43,7 @@ def test_a_run_of_four_half_hours_by_hand() -> None:
     assert found.headroom.ancillary_potential_kwh == pytest.approx(50.0)  # (50 + 20 + 30) / 2
     assert found.ramps is not None
     assert found.ramps.largest_kw_per_min == pytest.approx(70.0 / 30.0)
-    assert found.ramps.minutes_above_limit == 1
+    assert found.ramps.above_limit_percent == pytest.approx(100.0 / 3.0)
     assert found.regulation is None
 
 
@@ -52,25 +52,24 @@ def test_a_ramp_is_the_change_over_a_minute_from_every_cycle_on() -> None:
     delivered_kw = np.array([100.0, 100.0, 120.0, 150.0, 130.0, 10.0, 40.0, 40.0])
     found = ramp_metrics(delivered_kw, RATING_KW, 20.0, limit_percent_per_min=10.0)
     # Minutes of ramps that begin in cycles 0 to 2, and in 3 and 4.
-    assert found == RampMetrics(50.0, 110.0, 100.0, 2, 2, 100.0)
+    assert found == RampMetrics(50.0, 110.0, 100.0, 100.0)
 
 
 @pytest.mark.parametrize(
-    ("delivered_kw", "minutes", "above"),
+    ("delivered_kw", "percent"),
     [
-        # 240 ramps. Those that begin in cycles 140 to 199 end after the fall of 200 kW.
-        (np.repeat([500.0, 300.0], [200, 100]), 4, 2),
+        # 240 ramps in 4 minutes. Those of cycles 140 to 199 end after the fall of 200 kW.
+        (np.repeat([500.0, 300.0], [200, 100]), 50.0),
         # A ramp exactly at the limit is allowed.
-        (0.1 * RATING_KW / 60.0 * np.arange(300.0), 4, 0),
+        (0.1 * RATING_KW / 60.0 * np.arange(300.0), 0.0),
     ],
 )
 def test_only_the_minutes_with_a_ramp_above_the_limit_count(
-    delivered_kw: np.ndarray, minutes: int, above: int
+    delivered_kw: np.ndarray, percent: float
 ) -> None:
     found = ramp_metrics(delivered_kw, RATING_KW, 1.0, limit_percent_per_min=10.0)
     assert found is not None
-    assert (found.minutes, found.minutes_above_limit) == (minutes, above)
-    assert found.above_limit_percent == 100.0 * above / minutes
+    assert found.above_limit_percent == percent
 
 
 @pytest.mark.parametrize(
