@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test docs results fit-clouds golden check format bench bench-peers bench-study soak clean
+.PHONY: help setup run test docs results golden check format bench bench-peers bench-study soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -58,9 +58,6 @@ $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
 
 results: $(READY) ## every measured table of the documents; DATA=FOLDER for those of measurements, PAGES=delays.md for one page
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/measured $(abspath $(DATA)) $(PAGES)
-
-fit-clouds: $(READY) ## fit the constants of the cloud model to some measured hours, judge them by the others; DATA=FOLDER
-	PYTHONPATH=$(CURDIR) $(BIN)/python docs/measured/fit_clouds.py $(abspath $(DATA))
 
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py

@@ -1,8 +1,7 @@
 """What an agent is: stages of a cycle, each a pure step from inputs to outputs.
 
-An agent has no clock, bus, file, log or randomness inside. The driver hands it the inputs of a
-stage once they are complete or their deadline has passed, and publishes what it returns. The same
-inputs in the same cycle give the same outputs, to the last bit.
+An agent has no clock, bus, file, log or randomness inside. The same inputs in the same cycle give
+the same outputs, to the last bit.
 """
 
 from __future__ import annotations
@@ -24,10 +23,9 @@ S = TypeVar("S")
 class Stage:
     """One step of an agent in a cycle.
 
-    name: What the agent does in it, see `agents.cycle.STAGES`.
     awaits: Ports of which it needs the message of this cycle.
     uses: Ports of which it also uses the newest message.
-    timed: In real time the stage closes at its deadline and never before: the clock drives it.
+    timed: In real time the stage closes at its deadline and never before.
     """
 
     name: str
@@ -39,10 +37,9 @@ class Stage:
 class Turn(msgspec.Struct, frozen=True, gc=False):
     """All that an agent sees when a stage closes.
 
-    cycle, sim_time_ns: Number of the cycle and simulated time of its beginning.
     stamp: The first fields of every message that the agent makes now.
-    inputs: The newest message of each port that the stage awaits or uses; None if it is silent:
-        there was none, or it is too old.
+    inputs: The newest message of each port that the stage awaits or uses; None if there was none,
+        or it is too old.
     """
 
     stage: str
@@ -58,10 +55,7 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
 
 
 class Agent(Protocol[S]):
-    """One member of the team, as a value.
-
-    may_skip: Whether it may skip cycles that are over. The plant may not: its clouds move on.
-    """
+    """One member of the team. The plant may not skip cycles that are over: its clouds move on."""
 
     may_skip: bool
 

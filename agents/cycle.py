@@ -16,8 +16,6 @@ from bus_schemas.signals import Port
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, agent_of, depth
 
 Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "recorder"]
-"""What an agent is."""
-
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 
 PLACES: Final[dict[str, Callable[[int, int], int]]] = {
@@ -43,25 +41,21 @@ USED_SHARE: Final = 0.9
 """Share of the cycle by whose end the plant has its commands, or goes on without."""
 
 FIRST_PARTS: Final = 3
-"""Parts of that time for the first place; each further one has one. In the first the plant wakes
-up and tells every inverter what it measured, and all direct controllers estimate at once: half of
-all that happens in a cycle. What they do not need, the places after it have."""
+"""Parts of that time for the first place, in which all direct controllers estimate at once; each
+further one has one."""
 
 _ALONE: Final[dict[str, Kind]] = {PLANT: "plant", CENTRAL: "central", RECORDER: "recorder"}
-
 
 _LATER: Final = {"setpoint": "solve", "command": "actuate", "production": "apply"}
 """Stage in which a signal is published, where that is not its publisher's first one."""
 
 
 def kind_of(agent: str, tree: ControlTree) -> Kind:
-    """Return the kind of an agent by its name, or by that of its standby."""
     agent = agent_of(agent)
     return _ALONE.get(agent) or ("direct" if tree.is_leaf(agent) else "supervisor")
 
 
 def stage_place(agent: str, stage: str, tree: ControlTree) -> int:
-    """Return the place of an agent's stage in the order of one cycle."""
     level = 0 if agent in {CENTRAL, PLANT} else depth(agent)
     return PLACES[stage](tree.height, level)
 
@@ -75,15 +69,14 @@ def stage_of(port: Port[Message], tree: ControlTree) -> str:
 class Deadlines:
     """When, in real time, each stage of a cycle closes at the latest.
 
-    By default 0.9 of the cycle is divided among the places, `FIRST_PARTS` to the first and an equal
-    part to each further one; the rest is a margin before the plant's next tick. A run may instead
-    state when the last message of each tier must be out: the stages up to the central controller's
-    solve then share the time before its deadline in this way, and the plant waits for commands
-    until halfway between the last deadline and its next tick.
+    By default `USED_SHARE` of the cycle is divided among the places. A run may instead state when
+    the last message of each tier must be out: the stages up to the central controller's solve then
+    share the time before its deadline, and the plant waits for commands until halfway between the
+    last deadline and its next tick.
 
     cycle_ns: Length of a cycle on the wall clock.
     tiers_ns: Deadline of each tier's last message, the central controller's first and the direct
-        controllers' last. Empty: 0.9 of the cycle is divided.
+        controllers' last. Empty: the default.
     """
 
     tree: ControlTree
@@ -98,11 +91,8 @@ class Deadlines:
         return self._of_place(stage_place(agent, stage, self.tree))
 
     def slice_ns(self, agent: str, stage: str) -> int:
-        """Return a stage's part of the cycle: from the deadline before its own to its own [ns].
-
-        The plant's tick has no deadline before it: it has one part.
-        """
-        if stage == "sense":
+        """Return a stage's part of the cycle: from the deadline before its own to its own [ns]."""
+        if stage == "sense":  # The plant's tick has no deadline before it.
             return self._of_place(2) - self._of_place(1)
         before_ns = self._of_place(stage_place(agent, stage, self.tree) - 1)
         return self.deadline_ns(agent, stage) - before_ns
@@ -113,7 +103,6 @@ class Deadlines:
         return self._of_place(place + 1) - self._of_place(place)
 
     def _of_place(self, place: int) -> int:
-        """Return the deadline of a place in the order of a cycle [ns]."""
         central = stage_place(CENTRAL, "solve", self.tree)
         last = stage_place(PLANT, "apply", self.tree)
         if not self.tiers_ns:
@@ -132,39 +121,30 @@ def parts_up_to(place: int) -> int:
 
 @dataclass(frozen=True)
 class Periods:
-    """How often the parents of each tier act, in cycles.
+    """How often the parents of each tier act: their periods in cycles, the central one's first.
 
-    A parent sends setpoints only in its turns. Between them the tiers below keep rebalancing to its
-    last setpoints. Every agent reports upwards in every cycle.
-
-    cycles: Period of each tier that has children, the central controller's first. Each must be a
-        multiple of the next.
+    A parent sends setpoints only in its turns. Every agent reports upwards in every cycle.
     """
 
     cycles: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        for tier, period in enumerate(self.cycles):
-            if period < 1:
-                raise InputError(f"control.period_cycles[{tier}]: expected 1 or more, got {period}")
-        for tier, (upper, lower) in enumerate(zip(self.cycles, self.cycles[1:], strict=False)):
-            if upper % lower:
-                raise InputError(
-                    f"control.period_cycles[{tier}]: expected a multiple of {lower}, the period of "
-                    f"the tier below, got {upper}"
-                )
+        below = 1
+        for tier, period in reversed(list(enumerate(self.cycles))):
+            if period < 1 or period % below:
+                where = f"control.period_cycles[{tier}]"
+                raise InputError(f"{where}: expected a positive multiple of {below}, got {period}")
+            below = period
 
     def is_turn(self, parent: str, cycle: int) -> bool:
         """Whether a parent acts in a cycle. In arming rounds (below 0) all parents do."""
         return cycle < 0 or cycle % self.cycles[depth(parent)] == 0
 
     def rests_between(self, parent: str) -> bool:
-        """Whether a parent's children act between its turns."""
         own = depth(parent)
-        below = self.cycles[own + 1] if own + 1 < len(self.cycles) else 1
-        return self.cycles[own] > below
+        return self.cycles[own] > (*self.cycles, 1)[own + 1]
 
     @property
     def longest(self) -> int:
-        """The longest period in cycles: how far one agent can run ahead of another in lockstep."""
+        """The longest period: how far one agent can run ahead of another in lockstep."""
         return max(self.cycles)

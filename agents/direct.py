@@ -16,11 +16,11 @@ from agents.control.curtailment import curtailment_level
 from agents.control.forecast import forecast_impp
 from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp, stale
 from agents.control.request import residual_kw
-from agents.dispatch import own_request_kw
+from agents.dispatch import own_report, own_request_kw
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Command, Help, Impp, Residual, Telemetry
-from bus_schemas.signals import COMMAND, DISPATCH, HELP, IMPP, RESIDUAL, SETPOINT, TELEMETRY
+from bus_schemas.messages import Command, Telemetry
+from bus_schemas.signals import COMMAND, DISPATCH, SETPOINT, TELEMETRY
 from bus_schemas.tree import ROOT, parent_of
 
 _NEVER: Final = -(2**31)
@@ -50,9 +50,6 @@ class DirectController:
         self._telemetry = TELEMETRY.of(node)
         self._dispatch = DISPATCH.of(ROOT)
         self._setpoint = SETPOINT.of(node)
-        self._impp = IMPP.of(node)
-        self._residual = RESIDUAL.of(node)
-        self._help = HELP.of(node)
         self._command = COMMAND.of(node)
         estimate = Stage("estimate", (self._telemetry, self._dispatch))
         self._with_parent = (estimate, Stage("actuate", (self._setpoint,), (self._dispatch,)))
@@ -80,13 +77,7 @@ class DirectController:
         estimate = self._estimate_now(telemetry, last)
         request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw) or 0.0
         residual = residual_kw(estimate.power_kw, request_kw)
-        impp = Impp(*turn.stamp, power_kw=estimate.power_kw, stale_cycles=estimate.stale_cycles)
-        outputs: list[Delivery] = [
-            (self._impp, impp),
-            (self._residual, Residual(*turn.stamp, power_kw=residual)),
-        ]
-        if residual < 0.0:
-            outputs.append((self._help, Help(*turn.stamp, missing_kw=-residual)))
+        outputs = own_report(self.name, turn, estimate.power_kw, estimate.stale_cycles, residual)
         measured = state.telemetry_cycle if telemetry is None else telemetry.cycle
         return DirectState(estimate, measured), outputs
 

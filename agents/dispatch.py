@@ -1,9 +1,12 @@
-"""A node's request, which every controller works out from the dispatch."""
+"""A node's request, which every controller works out from the dispatch, and its report."""
 
 from __future__ import annotations
 
+from agents.agent import Turn
 from agents.control.request import request_kw, usable_dispatch_kw
-from bus_schemas.messages import Dispatch
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import Dispatch, Help, Impp, Residual
+from bus_schemas.signals import HELP, IMPP, RESIDUAL
 
 
 def own_request_kw(dispatch: Dispatch | None, rating_kw: float) -> float | None:
@@ -13,3 +16,16 @@ def own_request_kw(dispatch: Dispatch | None, rating_kw: float) -> float | None:
     plant_rating_kw = dispatch.plant_rating_kw
     usable_kw = usable_dispatch_kw(dispatch.power_kw, plant_rating_kw)
     return request_kw(usable_kw, rating_kw, plant_rating_kw)
+
+
+def own_report(
+    node: str, turn: Turn, impp_kw: float, stale_cycles: int, residual_kw: float
+) -> list[Delivery]:
+    """Report upwards. A negative residual is a call for help."""
+    outputs: list[Delivery] = [
+        (IMPP.of(node), Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)),
+        (RESIDUAL.of(node), Residual(*turn.stamp, power_kw=residual_kw)),
+    ]
+    if residual_kw < 0.0:
+        outputs.append((HELP.of(node), Help(*turn.stamp, missing_kw=-residual_kw)))
+    return outputs

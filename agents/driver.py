@@ -1,8 +1,4 @@
-"""The one driver: runs agents over a bus and by a clock.
-
-The bus is Zenoh, memory or a recording; the clock is the wall's, a virtual one, or none at all in
-lockstep. Launch, simulate, verify and `replay --live` are combinations of these.
-"""
+"""The one driver: runs agents over a bus (Zenoh, memory, a recording) and by a clock, if any."""
 
 from __future__ import annotations
 
@@ -55,10 +51,7 @@ class Driver:
             yield self.turn()
 
     def turn(self, longest_ns: int | None = None) -> Sequence[Arrival]:
-        """Wait for messages or the next deadline, and act on them. Returns the messages.
-
-        longest_ns: Time of the run's clock up to which to wait at most.
-        """
+        """Wait for messages, a deadline or `longest_ns`, and act; return the messages."""
         arrivals = self.bus.receive(self._until_ns(longest_ns), self._wanted)
         self._act_on(arrivals)
         # In memory all messages of a moment come before its deadlines.
@@ -79,23 +72,19 @@ class Driver:
             heappush(self._deadlines, (deadline_ns, next(self._numbers), loop.name))
 
     def publish(self, port: Port[Message], message: Message) -> None:
-        """Publish a message that no agent decides."""
         self.bus.publish(port, message, self.now_ns())
 
     @property
     def _wanted(self) -> int:
-        """Messages that the driver has use for at once."""
         return len(self._only.waiting) or 1 if self._only is not None else 1
 
     def _until_ns(self, longest_ns: int | None) -> int | None:
-        """Return the time of the run's clock up to which to wait for messages."""
         until_ns = self._next_deadline_ns()
         if until_ns is None or (longest_ns is not None and longest_ns < until_ns):
             return longest_ns
         return until_ns
 
     def _act_on(self, arrivals: Sequence[Arrival]) -> None:
-        """Give messages to their agents, and take these as far as they go."""
         only = self._only
         if only is not None and only.catch_up(self.now_ns()):
             self.go_on(only)
@@ -121,7 +110,6 @@ class Driver:
         return None
 
     def _close_overdue(self) -> None:
-        """Close the next stage if its deadline has passed."""
         deadline_ns = self._next_deadline_ns()
         if deadline_ns is not None and deadline_ns <= self.now_ns():
             loop = self.loops[heappop(self._deadlines)[2]]

@@ -14,10 +14,7 @@ class Joined(Event, frozen=True):
 
 
 class Armed(Event, frozen=True):
-    """The plant has seen everybody, and a whole round has closed.
-
-    Cycle 0 begins at `start_time_ns` of the host's monotonic clock.
-    """
+    """All are there; cycle 0 begins at `start_time_ns` of the host's monotonic clock."""
 
     rounds: int
     start_time_ns: int
@@ -32,7 +29,7 @@ class Waiting(Event, frozen=True):
 
 
 class Status(Event, frozen=True):
-    """What the recorder has seen so far: the run's state for a live view. Powers in kW.
+    """What the recorder has seen so far, for a live view. Powers in kW.
 
     `unheard` are the keys on which external agents have said nothing in an arming round, `silent`
     the controllers that have said nothing for longer than they may between two cycles.
@@ -45,12 +42,12 @@ class Status(Event, frozen=True):
     delivered_kw: float
     needy: list[str]
     recorded: int
-    unheard: list[str] = msgspec.field(default_factory=list)
-    silent: list[str] = msgspec.field(default_factory=list)
+    unheard: list[str] = []
+    silent: list[str] = []
 
 
 class Standing(Event, frozen=True):
-    """The process is there, and nobody hears it here: it stands by, or is on another host."""
+    """The process is there, though nobody hears it here: it stands by, or is on another host."""
 
 
 class TookOver(Event, frozen=True):
@@ -60,12 +57,9 @@ class TookOver(Event, frozen=True):
 
 
 class Finished(Event, frozen=True):
-    """The agent has come to the end of the run.
+    """The agent has come to the end of the run, or was dismissed by SIGTERM.
 
-    published: Messages of the run that it published, by signal.
-    dropped: Messages that it did not use: port, cause and number.
-    skipped_cycles: Cycles that were over before the agent came to them.
-    dismissed: Whether SIGTERM ended it before the run was over.
+    `published` counts its messages by signal; `dropped` are port, cause and number.
     """
 
     published: dict[str, int]
@@ -88,10 +82,7 @@ class Exited(Event, frozen=True):
 
 
 class Presence(Event, frozen=True):
-    """The liveliness token of an external agent has come or gone, seen by the recorder.
-
-    `cycle` is the newest cycle by then, -1 before the run.
-    """
+    """The token of an external agent has come or gone in this cycle, -1 before the run."""
 
     agent: str
     alive: bool
@@ -105,13 +96,7 @@ class Over(Event, frozen=True):
 
 
 class Complaint(Event, frozen=True):
-    """What was wrong with messages on a key, seen by the recorder.
-
-    key: The key on the bus, without the run's namespace.
-    cause: In what way they were wrong.
-    count: How many of them were.
-    example: What is to be said of the first one.
-    """
+    """What was wrong with messages on a key (without the run's namespace), and the first one."""
 
     key: str
     cause: str
@@ -124,8 +109,8 @@ class ExternalAccount(msgspec.Struct, frozen=True):
 
     recorded: Its messages in the recording, by signal.
     lost: Its messages that their sequence numbers show to be missing.
-    expected: How many messages it should have sent on the keys on which one comes in each cycle.
-    answered: How many of them came.
+    expected, answered: How many messages should have come on the keys with one in each cycle, and
+        how many came.
     outages: Cycles in which it went away and came back; None: it did not.
     """
 
@@ -144,11 +129,10 @@ class Recorded(Event, frozen=True):
     foreign: Payloads on the run's keys that are no messages of the run.
     cycles: How many cycles the plant completed.
     ended_early: Why the file does not go up to the end of the run; empty if it does.
-    external: An account of each external agent. Their messages are among the others in `recorded`.
-    complaints: What was wrong with messages that are none of the run, with those of external
-        agents, and with those that contradict others of their key.
-    extra: Messages of `recorded` that came second on keys of the launcher's own processes, by
-        signal.
+    external: External agents. Their messages are among the others in `recorded`.
+    complaints: What was wrong with foreign messages, those of external agents, and those that
+        contradict others of their key.
+    extra: Messages of `recorded` that came second on keys of the launcher's own processes.
     """
 
     recorded: dict[str, int]
@@ -157,7 +141,7 @@ class Recorded(Event, frozen=True):
     ended_early: str = ""
     external: tuple[ExternalAccount, ...] = ()
     complaints: tuple[Complaint, ...] = ()
-    extra: dict[str, int] = msgspec.field(default_factory=dict)
+    extra: dict[str, int] = {}
 
 
 class RecordingEnded(Event, frozen=True):

@@ -1,8 +1,4 @@
-"""The link between a process of a run and the launcher.
-
-It needs no bus, so it works even if the bus does not. A process that was started by hand prints its
-events as lines of JSON.
-"""
+"""The link between a process of a run and the launcher."""
 
 from __future__ import annotations
 
@@ -27,12 +23,12 @@ _decoder: msgspec.json.Decoder[Event] = msgspec.json.Decoder(reduce(or_, Event._
 
 
 class LauncherLink:
-    """A process's end of the link.
+    """A process's end of the link. One that was started by hand prints its events.
 
     events: Socket that keeps packets apart, shared with the other processes of the run.
     expected: Pipe on which the launcher tells the recorder how many messages to expect.
 
-    dismissed: Whether the launcher wants the agent to end: by SIGTERM, see `heed`.
+    dismissed: Whether the launcher wants the agent to end.
     """
 
     def __init__(
@@ -45,7 +41,7 @@ class LauncherLink:
 
     @property
     def by_hand(self) -> bool:
-        """Whether the process was started by hand: no launcher ends it."""
+        """Whether no launcher ends the process."""
         return self._events is None
 
     def heed(self, *numbers: signal.Signals) -> None:
@@ -101,10 +97,8 @@ class EventReader:
         name, _, part = packet[1:].partition(b"\n")
         agent = name.decode()
         begun = self._parts.pop(agent, b"")
-        if packet[:1] == b"!":  # What the agent may have begun to say is never completed.
-            return agent, _decoder.decode(part)
-        data = begun + part
         if packet[:1] == b"+":
-            self._parts[agent] = data
+            self._parts[agent] = begun + part
             return None
-        return agent, _decoder.decode(data)
+        # What an agent has begun to say when the server speaks of it is never completed.
+        return agent, _decoder.decode(part if packet[:1] == b"!" else begun + part)

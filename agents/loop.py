@@ -1,9 +1,9 @@
 """Takes one agent through its cycles: keeps its inputs, closes its stages, goes on.
 
 There is one rule for time. The newest message of each input is kept. A stage closes when every
-input that it awaits is of this cycle, or at its deadline. The agent decides on the newest messages;
-an input older than `hold_cycles` is silent. Its messages name, in `missing`, the inputs that were
-older than they should have been. Lockstep has no deadlines: that is the whole difference.
+input that it awaits is of this cycle, or at its deadline (in lockstep there is none). The agent
+decides on the newest messages; an input older than `hold_cycles` is silent. Its messages name, in
+`missing`, the inputs that were older than they should have been.
 
 A standby is a second process of an agent. It goes through the same stages without publishing,
 and in each one also awaits the other process's last message of that stage. If that has not come
@@ -17,7 +17,9 @@ import logging
 from collections import Counter
 from collections.abc import Callable
 from copy import copy
-from typing import Final, Generic, Literal, Self, TypeAlias, TypeVar
+from functools import cache, partial
+from itertools import chain
+from typing import Final, Generic, Self, TypeVar
 
 import msgspec
 
@@ -28,6 +30,7 @@ from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Run, Takeover
 from bus_schemas.missing import Missing
+from bus_schemas.printable import printable
 from bus_schemas.signals import DISPATCH, RUN, TAKEOVER, Occurrence, Port
 from bus_schemas.tree import CENTRAL, ROOT
 
@@ -48,27 +51,15 @@ _DEPOSED_WAITS: Final = 0.75
 """Part of the time up to its listeners' deadline that a silent process waits after its own: a
 standby, and a process that it replaced. They differ, so that not both take over at once."""
 
-Cause: TypeAlias = Literal[
-    "late",
-    "other_cycle",
-    "unexpected",
-    "duplicate",
-    "foreign",
-    "absurd",
-    "replaced",
-    "contradicted",
-]
-"""Why a message was not used."""
-
-_COUNT_IN_ARMING: Final[frozenset[Cause]] = frozenset({"foreign", "absurd"})
-"""The others do not: arming rounds overlap while links come up."""
+_COUNT_IN_ARMING: Final = frozenset({"foreign", "absurd"})
+"""The other causes do not: arming rounds overlap while links come up."""
 
 
 class _Input:
     """One input of an agent: its newest message, and those of cycles to come.
 
-    heard: Newest cycle of which something came, whatever it was.
-    ahead: Messages of later cycles: a child may run ahead of a parent that acts rarely.
+    `heard` is the newest cycle of which something came, whatever it was. A child may run ahead of a
+    parent that acts rarely.
     """
 
     __slots__ = ("ahead", "bounds", "heard", "incarnation", "newest", "period", "port")
@@ -83,12 +74,13 @@ class _Input:
         self.heard = _NONE_YET
         self.incarnation = 0
         self.newest: Message | None = None
-        self.ahead: list[Message] = []
+        self.ahead: dict[int, Message] = {}
 
-    def age(self, cycle: int) -> int:
-        """Cycles since a newer message was due; 0: the newest one is the one that is due."""
-        assert self.newest is not None
-        return max(cycle - self.newest.cycle - self.period + 1, 0)
+
+def log_drop(count: int, why: str) -> None:
+    """Log the first ten dropped messages of a kind, then the 16th, 32nd, 64th and so on."""
+    if count <= 10 or count & (count - 1) == 0:
+        log.warning("dropped (%d of this kind): %s", count, printable(why))
 
 
 class AgentLoop(Generic[S]):
@@ -97,7 +89,8 @@ class AgentLoop(Generic[S]):
     Arming rounds are cycles below 0. Each begins from the initial state and leaves no trace. The
     dispatch of a round takes a controller into it, and the plant's `run` into cycle 0.
 
-    on_drop: Called with a line of text for each message that is not used.
+    on_drop: Called for each message that is not used: how many of its kind there were, and why.
+    process: Name of its process, where it is a standby.
 
     end_cycle: The first cycle that does not take place.
     waiting: Ports of which the open stage still awaits a message.
@@ -108,7 +101,6 @@ class AgentLoop(Generic[S]):
     skipped_cycles: Cycles that were over before the agent was through them.
     incarnation: The cycle in which it joined the run, or took over: 0, unless its process replaces
         another.
-    name: Of its process: the agent's, or that of its standby.
     silent: Whether it publishes nothing: its agent's other process does.
     """
 
@@ -116,7 +108,7 @@ class AgentLoop(Generic[S]):
         self,
         agent: Agent[S],
         plan: RunPlan,
-        on_drop: Callable[[str], None] = lambda text: None,
+        on_drop: Callable[[int, str], None] = lambda count, why: None,
         process: str | None = None,
     ) -> None:
         self.agent = agent
@@ -127,7 +119,7 @@ class AgentLoop(Generic[S]):
         self.stop_heard = False
         self.waiting: set[Port[Message]] = set()
         self.deadline_ns: int | None = None
-        self.dropped: Counter[tuple[str, Cause]] = Counter()
+        self.dropped: Counter[tuple[str, str]] = Counter()
         self.missing_inputs = 0
         self.old_inputs = 0
         self.skipped_cycles = 0
@@ -147,7 +139,7 @@ class AgentLoop(Generic[S]):
             for port in plan.wiring.heard.get(agent.name, ())
             if port.signal.occurrence is not Occurrence.EVENT
         }
-        self._deadlines_ns: dict[str, int] = {}
+        self._deadline_after_ns = cache(partial(plan.deadlines.deadline_ns, agent.name))
         self._signs = plan.wiring.signs.get(agent.name, ())
         self._waits = _STANDBY_WAITS if self.silent else _DEPOSED_WAITS
 
@@ -167,7 +159,6 @@ class AgentLoop(Generic[S]):
 
     @property
     def is_complete(self) -> bool:
-        """Whether the open stage has all that it awaits."""
         if self.waiting or self._place >= len(self._stages):
             return False
         return self.deadline_ns is None or not self._stages[self._place].timed
@@ -185,23 +176,22 @@ class AgentLoop(Generic[S]):
         heard = self._inputs.get(port)
         if heard is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
             return
-        if port in self._signs and not self.silent and not self._yields_to(message):
+        if port in self._signs and not self.silent:
+            if message.incarnation <= self.incarnation:
+                return
+            self.silent = True
+            log.info("falls silent: its standby has taken over in cycle %d", message.incarnation)
+        if message.incarnation < heard.incarnation:
+            why = f"is of a process that joined in cycle {message.incarnation}, since replaced"
+            self._drop("replaced", port, message, why)
             return
-        if message.incarnation != heard.incarnation and not self._is_successor(heard, message):
-            return
+        heard.incarnation = message.incarnation
         if port is self._dispatch:
             self._follow_dispatch(message, time_ns)
         if message.cycle > self.cycle:
             self._keep_ahead(heard, message)
         else:
             self._take(heard, message, time_ns)
-
-    def _yields_to(self, message: Message) -> bool:
-        """Fall silent if the agent's other process has taken over; return whether it has."""
-        self.silent = message.incarnation > self.incarnation
-        if self.silent:
-            log.info("falls silent: its standby has taken over in cycle %d", message.incarnation)
-        return self.silent
 
     def _follow_dispatch(self, dispatch: Message, time_ns: int) -> None:
         """Go where the plant is: to another round, into a run under way, or on with this one."""
@@ -213,20 +203,11 @@ class AgentLoop(Generic[S]):
         if self.end_cycle <= dispatch.cycle < self._plan.cycles:
             self._go_on_after_false_stop(dispatch, time_ns)
 
-    def _is_successor(self, heard: _Input, message: Message) -> bool:
-        """Whether a message is of a process that replaced the publisher, not of one replaced."""
-        if message.incarnation > heard.incarnation:
-            heard.incarnation = message.incarnation
-            return True
-        why = f"is of a process that joined in cycle {message.incarnation}, since replaced"
-        self._drop("replaced", heard.port, message, why)
-        return False
-
     def _take(self, heard: _Input, message: Message, time_ns: int) -> None:
         """Make a message the newest of its input."""
         port, cycle = heard.port, message.cycle
         if cycle <= heard.heard:
-            cause: Cause = "duplicate" if cycle == heard.heard else "late"
+            cause = "duplicate" if cycle == heard.heard else "late"
             self._drop(cause, port, message, f"came after that of cycle {heard.heard}")
             return
         if cycle >= 0 and cycle % heard.period:
@@ -245,16 +226,14 @@ class AgentLoop(Generic[S]):
     def _keep_ahead(self, heard: _Input, message: Message) -> None:
         """Keep a message of a cycle to come, one of each cycle."""
         cycle, horizon = message.cycle, self._horizon
-        is_near = cycle < 0 or cycle <= max(self.cycle, 0) + horizon
-        if not is_near or len(heard.ahead) > horizon:
+        if len(heard.ahead) > horizon or cycle > max(self.cycle, 0) + horizon:
             self._drop("other_cycle", heard.port, message, f"is too far from {self.cycle}")
-        elif any(kept.cycle == cycle for kept in heard.ahead):
+        elif cycle in heard.ahead:
             self._drop("duplicate", heard.port, message, "came twice")
         else:
-            heard.ahead.append(message)
+            heard.ahead[cycle] = message
 
     def _heed(self, port: Port[Message], run: Run, time_ns: int) -> None:
-        """Follow the plant on the beginning and the end of the run."""
         if run.state == "stop":
             if run.cycle <= self._inputs[self._dispatch].heard:
                 self._drop("contradicted", port, run, "ends a cycle that the plant has begun")
@@ -262,7 +241,11 @@ class AgentLoop(Generic[S]):
             self.end_before(run.cycle)
             self.stop_heard = True
         elif self.cycle < 0:
-            self.begin(self._believable_start_ns(run, time_ns), time_ns)
+            start_ns = run.start_time_ns
+            if not self._plan.lockstep and abs(start_ns - time_ns) > START_WITHIN_NS:
+                log.warning("the run begins now, not at %d: that is another clock", start_ns)
+                start_ns = time_ns
+            self.begin(start_ns, time_ns)
 
     def _go_on_after_false_stop(self, dispatch: Message, now_ns: int) -> None:
         """Go on with the run: the plant has begun a cycle that a stop said would not take place."""
@@ -274,28 +257,16 @@ class AgentLoop(Generic[S]):
         if was_finished:
             self._go_to(self.cycle, now_ns)
 
-    def _believable_start_ns(self, run: Run, now_ns: int) -> int:
-        """Return when cycle 0 begins: as the plant says, or now if its clock is another one."""
-        if self._plan.lockstep or abs(run.start_time_ns - now_ns) <= START_WITHIN_NS:
-            return run.start_time_ns
-        log.warning(
-            "the plant says that the run begins at %d, but this host's monotonic clock is at %d: "
-            "cycle 0 begins now instead",
-            run.start_time_ns,
-            now_ns,
-        )
-        return now_ns
-
     def use_instead(self, port: Port[Message], message: Message) -> None:
-        """Use another message of the same cycle than the one that came first."""
         self._inputs[port].newest = message
 
     def twin(self) -> Self:
-        """Return an independent loop in the same state."""
         twin = copy(self)
         twin.waiting = self.waiting.copy()
         twin.dropped = self.dropped.copy()
         twin._inputs = {port: copy(heard) for port, heard in self._inputs.items()}
+        for heard in twin._inputs.values():
+            heard.ahead = heard.ahead.copy()
         return twin
 
     # Cycles ---------------------------------------------------------------------------------------
@@ -326,7 +297,7 @@ class AgentLoop(Generic[S]):
         """Enter an arming round or cycle 0, from the initial state."""
         self._state = self.agent.initial_state()
         for heard in self._inputs.values():
-            kept = [message for message in heard.ahead if message.cycle >= cycle]
+            kept = {of: message for of, message in heard.ahead.items() if of >= cycle}
             heard.forget()
             heard.ahead = kept
         self._go_to(cycle, now_ns)
@@ -348,10 +319,8 @@ class AgentLoop(Generic[S]):
         self._stages = () if self.finished else self.agent.stages(cycle)
         for heard in self._inputs.values():
             if heard.ahead:
-                due = [message for message in heard.ahead if message.cycle <= cycle]
-                heard.ahead = [message for message in heard.ahead if message.cycle > cycle]
-                for message in sorted(due, key=lambda message: message.cycle):
-                    self._take(heard, message, now_ns)
+                for due in sorted(of for of in heard.ahead if of <= cycle):
+                    self._take(heard, heard.ahead.pop(due), now_ns)
         self._open_stage(now_ns)
 
     def _open_stage(self, now_ns: int) -> None:
@@ -360,14 +329,14 @@ class AgentLoop(Generic[S]):
         self._ready_ns = now_ns
         if self._place < len(self._stages):
             stage, inputs, cycle = self._stages[self._place], self._inputs, self.cycle
-            for port in (*stage.awaits, *self._sign_of(stage)) if self.silent else stage.awaits:
-                if inputs[port].heard != cycle:
-                    self.waiting.add(port)
+            awaits = (*stage.awaits, *self._sign_of(stage)) if self.silent else stage.awaits
+            self.waiting = {port for port in awaits if inputs[port].heard != cycle}
             if cycle >= 0 and self._start_ns is not None:
                 begin_ns = self._start_ns + cycle * self._plan.cycle_wall_ns
                 self.deadline_ns = begin_ns + self._deadline_after_ns(stage.name)
                 if self.silent:
-                    self.deadline_ns += self._grace_ns(stage)
+                    room_ns = self._plan.deadlines.room_ns(self.agent.name, stage.name)
+                    self.deadline_ns += round(self._waits * room_ns)
 
     def _sign_of(self, stage: Stage) -> tuple[Port[Message], ...]:
         """Return the last port that the agent's other process publishes on in a stage."""
@@ -378,17 +347,6 @@ class AgentLoop(Generic[S]):
             and (self.cycle < 0 or self.cycle % self._inputs[port].period == 0)
         ]
         return tuple(signs[-1:])
-
-    def _grace_ns(self, stage: Stage) -> int:
-        """How long after the deadline of a stage a silent process waits for the other one."""
-        return round(self._waits * self._plan.deadlines.room_ns(self.agent.name, stage.name))
-
-    def _deadline_after_ns(self, stage: str) -> int:
-        after_ns = self._deadlines_ns.get(stage)
-        if after_ns is None:
-            after_ns = self._plan.deadlines.deadline_ns(self.agent.name, stage)
-            self._deadlines_ns[stage] = after_ns
-        return after_ns
 
     def close_stage(self, now_ns: int) -> list[Delivery]:
         """Close the open stage with what there is; return what the agent sends."""
@@ -444,10 +402,8 @@ class AgentLoop(Generic[S]):
 
     def resume(self, takeover: Takeover) -> None:
         """Go on with the state of a process that took over."""
-        state = self._state
-        if isinstance(state, msgspec.Struct):
-            names = state.__struct_fields__
-            self._state = type(state)(**{name: getattr(takeover, name) for name in names})
+        if isinstance(self._state, msgspec.Struct):
+            self._state = msgspec.convert(takeover, type(self._state), from_attributes=True)
 
     def _inputs_of(
         self, stage: Stage
@@ -456,23 +412,24 @@ class AgentLoop(Generic[S]):
         cycle = self.cycle
         found: dict[Port[Message], Message | None] = {}
         missing: list[str] = []
-        for ports in (stage.awaits, stage.uses):
-            for port in ports:
-                heard = self._inputs[port]
-                message = heard.newest
-                if message is not None and message.cycle != cycle:
-                    age = heard.age(cycle)
-                    if age > self._plan.hold_cycles:
-                        message = None
-                    elif age:
-                        self.old_inputs += 1
-                        missing.append(str(Missing(str(port), message.cycle)))
-                if message is None:
-                    missing.append(str(port))
-                found[port] = message
+        for port in chain(stage.awaits, stage.uses):
+            heard = self._inputs[port]
+            message = heard.newest
+            if message is not None and message.cycle != cycle:
+                # Cycles since a newer message was due.
+                age = cycle - message.cycle - heard.period + 1
+                if age > self._plan.hold_cycles:
+                    message = None
+                elif age > 0:
+                    self.old_inputs += 1
+                    missing.append(str(Missing(str(port), message.cycle)))
+            if message is None:
+                missing.append(str(port))
+            found[port] = message
         return found, tuple(missing)
 
-    def _drop(self, cause: Cause, port: Port[Message], message: Message, why: str) -> None:
+    def _drop(self, cause: str, port: Port[Message], message: Message, why: str) -> None:
         if self.cycle >= 0 or cause in _COUNT_IN_ARMING:
             self.dropped[str(port), cause] += 1
-            self._on_drop(f"{port} of cycle {message.cycle} {why}")
+            count = self.dropped[str(port), cause]
+            self._on_drop(count, f"{port} of cycle {message.cycle} {why}")

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
-import resource
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -24,39 +21,23 @@ _RECORDER_NICE: Final = 5
 _SET_TIMER_SLACK: Final = 29
 """PR_SET_TIMERSLACK of prctl(2)."""
 
-_LOCK_ALL: Final = 1 | 2 | 4
-"""MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of mlockall(2): each page, once it is in use."""
-
-_MAY_LOCK: Final = 14
-"""CAP_IPC_LOCK of capabilities(7)."""
-
-_POLICIES: Final = {
-    getattr(os, f"SCHED_{name.upper()}"): name for name in ("other", "batch", "idle", "fifo", "rr")
-}
-
 
 class MachineSettings(msgspec.Struct, frozen=True):
     """What the processes of a run may take of the machine. By default nothing special.
 
-    cpus: Processors that all processes run on. Empty: any.
-    cpus_of: Processors of the processes of one kind, instead of those.
-    priority: In real time: the plant and the controllers run under SCHED_FIFO with this priority, 1
-        to 99, so that nothing of the normal policy takes the processor from them. 0: they do not.
-    lock_memory: In real time: whether the memory of plant and controllers is never paged out. It
-        takes CAP_IPC_LOCK or no limit on locked memory.
+    cpus, cpus_of: Processors that all processes run on, and those of one kind. Empty: any.
+    priority: In real time: of plant and controllers under SCHED_FIFO, 1 to 99. 0: normal policy.
     """
 
     cpus: tuple[int, ...] = ()
     cpus_of: dict[Kind, tuple[int, ...]] = {}
     priority: int = 0
-    lock_memory: bool = False
 
 
 def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tuple[str, ...]:
-    """Set this process up as the settings say. Threads that it starts later do likewise.
+    """Set this process up as the settings say, before it opens the bus, which starts threads.
 
-    To be called before the bus is opened, since that starts threads. Returns what the machine does
-    not permit, and why: the process goes on without it.
+    Returns what the machine does not permit, and why: the process goes on without it.
     """
     refused = []
     if cpus := settings.cpus_of.get(kind, settings.cpus):
@@ -75,25 +56,16 @@ def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tu
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         except OSError as error:
             refused.append(
-                f"priority {priority}: the kernel refuses SCHED_FIFO ({error.strerror}), so the "
-                f"run keeps the normal policy; it needs CAP_SYS_NICE, or `ulimit -r {priority}`"
+                f"priority {priority}: the kernel refuses SCHED_FIFO ({error.strerror}); it needs "
+                f"CAP_SYS_NICE, or `ulimit -r {priority}`"
             )
-        if settings.lock_memory:
-            refused += _lock_refusal() or _lock_memory()
     return tuple(refused)
 
 
 def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
-    """Return what this machine would not permit to a controller, by trying it in a thread.
-
-    The kernel keeps policy and processors thread by thread, and the thread ends at once. Whether
-    memory may be locked is not tried but read off this process's limit and capabilities.
-    """
-    # Locks are of the whole process, which here is the launcher: it may be spared that.
-    in_a_thread = msgspec.structs.replace(settings, lock_memory=False)
+    """Return what this machine would not permit to a controller, by trying it in a thread."""
     with ThreadPoolExecutor(1) as thread:
-        found = thread.submit(take_machine, in_a_thread, "direct", lockstep=lockstep).result()
-    return (*found, *(_lock_refusal() if settings.lock_memory and not lockstep else ()))
+        return thread.submit(take_machine, settings, "direct", lockstep=lockstep).result()
 
 
 def wake_precisely() -> None:
@@ -104,40 +76,3 @@ def wake_precisely() -> None:
 def stand_back() -> None:
     """Lower the priority of this thread, but not of the threads that receive messages."""
     os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)
-
-
-def _lock_memory() -> list[str]:
-    failed = ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_ALL)
-    return [_not_locked(os.strerror(ctypes.get_errno()))] if failed else []
-
-
-def _lock_refusal() -> list[str]:
-    """Say why this machine does not let a process lock all its memory; nothing if it does.
-
-    Any limit is a reason, even if it suffices at first: what the process maps later, such as the
-    stacks of its threads, would exceed it.
-    """
-    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    if limit == resource.RLIM_INFINITY or _has_capability(_MAY_LOCK):
-        return []
-    return [_not_locked(f"the limit is {limit // 1024:,} KiB")]
-
-
-def _not_locked(why: str) -> str:
-    return f"memory: not locked ({why}); it needs CAP_IPC_LOCK, or `ulimit -l unlimited`"
-
-
-def _has_capability(number: int) -> bool:
-    status = Path("/proc/self/status").read_text(encoding="utf-8")
-    found = re.search(r"^CapEff:\s*([0-9a-f]+)$", status, re.MULTILINE)
-    return found is not None and bool(int(found[1], 16) >> number & 1)
-
-
-def scheduling_policy() -> str:
-    """Return policy and processors of this thread as the kernel has them: `fifo 20 on CPU 0, 1`."""
-    policy = _POLICIES.get(os.sched_getscheduler(0), "unknown")
-    priority = os.sched_getparam(0).sched_priority
-    nice = os.getpriority(os.PRIO_PROCESS, 0)
-    rank = f" {priority}" if priority else f", nice {nice}" if nice else ""
-    cpus = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
-    return f"{policy}{rank} on CPU {cpus}"

@@ -20,12 +20,11 @@ from agents.control.allocation import allocate, total
 from agents.control.correction import corrected
 from agents.control.neighbours import help_order
 from agents.control.request import residual_kw, usable_dispatch_kw
-from agents.dispatch import own_request_kw
+from agents.dispatch import own_report, own_request_kw
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     Dispatch,
-    Help,
     HelpGiven,
     Impp,
     Message,
@@ -34,16 +33,13 @@ from bus_schemas.messages import (
     Residual,
     Setpoint,
 )
-from bus_schemas.signals import DISPATCH, HELP, IMPP, METER, NOTICE, RESIDUAL, SETPOINT, Port
+from bus_schemas.signals import DISPATCH, IMPP, METER, NOTICE, RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT, agent_name, parent_of
 
 
 class Report(NamedTuple):
-    """What a parent knows of a child.
+    """What a parent knows of a child: of a silent one its own request, and nothing beyond it.
 
-    impp_kw, residual_kw: Its IMPP and residual [kW]; of a silent child its own request, and nothing
-        beyond it.
-    stale_cycles: How old its measurements are.
     is_old, is_silent: Whether the report is of an earlier cycle, and whether it is too old to
         count.
     """
@@ -78,7 +74,7 @@ class Parent:
         )
         self._ratings_kw = tuple(child.rating_kw for child in self._children)
         self._rating_kw = tree.rating_kw(node)
-        self._own = (IMPP.of(node), RESIDUAL.of(node), HELP.of(node))
+        self._node = node
         self._dispatch = DISPATCH.of(ROOT)
         self._inputs: tuple[Port[Message], ...] = (
             *(port for child in self._children for port in (child.impp, child.residual)),
@@ -98,8 +94,7 @@ class Parent:
         """Return what each child reports.
 
         The inverters of a silent child serve their own requests, since they do not hear of
-        setpoints either: it gives its own request, no more and no less. A residual counts only if
-        it belongs to the same cycle as the IMPP.
+        setpoints either. A residual counts only if it belongs to the same cycle as the IMPP.
         """
         dispatch = turn.get(self._dispatch)
         return [self._report(turn, child, dispatch) for child in self._children]
@@ -116,24 +111,17 @@ class Parent:
         return Report(impp.power_kw, left_kw, impp.stale_cycles + age, is_old=age > 0)
 
     def report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
-        """State the sums over the children (eq. 2). A negative residual is a call for help."""
-        impp_port, residual_port, help_port = self._own
+        """State the sums over the children (eq. 2)."""
         impp_kw = total([report.impp_kw for report in reports])
         left_kw = total([report.residual_kw for report in reports])
         stale_cycles = max(report.stale_cycles for report in reports)
-        outputs: list[Delivery] = [
-            (impp_port, Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)),
-            (residual_port, Residual(*turn.stamp, power_kw=left_kw)),
-        ]
-        if left_kw < 0.0:
-            outputs.append((help_port, Help(*turn.stamp, missing_kw=-left_kw)))
-        return outputs
+        return own_report(self._node, turn, impp_kw, stale_cycles, left_kw)
 
     def setpoints(self, turn: Turn, target_kw: float, reports: list[Report]) -> list[Delivery]:
         """Divide a target (step 4): return a setpoint for each child.
 
         Between its turns, or where a report is old, `predictive` gives needy children what they
-        lack as well: they can then use power that comes back before the parent hears of it.
+        lack as well, for power that comes back before the parent hears of it.
         """
         tops_up = self._tops_up or (self._tops_up_old and any(r.is_old for r in reports))
         silent_kw = total([report.impp_kw for report in reports if report.is_silent])
@@ -199,14 +187,7 @@ class Supervisor(Parent):
 
 
 class CentralState(msgspec.Struct, frozen=True, gc=False):
-    """What the central controller remembers.
-
-    correction_kw: What it adds to its target because the meter read less than was wanted.
-    wanted_kw: The dispatch of its last turn.
-    metered_kw, readings: Sum of the meter's readings since then, and their number.
-    meter_cycle: Cycle of the newest reading. That of cycle 0 is of the time before the run.
-    clamped: How many dispatches it clamped.
-    """
+    """What the central controller remembers; see `Takeover` for each field."""
 
     correction_kw: float = 0.0
     wanted_kw: float = 0.0
@@ -231,11 +212,9 @@ class CentralController(Parent):
         return CentralState()
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
-        """Return the stage: it reports in every cycle, and sends setpoints in its turns."""
         return self._stages
 
     def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
-        """Report for the plant as a whole, and divide the dispatch."""
         reports = self.reports(turn)
         outputs = self.report_up(turn, reports)
         state = self._read_meter(state, turn.get(self._meter))

@@ -1,13 +1,8 @@
-"""The plan of a run: all that its processes must agree on, in one file that each of them reads.
-
-The launcher writes it from a scenario. An agent needs no scenario, and none of the libraries that
-reading one takes.
-"""
+"""The plan of a run: all that its processes must agree on, in one file that each of them reads."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from fnmatch import fnmatchcase
+import fnmatch
 from functools import cached_property
 from pathlib import Path
 from typing import Final, Literal
@@ -48,48 +43,28 @@ class Neighbourhood(msgspec.Struct, frozen=True):
 
 
 class NodeNeighbourhoods(msgspec.Struct, frozen=True):
-    """Correlation between one parent's children, hour by hour."""
+    """The order of help among one parent's children, hour by hour."""
 
     node: str
     hours: tuple[Neighbourhood, ...]
 
 
 class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
-    """What the agents of a run share.
+    """What the agents of a run share: see the table in docs/wire.md.
 
-    run_id: Name of the run, and its namespace on the bus.
-    plant: Name of the plant: the first part of every key.
     inverters: Path and AC rating [kW] of each inverter.
-    start_time_ns, cycle_ns, cycles: Simulated time of cycle 0 [ns since 1970-01-01 UTC], length and
-        number of the cycles.
-    timezone: Local time of the plant, an IANA name.
-    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0 if the plant offers
-        none.
+    start_time_ns: Simulated time of cycle 0 [ns since 1970-01-01 UTC].
+    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0: none is offered.
     cycle_wall_ns: Length of a cycle on the wall clock; 0 is lockstep, without deadlines.
     period_cycles: Period of each tier that has children, the central controller's first.
-    scheme: How the direct controllers estimate the maximum: as in the paper, or ahead of it.
-    actuator: What an inverter does with its command.
-    alpha_min: Lowest curtailment level that is commanded.
     hold_cycles: An input that is older than this is silent.
-    correction: Whether the central controller corrects its target by the plant's meter.
-    available_bias: Relative error of the available power that the inverters state; None if they
-        state none.
+    available_bias: Relative error of the available power that the inverters state; None: none do.
     stall_timeout_s: In lockstep: how long an agent waits before it says for what.
-    neighbourhoods: Order of help among each parent's children.
-    ramp_limit_percent_per_min: Ramp limit that the run is measured by, in % of the plant's rating
-        per minute.
-    tcp_ports: Port on 127.0.0.1 of each agent that listens. Empty in memory.
-    faults, faults_seed: In what ways the network is imperfect, and the seed of what is drawn for
-        it.
-    external: Agents that the launcher does not start but waits for: the user's own devices.
-    namespace: Prefix of the run's keys on the bus. Empty: the `run_id`, so that two runs never
-        meet.
-    tier_deadlines_ns: In real time: when, after the beginning of a cycle, the last message of each
-        tier must be out at the latest; the central controller's first, the direct controllers'
-        last. Empty: each stage has its part of the cycle.
-    machine: What the processes may take of the machine.
-    seed: Seed of the synthetic clouds; None where the irradiance is measured.
-    restart: What happens when a controller's process ends before the run does.
+    ramp_limit_percent_per_min: Ramp limit that the run is measured by, in % of the plant's rating.
+    tcp_ports: Port of each agent that listens. Empty in memory.
+    external: Agents that the launcher waits for: the user's own devices.
+    namespace: Prefix of the run's keys. Empty: the `run_id`, so that two runs never meet.
+    tier_deadlines_ns: See `agents.cycle.Deadlines`.
     revert: What an inverter does without new commands; None: it obeys the last one forever.
     secret, users_file: What ids and passwords of the agents' sessions are made from, and the file
         of passwords: without keys, a program with one of them may publish as any agent. Empty: any
@@ -97,17 +72,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     agent_ports: Without keys, beside devices: the ports where the other agents link with each
         other. Devices, which have no password, connect to `tcp_ports`.
     keys_folder: Folder of the agents' certificates; empty: the links are not encrypted.
-    address: Where the agents listen.
-    addresses: Where the agents are that run on other hosts.
+    address, addresses: Where the agents listen, and those that run on other hosts.
     devices: Real inverters, each with its address: `modbus://host:port/unit`.
-    ramp_percent_per_s, delay_s: How fast an inverter follows a command, in % of its rating per
-        second (None: at once), and after what time it begins to.
-    settings: Settings for some inverters; for each field, the last entry that matches an inverter
-        counts.
-    standby: Parents that have a standby: none in lockstep, where nothing has a deadline.
-    positions_m: Where each inverter stands: metres east and north of a point that is the same for
-        all of them. Empty: not known.
-    protocol: Version of what travels between the agents.
+    settings: For each field, the last entry that matches an inverter counts.
+    standby: Parents that have a standby, except in lockstep, where nothing has a deadline.
+    positions_m: Metres east and north of a point that is the same for all. Empty: unknown.
     """
 
     run_id: str
@@ -168,23 +137,18 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @cached_property
     def device_links(self) -> Links:
         """Those of the links that have a device at an end."""
-        devices = set(self.external)
-        return Links(tuple(pair for pair in self.links.pairs if not devices.isdisjoint(pair)))
+        return Links(tuple(each for each in self.links.pairs if {*each} & {*self.external}))
 
     @cached_property
     def agent_links(self) -> Links:
         """Those of the links that have none."""
-        devices = set(self.external)
-        return Links(tuple(pair for pair in self.links.pairs if devices.isdisjoint(pair)))
+        return Links(tuple(each for each in self.links.pairs if not {*each} & {*self.external}))
 
     @property
     def restarts(self) -> bool:
-        """Whether a process that ends is started again."""
-        when = self.restart.when
-        if self.lockstep:
-            # A parent that acts rarely would lack what came between its turns.
-            return when in {"on-failure", "always"} and self.periods.longest == 1
-        return when != "never"
+        when = self.restart.when or ("never" if self.lockstep else "on-failure")
+        # In lockstep a parent that acts rarely would lack what came between its turns.
+        return when != "never" and not (self.lockstep and self.periods.longest > 1)
 
     @property
     def standbys(self) -> tuple[str, ...]:
@@ -192,7 +156,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @property
     def processes(self) -> tuple[str, ...]:
-        """Names of the processes of a run: agents, then standbys."""
         return (*self.tree.agents(), *map(standby_of, self.standbys))
 
     @cached_property
@@ -214,14 +177,12 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return HIDDEN_ALPHA_MIN if hides else self.alpha_min
 
     def period(self, port: Port[Message]) -> int:
-        """Return every how many cycles a port's message comes."""
         if port.signal.occurrence is not Occurrence.TURN:
             return 1
         return self.periods.cycles[depth(parent_of(port.node))]
 
     @cached_property
     def network_faults(self) -> NetworkFaults:
-        """The faults of the network, at work."""
         return NetworkFaults(self.faults, self.faults_seed, self.tree, self.cycle_ns)
 
     @cached_property
@@ -237,7 +198,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
             revert=self.revert, ramp_percent_per_s=self.ramp_percent_per_s, delay_s=self.delay_s
         )
         for entry in self.settings:
-            if fnmatchcase(leaf, entry.nodes):
+            if fnmatch.fnmatchcase(leaf, entry.nodes):
                 given = {name: value for name, value in asdict(entry).items() if value is not None}
                 found = replace(found, **given)
         return found
@@ -255,7 +216,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @property
     def bus_namespace(self) -> str:
-        """Prefix of the run's keys on the bus."""
         return self.namespace or self.run_id
 
     @property
@@ -268,7 +228,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return self.start_time_ns + cycle * self.cycle_ns
 
     def run_message(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> Run:
-        """Return the message that says that the run begins at a cycle, or ended before it."""
         return Run(
             cycle,
             self.sim_time_ns(cycle),
@@ -280,7 +239,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         )
 
     def neighbourhoods_of(self, node: str) -> tuple[Neighbourhood, ...]:
-        """Return the correlation between a parent's children, in the order of time."""
         return next((entry.hours for entry in self.neighbourhoods if entry.node == node), ())
 
     def as_json(self) -> bytes:
@@ -293,11 +251,7 @@ def load_plan(path: Path) -> RunPlan:
         if plan.protocol != PROTOCOL:
             raise InputError(f"protocol: expected {PROTOCOL}, got {plan.protocol}")
         check_plan(plan)
-    except OSError as error:
-        raise InputError(
-            f"{path}: expected the plan.json of a run, got: {error.strerror}"
-        ) from None
-    except (InputError, msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: expected the plan.json of a run, got: {error}") from None
     return plan
 
@@ -312,27 +266,22 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
 
 
 def check_plan(plan: RunPlan) -> None:
-    """Check what the types of the fields cannot express."""
     check_size(plan.cycles, len(plan.tree.leaves), "cycles")
     for number, rule in enumerate(plan.faults):
         check_rule(rule, plan.tree, f"faults[{number}]", plan.external, plan.addresses)
-    for objection in _objections(plan):
-        raise InputError(objection)
-
-
-def _objections(plan: RunPlan) -> Iterator[str]:
     leaves, height = plan.tree.leaves, plan.tree.height
     if not 0 < plan.cycle_ns <= LONGEST_CYCLE_NS:
-        yield f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, got {plan.cycle_ns:,}"
+        got = f"got {plan.cycle_ns:,}"
+        raise InputError(f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, {got}")
     for number, entry in enumerate(plan.settings):
-        if not any(fnmatchcase(leaf, entry.nodes) for leaf in leaves):
+        if not fnmatch.filter(leaves, entry.nodes):
             known = f"inverters ({some_of(leaves)}) or a pattern such as c1/*"
-            yield f"plant.settings[{number}].nodes: expected {known}, got {entry.nodes!r}"
-    entries = len(plan.periods.cycles)
-    if entries != height:
-        tiers = f"each of the {height} tiers that have children"
-        yield f"control.period_cycles: expected an entry for {tiers}, got {entries}"
-    entries = len(plan.tier_deadlines_ns)
-    if entries not in {0, height + 1}:
-        tiers = f"each of the {height + 1} tiers, or none"
-        yield f"tier_deadlines_ns: expected an entry for {tiers}, got {entries}"
+            where = f"plant.settings[{number}].nodes"
+            raise InputError(f"{where}: expected {known}, got {entry.nodes!r}")
+    for where, entries, expected in (
+        ("control.period_cycles", plan.periods.cycles, {height}),
+        ("tier_deadlines_ns", plan.tier_deadlines_ns, {0, height + 1}),
+    ):
+        if len(entries) not in expected:
+            numbers = " or ".join(map(str, sorted(expected)))
+            raise InputError(f"{where}: expected {numbers} entries, got {len(entries)}")

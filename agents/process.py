@@ -14,11 +14,10 @@ from typing import Any, Final
 from agents.agent import Agent
 from agents.cycle import kind_of
 from agents.driver import Driver
-from agents.drop_log import DropLog
 from agents.eager_driver import EagerDriver
 from agents.events import Failed, Finished, Joined, Standing, TookOver, Waiting
 from agents.launcher_link import LauncherLink
-from agents.loop import AgentLoop
+from agents.loop import AgentLoop, log_drop
 from agents.machine import take_machine
 from agents.plan import RunPlan
 from agents.session import session_settings
@@ -34,14 +33,13 @@ log = logging.getLogger(__name__)
 _SET_PARENT_DEATH_SIGNAL: Final = 1
 """PR_SET_PDEATHSIG of prctl(2). It outlives execve(2)."""
 
-
 STANDING_S: Final = 1.0
 """How often a process that nobody hears where it was started says that it is there."""
 
 _LOOK_S: Final = 0.02
 _STOP_LOOK_S: Final = 0.5
-"""How often a controller looks after its last cycle whether something else than the plant's stop,
-which wakes it, ends it. If 1,000 looked often, they would starve those that are not there yet."""
+"""How often a controller looks after its last cycle whether something else than the plant's stop
+ends it. If 1,000 looked often, they would starve those that are not there yet."""
 
 _PLANT_PATIENCE_S: Final = 2.0
 """How long an agent on another host goes on after the plant has disappeared."""
@@ -104,7 +102,6 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
     """Wait for the plant to end the run; return False if the run goes on after all.
 
     Anybody may say that the run ends early: the launcher confirms it, or the plant goes on.
-    Nobody ends a controller that was started by hand, should the plant have died.
     """
     loop, plan = process.loop, process.plan
     give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
@@ -122,10 +119,7 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
 
 
 class AgentProcess:
-    """An agent's place in a run: its loop and driver on the bus, and its link to the launcher.
-
-    name: Of the process, where it is a standby.
-    """
+    """An agent's place in a run: its loop and driver on the bus, and its link to the launcher."""
 
     def __init__(
         self, plan: RunPlan, agent: Agent[Any], link: LauncherLink, name: str | None = None
@@ -143,7 +137,7 @@ class AgentProcess:
             patience_s=min(plan.stall_timeout_s, STANDING_S),
             clock=HostClock() if is_away else None,
         )
-        self.loop = AgentLoop(agent, plan, DropLog(), name)
+        self.loop = AgentLoop(agent, plan, log_drop, name)
         self.driver: Driver = EagerDriver(self.loop, self._bus)
         if plan.network_faults.concern(agent.name):
             faulty = FaultyBus(self._bus, agent.name, plan.network_faults)
@@ -213,7 +207,6 @@ class AgentProcess:
             time.sleep(_LOOK_S)
 
     def report(self) -> None:
-        """Tell the launcher what went out and what was not used."""
         self.driver.stop()
         loop = self.loop
         dropped = (*loop.dropped.items(), *self._bus.dropped.items())
@@ -228,9 +221,8 @@ class AgentProcess:
 
 
 def set_up_process(plan: RunPlan, agent: str) -> None:
-    """Take this process's place on the machine. To be called before it opens the bus.
+    """Take this process's place on the machine, before it opens the bus.
 
-    The kernel keeps most of it thread by thread, and a thread has it from the one that made it.
     Nothing in a cycle of control makes reference cycles, so there is next to nothing to collect.
     """
     for refusal in take_machine(plan.machine, kind_of(agent, plan.tree), lockstep=plan.lockstep):

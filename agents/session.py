@@ -1,7 +1,7 @@
 """How an agent of a plan joins the bus: its links, its identity, and what it accepts.
 
-Every agent enforces its own rules on each of its links. Each pair of agents has a link of its own
-and peers do not relay, so the agent at the other end has published whatever comes over a link.
+Every agent enforces its own rules on each of its links. Peers do not relay, so the agent at the
+other end has published whatever comes over a link.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ the recorder accepts all their messages, so that it can name whoever sends what 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     """Return how an agent of the plan, or a standby, joins the bus.
 
-    Without keys, a session asks either everybody who connects for a password, or nobody. Devices
-    have none, so an agent has a second session for them.
+    Without keys, a session asks everybody who connects for a password, or nobody. Devices have
+    none, so an agent has a second session for them.
     """
     if plan.keys_folder:
         keys = KeyFiles.of(Path(plan.keys_folder), agent_of(agent))
@@ -87,10 +87,7 @@ def _settings(
 
 
 def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -> dict[str, object]:
-    """Return an agent's access rules, as in Zenoh's configuration; all else is refused.
-
-    They follow from who publishes and who hears what in the run.
-    """
+    """Return an agent's access rules, as in Zenoh's configuration; all else is refused."""
     wiring = plan.wiring
     rules: list[dict[str, object]] = []
     policies: list[dict[str, object]] = []
@@ -143,20 +140,15 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
 
 
 def session_id(secret: str, agent: str) -> str:
-    """Return the Zenoh id of an agent's session in a run with this secret.
-
-    Whoever connects to the agent learns it.
-    """
+    """Return the Zenoh id of an agent's session. Whoever connects to the agent learns it."""
     return f"a{_digest(secret, f'id of {agent}')}"  # Zenoh accepts no leading zero.
 
 
 def password(secret: str, agent: str) -> str:
-    """Return the password with which an agent connects to others in a run with this secret."""
     return _digest(secret, f"password of {agent}")
 
 
 def users(plan: RunPlan) -> str:
-    """Return the users and passwords of a run, as Zenoh reads them from a file."""
     return "".join(f"{agent}:{password(plan.secret, agent)}\n" for agent in plan.processes)
 
 
@@ -165,7 +157,6 @@ def _digest(secret: str, text: str) -> str:
 
 
 def common_name(agent: str) -> str:
-    """Return the name that an agent's certificate is for."""
     if len(agent) <= _LONGEST_COMMON_NAME:
         return agent
     return hashlib.blake2b(agent.encode(), digest_size=32).hexdigest()

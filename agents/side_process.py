@@ -46,6 +46,5 @@ class SideProcess:
             self.process.stdin.write(line + b"\n")
 
     def hang_up(self) -> None:
-        """Let it end."""
         assert self.process.stdin is not None
         self.process.stdin.close()

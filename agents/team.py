@@ -25,7 +25,6 @@ def controller(plan: RunPlan, name: str) -> Controller:
 
 
 def controllers(plan: RunPlan) -> list[Controller]:
-    """Return all controllers of a run, the central one first."""
     return [controller(plan, agent_name(node)) for node in plan.tree.nodes]
 
 

@@ -36,8 +36,7 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
         Bound("power_kw", 0.0, _ROUNDING),
         Bound("revert_kw", 0.0, _ROUNDING),
     ),
-    # An operator may ask for more than there is, or for less than nothing: it must be a number. And
-    # everybody's share of it must be one.
+    # An operator may ask for more than there is, or for less than nothing.
     Dispatch: (Bound("power_kw", -LARGEST, LARGEST), Bound("plant_rating_kw", 1e-3, 1e3)),
 }
 """Bounds by message type; those of powers are multiples of the rating of the message's node.
@@ -46,13 +45,11 @@ Telemetry is judged by the estimate, which knows what its inverter can have meas
 
 
 def bounds_of(message_type: type[Message], rating_kw: float) -> tuple[Bound, ...]:
-    """Return the bounds of a message about a node of this rating."""
-    return tuple(
-        Bound(field, low * rating_kw, high * rating_kw)
-        if field.endswith("_kw")
-        else Bound(field, low, high)
-        for field, low, high in BOUNDS.get(message_type, ())
-    )
+    found = []
+    for field, low, high in BOUNDS.get(message_type, ()):
+        unit = rating_kw if field.endswith("_kw") else 1.0
+        found.append(Bound(field, low * unit, high * unit))
+    return tuple(found)
 
 
 def is_within(message: Message, bounds: tuple[Bound, ...]) -> bool:

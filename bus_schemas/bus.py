@@ -10,7 +10,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 
 Delivery: TypeAlias = tuple[Port[Message], Message]
-"""A message and the port that it is for: what an agent publishes."""
+"""What an agent publishes."""
 
 
 class Arrival(NamedTuple):
@@ -29,24 +29,16 @@ class Bus(Protocol):
         """Send a message to all who listen to its port."""
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
-        """Wait for messages until a time of the run's clock, None: without a limit.
-
-        Returns as soon as there are some; `wanted` says how many are of use. Returns nothing if the
-        time has come.
-        """
+        """Wait for messages, `wanted` being of use, until a time of the run's clock if given."""
 
 
 class Outbox:
-    """Stamps messages with their publish time and number, and counts those of the run.
-
-    The messages of each incarnation of their publisher are numbered from 0.
-    """
+    """Stamps messages with their publish time and number: from 0 for each incarnation."""
 
     def __init__(self) -> None:
         self._sent: dict[tuple[Port[Message], int], int] = {}
 
     def stamp(self, port: Port[Message], message: Message, now_ns: int) -> None:
-        """Complete the head of a message that goes out."""
         message.publish_time_ns = now_ns
         if message.cycle >= 0:
             key = (port, message.incarnation)

@@ -21,11 +21,7 @@ _decoders: dict[type[Message], msgspec.msgpack.Decoder[Message]] = {
 
 
 def decode(signal: Signal[M], payload: bytes) -> M:
-    """Return the message that a payload of a signal holds.
-
-    Raises msgspec.DecodeError: The payload is no msgpack, or not of the signal's type, or too
-        large.
-    """
+    """Return the message that a payload of a signal holds, or raise msgspec.DecodeError."""
     if len(payload) > LARGEST_PAYLOAD:
         raise msgspec.DecodeError(f"{len(payload)} bytes are more than {LARGEST_PAYLOAD}")
     try:
@@ -37,10 +33,7 @@ def decode(signal: Signal[M], payload: bytes) -> M:
 
 
 def json_schema(signal: Signal[Message]) -> dict[str, object]:
-    """JSON Schema of a signal's messages, with `"type": "object"` at its root.
-
-    Viewers and PlotJuggler look at the root for the type, where msgspec puts a reference.
-    """
+    """JSON Schema of a signal's messages, with the type at its root, where viewers look for it."""
     schema = msgspec.json.schema(signal.type)
     definitions = schema.pop("$defs")
     root = definitions.pop(schema.pop("$ref").rsplit("/", 1)[-1])

@@ -2,10 +2,7 @@
 
 
 class InputError(ValueError):
-    """Bad input from a user: exit status 2.
-
-    The message says which file, line or field, what was expected and what was found.
-    """
+    """Bad input from a user: where, what was expected and what was found. Exit status 2."""
 
 
 class FailureError(Exception):

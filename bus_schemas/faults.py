@@ -1,16 +1,10 @@
 """Faults: rules that delay, lose, duplicate or hold back messages on links, and stop processes.
 
-A link goes from the publisher of a port to one of its listeners. The faults act on the way to the
-listener who acts on the message. The recorder hears everything: a recording says what was sent, and
-the inputs that its messages name as `missing` say what did not come.
+A link goes from the publisher of a port to one of its listeners. The recorder hears everything: a
+recording says what was sent, and `missing` in its messages what did not come.
 
-The words are those of network emulation in Linux, `tc netem` [1]_: delay, jitter, distribution,
-loss, duplicate, reorder. Two differ. `reorder` there lets a share of delayed packets pass at once;
-here it holds a share back, so that later messages overtake it. netem has no `silent`.
-
-References
-----------
-.. [1] tc-netem(8), iproute2 manual pages.
+The words are those of network emulation in Linux, tc-netem(8), but `reorder` holds a share of the
+messages back, so that later ones overtake it.
 """
 
 from __future__ import annotations
@@ -28,16 +22,13 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Port, listeners, ports
 from bus_schemas.tree import RECORDER, ControlTree, agent_name, some_of
 
-LONGEST_MS: Final = 3_600_000.0
-"""Longest delay, jitter or holding back that is accepted: an hour."""
-
 UNHEARD: Final = frozenset(
     signal.name for signal in SIGNALS if signal.is_cyclic and not signal.listeners
 )
 """Cyclic signals that no agent acts on: what becomes of them changes nothing in a run."""
 
 Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
-Milliseconds: TypeAlias = Annotated[float, Meta(ge=0.0, le=LONGEST_MS)]
+Milliseconds: TypeAlias = Annotated[float, Meta(ge=0.0, le=3_600_000.0)]
 Second: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
 
 
@@ -80,10 +71,15 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def __str__(self) -> str:
         """Return the rule as `--fault` reads it, without the defaults."""
-        default = {field.name: field.default for field in msgspec.structs.fields(self)}
-        given = msgspec.structs.asdict(self)
-        del given["silent"], given["at"]
-        words = [_option(name, value) for name, value in given.items() if value != default[name]]
+        words = []
+        for field in msgspec.structs.fields(self):
+            name, value = field.name, getattr(self, field.name)
+            if name in {"silent", "at"} or value == field.default:
+                continue
+            if name.endswith("_ms"):
+                name = "reorder-by" if name == "reorder_ms" else name.removesuffix("_ms")
+                value = f"{value}ms"
+            words.append(f"{name}={value}")
         words += [f"silent={begin:.15g}s..{end:.15g}s" for begin, end in self.silent]
         if self.at:
             words.append("at=" + "..".join(f"{time_s:.15g}s" for time_s in self.at))
@@ -105,7 +101,6 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return is_cut or any(begin_s <= time_s < end_s for begin_s, end_s in self.silent)
 
     def is_active(self, time_s: float) -> bool:
-        """Whether the rule acts at a simulated time since cycle 0, silence aside."""
         return not self.at or self.at[0] <= time_s < self.at[1]
 
     @property
@@ -115,28 +110,19 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @property
     def ends(self) -> tuple[tuple[str, str], ...]:
-        """Publisher and listener, or patterns of them, of the links that the rule is about."""
+        """Publisher and listener, or patterns of them, of its links."""
         if self.partition is None:
             return ((self.source, self.listener),)
         one, other = self.partition.split("|")
         return (one, other), (other, one)
 
     def acts_on(self, port: Port[Message], listener: str) -> bool:
-        """Whether this link of a port is one of the rule's."""
         if self.stops is not None or not port.signal.is_cyclic:
             return False
         return self.signal in {None, port.signal.name} and any(
             fnmatchcase(port.publisher, source) and fnmatchcase(listener, heard_by)
             for source, heard_by in self.ends
         )
-
-
-def _option(field: str, value: object) -> str:
-    """Write a field of a rule as `--fault` reads it: `delay=50.0ms` for `delay_ms` of 50.0."""
-    if field.endswith("_ms"):
-        name = "reorder-by" if field == "reorder_ms" else field.removesuffix("_ms")
-        return f"{name}={value}ms"
-    return f"{field}={value}"
 
 
 class Incident(NamedTuple):
@@ -148,21 +134,16 @@ class Incident(NamedTuple):
 
 
 def incidents(rules: tuple[FaultRule, ...], tree: ControlTree) -> list[Incident]:
-    """Return what the rules do to processes, in the order of time."""
     found = []
     for rule in rules:
         for agent in stopped_by(rule, tree):
-            if rule.kill is not None:
-                found.append(Incident(rule.at[0], agent, "kill"))
-            else:
-                begin_s, end_s = rule.at
-                found.append(Incident(begin_s, agent, "freeze"))
-                found.append(Incident(end_s, agent, "thaw"))
+            found.append(Incident(rule.at[0], agent, "kill" if rule.kill else "freeze"))
+            if rule.freeze:
+                found.append(Incident(rule.at[1], agent, "thaw"))
     return sorted(found)
 
 
 def stopped_by(rule: FaultRule, tree: ControlTree) -> list[str]:
-    """Return the controllers that a rule kills or freezes."""
     names = [agent_name(node) for node in tree.nodes]
     return [name for name in names if fnmatchcase(name, rule.stops or "")]
 
@@ -186,61 +167,43 @@ def check_rule(
 ) -> None:
     """Refuse a rule that does not fit the run.
 
-    where: Name of the rule in messages for the user.
     external: Agents that Heliarch does not run: faults cannot act on what they receive.
     addresses: Of the agents on other hosts: their processes cannot be stopped from here.
     """
     to_agents = _to_links(rule, tree, external)
     if rule.stops is not None:
-        to_agents = _to_stopped(rule, tree, external, addresses)
+        to_agents = _to_stopped(rule, tree, {*external, *addresses})
     for objection in chain(_to_fields(rule), to_agents):
         raise InputError(f"{where}: {objection}")
 
 
 def _to_fields(rule: FaultRule) -> Iterator[str]:
-    """Yield objections to fields that their bounds do not cover."""
     if rule.distribution == "fixed" and rule.jitter_ms:
         yield "distribution: expected uniform or normal with jitter, got fixed"
     if rule.reorder and not rule.held_back_ms:
-        yield (
-            "reorder: expected a delay or reorder-by above 0 with it (in a scenario delay_ms or "
-            "reorder_ms), got none"
-        )
+        yield "reorder: expected a delay or reorder-by (reorder_ms) above 0 with it, got none"
     for begin_s, end_s in rule.silent:
         if begin_s >= end_s:
-            times = f"{begin_s:g} s to {end_s:g} s"
-            yield f"silent: expected an end after the beginning, got {times}"
+            yield f"silent: expected an end after the beginning {begin_s:g} s, got {end_s:g} s"
     doing = [name for name in ("partition", "kill", "freeze") if getattr(rule, name) is not None]
     if not (rule.acts_outside_silence or rule.silent or doing):
-        yield (
-            "expected a delay, jitter, loss, duplicate, reorder, silent, partition, kill or "
-            "freeze, got none"
-        )
+        yield "expected a delay, loss, kill or other fault, got none"
     alone = FaultRule(**{name: getattr(rule, name) for name in ("at", *doing[:1])})
     if doing and rule != alone:
         yield f"expected only {doing[0]} and at in this rule, got more"
     wanted = {1} if rule.kill is not None else {2} if rule.freeze is not None else {0, 2}
     if len(rule.at) not in wanted or list(rule.at) != sorted(set(rule.at)):
-        form = "one time such as 30s" if wanted == {1} else "beginning and end such as 30s..45s"
-        got = "..".join(f"{time_s:g}s" for time_s in rule.at) or "none"
-        yield f"at: expected {form}, got {got}"
+        form = "one time such as 30s" if rule.kill else "beginning and end such as 30s..45s"
+        yield f"at: expected {form}, got {rule}"
     if rule.partition is not None and rule.partition.count("|") != 1:
         yield f"partition: expected two agents such as c1|central, got {rule.partition}"
 
 
-def _to_stopped(
-    rule: FaultRule, tree: ControlTree, external: Collection[str], addresses: Mapping[str, str]
-) -> Iterator[str]:
-    names = [agent_name(node) for node in tree.nodes]
+def _to_stopped(rule: FaultRule, tree: ControlTree, elsewhere: set[str]) -> Iterator[str]:
     found = stopped_by(rule, tree)
-    if not found:
-        known = f"a controller ({some_of(names)}), or a pattern such as c1/*"
-        yield f"expected {known}, got {rule.stops!r}"
-    for name in found:
-        if name in external:
-            yield f"expected controllers that Heliarch runs, got the external {name}"
-        if name in addresses:
-            yield f"expected controllers on this host, got {name} on {addresses[name]}"
+    if not found or not elsewhere.isdisjoint(found):
+        names = [name for name in map(agent_name, tree.nodes) if name not in elsewhere]
+        yield f"expected controllers of this host, such as {some_of(names)}, got {rule.stops!r}"
 
 
 def _to_links(rule: FaultRule, tree: ControlTree, external: Collection[str]) -> Iterator[str]:
@@ -257,18 +220,8 @@ def _to_links(rule: FaultRule, tree: ControlTree, external: Collection[str]) -> 
     if rule.signal is not None and rule.signal not in names:
         yield f"signal: expected {', '.join(names)}, got {rule.signal!r}"
     heard_by = dict.fromkeys(listener for port, listener in every if rule.acts_on(port, listener))
-    if not heard_by and rule.partition is not None:
-        yield f"partition: expected agents that hear each other, got {rule.partition}"
     if not heard_by:
-        instead = dict.fromkeys(
-            f"{port.signal.name} to {listener}"
-            for port, listener in every
-            if fnmatchcase(port.publisher, rule.source)
-        )
-        got = f"{rule.signal or 'anything'} from {rule.source} to {rule.listener}"
-        yield f"expected one of {some_of(list(instead))}, got {got}, which is never sent"
+        field = "" if rule.partition is None else "partition: "
+        yield f"{field}expected agents of which one hears the other, got {rule}"
     if heard_by.keys() <= set(external):
-        yield (
-            f"expected a listener that Heliarch runs, where faults act, got only external agents "
-            f"({', '.join(heard_by)})"
-        )
+        yield f"expected a listener that Heliarch runs, got only {', '.join(heard_by)}"

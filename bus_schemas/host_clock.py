@@ -15,8 +15,8 @@ _DRIFT: Final = 10_000
 class HostClock:
     """The monotonic clock of another host, by the messages that come from there.
 
-    The message that came fastest sets it, so it is behind by the shortest time on the way. It then
-    falls back a little, more than the two clocks run apart, until the next fast message sets it.
+    The message that came fastest sets it. It then falls back by more than the two clocks run apart,
+    until the next fast message sets it.
     """
 
     def __init__(self) -> None:

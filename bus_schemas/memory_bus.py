@@ -1,8 +1,7 @@
 """The bus inside one process, with or without a virtual clock.
 
-With a clock nothing waits: the clock jumps to whatever comes next, the arrival of a message or the
-time up to which a receiver waits. Agents decide in no time, and a message takes as long as the
-faults of the network let it take. So a run is the same each time, to the last bit.
+With a clock nothing waits: it jumps to the arrival of the next message, or the time up to which a
+receiver waits. So a run is the same each time, to the last bit.
 """
 
 from __future__ import annotations
@@ -31,9 +30,7 @@ class VirtualClock:
 
 
 class MemoryBus:
-    """All agents' places on the bus in one.
-
-    There is one queue, so the order of all that happens is the same in every run.
+    """All agents' places on the bus in one, with one queue.
 
     on_publish: Called with every message that is published, as a recorder would hear it.
     clock: Set to the time of each arrival. None: lockstep, where nothing waits for a time.
@@ -68,7 +65,6 @@ class MemoryBus:
         self._arrived.extendleft(reversed(self._held.pop(agent) or []))
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
-        """Queue a message for each agent that listens to its port."""
         self.outbox.stamp(port, message, now_ns)
         if self._on_publish is not None:
             self._on_publish(port, message)
@@ -101,7 +97,6 @@ class MemoryBus:
         return ()
 
     def _is_held(self, arrival: Arrival) -> bool:
-        """Whether a message is for an agent that is brought nothing; keep it if it is to be."""
         if arrival.agent not in self._held:
             return False
         kept = self._held[arrival.agent]
@@ -110,7 +105,6 @@ class MemoryBus:
         return True
 
     def _send(self, arrival: Arrival, fate: tuple[int, ...]) -> None:
-        """Let a message go the way that the faults of its link leave it."""
         self.tally.count(fate)
         for delay_ns in fate:
             if delay_ns:

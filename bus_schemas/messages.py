@@ -20,17 +20,11 @@ Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...]]
 PROTOCOL: Final = 1
 """Version of all that docs/wire.md says. Plan and `run` state it."""
 
+# The largest plant needs less of each.
 LARGEST_PAYLOAD: Final = 1 << 20
-"""Bytes of a message at most. One of the largest plant takes half of it."""
-
 LONGEST_TEXT: Final = 1_000
-"""Characters of a notice at most."""
-
 MOST_MISSING: Final = 4_096
-"""Entries of `missing` at most: the largest tree has fewer inputs at any of its agents."""
-
 LONGEST_MISSING: Final = 256
-"""Characters of an entry at most: the longest path, a signal and a cycle take fewer."""
 
 # Numbers and texts are bounded, so that whatever comes from elsewhere can be counted with and kept:
 # a message with one beyond does not decode.

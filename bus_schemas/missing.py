@@ -1,8 +1,7 @@
 """What the entries of a message's `missing` say: which messages its sender decided on.
 
-An entry is the key of an input, without the plant's name. `c2/inv07/impp@41`: the newest message
-was that of cycle 41. `c2/inv07/impp`: there was none, or it was too old to count. For an input
-without an entry the sender used the message that was due.
+`c2/inv07/impp@41`: the newest message was that of cycle 41. `c2/inv07/impp`: there was none, or it
+was too old to count. For an input without an entry the sender used the message that was due.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 _CYCLE: Final = re.compile(r"0|[1-9][0-9]{0,17}")
-"""A cycle as it is written: below 10^18, as cycles are."""
 
 
 class Missing(NamedTuple):
@@ -32,16 +30,8 @@ def parse_missing(entry: str) -> Missing:
 
 
 def in_words(missing: Iterable[str]) -> str:
-    """Say what a decision was based on, for instance `without c1/impp; used c2/impp of cycle 41`.
-
-    Empty: all inputs were those of the cycle.
-    """
-    entries = [parse_missing(entry) for entry in missing]
-    without = [key for key, used in entries if used is None]
-    older = [f"{key} of cycle {used:,}" for key, used in entries if used is not None]
-    parts = []
-    if without:
-        parts.append("without " + ", ".join(without))
-    if older:
-        parts.append("used " + ", ".join(older))
-    return "; ".join(parts)
+    """Say what a decision was based on: `without c1/impp, used c2/impp of cycle 41`."""
+    return ", ".join(
+        f"without {key}" if used is None else f"used {key} of cycle {used:,}"
+        for key, used in map(parse_missing, missing)
+    )

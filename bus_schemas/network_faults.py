@@ -1,7 +1,7 @@
 """What the faults of a run do to each message, and how often.
 
-A hash of seed, rule, link and cycle alone decides it, not the order of events. So a message has the
-same fate over processes, in memory, and when the run is repeated.
+A hash of seed, rule, link and cycle alone decides it, so a message has the same fate over
+processes, in memory, and when the run is repeated.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ from bus_schemas.tree import ControlTree
 UNHARMED: Final[tuple[int, ...]] = (0,)
 """Fate of a message that one copy of arrives at once."""
 
-_LOST: Final[tuple[int, ...]] = ()
-
 
 class FaultTally(Counter[str]):
     """What faults did to messages: of a lost one no copy arrived."""
@@ -35,10 +33,7 @@ class FaultTally(Counter[str]):
 
 
 class FaultAct(msgspec.Struct):
-    """How many messages a rule acted on, and in which cycles.
-
-    A message counts once for each listener for which it was lost, delayed or doubled.
-    """
+    """How many messages a rule acted on, once for each listener, and in which cycles."""
 
     rule: FaultRule
     messages: int = 0
@@ -46,7 +41,6 @@ class FaultAct(msgspec.Struct):
     last_cycle: int | None = None
 
     def add(self, cycle: int) -> None:
-        """Count one message; cycles may come in any order."""
         self.messages += 1
         self.first_cycle = cycle if self.first_cycle is None else min(self.first_cycle, cycle)
         self.last_cycle = cycle if self.last_cycle is None else max(self.last_cycle, cycle)
@@ -55,12 +49,10 @@ class FaultAct(msgspec.Struct):
 class NetworkFaults:
     """The rules of a run, at work on its links.
 
-    Several rules on one link act as several imperfect pieces of cable, one after the other: their
-    delays add, and each may lose or double whatever has come through those before it.
+    Several rules on one link act one after the other: their delays add, and each may lose or double
+    whatever has come through those before it.
 
-    rules, seed: The rules, and the seed of all that is drawn.
     cycle_ns: Length of a cycle in simulated time [ns].
-
     acts: What each rule has done so far.
     """
 
@@ -73,13 +65,11 @@ class NetworkFaults:
         for port, listener in links(tree):
             for number, rule in enumerate(rules):
                 if rule.acts_on(port, listener):
-                    seed_text = f"{seed} {number} {port} {listener}"
-                    at_work = _RuleOnLink(self.acts[number], seed_text)
-                    self._rules_on.setdefault((port, listener), []).append(at_work)
+                    one = _RuleOnLink(self.acts[number], f"{seed} {number} {port} {listener}")
+                    self._rules_on.setdefault((port, listener), []).append(one)
         self._listeners = {listener for _, listener in self._rules_on}
 
     def concern(self, listener: str) -> bool:
-        """Whether any rule acts on a link to this listener."""
         return listener in self._listeners
 
     def fates(self, port: Port[Message], listener: str, message: Message) -> tuple[int, ...]:
@@ -95,7 +85,7 @@ class NetworkFaults:
         for each in silent:
             each.act.add(cycle)
         if silent:
-            return _LOST
+            return ()
         delays_ms = [0.0]
         for each in rules:
             if each.rule.acts_outside_silence and each.rule.is_active(time_s):
@@ -115,10 +105,7 @@ class _RuleOnLink:
         self._hash = blake2b(seed_text.encode())
 
     def pass_on(self, cycle: int, delays_ms: list[float]) -> list[float]:
-        """Return the delays [ms] of the copies that come out, given those of the ones that go in.
-
-        A doubled copy and its double each have a loss and a delay of their own.
-        """
+        """Return the delays [ms] of the copies that come out, from those of the ones that go in."""
         going_in = list(delays_ms)
         coming_out: list[float] = []
         for copy, delay_ms in enumerate(going_in):  # It grows by the doubles.
@@ -141,7 +128,6 @@ class _RuleOnLink:
         return [(word >> 11) * 2.0**-53 for word in _WORDS.unpack(digest.digest())[:5]]
 
     def _jitter_ms(self, one: float, other: float) -> float:
-        """Return what a message takes longer than the others, from two numbers in [0, 1)."""
         rule = self.rule
         if rule.jitter_ms == 0.0 or rule.distribution == "fixed":
             return 0.0

@@ -67,11 +67,8 @@ class Signal(Generic[M_co]):
     """One row of the table.
 
     name: Last part of its key.
-    type: Message type; the payload is that type as a msgpack map.
-    about, publisher, listeners, occurrence: See the enumerations.
     logged: Whether the recorder keeps it.
-    decided: Whether an agent decides it, so that the same inputs give it again. Otherwise its
-        process publishes it.
+    decided: Whether an agent decides it, so that the same inputs give it again, or its process.
     hop_p99_ms: Timing budget on one host: from publishing to arrival at a listener, 99 of 100
         messages [ms]. None: no budget, since no stage waits for it last.
     """
@@ -113,15 +110,14 @@ class Signal(Generic[M_co]):
 
 @dataclass(frozen=True, eq=False)
 class Port(Generic[M_co]):
-    """One signal about one node: what a key names. Get it from `Signal.of`.
+    """One signal about one node: what a key names. `publisher` is the one agent that may use it.
 
-    There is one object for each, so ports compare and hash by identity.
+    Get it from `Signal.of`: there is one object for each, so ports compare and hash by identity.
     """
 
     signal: Signal[M_co]
     node: str
     publisher: str
-    """Name of the one agent that may publish on it."""
 
     def __str__(self) -> str:
         return f"{self.node}/{self.signal.name}" if self.node else self.signal.name
@@ -148,9 +144,7 @@ SIGNALS: Final[tuple[Signal[Message], ...]] = (
     READY, CLOCK, TAKEOVER,
 )
 # fmt: on
-"""The table itself, in the order of one cycle. A new signal is one row more, at the end: recordings
-number their channels in this order."""
-
+"""The table itself. A new signal comes at the end: recordings number their channels in this order."""
 
 _NAMES: Final = {
     Role.PLANT: PLANT,
@@ -158,7 +152,6 @@ _NAMES: Final = {
     Role.RECORDER: RECORDER,
     Role.REPLAYER: REPLAYER,
 }
-"""Names of the agents that are the same ones from wherever they are seen."""
 
 
 def listeners(port: Port[Message], tree: ControlTree) -> tuple[str, ...]:
@@ -168,7 +161,6 @@ def listeners(port: Port[Message], tree: ControlTree) -> tuple[str, ...]:
 
 
 def ports(tree: ControlTree) -> tuple[Port[Message], ...]:
-    """Every port of a run, in the order of the table."""
     return tuple(signal.of(node) for signal in SIGNALS for node in signal.nodes(tree))
 
 

@@ -18,7 +18,6 @@ LONGEST_S: Final = 31 * 86400.0
 
 FIRST_YEAR: Final = 1900
 LAST_YEAR: Final = 2200
-"""Years in which a run may take place."""
 
 _UNITS_S: Final = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6}
 _NUMBER: Final = r"\d+(?:\.\d+)?"
@@ -55,7 +54,6 @@ def read_time(text: str) -> time | datetime | None:
 
 
 def split_range(text: str, where: str) -> tuple[str, str]:
-    """Return the two ends of a range `A..B`."""
     begin, _, end = (part.strip() for part in text.partition(".."))
     if not begin or not end:
         raise InputError(f"{where}: expected a range A..B, got {text[:40]}")

@@ -16,35 +16,21 @@ CENTRAL: Final = "central"
 PLANT: Final = "plant"
 RECORDER: Final = "recorder"
 REPLAYER: Final = "replayer"
-"""Takes no part in a run: it puts a recording back onto the bus."""
 
 ROOT: Final = ""
 """The central controller's path: its keys have no node part."""
 
 LONGEST_PATH: Final = 200
-"""Characters of a node's path at most: a message must be able to name the keys that it lacks."""
-
-_MOST_NAMED: Final = 12
-"""Of a list in a message; the others are counted."""
-
 MOST_CHILDREN: Final = 1_000
-"""Of one parent, which waits for three messages of each in a cycle."""
-
 MOST_INVERTERS: Final = 4_000
-"""Of one plant, which waits for a command of each."""
-
 LARGEST_RATING_KW: Final = 1e9
-"""Of one inverter."""
 
 RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, "alive"})
 _NAME = re.compile(rf"[A-Za-z0-9_-]{{1,{LONGEST_PATH}}}")
-
-
 _STANDBY: Final = "+standby"
 
 
 def standby_of(agent: str) -> str:
-    """Name of the second process of an agent."""
     return f"{agent}{_STANDBY}"
 
 
@@ -71,32 +57,28 @@ class ControlTree:
 
     def __post_init__(self) -> None:
         for objection in self._objections():
-            raise InputError(f"control tree{objection}")
+            raise InputError(f"control tree: {objection}")
 
     def _objections(self) -> Iterator[str]:
         count = len(self.inverters)
         if not 0 < count <= MOST_INVERTERS:
-            yield f": expected 1 to {MOST_INVERTERS:,} inverters, got {count:,}"
+            yield f"expected 1 to {MOST_INVERTERS:,} inverters, got {count:,}"
         seen: set[str] = set()
         for path, rating_kw in self.inverters:
             for part in path.split("/"):
                 check_name(part, f"control tree, node {path!r}")
             if len(path) > LONGEST_PATH:
-                expected = f"a path of up to {LONGEST_PATH} characters"
-                yield f", node {path[:40]}...: expected {expected}, got {len(path):,}"
+                yield f"{path[:40]}...: expected up to {LONGEST_PATH} characters, got {len(path)}"
             if not 0.0 < rating_kw <= LARGEST_RATING_KW:
                 expected = f"a number above 0 and up to {LARGEST_RATING_KW:g}"
-                yield f", node {path}: rating_kw: expected {expected}, got {rating_kw:g}"
-            if path in seen:
-                yield f": two nodes are named {path}, names must differ"
+                yield f"{path}: rating_kw: expected {expected}, got {rating_kw:g}"
+            if path in seen or path in self._children_of:
+                yield f"{path}: expected one inverter or cluster of this name, got several"
             seen.add(path)
         for path, children in self._children_of.items():
-            if path in seen:
-                yield f": {path} is both an inverter and a cluster, expected one of them"
             if len(children) > MOST_CHILDREN:
-                expected = f"up to {MOST_CHILDREN:,} children"
-                got = f"{len(children):,}; for more, add a tier between"
-                yield f": {agent_name(path)}: expected {expected}, got {got}"
+                expected = f"up to {MOST_CHILDREN:,} children, or a tier between"
+                yield f"{agent_name(path)}: expected {expected}, got {len(children):,}"
 
     @cached_property
     def _children_of(self) -> dict[str, tuple[str, ...]]:
@@ -116,7 +98,6 @@ class ControlTree:
 
     @cached_property
     def leaves(self) -> tuple[str, ...]:
-        """Paths of the inverters, in the plant's order."""
         return tuple(path for path, _ in self.inverters)
 
     @cached_property
@@ -126,23 +107,19 @@ class ControlTree:
 
     @cached_property
     def nodes(self) -> tuple[str, ...]:
-        """Paths of all nodes: parents from the top, then the inverters."""
         return self.parents + self.leaves
 
     @cached_property
     def height(self) -> int:
-        """Number of tiers below the central controller."""
         return max(depth(leaf) for leaf in self.leaves)
 
     def children(self, path: str) -> tuple[str, ...]:
-        """Paths of a node's children, empty for an inverter."""
         return self._children_of.get(path, ())
 
     def is_leaf(self, path: str) -> bool:
         return path not in self._children_of
 
     def rating_kw(self, path: str) -> float:
-        """AC rating of an inverter, or the sum over a cluster's inverters."""
         return self._ratings_kw[path]
 
     def leaves_below(self, path: str) -> tuple[int, ...]:
@@ -169,17 +146,12 @@ def depth(path: str) -> int:
 
 
 def parent_of(path: str) -> str:
-    """Path of a node's parent. The root has none.
-
-    Raises ValueError: For the root.
-    """
-    if path == ROOT:
-        raise ValueError("the central controller has no parent")
+    """Path of a node's parent; that of the root is the root."""
     return path.rpartition("/")[0]
 
 
-def some_of(names: Sequence[str], most: int = _MOST_NAMED) -> str:
-    """List the first of many names."""
+def some_of(names: Sequence[str], most: int = 12) -> str:
+    """List the first of many names, and count the others."""
     rest = len(names) - most
     listed = ", ".join(names[:most])
     return f"{listed} and {rest} more" if rest > 0 else listed
@@ -192,6 +164,4 @@ def check_name(name: str, where: str) -> None:
         raise InputError(f"{where}: name: expected {expected}, got {name!r}")
     if name in RESERVED_NAMES:
         reserved = ", ".join(sorted(RESERVED_NAMES))
-        raise InputError(
-            f"{where}: name: expected one that is not reserved ({reserved}), got {name!r}"
-        )
+        raise InputError(f"{where}: name: expected none of {reserved}, got {name!r}")

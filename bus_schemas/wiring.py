@@ -1,9 +1,8 @@
 """Who publishes and hears what in a run, under which key, and who is linked with whom.
 
 All of it follows from the table of signals. A key is `<plant>/<path of the node>/<signal>`; a Zenoh
-session adds the run's namespace before it by itself, so that two runs on one network do not hear
-each other. Zenoh peers do not relay, so each pair that talks needs a link of
-its own (see docs/decisions/0002-explicit-links.md for the alternatives, measured).
+session adds the run's namespace before it. Zenoh peers do not relay, so each pair that talks needs
+a link of its own (see docs/decisions/0002-explicit-links.md).
 """
 
 from __future__ import annotations
@@ -20,12 +19,10 @@ from bus_schemas.tree import RECORDER, ControlTree, agent_of, standby_of
 class Wiring:
     """The wiring of a run.
 
-    ports: Every port, in the order of the table.
-    listeners: Agents that hear each port.
+    listeners, processes: Agents, and with them standbys, that hear each port.
     published, heard: Ports of each agent.
     signs: Of an agent with a standby: its last port in each cycle, and in each of its turns. Its
         two processes hear them from each other.
-    processes: Processes that hear each port: agents, and standbys of agents.
     """
 
     def __init__(self, plant: str, tree: ControlTree, standbys: Collection[str] = ()) -> None:
@@ -51,21 +48,17 @@ class Wiring:
         self._processes = (*tree.agents(), *map(standby_of, standbys))
 
     def key(self, port: Port[Message]) -> str:
-        """Key of a port, for instance `oahu/c2/inv07/impp` or `oahu/dispatch`."""
         return f"{self.plant}/{port}"
 
     def port(self, key: str) -> Port[Message] | None:
-        """Port that a key names, or None where the control tree has no such node or signal."""
+        """Port that a key names, None if there is none."""
         return self._port_of.get(key)
 
     def alive_key(self, agent: str) -> str:
         return f"{self.plant}/{agent}/alive"
 
     def links(self) -> Links:
-        """Return one link for each pair of processes of which one publishes what the other hears.
-
-        The recorder hears everything.
-        """
+        """Return a link for each pair of processes of which one publishes what the other hears."""
         place = {process: place for place, process in enumerate(self._processes)}
         pairs = {(RECORDER, process) for process in self._processes if process != RECORDER}
         for port, hearers in self.processes.items():
@@ -81,15 +74,14 @@ class Wiring:
 class Links:
     """The TCP links of a run, or some of them.
 
-    pairs: (listening process, connecting process), each pair that talks once. The one nearer to the
-        top of the list of agents listens, so that few ports are needed and no inverter needs one.
+    pairs: (listening process, connecting process). The one nearer to the top of the list of agents
+        listens, so that few ports are needed and no inverter needs one.
     """
 
     pairs: tuple[tuple[str, str], ...]
 
     @cached_property
     def listening(self) -> tuple[str, ...]:
-        """Agents that need a port."""
         return tuple(dict.fromkeys(listener for listener, _ in self.pairs))
 
     def endpoints(
@@ -98,10 +90,6 @@ class Links:
         tcp_ports: Mapping[str, int],
         host_of: Callable[[str], str] = lambda agent: "tcp/127.0.0.1",
     ) -> tuple[list[str], list[str]]:
-        """Endpoints that an agent listens on, and those it connects to.
-
-        `host_of` gives the protocol and the address of an agent.
-        """
         tops = [top for top, below in self.pairs if below == agent]
         listens = [f"{host_of(agent)}:{tcp_ports[agent]}"] if agent in self.listening else []
         return listens, [f"{host_of(top)}:{tcp_ports[top]}" for top in tops]

@@ -1,8 +1,7 @@
 """The bus between processes: one Zenoh session for each agent, over TCP on the loopback address.
 
-No multicast, no gossip: the endpoints are given. Zenoh calls us on its own thread: the callback
-appends to a queue, and wakes the agent's thread or acts itself (`agents.eager_driver`). See
-docs/decisions for what was measured.
+Zenoh calls us on its own thread: the callback appends to a queue, and wakes the agent's thread or
+acts itself (`agents.eager_driver`). See docs/decisions for what was measured.
 """
 
 from __future__ import annotations
@@ -17,9 +16,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import msgspec
 import zenoh
@@ -41,7 +39,6 @@ ZENOH_RUNTIME: Final = (
 """One worker thread for all of Zenoh's work: see docs/decisions/0003-zenoh-tuning.md."""
 
 MOST_LINKS: Final = 10_000
-"""Sessions that one agent may be linked with."""
 
 LEASE_MS: Final = 60_000
 """How long a link may be silent [ms]. A process that ends closes its links at once; one that stands
@@ -55,8 +52,6 @@ queue takes 512 MB. With Zenoh's own 64 kB it was 48 kB. The 16 batches of a lin
 what a plant of 1,000 inverters sends at once."""
 
 _ANSWER_S: Final = 5.0
-"""How long others may take to repeat their newest messages."""
-
 _CROWDED: Final = 10_000
 """Messages that wait for an agent from which on each port has a limit: a flood of one port must
 neither take all memory nor keep the others out."""
@@ -78,7 +73,6 @@ class KeyFiles:
 
     @classmethod
     def of(cls, folder: Path, agent: str) -> KeyFiles:
-        """Return those that a folder of keys has for an agent."""
         name = agent.replace("/", ".")
         return cls(folder / "ca.pem", folder / f"{name}.pem", folder / f"{name}.key")
 
@@ -105,12 +99,11 @@ class SessionSettings:
 
     namespace: Prefix of every key of the run.
     listen, connect: Endpoints, for instance `tcp/127.0.0.1:7447`.
-    lockstep: In lockstep nothing may be lost: a publisher waits for a listener that falls behind.
-        In real time a message that cannot go out within 20 ms is dropped instead.
+    lockstep: Whether a publisher waits for a listener that falls behind. In real time a message
+        that cannot go out within 20 ms is dropped instead.
     further: Further settings, by Zenoh's own names.
     peers: Agents at the other ends of its links.
-    devices: Settings of the agent's second session, for devices, which have no password. None: it
-        has no devices.
+    devices: Of the agent's second session, for devices, which have no password; None: no devices.
     """
 
     namespace: str
@@ -163,34 +156,21 @@ class SessionSettings:
         return config
 
 
+def open_session(settings: SessionSettings) -> zenoh.Session:
+    os.environ.setdefault("ZENOH_RUNTIME", ZENOH_RUNTIME)
+    return zenoh.open(settings.config())
+
+
 def open_sessions(settings: SessionSettings) -> list[zenoh.Session]:
     """Open an agent's session, and then that with devices if it has one."""
     return [open_session(each) for each in (settings, settings.devices) if each is not None]
 
 
-def open_session(settings: SessionSettings) -> zenoh.Session:
-    """Open a session under the project's runtime settings, unless the user has set others."""
-    os.environ.setdefault("ZENOH_RUNTIME", ZENOH_RUNTIME)
-    return zenoh.open(settings.config())
-
-
 _this_thread = threading.local()
 
 
-def _keep_this_thread() -> None:
-    """Let Python keep what it knows of Zenoh's thread.
-
-    It would otherwise set up a thread state for each callback, with pages from the kernel, and
-    throw it away again: an eighth of the processor time of a cycle.
-    """
-    ctypes.pythonapi.PyGILState_Ensure()
-    _this_thread.is_kept = True
-
-
 class Inbox:
-    """A queue from Zenoh's thread to the agent's: wakes the agent when enough has arrived.
-
-    An agent that needs seventeen messages is woken once, not seventeen times.
+    """A queue from Zenoh's thread to the agent's: wakes the agent once, when enough has arrived.
 
     dropped: Messages that found no room, by port and cause.
     on_enough: Called on Zenoh's thread. By default it wakes the agent's.
@@ -207,13 +187,15 @@ class Inbox:
         self._gate.acquire()
 
     def callback(self, port: Port[Message]) -> Callable[[zenoh.Sample], None]:
-        """Return what Zenoh calls with each message of a port."""
         items, append, now_ns = self._items, self._items.append, time.monotonic_ns
         urgent = port.signal.occurrence is Occurrence.EVENT
 
         def hear(sample: zenoh.Sample) -> None:
             if not hasattr(_this_thread, "is_kept"):
-                _keep_this_thread()
+                # Otherwise Python makes and discards a state of Zenoh's thread for each callback:
+                # an eighth of the processor time of a cycle.
+                ctypes.pythonapi.PyGILState_Ensure()
+                _this_thread.is_kept = True
             if len(items) >= _CROWDED and not self._has_room(port):
                 return
             append((port, sample.payload, now_ns()))
@@ -236,14 +218,12 @@ class Inbox:
             self._gate.acquire(timeout=timeout_s)
 
     def wake(self) -> None:
-        """Wake the agent's thread."""
         with suppress(RuntimeError):  # Two messages at once: it is awake already.
             self._gate.release()
 
     def take(
         self, wanted: int = 0, timeout_s: float = 0.0
     ) -> list[tuple[Port[Message], zenoh.ZBytes, int]]:
-        """Return all that is there, once `wanted` or an urgent one are, or at the time-out."""
         until = time.monotonic() + timeout_s
         # An opening may be left over from messages that were taken already.
         while timeout_s > 0.0 and not self.want(wanted):
@@ -283,7 +263,6 @@ class TokenWatch:
                 yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
 
     def alive(self) -> set[str]:
-        """Return the keys of all present tokens."""
         for key, is_there in self.changes():
             (self._alive.add if is_there else self._alive.discard)(key)
         return self._alive
@@ -309,7 +288,6 @@ class _Place:
                 session.close()
 
     def watch_tokens(self) -> TokenWatch:
-        """Follow the liveliness tokens of all agents from now on."""
         return TokenWatch(self._sessions, self._wiring)
 
     def _show_token(self, process: str) -> None:
@@ -318,9 +296,8 @@ class _Place:
 
 
 class ZenohBus(_Place):
-    """One agent's place on the bus.
+    """One agent's place on the bus, in its process or that of its standby.
 
-    process: Name of its process: the agent's, or that of its standby.
     patience_s: Longest time that one call waits for messages.
     clock: Clock of the plant, if the plant is on another host.
 
@@ -352,15 +329,19 @@ class ZenohBus(_Place):
             # The session for devices needs only what is heard there; the recorder hears all.
             hears_there = not devices.isdisjoint({RECORDER, *wiring.processes[port]})
             must_arrive = settings.lockstep or port.signal.occurrence is Occurrence.EVENT
+            control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
+            how: dict[str, Any] = {"encoding": ENCODING, "congestion_control": control}
+            key = zenoh.KeyExpr(wiring.key(port))
             self._puts[port] = [
-                _putter(session, wiring.key(port), must_arrive, declared=port.signal not in many)
+                partial(session.put, key, **how)
+                if port.signal in many
+                else session.declare_publisher(key, **how).put
                 for session in self._sessions[: 2 if hears_there else 1]
             ]
         many = _signals_of_many(heard)
         hear_of = {wiring.key(port): self.inbox.callback(port) for port in heard}
 
         def hear_many(sample: zenoh.Sample) -> None:
-            """Find a message's port by its key."""
             if (hear := hear_of.get(str(sample.key_expr))) is not None:
                 hear(sample)
 
@@ -396,19 +377,18 @@ class ZenohBus(_Place):
 
     def newest(self) -> list[Arrival]:
         """Return the newest messages of those that are heard in lockstep, the dispatch first."""
-        replies = [
-            session.get(
+        taken = []
+        for session in self._sessions:
+            for reply in session.get(
                 f"{self._wiring.plant}/**",
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=_ANSWER_S,
-            )
-            for session in self._sessions
-        ]
-        samples = [reply.ok for reply in chain(*replies) if reply.ok is not None]
-        found = [(self._wiring.port(str(one.key_expr)), one.payload) for one in samples]
-        now_ns = time.monotonic_ns()
-        taken = [(port, payload, now_ns) for port, payload in found if port in self._heard]
+            ):
+                if (sample := reply.ok) is not None:
+                    port = self._wiring.port(str(sample.key_expr))
+                    if port in self._heard:
+                        taken.append((port, sample.payload, time.monotonic_ns()))
         return self._decoded(sorted(taken, key=lambda one: one[0].signal is not DISPATCH))
 
     def _answer(self, query: zenoh.Query) -> None:
@@ -426,7 +406,6 @@ class ZenohBus(_Place):
         return []
 
     def take(self) -> list[Arrival]:
-        """Return what has arrived, without waiting."""
         return self._decoded(self.inbox.take())
 
     def timeout_s(self, until_ns: int | None) -> float:
@@ -452,27 +431,7 @@ class ZenohBus(_Place):
         return arrivals
 
 
-def _putter(
-    session: zenoh.Session, key: str, must_arrive: bool, *, declared: bool
-) -> Callable[[bytes], None]:
-    """Return a function that puts payloads on a key."""
-    control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
-    if not declared:
-        return partial(
-            session.put, zenoh.KeyExpr(key), encoding=ENCODING, congestion_control=control
-        )
-    publisher = session.declare_publisher(
-        key,
-        encoding=ENCODING,
-        congestion_control=control,
-        reliability=zenoh.Reliability.RELIABLE,
-    )
-    put: Callable[[bytes], None] = publisher.put
-    return put
-
-
 def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
-    """Return the signals of which there are many ports."""
     counts = Counter(port.signal for port in ports)
     return [signal for signal, count in counts.items() if count >= _MANY]
 
@@ -480,9 +439,8 @@ def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
 class ZenohTap(_Place):
     """A listener's place on the bus: hears every message of the run, and can answer.
 
-    Messages wait in a queue of Zenoh's own, without any Python in between, until they are drained
-    in one go. When it is full, publishers that may not lose anything wait, and others drop what
-    they cannot send within 20 ms. A recording then lacks these messages by their numbers.
+    Messages wait in a queue of Zenoh's own, without any Python in between, until they are drained.
+    When it is full, publishers wait or drop, see `SessionSettings.lockstep`.
     """
 
     def __init__(self, agent: str, wiring: Wiring, settings: SessionSettings) -> None:
@@ -514,7 +472,6 @@ class ZenohTap(_Place):
             session.put(self._wiring.key(port), encode(message), encoding=ENCODING)
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
-        """Yield key and payload of all that has arrived."""
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:
                 yield str(sample.key_expr), sample.payload.to_bytes()

@@ -157,8 +157,7 @@ class RunFollower:
     def _next_chunk(self) -> ChunkPlace | None:
         """Return the next chunk that is there as a whole."""
         outline, number = self.run.outline, len(self._firsts)
-        is_there = number < len(outline.chunks) - outline.ends_cut
-        return outline.chunks[number] if is_there else None
+        return outline.chunks[number] if number < len(outline.chunks) else None
 
     def _read(self, place: ChunkPlace) -> None:
         ports = self.run.channels

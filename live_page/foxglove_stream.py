@@ -15,7 +15,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
 from live_page.nodes import NodeStates
 from live_page.run_view import RunView
-from recordings.export.json_messages import JsonEncoder, object_schema
+from recordings.export.json_messages import json_bytes, object_schema
 
 _SPEED: Final = 10.0
 """Of a recording that is complete, in simulated seconds a second."""
@@ -36,7 +36,6 @@ class FoxgloveStream:
 
     def __init__(self, view: RunView, port: int) -> None:
         self._view = view
-        self._encoder = JsonEncoder()
         self._context = Context()
         states = view.open()
         if states is None:  # The run has not begun.
@@ -87,7 +86,7 @@ class FoxgloveStream:
         self._server.broadcast_time(time_ns)
         await asyncio.sleep(_TIME_FIRST_S)
         for port, message in messages.items():
-            self._channels[port].log(self._encoder.encode(message), log_time=time_ns)
+            self._channels[port].log(json_bytes(message), log_time=time_ns)
 
 
 def _channel(plan: RunPlan, port: Port[Message], context: Context) -> Channel:

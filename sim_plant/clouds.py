@@ -47,7 +47,6 @@ measurements their constants were set, and by which others they were checked.
    conditions using a fractal cloud model", Solar Energy 150 (2017)
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated
@@ -126,7 +125,7 @@ def clear_sky_ghi(
 ) -> Floats:
     """Return the clear-sky GHI at the centroid of the plant [W/m^2], shape (T,), 0 at night.
 
-    The model is that of Ineichen and Perez as pvlib has it (doi:10.1016/S0038-092X(02)00045-2).
+    The model is that of Ineichen and Perez (doi:10.1016/S0038-092X(02)00045-2).
     """
     site = Location(float(lat_deg.mean()), float(lon_deg.mean()), altitude=altitude_m)
     sky = site.get_clearsky(times, model="ineichen", linke_turbidity=linke_turbidity)
@@ -141,7 +140,7 @@ def synthetic_ghi(
     settings: CloudSettings,
     seed: int,
 ) -> Floats:
-    """Draw the GHI at each sensor under drifting synthetic clouds.
+    """Draw the GHI at each sensor under drifting synthetic clouds [W/m^2], shape (T, N).
 
     The value at an instant depends on the instant, the sensors, the settings and the seed, not on
     the other time stamps: a run from 12:00 sees the weather that one from 11:00 sees at 12:00.
@@ -154,15 +153,8 @@ def synthetic_ghi(
         Coordinates of the sensors [degree], north and east positive.
     altitude_m : float
         Altitude of the plant above the sea [m].
-    settings : CloudSettings
-        The sky.
-    seed : int
-        Seed of the cloud field, at least 0.
-
-    Returns
-    -------
-    numpy.ndarray, shape (T, N)
-        GHI [W/m^2], never negative, 0 at night.
+    settings, seed
+        The sky, and the seed of the cloud field, at least 0.
     """
     clear_wm2 = clear_sky_ghi(times, lat_deg, lon_deg, altitude_m, settings.linke_turbidity)
     time_s = (times - pd.Timestamp(0, tz="UTC")).total_seconds().to_numpy()
@@ -173,21 +165,10 @@ def synthetic_ghi(
 def clear_sky_index(
     time_s: Floats, east_m: Floats, north_m: Floats, settings: CloudSettings, seed: int
 ) -> Floats:
-    """Draw the clear-sky index at each place under drifting synthetic clouds.
+    """Draw the clear-sky index at each place under drifting synthetic clouds, shape (T, N).
 
-    Parameters
-    ----------
-    time_s : numpy.ndarray, shape (T,)
-        Seconds since any epoch, in any order.
-    east_m, north_m : numpy.ndarray, shape (N,)
-        Places, from any origin [m].
-    settings, seed
-        As in `synthetic_ghi`; the turbidity does not matter here.
-
-    Returns
-    -------
-    numpy.ndarray, shape (T, N)
-        Clear-sky index, above 0.
+    Times, shape (T,), are seconds since any epoch, in any order; places, shape (N,), are metres
+    from any origin.
     """
     x_m, y_m = _in_the_drifting_field(time_s, east_m, north_m, settings)
     layers = _layers(settings.cloud_size_m, settings.evolution_s, seed)
@@ -207,7 +188,7 @@ def clear_sky_index(
 class _Layer:
     """A periodic random field of mean 0 and variance 1, and what it stands for.
 
-    `in_common` is the correlation of the field with itself from one piece of sky to the next.
+    `in_common` is its correlation with itself from one piece of sky to the next.
     """
 
     field: NDArray[np.float32]
@@ -227,19 +208,15 @@ def _layers(cloud_size_m: float, evolution_s: float, seed: int) -> tuple[_Layer,
     fine_cell_m = max(_LEAST_CELL_M, around_m * _NEIGHBOURHOODS_ACROSS / _FINE_CELLS)
     fine_lifetime_s = evolution_s * min(1.0, 0.5 * around_m / outer_m) ** (2.0 / 3.0)
 
-    def coarse_power(k_squared: Floats) -> Floats:
-        return _power(k_squared, outer_m) * np.exp(-k_squared * around_m**2)
-
-    def fine_power(k_squared: Floats) -> Floats:
-        return -_power(k_squared, outer_m) * np.expm1(-k_squared * around_m**2)
-
     # Share of the fine layer in the variance: an integral over the plane of wave numbers.
     k = np.geomspace(1e-4 / outer_m, 6.0 / _SMOOTHING_M, 10_000)
     power = _power(k**2, outer_m) * k
     fine_part = -np.expm1(-((k * around_m) ** 2))
     fine_share = float(np.trapezoid(power * fine_part, k) / np.trapezoid(power, k))
-    coarse = _random_field(rng, coarse_power, _COARSE_CELLS, coarse_cell_m)
-    fine = _random_field(rng, fine_power, _FINE_CELLS, fine_cell_m)
+    k_squared = _wave_numbers_squared(_COARSE_CELLS, coarse_cell_m)
+    coarse = _random_field(rng, _power(k_squared, outer_m) * np.exp(-k_squared * around_m**2))
+    k_squared = _wave_numbers_squared(_FINE_CELLS, fine_cell_m)
+    fine = _random_field(rng, -_power(k_squared, outer_m) * np.expm1(-k_squared * around_m**2))
     return (
         _Layer(*coarse, coarse_cell_m, np.sqrt(1.0 - fine_share), evolution_s),
         _Layer(*fine, fine_cell_m, np.sqrt(fine_share), fine_lifetime_s),
@@ -251,16 +228,19 @@ def _power(k_squared: Floats, outer_m: float) -> Floats:
     return np.asarray(power * np.exp(-k_squared * _SMOOTHING_M**2))
 
 
-def _random_field(
-    rng: np.random.Generator, power: Callable[[Floats], Floats], cells: int, cell_m: float
-) -> tuple[NDArray[np.float32], float]:
-    """Draw a periodic Gaussian random field of mean 0 and variance 1, shape (cells, cells).
+def _wave_numbers_squared(cells: int, cell_m: float) -> Floats:
+    k_y = 2.0 * np.pi * fft.fftfreq(cells, cell_m)[:, None]
+    k_x = 2.0 * np.pi * fft.rfftfreq(cells, cell_m)[None, :]
+    return np.asarray(k_x**2 + k_y**2)
+
+
+def _random_field(rng: np.random.Generator, power: Floats) -> tuple[NDArray[np.float32], float]:
+    """Draw a periodic Gaussian field of mean 0, variance 1 and a power spectrum.
 
     It comes with what two pieces of sky have in common.
     """
-    k_y = 2.0 * np.pi * fft.fftfreq(cells, cell_m)[:, None]
-    k_x = 2.0 * np.pi * fft.rfftfreq(cells, cell_m)[None, :]
-    amplitude = np.sqrt(power(k_x**2 + k_y**2)).astype(np.float32)
+    cells = len(power)
+    amplitude = np.sqrt(power).astype(np.float32)
     noise = rng.standard_normal((cells, cells), dtype=np.float32)
     field = fft.irfft2(fft.rfft2(noise) * amplitude, s=noise.shape)
     field = np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
@@ -295,11 +275,7 @@ def _read(layer: _Layer, x_m: Floats, y_m: Floats, piece: Floats) -> NDArray[np.
 def _in_the_drifting_field(
     time_s: Floats, east_m: Floats, north_m: Floats, settings: CloudSettings
 ) -> tuple[Floats, Floats]:
-    """Where each sensor is at each time in the field that drifts [m], shape (T, N) each.
-
-    The field is alike in all directions; clouds are longer along the drift since across it a
-    sensor's distances are stretched.
-    """
+    """Where each sensor is at each time in the field that drifts [m], shape (T, N) each."""
     origin = np.deg2rad(settings.drift_from_deg)
     towards_east, towards_north = -np.sin(origin), -np.cos(origin)
     along = (east_m * towards_east + north_m * towards_north)[None, :]

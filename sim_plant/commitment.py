@@ -37,7 +37,7 @@ class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
     """A share of the plant's median possible power in the run, the same at every time step.
 
     This is hindsight: the median is known only after the run. It serves to compare control
-    schemes at a like difficulty on different days, not as a bid that a plant could have made.
+    schemes at a like difficulty on different days.
 
     share: Share of the median.
     """
@@ -60,12 +60,9 @@ class BelowPossible(_Rule, frozen=True, tag="below-possible"):
     .. math:: P_{com}(t) = \lambda \, \overline{P_{MPP}}(t)
 
     where the mean of the plant's possible power is taken over a window centred on t, cut off at
-    both ends of the run, and :math:`\lambda` is the share. The paper draws such a profile (its
-    figure of the uncurtailed power) and gives no rule for it: rule and parameters are ours. Under a
-    passing cloud the possible power may be less than the commitment.
-
-    This is hindsight: a centred mean knows what the clouds are going to do. It is not a bid that
-    a plant could have made.
+    both ends of the run, and :math:`\lambda` is the share. The paper draws such a profile and gives
+    no rule for it: rule and parameters are ours. Under a passing cloud the possible power may be
+    less than the commitment. This is hindsight: a centred mean knows what the clouds will do.
 
     share: Share of the mean possible power around each moment.
     window_s: Length of the window of that mean [s].
@@ -99,19 +96,16 @@ def commitment_kw(
     """Return the committed power of the plant at every time step [kW], shape (T,).
 
     `possible_kw` is the maximum AC power of the whole plant, shape (T,). `clear_sky_kw` returns
-    what that would be under a clear sky; it is called only where the rule asks for it, as not every
-    plant's place is known. `data_path` returns the path of a file that the settings name.
+    what that would be under a clear sky; it is called only where the rule asks for it. `data_path`
+    returns the path of a file that the settings name.
     """
     match settings:
         case ConstantCommitment(power_kw=power_kw):
             return np.full(possible_kw.shape, power_kw)
         case ShareOfMedian(share=share):
             median_kw = float(np.median(possible_kw))
-            if not median_kw > 0.0:
-                raise InputError(
-                    "commitment: expected a run with daylight for more than half of its time, got "
-                    f"a median possible power of {median_kw:g} kW"
-                )
+            if median_kw <= 0.0:
+                raise InputError("commitment: expected a run with daylight for most of its time")
             return np.full(possible_kw.shape, share * median_kw)
         case ShareOfClearSky(share=share):
             return share * clear_sky_kw(times)
@@ -121,18 +115,9 @@ def commitment_kw(
             return read_schedule_kw(data_path(path), times)
 
 
-def hindsight(settings: CommitmentSettings) -> str | None:
-    """Say what a commitment knows that a plant could not; None if a plant could have made it."""
-    match settings:
-        case ShareOfMedian(share=share):
-            return f"The commitment is {share:g} of the run's own median possible power: hindsight."
-        case BelowPossible(share=share, window_s=window_s):
-            return (
-                f"The commitment is {share:g} of the run's own possible power, in a centred mean"
-                f" over {window_s:g} s: hindsight."
-            )
-        case _:
-            return None
+def is_hindsight(settings: CommitmentSettings) -> bool:
+    """Tell whether a commitment knows what a plant could not."""
+    return isinstance(settings, ShareOfMedian | BelowPossible)
 
 
 def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
@@ -148,9 +133,8 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
     begins = table.times(stamp)
     back = np.flatnonzero(np.diff(begins.asi8) <= 0)
     if back.size:
-        row = int(back[0]) + 1
-        raise table.error(row, stamp, f"a time after that of line {row + 1}")
-    ends = begins[-1] + (begins[-1] - begins[-2])
+        raise table.error(int(back[0]) + 1, stamp, "a time after that of the line before")
+    ends = begins[-1] + (begins[-1] - begins[-2:][0])
     run_ends = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
     if times[0] < begins[0] or run_ends > ends:
         raise InputError(
@@ -163,7 +147,7 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
 
 def _centred_mean(series: Floats, window: float) -> Floats:
     """Mean over as many values before as after, fewer at the ends."""
-    half = round((window - 1.0) / 2.0) if window > 1.0 else 0
+    half = max(round((window - 1.0) / 2.0), 0)
     row = np.arange(len(series))
     first = np.maximum(row - half, 0)
     after = np.minimum(row + half + 1, len(series))

@@ -21,8 +21,6 @@ from sim_plant.positions import placed_on_the_equator
 from sim_plant.sites import Sites, equal_ratings_kw, inverter_name
 from sim_plant.sources import MeasuredPlant
 
-TIME_COLUMN: Final = "t_s"
-
 # Sensors at rest read a little off zero; the brightest edge of a cloud does not double the sun.
 _LOWEST_SHARE: Final = -0.02
 _HIGHEST_SHARE: Final = 2.0
@@ -38,8 +36,6 @@ def read_currents(
     full_power_current: float,
     begins: pd.Timestamp,
     plant_rating_kw: float | None,
-    *,
-    refuse_gaps: bool,
 ) -> MeasuredPlant:
     """Read the currents of combiners; an inverter's power is their mean, clipped at full power.
 
@@ -48,23 +44,29 @@ def read_currents(
     x_m, y_m`, metres east and north of an arbitrary point.
 
     If some combiners of an inverter are missing, the mean is over the others. An inverter without
-    any current is left out, with its rating. If `refuse_gaps`, a missing value is an error instead.
+    any current is left out, with its rating.
     """
     table = read_csv(currents_csv)
+    table.check_header(("t_s",))
     combiners = _read_combiners(positions_csv)
-    columns = _columns(table, combiners.index, positions_csv)
-    current = _currents(table, columns, full_power_current, refuse_gaps)
+    columns = [name for name in table.header if name != "t_s"]
+    if unknown := [name for name in columns if name not in combiners.index]:
+        raise InputError(
+            f"{positions_csv.name}: expected a line for each combiner of {table.name}, got none "
+            f"for {some_of(unknown)}"
+        )
+    current = _currents(table, columns, full_power_current)
     # Combiners of the positions file that the currents lack are missing throughout.
-    share = pd.DataFrame(np.maximum(current / full_power_current, 0.0), columns=list(columns))
+    share = pd.DataFrame(np.maximum(current / full_power_current, 0.0), columns=columns)
     share = share.reindex(columns=combiners.index)
-    means, report = _means(table.name, share, combiners["inverter"], refuse_gaps)
+    means, report = _means(table.name, share, combiners["inverter"])
     positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()
     x_m, y_m = positions.loc[means.columns].to_numpy().T
     rating_kw = equal_ratings_kw(plant_rating_kw, len(positions), "plant")[: len(x_m)]
     names = tuple(inverter_name(str(inverter)) for inverter in means)
     return MeasuredPlant(
         Sites(names, *placed_on_the_equator(x_m, y_m), rating_kw),
-        begins + pd.to_timedelta(table.seconds_ns(TIME_COLUMN), unit="ns"),
+        begins + pd.to_timedelta(table.seconds_ns("t_s"), unit="ns"),
         np.minimum(np.ascontiguousarray(means), 1.0) * rating_kw,
         str(currents_csv),
         tuple(report),
@@ -76,74 +78,47 @@ def _read_combiners(path: Path) -> pd.DataFrame:
     table = read_csv(path)
     table.check_header(("combiner", "inverter", "x_m", "y_m"))
     names, inverters = table.unique_names("combiner"), table.names("inverter")
-    for row, inverter in enumerate(inverters):
-        check_name(inverter, f"{path.name}: line {row + 2}")
+    for inverter in inverters:
+        check_name(inverter, path.name)
     expected = f"metres from -{_FURTHEST_M:.0f} to {_FURTHEST_M:.0f}"
     x_m, y_m = table.numbers(("x_m", "y_m"), expected, -_FURTHEST_M, _FURTHEST_M).T
     return pd.DataFrame({"inverter": inverters, "x_m": x_m, "y_m": y_m}, index=list(names))
 
 
-def _columns(table: CsvTable, combiners: pd.Index, positions: Path) -> tuple[str, ...]:
-    first, *columns = table.header
-    if first != TIME_COLUMN or not columns:
-        raise InputError(
-            f"{table.name}: line 1: expected {TIME_COLUMN}, then a column for each combiner, got "
-            f"{some_of(table.header)}"
-        )
-    table.check_no_column_twice()
-    if unknown := [name for name in columns if name not in combiners]:
-        raise InputError(
-            f"{positions.name}: expected a line for each combiner of {table.name}, got none for "
-            f"{some_of(unknown)}"
-        )
-    return tuple(columns)
-
-
-def _currents(
-    table: CsvTable, columns: tuple[str, ...], full_power_current: float, refuse_gaps: bool
-) -> Floats:
+def _currents(table: CsvTable, columns: list[str], full_power_current: float) -> Floats:
     lowest, highest = _LOWEST_SHARE * full_power_current, _HIGHEST_SHARE * full_power_current
-    expected = (
-        f"{lowest:g} to {highest:g}, as irradiance.full_power_current is {full_power_current:g}, "
-        + ("and none missing, as irradiance.gaps is 'refuse'" if refuse_gaps else "or nothing")
-    )
-    current = table.numbers(columns, expected, lowest, highest, empty_is_missing=not refuse_gaps)
+    unit = f"irradiance.full_power_current is {full_power_current:g}"
+    expected = f"{lowest:g} to {highest:g}, as {unit}, or nothing"
+    current = table.numbers(columns, expected, lowest, highest, empty_is_missing=True)
     largest = float(np.nanmax(current, initial=lowest))
     if 0.0 < largest < _FAINT_SHARE * full_power_current:
         raise InputError(
-            f"{table.name}: expected currents in the unit of irradiance.full_power_current, "
-            f"{full_power_current:g}, got at most {largest:g}"
+            f"{table.name}: expected larger currents, as {unit}, got at most {largest:g}"
         )
     return current
 
 
 def _means(
-    name: str, share: pd.DataFrame, inverter_of: pd.Series, refuse_gaps: bool
+    name: str, share: pd.DataFrame, inverter_of: pd.Series
 ) -> tuple[pd.DataFrame, list[str]]:
     """Return the mean of each inverter that has currents, and lines on what was missing."""
-    own = {inverter: share.loc[:, inverter_of == inverter] for inverter in inverter_of.unique()}
-    report = []
-    for inverter, shares in own.items():
+    found, report = {}, []
+    for inverter in inverter_of.unique():
+        shares = share.loc[:, inverter_of == inverter]
         missing, total = int(shares.isna().to_numpy().sum()), shares.size
-        if not missing:
-            continue
-        what = (
-            f"{name}: inverter {inverter}: {missing:,} of {total:,} currents of its "
-            f"{shares.shape[1]} combiners missing"
-        )
-        if refuse_gaps:
-            raise InputError(f"{what}, expected none, as irradiance.gaps is 'refuse'")
-        done = "the mean is over the others" if missing < total else "left out, with its rating"
-        report.append(f"{what}: {done}")
-    means = pd.DataFrame({inverter: shares.mean(axis=1) for inverter, shares in own.items()})
-    means = means.dropna(axis="columns", how="all")
-    if means.empty:
-        raise InputError(f"{name}: expected at least one inverter with a current, got none")
-    silent = np.argwhere(means.isna())
-    if silent.size:
-        row, place = silent[0]
+        if missing < total:
+            found[inverter] = shares.mean(axis=1)
+        if missing:
+            done = "the mean is over the others" if missing < total else "left out, with its rating"
+            report.append(
+                f"{name}: inverter {inverter}: {missing:,} of {total:,} currents of its "
+                f"{shares.shape[1]} combiners missing: {done}"
+            )
+    means = pd.DataFrame(found)
+    silent = list(means.columns[means.isna().any()])
+    if means.empty or silent:
         raise InputError(
-            f"{name}: line {row + 2}: expected a current of inverter {means.columns[place]} in "
-            f"every line or in none, got {len(silent):,} lines without"
+            f"{name}: expected currents of an inverter in every line or in none, got lines without "
+            f"for {some_of(silent) or 'all'}"
         )
     return means, report

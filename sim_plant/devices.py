@@ -24,7 +24,7 @@ from bus_schemas.messages import Command
 _RECORD: Final = struct.Struct("<qqddd")
 """Place of the inverter in the control tree, a monotonic time [ns], and three numbers."""
 
-_READ_AT_ONCE: Final = 1_000 * _RECORD.size
+_PIPES: Final = ("device-readings", "device-commands")
 
 _FRESH_CYCLES: Final = 2.5
 """A reading that is older than this is no telemetry."""
@@ -51,17 +51,15 @@ def parse_address(address: str, where: str) -> tuple[str, int, int]:
         port = 502 if parts.port is None else parts.port
         if parts.scheme == "modbus" and parts.hostname and port and 1 <= unit <= 247:
             return parts.hostname, port, unit
-    raise InputError(
-        f"{where}: expected an address such as modbus://10.0.0.7:502/1 (host, port, unit 1 to "
-        f"247), got {address}"
-    )
+    expected = "an address such as modbus://10.0.0.7:502/1 (host, port, unit 1 to 247)"
+    raise InputError(f"{where}: expected {expected}, got {address}")
 
 
 class Pipes:
     """The two named pipes, at the end of the gateway, which makes them."""
 
     def __init__(self, folder: Path) -> None:
-        self._paths = _paths(folder)
+        self._paths = [folder / name for name in _PIPES]
         for path in self._paths:
             os.mkfifo(path, 0o600)
         self._readings, self.commands = (
@@ -92,7 +90,7 @@ class Devices:
         self.newest: dict[int, Reading] = {}
         self._oldest_ns = round(_FRESH_CYCLES * plan.cycle_wall_ns)
         self._handed = dict.fromkeys(self.places, -1)
-        readings, commands = _paths(folder)
+        readings, commands = (folder / name for name in _PIPES)
         self._readings = os.open(readings, os.O_RDONLY | os.O_NONBLOCK)
         self._commands = os.open(commands, os.O_WRONLY | os.O_NONBLOCK)
         for path in (readings, commands):  # Nobody else comes, and whoever reads a folder waits.
@@ -105,9 +103,8 @@ class Devices:
 
     def silent(self, cycle: int) -> set[int]:
         """Return the places of inverters that have said nothing for too long."""
-        oldest_ns = time.monotonic_ns() - self._oldest_ns
-        stale = {place for place, found in self.newest.items() if found.time_ns < oldest_ns}
-        return stale if cycle >= 0 else set()
+        oldest_ns = time.monotonic_ns() - self._oldest_ns if cycle >= 0 else 0
+        return {place for place, found in self.newest.items() if found.time_ns < oldest_ns}
 
     def command(self, place: int, command: Command) -> None:
         """Hand a command over, unless that was done already."""
@@ -117,10 +114,6 @@ class Devices:
             _write(self._commands, place, time.monotonic_ns(), command.power_kw, revert_kw, 0.0)
 
 
-def _paths(folder: Path) -> tuple[Path, Path]:
-    return folder / "device-readings", folder / "device-commands"
-
-
 def _write(pipe: int, *record: float) -> None:
     with suppress(BlockingIOError, BrokenPipeError):  # The gateway's end is the launcher's matter.
         os.write(pipe, _RECORD.pack(*record))
@@ -128,5 +121,5 @@ def _write(pipe: int, *record: float) -> None:
 
 def _records(pipe: int) -> Iterator[tuple[int, int, float, float, float]]:
     with suppress(BlockingIOError):
-        while found := os.read(pipe, _READ_AT_ONCE):
+        while found := os.read(pipe, 1_000 * _RECORD.size):
             yield from _RECORD.iter_unpack(found)

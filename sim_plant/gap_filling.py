@@ -25,7 +25,6 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 from sim_plant import Floats
@@ -44,7 +43,6 @@ def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
     ghi_wm2 = irradiance.ghi_wm2
     missing = np.isnan(ghi_wm2)
     nobody = np.asarray(missing.all(axis=1), dtype=np.bool_)
-    _check_silences(nobody, irradiance.source)
     east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
     distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
     distance_m = np.maximum(distance_m, _SAME_PLACE_M)
@@ -54,16 +52,22 @@ def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
         gaps = missing[:, sensor] & ~nobody
         order = np.argsort(distance_m[sensor], kind="stable")
         order = order[order != sensor]
-        mean_wm2, used = _weighted_mean(ghi_wm2[:, order], distance_m[sensor, order])
+        mean_wm2 = _weighted_mean(ghi_wm2[:, order], distance_m[sensor, order])
         level = _level(ghi_wm2[:, sensor], mean_wm2)
         filled[gaps, sensor] = level * mean_wm2[gaps]
-        names = [irradiance.sensors[j] for j in order[used[gaps].any(axis=0)]]
         report.append(
             f"{irradiance.sensors[sensor]}: {int(gaps.sum()):,} of {len(gaps):,} values missing,"
-            f" filled from {_listed(names)} times {level:.3f}"
+            f" filled from the nearest sensors times {level:.3f}"
         )
     if nobody.any():
-        filled = pd.DataFrame(filled).interpolate().to_numpy()
+        lines = pd.DataFrame(filled).interpolate(limit=_LONGEST_LINE, limit_area="inside")
+        filled = lines.to_numpy()
+        left = np.isnan(filled).any(axis=1)
+        if left.any():
+            raise InputError(
+                f"{irradiance.source}: line {left.argmax() + 1}: expected at most {_LONGEST_LINE} "
+                "lines without any value, between lines with values"
+            )
         report.append(
             f"all sensors: {int(nobody.sum()):,} of {len(nobody):,} values missing at the same"
             " time, interpolated from the values before and after"
@@ -71,8 +75,8 @@ def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
     return replace(irradiance, ghi_wm2=filled, report=tuple(report))
 
 
-def _weighted_mean(ghi_wm2: Floats, distance_m: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Mean of the nearest sensors that have a value, NaN where none has; and which they were.
+def _weighted_mean(ghi_wm2: Floats, distance_m: Floats) -> Floats:
+    """Mean of the nearest sensors that have a value, NaN where none has.
 
     The sensors are given in the order of their distance.
     """
@@ -81,7 +85,9 @@ def _weighted_mean(ghi_wm2: Floats, distance_m: Floats) -> tuple[Floats, NDArray
     weight = used / distance_m**2
     total = weight.sum(axis=1)
     weighted = (np.where(used, ghi_wm2, 0.0) * weight).sum(axis=1)
-    return np.divide(weighted, total, out=np.full(len(total), np.nan), where=total > 0.0), used
+    return np.asarray(
+        np.divide(weighted, total, out=np.full(len(total), np.nan), where=total > 0.0)
+    )
 
 
 def _level(own_wm2: Floats, mean_wm2: Floats) -> float:
@@ -89,20 +95,3 @@ def _level(own_wm2: Floats, mean_wm2: Floats) -> float:
     both = ~np.isnan(own_wm2) & ~np.isnan(mean_wm2)
     of_neighbours = float(mean_wm2[both].sum())
     return float(own_wm2[both].sum()) / of_neighbours if of_neighbours > 0.0 else 1.0
-
-
-def _check_silences(nobody: NDArray[np.bool_], source: str) -> None:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], nobody, [False]]).astype(np.int8)))
-    for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if after - first > _LONGEST_LINE or first == 0 or after == len(nobody):
-            raise InputError(
-                f"{source}: lines {first + 1} to {after}: expected at "
-                f"most {_LONGEST_LINE} lines without any value, between lines with values"
-            )
-
-
-def _listed(names: list[str]) -> str:
-    """Name the nearest neighbours, count the rest."""
-    if len(names) > _NEAREST:
-        return f"{', '.join(names[:_NEAREST])} and {len(names) - _NEAREST} farther"
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -52,41 +52,35 @@ def read_measured_ghi(
     plant. Values of other columns are not checked.
     """
     table = read_csv(ghi_csv)
+    stamp, *known = table.header
     if stations is None:
         positions = read_csv(positions_csv)
         positions.check_header(("station",))
-        listed = positions.names("station")
-        if missing := [name for name in listed if name not in table.header[1:]]:
+        if missing := [name for name in positions.names("station") if name not in known]:
             raise InputError(
                 f"{ghi_csv.name}: line 1: expected a column for each station of "
                 f"{positions_csv.name}, or irradiance.stations, got none for {some_of(missing)}"
             )
-    table.check_no_column_twice()
-    wanted = table.header[1:] if stations is None else tuple(stations)
-    check_stations(wanted, table.header[1:], f"{table.name}: line 1: stations")
+    wanted = tuple(known if stations is None else stations)
+    check_stations(wanted, known, f"{table.name}: line 1: stations")
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
     ghi_wm2 = table.numbers(wanted, "a number in W/m2")
     check_ghi(table, wanted, ghi_wm2)
-    stamp = table.header[0]
     times = table.times(stamp)
     table.check_steady(stamp, times.asi8)
     return Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg, str(ghi_csv))
 
 
 def read_positions(path: Path, stations: Sequence[str]) -> tuple[Floats, Floats]:
-    """Return latitudes and longitudes of stations [degree], from a CSV `station, lat, lon`.
-
-    Other columns and stations are left alone.
-    """
+    """Return latitudes and longitudes of stations [degree], from a CSV `station, lat, lon`."""
     table = read_csv(path)
     table.check_header(("station", "lat", "lon"))
-    names = table.names("station")
-    for name in stations:
-        if names.count(name) != 1:
-            raise InputError(
-                f"{path.name}: expected one line for station '{name}', got {names.count(name)}"
-            )
-    return table.picked([names.index(name) for name in stations]).coordinates()
+    lat_deg, lon_deg = table.coordinates()
+    names = table.unique_names("station")
+    if missing := [name for name in stations if name not in names]:
+        raise InputError(f"{path.name}: expected a line for each station, got none for {missing}")
+    rows = [names.index(name) for name in stations]
+    return lat_deg[rows], lon_deg[rows]
 
 
 def check_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> None:
@@ -106,10 +100,6 @@ def check_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> None:
 
 def check_stations(stations: Sequence[str], known: Sequence[str], where: str) -> None:
     """Refuse stations that are not known or come twice, and none at all."""
-    if not stations:
-        raise InputError(f"{where}: expected at least one, got none")
-    for name in stations:
-        if name not in known:
-            raise InputError(f"{where}: expected {some_of(known)}, got '{name}'")
-        if stations.count(name) > 1:
-            raise InputError(f"{where}: expected each station once, got '{name}' twice")
+    if not stations or len(set(stations)) < len(stations) or not set(stations) <= set(known):
+        got = ", ".join(stations) or "none"
+        raise InputError(f"{where}: expected {some_of(known)}, each at most once, got {got}")

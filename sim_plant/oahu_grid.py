@@ -1,12 +1,10 @@
 """Daily files of the NREL Oahu Solar Measurement Grid, as they come from the archive.
 
-One file for each day, `YYYYMMDD.txt`, alone or in the month's archive `YYYYMM.zip`: no header, a
-line each second from 05:00:00 to 20:00:00 Hawaii Standard Time (UTC-10 all the year), 23 fields
-separated by commas: second, year, day of the year, hour and minute (500 is 05:00), then the W/m^2
-of 19 sensors, -99999 where a value is missing [1]_. Two of the 19 are tilted and are left out:
-DH1T and AP6T. That leaves the 17 horizontal sensors of the paper. An eighteenth, AP2, is not among
-these fields: it was logged every 3 seconds, to files of their own, which have the same names but
-7 fields.
+One file for each day, `YYYYMMDD.txt`: no header, a line each second from 05:00:00 to 20:00:00
+Hawaii Standard Time (UTC-10 all the year), 23 fields separated by commas: second, year, day of the
+year, hour and minute (500 is 05:00), then the W/m^2 of 19 sensors, -99999 where a value is missing
+[1]_. Two of the 19 are tilted and are left out: DH1T and AP6T. That leaves the 17 horizontal
+sensors of the paper. An eighteenth, AP2, was logged every 3 seconds, to files of their own.
 
 .. [1] M. Sengupta and A. Andreas, "Oahu Solar Measurement Grid (1-Year Archive)", NREL report
    DA-5500-56506, 2010, doi:10.5439/1052451
@@ -14,20 +12,17 @@ these fields: it was logged every 3 seconds, to files of their own, which have t
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import date, timedelta, timezone
 from pathlib import Path
 from typing import Final
-from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 import pandas as pd
 
 from bus_schemas.errors import InputError
-from sim_plant.csv_tables import CsvTable, text_fields
+from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.gap_filling import fill_from_neighbours
 from sim_plant.irradiance import Irradiance, check_ghi, check_stations, read_positions
 
@@ -39,12 +34,10 @@ _SENSORS: Final = (
 )
 _TIME_FIELDS: Final = ("second", "year", "day of year", "hour and minute")
 _FIELDS: Final = (*_TIME_FIELDS, *_SENSORS)
-_TILTED: Final = ("DH1T", "AP6T")
-HORIZONTAL: Final = tuple(name for name in _SENSORS if name not in _TILTED)
+HORIZONTAL: Final = tuple(name for name in _SENSORS if name not in {"DH1T", "AP6T"})
 """The 17 horizontal sensors, in the order of their fields."""
 
 TIMEZONE: Final = timezone(-timedelta(hours=10), "HST")
-_ACCEPTED: Final = "YYYYMMDD.txt, or YYYYMM.zip that holds it"
 
 
 def read_day(
@@ -64,14 +57,10 @@ def read_day(
     wanted = HORIZONTAL if stations is None else tuple(stations)
     check_stations(wanted, HORIZONTAL, "stations")
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
-    source, content = _find(folder, day)
-    fields = text_fields(content.decode("latin-1"), source)
-    if fields.shape[1] != len(_FIELDS):
-        hint = ", as a file of AP2 has" if fields.shape[1] == 7 else ""
-        raise InputError(
-            f"{source}: line 1: expected {len(_FIELDS)} fields, got {fields.shape[1]}{hint}"
-        )
-    table = CsvTable(source, _FIELDS, fields)
+    path = folder / f"{day:%Y%m%d}.txt"
+    table = read_csv(path, _FIELDS)
+    if table.fields.shape[1] != len(_FIELDS):
+        raise InputError(f"{path}: expected {len(_FIELDS)} fields, got {table.fields.shape[1]}")
     times = _times(table, day)
     expected, lowest = f"a number, {MISSING:g} where it is missing", -np.inf
     if most_missing is None:
@@ -79,67 +68,32 @@ def read_day(
     ghi_wm2 = table.numbers(wanted, expected, lowest)
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
     check_ghi(table, wanted, ghi_wm2)
-    found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg, source)
+    found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg, str(path))
     if most_missing is None:
         return found
     complete = fill_from_neighbours(_without_silent(found, most_missing))
-    name = source.rpartition("/")[2]
-    return replace(complete, report=tuple(f"{name}: {line}" for line in complete.report))
+    return replace(complete, report=tuple(f"{path.name}: {line}" for line in complete.report))
 
 
 def latest_day_before(folder: Path, day: date) -> date:
-    names = [path.name for path in folder.glob("*.txt")]
-    for month in folder.glob("*.zip"):
-        if re.fullmatch(r"\d{6}", month.stem) and month.stem <= f"{day:%Y%m}":
-            with _archive(month) as archive:
-                names += archive.namelist()
-    stems = pd.Series([Path(name).stem for name in names if name.endswith(".txt")], dtype=str)
-    days = pd.to_datetime(stems, format="%Y%m%d", errors="coerce")
+    names = pd.Series([path.stem for path in folder.glob("*.txt")], dtype=str)
+    days = pd.to_datetime(names, format="%Y%m%d", errors="coerce")
     earlier = days[days < pd.Timestamp(day)]
     if earlier.empty:
         raise InputError(
-            f"{folder}: expected {_ACCEPTED} of a day before {day:%Y-%m-%d}, from which "
+            f"{folder}: expected YYYYMMDD.txt of a day before {day:%Y-%m-%d}, from which "
             "neighbours.history = 'earlier-day' takes the past, got none"
         )
     return earlier.max().date()
 
 
-def _find(folder: Path, day: date) -> tuple[str, bytes]:
-    plain = folder / f"{day:%Y%m%d}.txt"
-    month = folder / f"{day:%Y%m}.zip"
-    if plain.is_file():
-        return str(plain), plain.read_bytes()
-    if month.is_file():
-        with _archive(month) as archive:
-            for name in archive.namelist():
-                if Path(name).name == plain.name:
-                    return f"{month}/{name}", archive.read(name)
-    raise InputError(f"{folder}: expected {_ACCEPTED} of {day:%Y-%m-%d}, got none")
-
-
-@contextmanager
-def _archive(month: Path) -> Iterator[ZipFile]:
-    try:
-        with ZipFile(month) as archive:
-            yield archive
-    except (BadZipFile, RuntimeError, NotImplementedError) as error:
-        raise InputError(f"{month}: expected a ZIP archive of daily files, got: {error}") from None
-
-
 def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:
     """Time stamps of all lines in UTC."""
-    table.check_length()
-    stamp, of_day = table.numbers(_TIME_FIELDS), day.timetuple().tm_yday
-    second, year, day_of_year, clock = stamp.T
+    second, year, day_of_year, clock = table.numbers(_TIME_FIELDS).T
+    other = (year != day.year) | (day_of_year != day.timetuple().tm_yday)
+    if other.any():
+        raise table.error(int(other.argmax()), "day of year", f"that of {day:%Y-%m-%d}")
     hour, minute = np.divmod(clock, 100.0)
-    bad = (year != day.year) | (day_of_year != of_day) | (hour > 23) | (minute > 59) | (second > 59)
-    bad |= ((stamp % 1.0 != 0.0) | (stamp < 0.0)).any(axis=1)
-    if bad.any():
-        row = int(bad.argmax())
-        raise InputError(
-            f"{table.name}: line {row + 1}: expected {', '.join(_TIME_FIELDS)} of day {of_day} of "
-            f"{day.year}, got {', '.join(f'{value:g}' for value in stamp[row])}"
-        )
     second_of_day = hour * 3600.0 + minute * 60.0 + second
     midnight = pd.Timestamp(day).tz_localize(TIMEZONE).tz_convert("UTC")
     times = pd.DatetimeIndex(midnight + pd.to_timedelta(second_of_day, unit="s")).as_unit("ns")
@@ -151,23 +105,21 @@ def _without_silent(found: Irradiance, most_missing: float) -> Irradiance:
     """Leave out the sensors of which too much is missing."""
     missing = np.isnan(found.ghi_wm2).sum(axis=0)
     total = len(found.times)
-    kept = np.flatnonzero(missing <= most_missing * total)
+    kept = missing <= most_missing * total
     limit = f"more than {100.0 * most_missing:g} % of the day"
-    if not kept.size:
+    if not kept.any():
         raise InputError(
             f"{found.source}: expected at least one sensor with data, got {limit} missing of each"
         )
-    report = [
-        f"{name}: {missing[sensor]:,} of {total:,} values missing, {limit}: left out, with its"
-        " inverter"
-        for sensor, name in enumerate(found.sensors)
-        if sensor not in kept
-    ]
+    names = np.array(found.sensors)
     return replace(
         found,
         ghi_wm2=found.ghi_wm2[:, kept],
-        sensors=tuple(found.sensors[sensor] for sensor in kept),
+        sensors=tuple(names[kept].tolist()),
         lat_deg=found.lat_deg[kept],
         lon_deg=found.lon_deg[kept],
-        report=tuple(report),
+        report=tuple(
+            f"{name}: {count:,} of {total:,} values missing, {limit}: left out, with its inverter"
+            for name, count in zip(names[~kept], missing[~kept], strict=True)
+        ),
     )

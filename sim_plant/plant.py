@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from agents.agent import Stage, Turn
 from agents.plan import RunPlan
-from agents.settings import InverterSettings
+from agents.settings import InverterSettings, Revert
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY
@@ -69,14 +69,11 @@ class Plant:
         self._stages = (Stage("sense", (), timed=True), Stage("apply", self._commands))
 
     def _take_settings(self, settings: list[InverterSettings], cycle_s: float) -> None:
-        reverts = [entry.revert for entry in settings]
-        after_s = [inf if revert is None else revert.after_s for revert in reverts]
-        self._revert_cycles = np.array(after_s) / cycle_s
-        self._heeds_revert_kw = [
-            revert is not None and revert.to == "request" for revert in reverts
-        ]
-        shares = [1.0 if revert is None else revert.to for revert in reverts]
-        self._revert_kw = self._rating_kw * [1.0 if isinstance(to, str) else to for to in shares]
+        reverts = [entry.revert or Revert(inf, "release") for entry in settings]
+        self._revert_cycles = np.array([revert.after_s for revert in reverts]) / cycle_s
+        self._heeds_revert_kw = [revert.to == "request" for revert in reverts]
+        shares = [1.0 if isinstance(revert.to, str) else revert.to for revert in reverts]
+        self._revert_kw = self._rating_kw * shares
         self._delay = np.array([ceil((entry.delay_s or 0.0) / cycle_s) for entry in settings])
         ramps = [entry.ramp_percent_per_s or inf for entry in settings]
         self._step = np.array(ramps) / 100.0 * cycle_s
@@ -128,27 +125,19 @@ class Plant:
         meter = Meter(*turn.stamp, power_kw=float(state.power_kw.sum()))
         outputs: list[Delivery] = [(self._dispatch, dispatch), (self._meter, meter)]
         silent = set() if self._devices is None else self._devices.silent(turn.cycle)
-        measured_kw = state.power_kw * (1.0 + self._profile.meter_error[cycle])
-        for place, (port, power_kw, alpha, limit_kw, available_kw) in enumerate(
-            zip(
-                self._telemetry,
-                measured_kw.tolist(),
-                state.alpha.tolist(),
-                state.limit_kw.tolist(),
-                self._available_kw(cycle),
-                strict=True,
-            )
-        ):
-            if place in silent:
-                continue
-            telemetry = Telemetry(
-                *turn.stamp,
-                power_kw=power_kw,
-                alpha=alpha,
-                limit_kw=limit_kw,
-                available_kw=available_kw,
-            )
-            outputs.append((port, telemetry))
+        measured_kw = (state.power_kw * (1.0 + self._profile.meter_error[cycle])).tolist()
+        alpha, limit_kw = state.alpha.tolist(), state.limit_kw.tolist()
+        available_kw = self._available_kw(cycle)
+        for place, port in enumerate(self._telemetry):
+            if place not in silent:
+                telemetry = Telemetry(
+                    *turn.stamp,
+                    power_kw=measured_kw[place],
+                    alpha=alpha[place],
+                    limit_kw=limit_kw[place],
+                    available_kw=available_kw[place],
+                )
+                outputs.append((port, telemetry))
         return outputs
 
     def _available_kw(self, cycle: int) -> list[float | None]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Final
 
@@ -18,8 +17,7 @@ from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
 from agents.process import AgentProcess, run_guarded
 from bus_schemas.errors import FailureError
-from bus_schemas.messages import Message
-from bus_schemas.signals import READY, RUN, Port
+from bus_schemas.signals import READY, RUN
 from bus_schemas.tree import PLANT, ROOT, some_of
 from sim_plant.devices import Devices
 from sim_plant.plant import Plant
@@ -30,18 +28,11 @@ log = logging.getLogger(__name__)
 FIRST_ROUND: Final = -1_000_000
 """Cycle of the first arming round; the next ones count upwards."""
 
-_FIRST_ROUND_S: Final = 0.3
-_ROUND_GROWTH: Final = 1.25
-_LONGEST_ROUND_S: Final = 3.0
 _ROUND_PER_AGENT_S: Final = 0.005
-"""How long the first arming round may take, how much longer each next one, and the longest; and how
-much longer all of them for each agent."""
+"""How much longer an arming round may take for each agent."""
 
 _ARMING_S: Final = 30.0
 """How long the arming rounds may take, once everybody is there."""
-
-_LOOK_S: Final = 0.005
-"""Time between two looks at who is there."""
 
 _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 everybody is told when it begins."""
@@ -51,28 +42,15 @@ def longest_round_s(number: int) -> float:
     """Return how long an arming round, counted from 1, may take before the next one is tried [s].
 
     Most rounds fail because a link is not up yet, so the next one is tried soon. Later rounds have
-    more time, for machines on which a whole round takes longer.
+    more time, for slow machines.
     """
-    growth: float = _ROUND_GROWTH ** min(number - 1, 20)
-    return min(_FIRST_ROUND_S * growth, _LONGEST_ROUND_S)
-
-
-def needed_messages(waiting: Iterable[Port[Message]], external: Collection[str]) -> str:
-    """Name the messages that an arming round lacks; if any are of external agents, only those."""
-    ports = list(waiting)
-    theirs = [port for port in ports if port.publisher in external]
-    needs = sorted(map(str, theirs or ports)) or ["the recorder"]
-    # One agent that does not answer delays all others, so a few names are enough.
-    return some_of(needs, most=3)
+    return min(0.3 * float(1.25 ** min(number - 1, 20)), 3.0)
 
 
 def run_plant(
     plan: RunPlan, profile: Profile, link: LauncherLink, patience_s: float, folder: Path
 ) -> int:
-    """Join the bus and lead the run in a folder. Returns the exit status.
-
-    All agents must appear within the patience.
-    """
+    """Join the bus and lead the run in a folder; all agents must appear within the patience."""
 
     def run() -> None:
         devices = Devices(plan, folder) if plan.devices else None
@@ -109,7 +87,7 @@ def _await_everybody(process: AgentProcess, give_up_at: float) -> None:
         if time.monotonic() > give_up_at:
             absent = [agent for key, agent in others.items() if key not in tokens.alive()]
             raise FailureError(f"no sign of life from {some_of(absent)}")
-        time.sleep(_LOOK_S)
+        time.sleep(0.005)
 
 
 def _arm(process: AgentProcess, give_up_at: float) -> int:
@@ -123,8 +101,10 @@ def _arm(process: AgentProcess, give_up_at: float) -> int:
             return number
         if time.monotonic() > give_up_at:
             break
-    needs = needed_messages(loop.waiting, plan.elsewhere)
-    raise FailureError(f"no arming round closed; the plant waits for {needs}")
+    # One agent that does not answer delays all others; an external one is the most likely.
+    external = [port for port in loop.waiting if port.publisher in plan.elsewhere]
+    needs = some_of(sorted(map(str, external or loop.waiting)), most=3)
+    raise FailureError(f"no arming round closed; the plant waits for {needs or 'the recorder'}")
 
 
 def _round_closes(process: AgentProcess, cycle: int, until: float) -> bool:

@@ -11,10 +11,7 @@ _METRES_PER_DEGREE: Final = np.deg2rad(1.0) * 6_371_000.0
 
 
 def east_north_m(lat_deg: Floats, lon_deg: Floats) -> tuple[Floats, Floats]:
-    """Return metres east and north of the middle of all places.
-
-    Latitude and longitude are positive to the north and east.
-    """
+    """Return metres east and north of the middle of all places."""
     shrink = np.cos(np.deg2rad(lat_deg.mean()))
     east_m = (lon_deg - lon_deg.mean()) * _METRES_PER_DEGREE * shrink
     return east_m, (lat_deg - lat_deg.mean()) * _METRES_PER_DEGREE
@@ -23,8 +20,7 @@ def east_north_m(lat_deg: Floats, lon_deg: Floats) -> tuple[Floats, Floats]:
 def placed_on_the_equator(east_m: Floats, north_m: Floats) -> tuple[Floats, Floats]:
     """Return latitudes and longitudes for a plant of which nobody knows where on Earth it is.
 
-    It comes to lie where the equator meets the meridian of Greenwich: there a degree of longitude
-    is as long as one of latitude. The coordinates mean nothing beyond the distances between them.
+    On the equator a degree of longitude is as long as one of latitude.
     """
     return (
         (north_m - north_m.mean()) / _METRES_PER_DEGREE,

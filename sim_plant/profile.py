@@ -11,10 +11,6 @@ from bus_schemas.errors import InputError
 from sim_plant import Floats
 
 
-def _not_given() -> Floats:
-    return np.zeros(0)
-
-
 @dataclass(frozen=True, slots=True)
 class Profile:
     """True maximum power of each inverter, and what the operator wants, for each cycle of a run.
@@ -27,9 +23,9 @@ class Profile:
 
     mpp_kw: Floats
     commitment_kw: Floats
-    regulation_kw: Floats = field(default_factory=_not_given)
+    regulation_kw: Floats = field(default_factory=lambda: np.zeros(0))
     regulation_capacity_kw: float = 0.0
-    meter_error: Floats = field(default_factory=_not_given)
+    meter_error: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         if not self.regulation_kw.size:
@@ -46,14 +42,11 @@ class Profile:
 
 
 def load_profile(path: Path) -> Profile:
-    expected = f"{path}: expected the profile.npz of a run, got"
     try:
         with np.load(path) as archive:
             found = {one.name: archive[one.name] for one in fields(Profile)}
         capacity_kw = float(found.pop("regulation_capacity_kw"))
         return Profile(**found, regulation_capacity_kw=capacity_kw)
-    except FileNotFoundError:
-        raise InputError(f"{expected} no such file") from None
     except Exception as error:  # A damaged archive can fail in numpy, zip or anywhere below.
-        reason = type(error).__name__
-        raise InputError(f"{expected} one that is not readable ({reason})") from None
+        got = type(error).__name__
+        raise InputError(f"{path}: expected the profile.npz of a run, got: {got}") from None

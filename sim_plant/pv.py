@@ -78,19 +78,11 @@ def ac_power_kw(
         Coordinates of the inverters [degree], north and east positive.
     rating_kw : numpy.ndarray, shape (N,)
         AC rating of each inverter [kW], above 0.
-    settings : PvSettings
-        The arrays and inverters.
 
     Returns
     -------
     numpy.ndarray, shape (T, N)
         AC power [kW], from 0 to the rating; 0 while the sun is below the horizon.
-
-    Raises
-    ------
-    InputError
-        The irradiance is high in the middle of the night: the time stamps are not UTC, or the
-        coordinates are not those of the sensors.
     """
     sun = solarposition.get_solarposition(times, float(lat_deg.mean()), float(lon_deg.mean()))
     _check_night_is_dark(ghi_wm2, times, sun)

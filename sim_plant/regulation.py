@@ -34,7 +34,7 @@ class _Offer(
 
     capacity_kw: Power that a signal of +1 asks for, on top of the rest [kW].
     offered_from: Local time from which it is offered. Default: midnight.
-    offered_to: Local time of its end; if before `from`, on the next day.
+    offered_to: Local time of its end; if not after `from`, on the next day.
     """
 
     capacity_kw: Annotated[float, Meta(gt=0.0, le=1e8)]
@@ -94,20 +94,12 @@ def _offered(settings: RegulationSettings, clock_ns: NDArray[np.int64]) -> NDArr
     """Tell in which cycles regulation is offered, shape (T,)."""
     begin_ns = _of_day_ns(settings.offered_from)
     end_ns = _of_day_ns(settings.offered_to) or _DAY_NS
-    if begin_ns == end_ns:
-        raise InputError(
-            "regulation.from, regulation.to: expected two times of day, or neither for the whole "
-            f"day, got {settings.offered_to} twice"
-        )
     begun, not_over = clock_ns % _DAY_NS >= begin_ns, clock_ns % _DAY_NS < end_ns
     return np.asarray(begun & not_over if begin_ns < end_ns else begun | not_over)
 
 
 def _of_day_ns(clock: time | None) -> int:
-    if clock is None:
-        return 0
-    seconds = (clock.hour * 60 + clock.minute) * 60 + clock.second
-    return seconds * _NS + clock.microsecond * 1000
+    return 0 if clock is None else pd.Timedelta(clock.isoformat()).as_unit("ns").value
 
 
 def _held(path: Path, time_ns: NDArray[np.int64]) -> Floats:
@@ -118,17 +110,11 @@ def _held(path: Path, time_ns: NDArray[np.int64]) -> Floats:
     sent_ns, value = read_signal(path)
     first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
     begins_ns, ends_ns = int(sent_ns[0]), int(2 * sent_ns[-1] - sent_ns[-2])
-    shift = "regulation.signal_midnight_s shifts the signal"
-    if first_ns < begins_ns:
+    if first_ns < begins_ns or last_ns >= ends_ns:
         raise InputError(
-            f"{path.name}: line 2: expected second {first_ns / _NS:.15g} or before, where the "
-            f"run's regulation begins, got {begins_ns / _NS:.15g}; {shift}"
-        )
-    if last_ns >= ends_ns:
-        raise InputError(
-            f"{path.name}: line {len(sent_ns) + 1}: expected an end after second "
-            f"{last_ns / _NS:.15g}, where the run's regulation ends, got {ends_ns / _NS:.15g}; "
-            f"{shift}"
+            f"{path.name}: expected a signal of the run's regulation, seconds "
+            f"{first_ns / _NS:.15g} to {last_ns / _NS:.15g}, got {begins_ns / _NS:.15g} to "
+            f"{ends_ns / _NS:.15g}; regulation.signal_midnight_s shifts the signal"
         )
     return value[np.searchsorted(sent_ns, time_ns, side="right") - 1]
 
@@ -136,16 +122,14 @@ def _held(path: Path, time_ns: NDArray[np.int64]) -> Floats:
 def read_signal(path: Path) -> tuple[NDArray[np.int64], Floats]:
     """Read a regulation signal from a CSV of two columns with a header line.
 
-    The first column, whatever its header, is the time on the signal's own clock [s], the second
-    one the signal [per unit]. Returns the times since midnight of that clock [ns], with a constant
-    step, and the values, at least two.
+    The first column is the time on the signal's own clock [s], the second one the signal [per
+    unit]. Returns the times [ns], with a constant step, and the values, at least two.
     """
     table = read_csv(path)
-    is_number = pd.to_numeric(pd.Series(table.header), errors="coerce").notna()
-    if len(table.header) != 2 or is_number.iloc[1]:
+    if len(table.header) != 2:
         raise InputError(
-            f"{path.name}: line 1: expected the names of two columns, seconds and signal, got "
-            f"'{','.join(table.header)[:60]}'"
+            f"{path.name}: line 1: expected two columns, seconds and signal, got "
+            f"{len(table.header)}"
         )
     seconds, signal = table.header
     value = table.numbers((signal,), "a number from -1 to 1", -1.0, 1.0)[:, 0]

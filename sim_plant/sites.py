@@ -31,14 +31,11 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
     """
     table = read_csv(path)
     table.check_header(("inverter", "lat", "lon"))
-    if not 0 < len(table.fields) <= MOST_INVERTERS:
-        raise InputError(
-            f"{path.name}: expected a line for each of 1 to {MOST_INVERTERS:,} inverters, got "
-            f"{len(table.fields):,}"
-        )
     names = table.unique_names("inverter")
-    for row, name in enumerate(names):
-        check_name(name, f"{table.name}: line {row + 2}")
+    if not 0 < len(names) <= MOST_INVERTERS:
+        raise InputError(f"{path.name}: expected 1 to {MOST_INVERTERS:,} lines, got {len(names):,}")
+    for name in names:
+        check_name(name, path.name)
     if "rating_kw" in table.header:
         smallest_kw = float(np.nextafter(0.0, 1.0))
         expected = "a number above 0, up to 1e7"

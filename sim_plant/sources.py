@@ -15,7 +15,7 @@ from sim_plant.clouds import CloudSettings, clear_sky_ghi, synthetic_ghi
 from sim_plant.irradiance import Irradiance
 from sim_plant.pv import PvSettings, ac_power_kw
 from sim_plant.sites import Sites
-from sim_plant.time_steps import conversion, on_cycles
+from sim_plant.time_steps import on_cycles
 
 _ANOTHER_DAY: Final = 1_000_003
 """Added to a seed: the same climate on another day."""
@@ -49,14 +49,14 @@ class PlantUnderSky:
 class CloudySky(PlantUnderSky):
     """A synthetic cloud field that drifts over the inverters.
 
-    Earlier days are drawn with the seed of the scenario, `history_seed`: they stay the same
-    whatever the run's own seed.
+    Earlier days have the scenario's seed, `history_seed`, whatever the run's own seed.
     """
 
     clouds: CloudSettings
     seed: int
     history_seed: int
     measured_times: ClassVar[None] = None  # Any time can be asked for.
+    remarks: ClassVar[tuple[str, ...]] = ()
 
     def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
         return self._drawn_kw(times, self.seed)
@@ -68,10 +68,6 @@ class CloudySky(PlantUnderSky):
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
         return self.cloudless_kw(times, self.clouds.linke_turbidity)
 
-    def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
-        """Nothing: the sky is as it was asked for."""
-        return ()
-
     def _drawn_kw(self, times: pd.DatetimeIndex, seed: int) -> Floats:
         lat_deg, lon_deg = self.sites.lat_deg, self.sites.lon_deg
         ghi_wm2 = synthetic_ghi(times, lat_deg, lon_deg, self.altitude_m, self.clouds, seed)
@@ -82,9 +78,9 @@ class CloudySky(PlantUnderSky):
 class MeasuredPlant:
     """Measured maximum power of a plant's inverters, shape (T, n).
 
-    `source` is what was read, `repairs` say what was missing and how it was filled. `sky` is the
-    sky over the plant; None: the plant's location is unknown. `earlier` is the same plant on an
-    earlier day, `earlier_by` before, if that was measured.
+    `source` is what was read, `repairs` say what was missing and how it was filled. `sky` is None
+    where the plant's location is unknown. `earlier` is the same plant `earlier_by` before, if that
+    was measured.
     """
 
     sites: Sites
@@ -103,25 +99,21 @@ class MeasuredPlant:
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return what `possible_kw` was at the same times of an earlier day, shape (T, n)."""
         if self.earlier is None:
-            raise InputError(
-                "neighbours.history: expected 'hindsight' with measurements of one day, got "
-                "'earlier-day'"
-            )
+            raise InputError("neighbours.history: expected 'hindsight' with data of one day")
         return self.earlier.possible_kw(times - self.earlier_by)
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
         if self.sky is None:
             raise InputError(
-                "commitment.kind: expected 'constant', 'file', 'share-of-median' or "
-                "'below-possible' with DC currents, which have no date and place, got "
-                "'share-of-clear-sky'"
+                "commitment.kind: expected another than 'share-of-clear-sky' with DC currents, "
+                "whose place is unknown"
             )
         return self.sky.cloudless_kw(times, _CLEAN_AIR_TURBIDITY)
 
-    def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
-        """Say what was missing, and how measurements were converted to the run's cycles."""
-        history = self.earlier.repairs if self.earlier is not None else ()
-        return (*self.repairs, *history, *conversion(self.measured_times, times))
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was missing, also on the earlier day."""
+        return self.repairs if self.earlier is None else self.repairs + self.earlier.repairs
 
 
 def measured_sky(sky: PlantUnderSky, irradiance: Irradiance) -> MeasuredPlant:

@@ -60,19 +60,6 @@ def on_cycles(
     return mean
 
 
-def conversion(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex) -> tuple[str, ...]:
-    """Say how measurements are converted to a run's cycles; nothing if they are used unchanged."""
-    step_s, cycle_s = step_ns(times) / _NS, step_ns(cycles) / _NS
-    if cycle_s > step_s:
-        return (f"a cycle of {cycle_s:g} s is the mean of {cycle_s / step_s:g} measured values",)
-    if cycle_s < step_s:
-        return (
-            f"a value is measured every {step_s:g} s; the cycles of {cycle_s:g} s between them"
-            " are interpolated on a straight line",
-        )
-    return ()
-
-
 def _on_lines(times: pd.DatetimeIndex, values: Floats, cycles: pd.DatetimeIndex) -> Floats:
     # Times since the first cycle's value: a float cannot hold nanoseconds since 1970.
     origin = times[int(times.searchsorted(cycles[0], side="right")) - 1]

@@ -6,7 +6,6 @@ or 123, and 122 states the available power. https://github.com/sunspec/models
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,9 +22,6 @@ from sunspec.limited_inverter import LIMIT_POINTS, LONGEST_REVERT_S
 
 _MEASUREMENTS: Final = (701, 103, 102, 101)
 _LIMITS: Final = (704, 123)
-_ALONG: Final = ("WMaxLimPct_WinTms", "WMaxLimPct_RmpTms")
-"""Points of 123 among those of a limit: written back as they are, so that one write does it all."""
-
 _RATINGS: Final = ((702, "WMax"), (702, "WMaxRtg"), (121, "WMax"), (120, "WRtg"))
 """What 100 % stands for, in the order of preference."""
 
@@ -45,8 +41,6 @@ class SunSpecInverter:
 
     address: `modbus://host:port/unit`.
     needs_revert: Whether it must be able to revert by itself.
-
-    rating_kw: What its limits are a share of.
     state: The name of its state: `MPPT`, `THROTTLED`, `FAULT`; empty if it states none.
     """
 
@@ -82,20 +76,14 @@ class SunSpecInverter:
         ]
         self.rating_kw = next(filter(None, ratings_kw), 0.0)
         if not self.rating_kw:
-            raise DeviceError(
-                f"{self.address}: expected model 702, 121 or 120 with the power that 100 % stands "
-                "for, got none"
-            )
+            raise DeviceError(f"{self.address}: expected a rating in model 702, 121 or 120")
 
     def close(self) -> None:
         """Hang up; `connect` may be called again."""
         self._device.disconnect()
 
     def read(self) -> Reading:
-        """Read power, available power and limit.
-
-        Raises DeviceError: It does not answer.
-        """
+        """Read power, available power and limit. Raises DeviceError: It does not answer."""
         with self._errors():
             self._measured.read()
             self._limited.read()
@@ -103,8 +91,7 @@ class SunSpecInverter:
                 self._extended.read()
             power_kw = self._kw(self._measured, "W")
             if power_kw is None:
-                number = self._measured.model_id
-                raise DeviceRefusedError(f"{self.address}: model {number} states no power W")
+                raise DeviceRefusedError(f"{self.address}: it states no power W")
             enabled, percent = (self._points[field].cvalue for field in ("enabled", "percent"))
             limit_kw = self.rating_kw
             if enabled == 1 and percent is not None:
@@ -129,13 +116,9 @@ class SunSpecInverter:
             told["revert_percent"] = 100.0 if revert_kw is None else self._percent(revert_kw)
         elif self._points["revert_s"].value:
             told["revert_s"] = 0
-        points = self._limited.points
         with self._errors():
             for field in told.keys() & self._points.keys():
                 self._points[field].cvalue = told[field]
-            for name in _ALONG:
-                if name in points and points[name].value is not None:
-                    points[name].dirty = True
             self._limited.write()
 
     def _percent(self, kw: float) -> float:
@@ -164,15 +147,13 @@ class SunSpecInverter:
         for model in wanted:
             if model in self._device.models:
                 return self._device.models[model][0]
-        has = ", ".join(str(model) for model in self._device.models if isinstance(model, int))
         needed = " or ".join(map(str, wanted[:2]))
-        raise DeviceError(f"{self.address}: expected SunSpec model {needed}, got {has or 'none'}")
+        raise DeviceError(f"{self.address}: expected SunSpec model {needed}, got none of them")
 
     def _need(self, model: Model, name: str) -> None:
         if model.points[name].value is None:
             raise DeviceError(
-                f"{self.address}: expected the point {name} in SunSpec model {model.model_id}, got "
-                "one that is not implemented"
+                f"{self.address}: expected the point {name} in SunSpec model {model.model_id}"
             )
 
     @contextmanager
@@ -186,13 +167,6 @@ class SunSpecInverter:
             raise DeviceRefusedError(f"{self.address}: {error}") from None
         except Exception as error:  # What is no SunSpec fails anywhere in pysunspec2.
             self.close()
-            reason = _reason(str(error)) or type(error).__name__
-            raise DeviceError(f"{self.address}: {reason}") from None
-
-
-def _reason(text: str) -> str:
-    if scanned := re.search(r"Base address 40000 error = (.*?)\. ?\n", text):
-        return f"expected an inverter with SunSpec models, got {scanned[1]}; is the unit right?"
-    if refused := re.search(r"Connection error: (?:\[Errno -?\d+\] )?(.*)", text):
-        return f"expected a Modbus device, got: {refused[1]}"
-    return " ".join(text.split())
+            expected = "an inverter with SunSpec models at this address and unit"
+            got = " ".join(str(error).split()) or type(error).__name__
+            raise DeviceError(f"{self.address}: expected {expected}, got: {got}") from None

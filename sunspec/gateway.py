@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from math import inf, nan
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -41,8 +42,6 @@ class Gateway:
     """The real inverters of a run, connected.
 
     tell: Called with a line for the launcher, in any thread; an empty one: a run can begin.
-
-    Raises DeviceError: One of them does not answer, or lacks what is needed.
     """
 
     def __init__(self, plan: RunPlan, tell: Callable[[str], None]) -> None:
@@ -69,7 +68,7 @@ class Gateway:
             for link in self._links.values():
                 link.stop()
             for link in self._links.values():
-                link.join()
+                link.thread.join(_RETRY_S)
             self._account(folder)
         finally:
             pipes.close()
@@ -86,16 +85,15 @@ class _Link:
         revert = plan.settings_of(node).revert
         self._node, self._tell = node, tell
         self._cycle_s = plan.cycle_wall_ns / 1e9
-        self._revert_s = revert.after_s if revert is not None else 0.0
-        self._heeds_revert_kw = revert is not None and revert.to == "request"
-        self._revert_kw = None
-        if revert is not None and not isinstance(revert.to, str):
-            self._revert_kw = revert.to * plan.tree.rating_kw(node)
+        self._revert_s = revert.after_s if revert else 0.0
+        self._renew_s = self._revert_s / 3.0 if revert else inf
+        self._revert_to = revert.to if revert else "release"
+        self._rating_kw = plan.tree.rating_kw(node)
         self._inverter = SunSpecInverter(address, needs_revert=revert is not None)
         self._reading: Reading | None = None
         self._commands: deque[Limit] = deque(maxlen=1)
         self._wake, self._over = threading.Event(), threading.Event()
-        self._written_kw: float | None = None
+        self._written_kw = nan  # What differs from it is written in any case.
         self._written_at = 0.0
         self._late = self._refused = self._breaks = 0
         self._gone_at: float | None = None
@@ -114,8 +112,8 @@ class _Link:
         self._pipes = pipes
         assert self._reading is not None
         pipes.hand_reading(self.place, self._reading)
-        self._thread = threading.Thread(target=self._run, name=self._node, daemon=True)
-        self._thread.start()
+        self.thread = threading.Thread(target=self._run, name=self._node, daemon=True)
+        self.thread.start()
 
     def command(self, limit: Limit) -> None:
         self._commands.append(limit)
@@ -124,10 +122,6 @@ class _Link:
     def stop(self) -> None:
         self._over.set()
         self._wake.set()
-
-    def join(self) -> None:
-        """Wait until it has, unless the inverter keeps it."""
-        self._thread.join(_RETRY_S)
 
     def account(self) -> DeviceAccount:
         reads, writes = map(_latency, self._took.values())
@@ -152,7 +146,7 @@ class _Link:
                     self._late += time.monotonic() > late_at
             except DeviceRefusedError as error:
                 self._refused += 1
-                self._written_kw = None  # The next command is written in any case.
+                self._written_kw = nan
                 self._say(str(error))
             except DeviceError as error:
                 self._reconnect(error)
@@ -169,13 +163,13 @@ class _Link:
     def _write(self, limit: Limit) -> None:
         """Write a limit if it is new, or the inverter would revert before long."""
         limit_kw, revert_kw = limit
-        if not self._heeds_revert_kw:
-            revert_kw = self._revert_kw
-        renew_at = self._written_at + (self._revert_s / 3.0 if self._revert_s else float("inf"))
-        if self._written_kw is not None and time.monotonic() < renew_at:
-            smallest_kw = _SMALL_CHANGE * self._inverter.rating_kw
-            if abs(limit_kw - self._written_kw) < smallest_kw:
-                return
+        if self._revert_to == "release":
+            revert_kw = None
+        elif self._revert_to != "request":
+            revert_kw = self._revert_to * self._rating_kw
+        is_as_before = abs(limit_kw - self._written_kw) < _SMALL_CHANGE * self._inverter.rating_kw
+        if is_as_before and time.monotonic() < self._written_at + self._renew_s:
+            return
         with self._timed("write"):
             self._inverter.limit(limit_kw, self._revert_s, revert_kw)
         self._written_kw, self._written_at = limit_kw, time.monotonic()
@@ -185,7 +179,7 @@ class _Link:
         self._breaks += 1
         self._gone_at = time.monotonic()
         self._say(f"{error}; trying again")
-        self._written_kw = None
+        self._written_kw = nan
         while not self._over.is_set():
             try:
                 self._inverter.close()

@@ -35,8 +35,7 @@ class Latency(msgspec.Struct, frozen=True):
 class DeviceAccount(msgspec.Struct, frozen=True):
     """A real inverter in a run: how long it took to answer, how often it refused or was gone.
 
-    `late` counts readings that came after the end of their cycle. `gone_s` is how long it has been
-    gone; None if it is there.
+    `late` counts readings after the end of their cycle. `gone_s`: since when; None: it is there.
     """
 
     node: str
@@ -94,10 +93,7 @@ class GatewayProcess(SideProcess):
         self._next_line()
 
     def look(self, say: Callable[[str], None]) -> None:
-        """Pass the gateway's messages on.
-
-        Raises FailureError: It has ended.
-        """
+        """Pass the gateway's messages on. Raises FailureError: It has ended."""
         assert self.process.stdout is not None
         while select.select([self.process.stdout], [], [], 0.0)[0]:
             if line := self._next_line():
@@ -110,20 +106,11 @@ class GatewayProcess(SideProcess):
         return read_accounts(self._folder)
 
     def _next_line(self) -> str:
-        """Return the gateway's next line.
-
-        Raises FailureError: It has ended.
-        """
+        """Return the gateway's next line. Raises FailureError: It has ended."""
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         if not line:
-            raise FailureError(self._how_it_ended())
+            log = f"; its log: {log_in(self._folder)}" if self._folder else ""
+            what = f"the gateway to the devices (process {self.process.pid})"
+            raise FailureError(f"{what} ended with status {self.process.wait()}{log}")
         return os.fsdecode(line.rstrip(b"\n"))
-
-    def _how_it_ended(self) -> str:
-        code = self.process.wait()
-        how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
-        text = f"the gateway to the devices (process {self.process.pid}) {how}"
-        if self._folder is None:
-            return text
-        return f"{text} in the middle of the run; its log: {log_in(self._folder)}"

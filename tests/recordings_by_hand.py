@@ -9,34 +9,11 @@ from pathlib import Path
 from plans_by_hand import plan_at_noon
 
 from agents.plan import RunPlan
+from bus_schemas import messages, signals
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
-from bus_schemas.messages import (
-    Command,
-    Dispatch,
-    Help,
-    HelpGiven,
-    Impp,
-    Message,
-    Meter,
-    Production,
-    Residual,
-    Setpoint,
-    Telemetry,
-)
-from bus_schemas.signals import (
-    COMMAND,
-    DISPATCH,
-    HELP,
-    IMPP,
-    METER,
-    PRODUCTION,
-    RESIDUAL,
-    RUN,
-    SETPOINT,
-    TELEMETRY,
-    Port,
-)
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
 from recordings.read.chunks import ChunkPlace
 from recordings.read.reader import open_run
@@ -55,40 +32,51 @@ def cycle_of_the_plant(cycle: int) -> Iterator[Delivery]:
         return cycle, sim_time_ns, source, ()
 
     for leaf in tree.leaves:
-        telemetry = Telemetry(*stamp(PLANT), power_kw=50.0 + cycle % 7, alpha=0.5, limit_kw=100.0)
-        yield TELEMETRY.of(leaf), telemetry
-    dispatch = Dispatch(
+        telemetry = messages.Telemetry(
+            *stamp(PLANT), power_kw=50.0 + cycle % 7, alpha=0.5, limit_kw=100.0
+        )
+        yield signals.TELEMETRY.of(leaf), telemetry
+    dispatch = messages.Dispatch(
         *stamp(PLANT),
         power_kw=240.0,
         plant_rating_kw=tree.rating_kw(ROOT),
         commitment_kw=230.0,
         regulation_kw=10.0,
     )
-    yield DISPATCH.of(ROOT), dispatch
-    yield METER.of(ROOT), Meter(*stamp(PLANT), power_kw=238.0)
+    yield signals.DISPATCH.of(ROOT), dispatch
+    yield signals.METER.of(ROOT), messages.Meter(*stamp(PLANT), power_kw=238.0)
     below = [node for node in tree.nodes if node != ROOT]
     acting = [node for node in below if central_acts or parent_of(node) != ROOT]
     for node in reversed(tree.nodes):
         spare_kw = {"c1/a": -20.0, "c1/b": 30.0}.get(node, 15.0)
         impp_kw = 0.6 * tree.rating_kw(node) + spare_kw
-        yield IMPP.of(node), Impp(*stamp(agent_name(node)), power_kw=impp_kw, stale_cycles=0)
-        yield RESIDUAL.of(node), Residual(*stamp(agent_name(node)), power_kw=spare_kw)
+        yield (
+            signals.IMPP.of(node),
+            messages.Impp(*stamp(agent_name(node)), power_kw=impp_kw, stale_cycles=0),
+        )
+        yield (
+            signals.RESIDUAL.of(node),
+            messages.Residual(*stamp(agent_name(node)), power_kw=spare_kw),
+        )
         if spare_kw < 0.0:
-            yield HELP.of(node), Help(*stamp(agent_name(node)), missing_kw=-spare_kw)
+            yield (
+                signals.HELP.of(node),
+                messages.Help(*stamp(agent_name(node)), missing_kw=-spare_kw),
+            )
     for node in acting:
         extra_kw = {"c1/a": -20.0, "c1/b": 20.0}.get(node, 0.0)
         share_kw = 0.6 * tree.rating_kw(node)
-        given = (HelpGiven("c1/a", 20.0),) if node == "c1/b" else ()
-        setpoint = Setpoint(
+        given = (messages.HelpGiven("c1/a", 20.0),) if node == "c1/b" else ()
+        setpoint = messages.Setpoint(
             *stamp(agent_name(parent_of(node))),
             power_kw=share_kw + extra_kw,
             share_kw=share_kw,
             help_given=given,
         )
-        yield SETPOINT.of(node), setpoint
+        yield signals.SETPOINT.of(node), setpoint
     for leaf in tree.leaves:
-        yield COMMAND.of(leaf), Command(*stamp(leaf), alpha=0.8, power_kw=60.0)
-    production = Production(
+        yield signals.COMMAND.of(leaf), messages.Command(*stamp(leaf), alpha=0.8, power_kw=60.0)
+    production = messages.Production(
         *stamp(PLANT),
         desired_kw=240.0,
         possible_kw=280.0,
@@ -96,15 +84,15 @@ def cycle_of_the_plant(cycle: int) -> Iterator[Delivery]:
         inverter_mpp_kw=(40.0, 90.0, 75.0, 75.0),
         inverter_power_kw=(40.0, 80.0, 60.0, 59.0),
     )
-    yield PRODUCTION.of(ROOT), production
+    yield signals.PRODUCTION.of(ROOT), production
 
 
 def whole_run(cycles: int) -> Iterator[Delivery]:
     """All messages of a run, with the plant's words that it begins and that it is over."""
-    yield RUN.of(ROOT), PLAN.run_message("start", 0, 1)
+    yield signals.RUN.of(ROOT), PLAN.run_message("start", 0, 1)
     for cycle in range(cycles):
         yield from cycle_of_the_plant(cycle)
-    yield RUN.of(ROOT), PLAN.run_message("stop", cycles, 1)
+    yield signals.RUN.of(ROOT), PLAN.run_message("stop", cycles, 1)
 
 
 Logged = tuple[Port[Message], Message, int]

@@ -31,8 +31,7 @@ class ClusterSearch:
         The best of all starts: the members of each cluster, ascending, in the order of the sizes
         asked for. Clusters of the same size are in the order of their first members.
     correlation_of_starts : tuple of float
-        Mean correlation over all pairs that share a cluster, of the clusters that each start came
-        to, in the order of the starts; NaN if no cluster has two members.
+        Mean correlation over all pairs that share a cluster, for each start; NaN if none do.
     """
 
     clusters: Clusters
@@ -49,13 +48,10 @@ class ClusterSearch:
 def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> ClusterSearch:
     """Partition the inverters so that the correlation inside the clusters is least.
 
-    The same arguments give the same clusters.
-
     Parameters
     ----------
     correlation : numpy.ndarray, shape (N, N)
-        Symmetric correlation of the inverters, e.g. of one hour (paper, eq. 5). The diagonal is
-        not used.
+        Symmetric correlation of the inverters (paper, eq. 5). The diagonal is not used.
     sizes : sequence of int
         How many inverters each cluster takes; the sum must be N.
     """
@@ -78,16 +74,7 @@ def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> C
 
 
 def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
-    """Partition the inverters at random, for comparison with `search_clusters`.
-
-    Parameters
-    ----------
-    sizes : sequence of int
-        Number of inverters in each cluster; they add up to N.
-    seed : int
-        Seed of the random choice. All partitions are equally likely.
-
-    """
+    """Partition the inverters at random, for comparison. All partitions are equally likely."""
     label = np.repeat(np.arange(len(sizes)), sizes)
     return _ordered(np.random.default_rng(seed).permutation(label), sizes)
 
@@ -97,8 +84,7 @@ def geographic_clusters(
 ) -> Clusters:
     """Partition the inverters into compact neighbourhoods, for comparison with `search_clusters`.
 
-    Minimises the sum of the squared distances between all pairs inside the clusters, with the same
-    descent and a fixed seed. So the result depends on the positions alone.
+    Minimises the sum of the squared distances between all pairs inside the clusters.
 
     Parameters
     ----------
@@ -120,17 +106,14 @@ def within_cluster_correlation(
 ) -> float:
     """Mean correlation over all pairs of inverters that share a cluster.
 
+    Each pair counts once; NaN if no cluster has two members.
+
     Parameters
     ----------
     correlation : numpy.ndarray, shape (N, N)
         Symmetric correlation of the inverters.
     clusters : sequence of sequence of int
         The members of each cluster, as indices into `correlation`.
-
-    Returns
-    -------
-    float
-        The mean, each pair counted once; NaN if no cluster has two members.
     """
     pairs = [
         correlation[np.ix_(list(cluster), list(cluster))][np.triu_indices(len(cluster), k=1)]

@@ -1,8 +1,6 @@
 """The integral correction: adds to the target the power that the plant's meter shows to be missing.
 
-A power plant controller has a meter at the point of interconnection. Its reading shows the effect
-of all errors: of estimates, delays and losses. The central controller adds a correction to its
-target until the reading is what was desired.
+Its reading shows the effect of all errors: of estimates, delays and losses.
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
 """Step 3 of the control algorithm: how alike the power of two inverters behaves, hour by hour.
 
 The paper's equation 5 is Pearson's linear correlation coefficient of two power series. It is kept
-here as a covariance matrix first, because a parent higher up the control tree asks whole groups of
-inverters: the correlation of two sums follows from the covariance of their members, and not from
-their correlation.
+here as a covariance matrix first: the correlation of two sums, such as those of clusters, follows
+from the covariance of their members, and not from their correlation.
 
-A series that does not vary (night, a full curtailment, an inverter at its rating) has no
-correlation. It is counted as +1, that is "no evidence that the two differ", so that such a child
-is asked last.
+A series that does not vary (night, an inverter at its rating) has no correlation. It is counted as
++1, "no evidence that the two differ", so that such a child is asked last.
 """
 
 from collections.abc import Sequence
@@ -32,14 +30,12 @@ def hourly_covariance(power_kw: NDArray[np.float64], hour: NDArray[np.integer]) 
     power_kw : numpy.ndarray, shape (T, N)
         Power of each inverter [kW].
     hour : numpy.ndarray of int, shape (T,)
-        The hour that each row belongs to, e.g. the local hour of the day 0 to 23. Rows of one
-        hour need not follow each other: several days of history may be given at once.
+        The hour that each row belongs to, e.g. the local hour of the day, of one or several days.
 
     Returns
     -------
     HourlyMatrices
-        Mean product of the deviations from the hour's mean [kW^2]. A series that is constant
-        within the hour has a covariance of exactly 0 with all others.
+        Mean product of the deviations from the hour's mean [kW^2].
     """
     return {each: _covariance(power_kw[hour == each]) for each in np.unique(hour).tolist()}
 
@@ -53,12 +49,6 @@ def hourly_correlation(power_kw: NDArray[np.float64], hour: NDArray[np.integer])
                       {\sqrt{\sum_i (X_i-\bar X)^2 \sum_i (Y_i-\bar Y)^2}}
 
     The parameters are those of `hourly_covariance`.
-
-    Returns
-    -------
-    HourlyMatrices
-        Correlations in [-1, 1], symmetric, with a diagonal of exactly 1. Where one of two series
-        is constant within the hour the entry is +1.
     """
     singles = [(inverter,) for inverter in range(power_kw.shape[1])]
     covariance = hourly_covariance(power_kw, hour)
@@ -70,21 +60,17 @@ def group_correlation(
 ) -> NDArray[np.float64]:
     """Pearson correlation of the summed power of groups of inverters.
 
-    The children of a supervisor are inverters (groups of one), those of the central controller
-    are clusters, and so on at every further tier: the power of a child is the sum of its members.
-
     Parameters
     ----------
     covariance : numpy.ndarray, shape (N, N)
-        Covariance of the single inverters [kW^2], e.g. one of `hourly_covariance`.
+        Covariance of the single inverters [kW^2].
     groups : sequence of sequence of int
         The members of each of the G groups, as indices into `covariance`.
 
     Returns
     -------
     numpy.ndarray, shape (G, G)
-        Correlations in [-1, 1], symmetric, with a diagonal of exactly 1. Where one of two sums
-        does not vary the entry is +1.
+        Correlations in [-1, 1], symmetric, with a diagonal of exactly 1.
     """
     member = np.zeros((len(covariance), len(groups)))
     for column, group in enumerate(groups):

@@ -1,8 +1,7 @@
 """Step 1, ahead of the paper: the IMPP as a forecast of the interval that is about to begin.
 
-The paper's IMPP is the maximum of the interval that just ended. The power that a moving cloud edge
-takes in the next cycle is the shortfall that the paper's rule causes. The direct controller reduces
-it in three ways:
+The paper's IMPP is the maximum of the interval that just ended, so a moving cloud edge causes a
+shortfall. The direct controller reduces it in three ways:
 
 * the maximum is extrapolated along its last change (damped trend: Gardner and McKenzie, Management
   Science 31 (1985), doi:10.1287/mnsc.31.10.1237);
@@ -12,8 +11,7 @@ it in three ways:
   are not counted: they differ from inverter to inverter and average out over the plant;
 * where the inverter holds a power limit below its maximum, the maximum cannot be measured. Unless
   the inverter states what it could give, it is then assumed to grow from the last value that was
-  seen, so that the inverter is asked for more and more until it shows what it has: a slow probe,
-  as in extremum seeking. The inverter's own meter, whose error is learned,
+  seen: a slow probe, as in extremum seeking. The inverter's own meter, whose error is learned,
   shows whether the limit or a cloud holds it.
 """
 
@@ -28,16 +26,14 @@ DAMPING: Final = 0.8
 little on measurements of 1 s and 10 s; 0.8 overshoots least."""
 
 TREND_TIME_S: Final = 0.5
-"""Time constant of the trend [s]. With cycles of 0.1 s the last change alone is mostly the meter's
-noise. With cycles of a second it is two thirds of the trend."""
+"""Time constant of the trend [s]: in short cycles the last change alone is mostly noise."""
 
 MARGIN: Final = 0.5
 """Share of the mean forecast error beyond `SMALL_ERROR` that is taken off the forecast."""
 
 SMALL_ERROR: Final = 0.0035
-"""Mean forecast error that needs no margin, as a share of the rating. A margin of each inverter
-adds up over the plant, while independent errors average out. A meter's noise of 0.5 % alone makes
-an error of about this size."""
+"""Mean forecast error that needs no margin, as a share of the rating: a meter's noise of 0.5 %
+alone makes about this, and averages out over the plant."""
 
 ERROR_MEMORY_S: Final = 20.0
 """Time constant of the mean forecast error [s]."""
@@ -70,8 +66,7 @@ WIDEST_BOUND_TOLERANCE: Final = 0.25
 
 LOW_READING: Final = 0.08
 """A held inverter may read below its limit by up to this share. The controller learns it from the
-power of the released inverter. Without this rule, an error of 1 % released all inverters again and
-again."""
+power of the released inverter; otherwise an error of 1 % releases all again and again."""
 
 RELEASE_JUMP: Final = 1.1
 """A reading below the limit was wrong if the free inverter then gives so many times as much."""

@@ -1,11 +1,10 @@
 """Grouping control, for comparison: a reference group at full power shows what others could give.
 
 A part of the inverters, the reference group R, is never curtailed. Its power, scaled by capacity,
-is taken for the plant's potential; the others, the control group, get one common curtailment level,
-or the power limit that it leads to, so that both groups together meet the target (V. Gevorgian,
-"Highly accurate method for real-time active power reserve estimation for utility-scale photovoltaic
-power plants", NREL/TP-5D00-73207, 2019). Nothing is redistributed within the control group, and the
-plant cannot go below what the reference group gives.
+is taken for the plant's potential; the others get one common curtailment level, or the power limit
+that it leads to, so that both groups together meet the target (V. Gevorgian, "Highly accurate
+method for real-time active power reserve estimation for utility-scale photovoltaic power plants",
+NREL/TP-5D00-73207, 2019). The plant cannot go below what the reference group gives.
 """
 
 from __future__ import annotations
@@ -55,14 +54,9 @@ def grouping_limits_kw(
     rating_kw: NDArray[np.float64],
     reference: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """Return the power limit of each inverter in each cycle, see `grouping_levels`.
+    """Return the power limit of each inverter, see `grouping_levels`; infinite for the reference.
 
     It is alpha times the power that the reference group promises for the inverter's rating.
-
-    Returns
-    -------
-    ndarray of float
-        Shape (T, n); infinite for the reference group.
     """
     levels = grouping_levels(reference_kw, desired_kw, rating_kw, reference)
     promised_kw = np.outer(reference_kw / rating_kw[reference].sum(), rating_kw)

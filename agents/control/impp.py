@@ -74,11 +74,6 @@ def estimate_impp(
         AC rating; the estimate never exceeds it.
     last
         The estimate of the cycle before.
-
-    Returns
-    -------
-    Estimate
-        With `power_kw / alpha`, at most the rating.
     """
     if not is_plausible(power_kw, alpha, rating_kw):
         return stale(last)

@@ -17,7 +17,6 @@ from typing import Final
 import clouds
 import clusters
 import delays
-import fit_clouds
 import regulation
 import results
 from tables import Tables, write_table
@@ -30,7 +29,7 @@ FROM_SYNTHETIC: Final[dict[str, Tables]] = {
 FROM_DATA: Final[dict[str, Tables]] = {
     "results.md": results.FROM_DATA,
     "clusters.md": clusters.FROM_DATA,
-    "clouds.md": clouds.TABLES | fit_clouds.TABLES,
+    "clouds.md": clouds.TABLES,
     "metrics.md": regulation.TABLES,
 }
 

@@ -15,8 +15,6 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from pvlib.irradiance import get_extra_radiation
-from pvlib.solarposition import get_solarposition
 from sky_statistics import (
     changes,
     cloud_cover,
@@ -42,7 +40,6 @@ SKIES_DRAWN = 12
 MOST_SEEDS = 300
 COVER_TOLERANCE = 0.1
 HOPE_MINUTES, HOPE_BLIND = "0915_0955", "0955_1015"
-EVOLUTION_S = (1200.0, 1700.0, 2100.0)
 MEASURED, SYNTHETIC = "#b2182b", "#2166ac"
 CLASSES_M = np.array([0.0, 50.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 700.0, 1000.0, 1500.0])
 # Two skies that are not the default's kind: sharp and fast clouds, and thin ones.
@@ -83,14 +80,13 @@ class Sky:
 
     def settings(self) -> CloudSettings:
         """Speed, direction and cover as the measurement has them; all else by default."""
-        known = {"cloud_cover": cloud_cover(self.index)}
-        if self.speed_ms is not None and self.from_deg is not None:
-            known |= {"drift_speed_ms": self.speed_ms, "drift_from_deg": self.from_deg}
-        return CloudSettings(**known | self.by_hand)
+        motion = {"drift_speed_ms": self.speed_ms, "drift_from_deg": self.from_deg}
+        known = {name: value for name, value in motion.items() if value is not None}
+        return CloudSettings(**{"cloud_cover": cloud_cover(self.index)} | known | self.by_hand)
 
-    def synthetic(self, settings: CloudSettings, seed: int, start_s: float = 0.0) -> Array:
+    def synthetic(self, settings: CloudSettings, seed: int) -> Array:
         """Draw the model's index, averaged and normalised as the measurement is."""
-        time_s = start_s + np.arange(len(self.index), dtype=np.float64) * self.step_s
+        time_s = np.arange(len(self.index), dtype=np.float64) * self.step_s
         drawn = clear_sky_index(time_s, self.east_m, self.north_m, settings, seed)
         return index_by_quantile(drawn @ self.averaging) if self.by_quantile else drawn
 
@@ -325,17 +321,19 @@ def numbers(sky: Sky, index: Array) -> dict[str, float]:
 Comparison = tuple[Sky, dict[str, float], list[dict[str, float]], int]
 
 
+def comparison(sky: Sky, drawn: list[Array], seeds: int) -> Comparison:
+    """Return a sky with its figures, those of the model's skies, and the seeds looked at."""
+    return sky, numbers(sky, sky.index), [numbers(sky, index) for index in drawn], seeds
+
+
 @cache
 def compared(folder: Path) -> dict[str, Comparison]:
-    """Return each sky with its figures, those of the model's skies, and the seeds looked at.
-
-    Their pictures are drawn on the way.
-    """
+    """Compare each sky; their pictures are drawn on the way."""
     found, drawn = {}, {}
     skies = list(measured_skies(folder))
     for sky in skies:
         drawn[sky.name], seeds = sky.alike()
-        found[sky.name] = sky, numbers(sky, sky.index), of_model(sky, drawn[sky.name]), seeds
+        found[sky.name] = comparison(sky, drawn[sky.name], seeds)
     fields = [sky for sky in skies if sky.speed_ms is not None]
     figures = {
         "clouds_correlation": draw_correlation(fields, drawn),
@@ -348,11 +346,6 @@ def compared(folder: Path) -> dict[str, Comparison]:
     return found
 
 
-def of_model(sky: Sky, drawn: list[Array]) -> list[dict[str, float]]:
-    """Return the figures of synthetic skies."""
-    return [numbers(sky, index) for index in drawn]
-
-
 def skies_seen(folder: Path) -> Lines:
     """Write the skies that were seen while the model was made, beside those of the model."""
     names = ("HOPE", "plant, hour a", "plant, hour b", "plant, hour c")
@@ -363,8 +356,7 @@ def skies_unseen(folder: Path) -> Lines:
     """Write the skies that were not."""
     found = []
     for sky in blind_skies(folder):
-        drawn, seeds = sky.alike()
-        found.append((sky, numbers(sky, sky.index), of_model(sky, drawn), seeds))
+        found.append(comparison(sky, *sky.alike()))
     if found:
         yield from side_by_side(found)
 
@@ -400,7 +392,7 @@ def another_kind(folder: Path) -> Lines:
     for name, by_hand in OF_ANOTHER_KIND.items():
         sky, real, rows, _ = compared(folder)[name]
         changed = replace(sky, by_hand=by_hand)
-        reached = of_model(changed, changed.alike()[0])
+        reached = comparison(changed, *changed.alike())[2]
         for figure, value in real.items():
             if figure.startswith("r of") or "99.9" in figure:
                 continue
@@ -409,58 +401,8 @@ def another_kind(folder: Path) -> Lines:
             yield row([f"{name}: {figure}", *cells])
 
 
-def evolution(folder: Path) -> Lines:
-    """Write how far the model is from each sky by its evolution time.
-
-    Distance: mean over the 99 % quantiles of the changes, as the logarithm of the ratio, and over
-    the correlations of the changes, as their difference.
-    """
-    skies = [sky for sky in measured_skies(folder) if sky.name not in OF_ANOTHER_KIND]
-    yield from header(["evolution time [s]", *(sky.name for sky in skies)])
-    for evolution_s in EVOLUTION_S:
-        changed = [replace(sky, by_hand={"evolution_s": evolution_s}) for sky in skies]
-        yield row([f"{evolution_s:,.0f}", *(f"{distance(sky):.3f}" for sky in changed)])
-
-
-def distance(sky: Sky) -> float:
-    """Return how far the median of the model's skies is from the measured one."""
-    real, rows = numbers(sky, sky.index), of_model(sky, sky.alike()[0])
-    apart = []
-    for figure, value in real.items():
-        middle = float(np.median([one[figure] for one in rows]))
-        if figure.endswith("change, 99 %"):
-            apart.append(abs(np.log(middle / value)))
-        elif figure.startswith("r of") and "index" not in figure:
-            apart.append(abs(middle - value))
-    return float(np.mean(apart))
-
-
-def beyond_the_atmosphere(folder: Path) -> Lines:
-    """Write how much of HOPE's irradiance is above what the sun sends, and which stations jump."""
-    hope = folder / "hope-melpitz-1s"
-    read = read_measured_ghi(hope / f"ghi_20130908_{HOPE_MINUTES}.csv", hope / "positions.csv")
-    sun = get_solarposition(read.times, read.lat_deg.mean(), read.lon_deg.mean(), altitude=86.0)
-    height = np.sin(np.deg2rad(sun["elevation"].to_numpy()))
-    limit_wm2 = get_extra_radiation(read.times).to_numpy() * height
-    above = read.ghi_wm2 > limit_wm2[:, None]
-    mean_above = read.ghi_wm2.mean(axis=1) > limit_wm2
-    jumps = (np.abs(np.diff(read.ghi_wm2, axis=0)) > 200.0).sum(axis=0)
-    jumping = [f"{name} ({n})" for name, n in zip(read.sensors, jumps, strict=True) if n]
-    yield from header(["HOPE", ""])
-    outside = f"{limit_wm2.min():.0f} to {limit_wm2.max():.0f} W/m²"
-    yield row(["irradiance outside the atmosphere", outside])
-    values = f"{100.0 * above.mean():.1f} %, of {above.any(axis=0).sum()} stations"
-    yield row(["values above it", values])
-    time = f"{100.0 * mean_above.mean():.1f} %"
-    yield row(["time in which the mean of all stations is above it", time])
-    title = "stations that change by more than 200 W/m² in 1 s, and how often"
-    yield row([title, ", ".join(jumping)])
-
-
 TABLES: Final[Tables] = {
-    "beyond the atmosphere": beyond_the_atmosphere,
     "skies": skies_seen,
     "blind skies": skies_unseen,
     "another kind": another_kind,
-    "evolution": evolution,
 }

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from tables import DOCUMENTS, WORKERS, Lines, Tables, header, heliarch, row
 
 from heliarch import load_scenario
-from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.preparation import RunOptions, prepare
 from studies.compare.cases import with_settings
 from studies.delays.results import TROUBLES, column_of
 from studies.delays.study import Condition, Outcome, Trouble, run_under
@@ -72,8 +72,6 @@ FIGURES: Final = {
     "score": ("score", 3),
 }
 TITLES: Final = tuple(title for title, _ in FIGURES.values())
-HOUR: Final = ("commitment.share=0.6",)
-"""The settings of the command beyond its scenario."""
 
 
 @cache
@@ -108,20 +106,12 @@ def cells(one: Outcome) -> list[str]:
     return [f"{one.figures[name]:,.{decimals}f}" for name, (_, decimals) in FIGURES.items()]
 
 
-def measured(runs: Sequence[tuple[str, Condition]]) -> list[Outcome]:
-    """Run the hour of the study with other settings: each with its condition."""
-    return share_work(partial(_run, {s: _prepared(s) for s, _ in runs}), runs, WORKERS)
-
-
-def _run(prepared: dict[str, Preparation], run: tuple[str, Condition]) -> Outcome:
+def measured(run: tuple[str, Condition]) -> Outcome:
+    """Run the hour of the study with another setting, under a condition."""
     setting, condition = run
-    return run_under(prepared[setting].plan, prepared[setting].profile, condition)
-
-
-def _prepared(setting: str) -> Preparation:
-    settings = (*HOUR, setting) if setting else HOUR
-    scenario = with_settings(load_scenario("oahu-day"), settings)
-    return prepare(scenario, RunOptions("11:58", "62m"), "delays")
+    scenario = with_settings(load_scenario("oahu-day"), ("commitment.share=0.6", setting))
+    prepared = prepare(scenario, RunOptions("11:58", "62m"), "delays")
+    return run_under(prepared.plan, prepared.profile, condition)
 
 
 def longer_cycles(data: Path) -> Lines:
@@ -134,7 +124,7 @@ def longer_cycles(data: Path) -> Lines:
         for scheme in schemes
         for delay_s, cycle_s in fits
     ]
-    found = iter(measured(runs))
+    found = iter(share_work(measured, runs, WORKERS))
     for scheme in schemes:
         for delay_s, cycle_s in fits:
             yield row([delay_s, 1, scheme, *cells(under("delay", delay_s, scheme))])
@@ -151,76 +141,16 @@ def without_correction(data: Path) -> Lines:
         ("loss", 20.0, "20 % of all messages lost"),
     ]
     setting = "control.correction=false"
-    found = measured(
-        [(setting, Condition(trouble, value, "predictive")) for trouble, value, _ in conditions]
-    )
+    runs = [(setting, Condition(trouble, value, "predictive")) for trouble, value, _ in conditions]
+    found = share_work(measured, runs, WORKERS)
     yield from header(["trouble", "correction", *TITLES])
     for (trouble, value, label), without in zip(conditions, found, strict=True):
         yield row([label, "yes", *cells(under(trouble, value, "predictive"))])
         yield row([label, "no", *cells(without)])
 
 
-def holding(data: Path) -> Lines:
-    """Write what a short hold costs under losses."""
-    runs = [
-        (loss, scheme) for loss, scheme in ((10, "predictive"), (20, "predictive"), (20, "paper"))
-    ]
-    short = measured(
-        [("control.hold_cycles=3", Condition("loss", loss, scheme)) for loss, scheme in runs]
-    )
-    yield from header(["lost messages [%]", "hold_cycles", "scheme", *TITLES])
-    for (loss, scheme), one in zip(runs, short, strict=True):
-        yield row([loss, 3, scheme, *cells(one)])
-        yield row([loss, 10, scheme, *cells(under("loss", loss, scheme))])
-
-
-def one_place(data: Path) -> Lines:
-    """Write a delay in one place beside the same delay spread over all hops."""
-    late = "signal={},delay=4s".format
-    troubles = {
-        "nothing": (),
-        "every hop, 1 s": ("delay=1s",),
-        "commands, 4 s": (late("command"),),
-        "telemetry, dispatch and meter, 4 s": tuple(map(late, ("telemetry", "dispatch", "meter"))),
-    }
-    yield from header(["delayed", "actuator", *TITLES[:3]])
-    for actuator in ("fraction", "limit"):
-        for label, rules in troubles.items():
-            yield row([label, actuator, *simulated(f"oahu --actuator {actuator}", *rules)])
-
-
-def dead(data: Path) -> Lines:
-    """Write what a silent controller costs."""
-    yield from header(["dead", "for [s]", "hold_cycles", *TITLES[:3]])
-    yield row(["nobody", "", 10, *simulated("oahu")])
-    for label, name in (("direct controller `c1/inv13`", "c1/inv13"), ("supervisor `c1`", "c1")):
-        for silent_s in (60, 300):
-            times = ",".join(
-                f"silent={300 + 600 * n}s..{300 + 600 * n + silent_s}s" for n in range(6)
-            )
-            rules = [f"{end}={name},{times}" for end in ("source", "listener")]
-            for hold in (3, 10, 30):
-                found = simulated(f"oahu --set control.hold_cycles={hold}", *rules)
-                yield row([label, silent_s, hold, *found])
-
-
-def simulated(words: str, *rules: str) -> list[str]:
-    """Return control-caused, over-delivered and mileage of a simulated hour."""
-    faults = [word for rule in rules for word in ("--fault", rule)]
-    metrics: Any = heliarch(f"simulate {words}", *faults)["metrics"]
-    energy = metrics["commitment"]
-    percent = [
-        f"{100.0 * energy[name] / energy['desired_kwh']:.3f}"
-        for name in ("control_caused_kwh", "over_delivered_kwh")
-    ]
-    return [*percent, f"{metrics['support']['per_hour_kw']:,.0f}"]
-
-
 TABLES: Final[Tables] = {
     **{trouble: of_trouble(trouble) for trouble in TROUBLES},
     "longer cycles": longer_cycles,
     "correction": without_correction,
-    "one place": one_place,
-    "hold": holding,
-    "dead": dead,
 }

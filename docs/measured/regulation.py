@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Final
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +29,10 @@ BEGINNING: Final = {
     "_STD": 0.5,
 }
 """The constants that are fitted, and where the fit begins."""
-SEEDS: Final = range(1)
+SHIPPED: Final = {name: getattr(synthetic_regd, name) for name in BEGINNING}
 JUDGED_WITH: Final = range(5)
 
 Days = list[dict[str, float]]
-Measure = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @cache
@@ -41,9 +41,11 @@ def real_day(data: Path, date: str) -> dict[str, float]:
     return statistics(read_signal(data / "pjm-regd-2s" / f"regd_{date}.csv")[1][:DAY])
 
 
-def synthetic_days(seed: int) -> Days:
-    """Return the statistics of the 40 days of a seed."""
-    return [statistics(day) for day in synthetic_regd.synthetic_regd(seed).reshape(-1, DAY)]
+def synthetic_days(seed: int, constants: Mapping[str, float] = SHIPPED) -> Days:
+    """Return the statistics of the 40 days of a seed, with other constants of the signal."""
+    with patch.multiple(synthetic_regd, **constants):
+        signal = synthetic_regd.synthetic_regd(seed)
+    return [statistics(day) for day in signal.reshape(-1, DAY)]
 
 
 def days(data: Path) -> Lines:
@@ -60,72 +62,33 @@ def days(data: Path) -> Lines:
 def held_out(data: Path) -> Lines:
     """Fit the constants to each real day alone; write in what both are outside of 40 days."""
     yield from header(["fitted to", "seed", *(f"{date} is outside in" for date in DAYS)])
-    shipped = {name: getattr(synthetic_regd, name) for name in BEGINNING}
-    try:
-        for date in DAYS:
-            fit(real_day(data, date))
-            for seed in JUDGED_WITH:
-                single = synthetic_days(seed)
-                found = [outside(real_day(data, one), single) for one in DAYS]
-                yield row([date, seed, *("; ".join(names) or "nothing" for names in found)])
-            use(shipped)
-    finally:
-        use(shipped)
+    for date in DAYS:
+        constants = fitted(real_day(data, date))
+        for seed in JUDGED_WITH:
+            single = synthetic_days(seed, constants)
+            found = [outside(real_day(data, one), single) for one in DAYS]
+            yield row([date, seed, *("; ".join(names) or "nothing" for names in found)])
 
 
-def fit(real: dict[str, float]) -> None:
-    """Fit the constants to a real day, and leave them in use."""
+def fitted(real: dict[str, float]) -> dict[str, float]:
+    """Fit the constants to a real day."""
     names = [name for name in real if name != "mean"]
-    spread = {name: np.std([day[name] for day in synthetic_days(0)]) for name in names}
+    shipped = synthetic_days(0)
+    spread = {name: np.std([day[name] for day in shipped]) for name in names}
+
+    def constants(logarithms: NDArray[np.float64]) -> dict[str, float]:
+        return dict(zip(BEGINNING, np.exp(logarithms).tolist(), strict=True))
 
     def apart(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
-        use(dict(zip(BEGINNING, np.exp(logarithms).tolist(), strict=True)))
-        days = [day for seed in SEEDS for day in synthetic_days(seed)]
+        days = synthetic_days(0, constants(logarithms))
         medians = {name: np.median([day[name] for day in days]) for name in names}
         return np.array([(medians[name] - real[name]) / spread[name] for name in names])
 
-    apart(least_squares(apart, np.log(list(BEGINNING.values())), diff_step=0.03, max_nfev=14).x)
-
-
-def use(constants: dict[str, float]) -> None:
-    """Put constants of the synthetic signal in place."""
-    for name, value in constants.items():
-        setattr(synthetic_regd, name, value)
-
-
-def parts(data: Path) -> Lines:
-    """Write by how much parts of the first day differ, beyond parts of equal synthetic days."""
-    alike = synthetic_regd._DAY_STDS
-    synthetic_regd._DAY_STDS = (0.0, 0.0, 0.0, 0.0)
-    try:
-        equal_days = synthetic_regd.synthetic_regd(0).reshape(-1, DAY)
-    finally:
-        synthetic_regd._DAY_STDS = alike
-    real = read_signal(data / "pjm-regd-2s" / f"regd_{DAYS[0]}.csv")[1][:DAY]
-    differing = synthetic_regd.synthetic_regd(0).reshape(-1, DAY)
-    yield from header(
-        ["standard deviation of", "parts of 2 h", "3 h", "4 h", "whole synthetic days"]
-    )
-    for title, measure in (
-        ("the logarithm of the mileage", lambda of: np.abs(np.diff(of)).mean(axis=-1)),
-        ("the logarithm of the mean absolute value", lambda of: np.abs(of).mean(axis=-1)),
-    ):
-        beyond = [
-            _variance(measure, real, hours)
-            - np.mean([_variance(measure, day, hours) for day in equal_days])
-            for hours in (2, 3, 4)
-        ]
-        of_days = np.std(np.log(measure(differing)))
-        yield row([title, *(f"{max(one, 0.0) ** 0.5:.2f}" for one in beyond), f"{of_days:.2f}"])
-
-
-def _variance(measure: Measure, day: NDArray[np.float64], hours: int) -> float:
-    of_parts = measure(day.reshape(24 // hours, -1))
-    return float(np.var(np.log(of_parts), ddof=1))
+    beginning = np.log(list(BEGINNING.values()))
+    return constants(least_squares(apart, beginning, diff_step=0.03, max_nfev=14).x)
 
 
 TABLES: Final[Tables] = {
     "RegD": days,
     "RegD, held out": held_out,
-    "RegD, parts": parts,
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -49,13 +50,9 @@ def case_study_regulation(data: Path) -> Lines:
     return by_scheme(_case_study(), REGULATION)
 
 
-_kept: dict[str, pd.DataFrame] = {}
-
-
+@cache
 def _case_study() -> pd.DataFrame:
-    if "day" not in _kept:
-        _kept["day"] = compare("oahu-day", actuators=BOTH)
-    return _kept["day"]
+    return compare("oahu-day", actuators=BOTH)
 
 
 def headroom(data: Path) -> Lines:

@@ -36,6 +36,8 @@ _SECTOR_DEG = 30.0
 # A lower peak of the cross-correlation may be two clouds that look alike, not one seen twice.
 _LEAST_PEAK = 0.5
 
+_LONGEST_LAG_S = 300.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairCorrelations:
@@ -88,7 +90,6 @@ class CloudMotion:
 
     speed_ms: float
     from_deg: float
-    pairs: int
 
 
 def changes(index: Floats, step_s: float, interval_s: float) -> Floats:
@@ -161,24 +162,19 @@ def lagged_correlations(
     return np.asarray(correlation / (length - np.abs(lags))[:, None])
 
 
-def peak_lags(
-    index: Floats, east_m: Floats, north_m: Floats, step_s: float, longest_lag_s: float = 300.0
-) -> PeakLags:
+def peak_lags(index: Floats, east_m: Floats, north_m: Floats, step_s: float) -> PeakLags:
     """Find for each pair of sensors the lag at which their 30 s changes are most alike.
 
-    Above a step of 30 s changes from row to row are taken; the longest lag is a quarter of the
-    series at most.
+    The longest lag is 300 s, or a quarter of the series.
     """
-    change = changes(index, step_s, max(step_s, round(30.0 / step_s) * step_s))
+    change = changes(index, step_s, 30.0)
     first, second = np.triu_indices(index.shape[1], k=1)
-    most_steps = int(min(longest_lag_s / step_s, len(change) / 4))
+    most_steps = int(min(_LONGEST_LAG_S / step_s, len(change) / 4))
     lag_s, peak = _peaks(lagged_correlations(change, first, second, most_steps), step_s)
     return PeakLags(east_m[second] - east_m[first], north_m[second] - north_m[first], lag_s, peak)
 
 
-def cloud_motion(
-    index: Floats, east_m: Floats, north_m: Floats, step_s: float, longest_lag_s: float = 300.0
-) -> CloudMotion:
+def cloud_motion(index: Floats, east_m: Floats, north_m: Floats, step_s: float) -> CloudMotion:
     """Read the motion of the clouds from the lags at which sensors are most alike.
 
     A pattern that moves with velocity v without changing, and is alike in all directions, is most
@@ -188,7 +184,7 @@ def cloud_motion(
     that are off by at most three robust standard deviations, or one step. Where the clouds change
     while they move, the speed comes out too high.
     """
-    found = peak_lags(index, east_m, north_m, step_s, longest_lag_s)
+    found = peak_lags(index, east_m, north_m, step_s)
     apart_m = np.stack([found.east_m, found.north_m], axis=1)
     alike = np.isfinite(found.lag_s) & (found.correlation >= _LEAST_PEAK)
     # The quarter that is most alike comes first, for among the rest some peaks are chance.
@@ -202,7 +198,7 @@ def cloud_motion(
         spread_s = 1.4826 * float(np.median(off_s[kept]))
         kept = alike & (off_s <= max(3.0 * spread_s, step_s))
     from_deg = float(np.rad2deg(np.arctan2(-slowness[0], -slowness[1]))) % 360.0
-    return CloudMotion(1.0 / float(np.hypot(*slowness)), from_deg, int(np.count_nonzero(kept)))
+    return CloudMotion(1.0 / float(np.hypot(*slowness)), from_deg)
 
 
 def _peaks(correlation: Floats, step_s: float) -> tuple[Floats, Floats]:

@@ -58,13 +58,6 @@ def plant(data: Path) -> ScenarioFile:
     return load_scenario("plant20mw", data / "plant20mw-combiners-10s")
 
 
-def read_table(page: str, name: str) -> list[list[str]]:
-    """Return the cells of a table of a document, without its heading."""
-    text = (DOCUMENTS / page).read_text(encoding="utf-8")
-    lines = text.split(f"<!-- measured: {name} -->\n")[1].split("\n<!-- end -->")[0].split("\n")
-    return [[cell.strip() for cell in line[1:-1].split("|")] for line in lines[2:]]
-
-
 def write_table(page: str, name: str, lines: Iterable[str]) -> None:
     """Write a table into its place in a document.
 

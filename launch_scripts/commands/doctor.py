@@ -84,13 +84,11 @@ def _machine() -> Iterator[Finding]:
 
 
 def _scheduling() -> Iterator[Finding]:
-    from agents.machine import MachineSettings, refusals, scheduling_policy
+    from agents.machine import MachineSettings, refusals
 
-    yield Finding("policy", scheduling_policy())
-    refused = refusals(MachineSettings(priority=20, lock_memory=True), lockstep=False)
-    found = "; ".join(refused) or "SCHED_FIFO and locked memory are permitted"
-    advice = "matters only for --priority and machine.lock_memory"
-    yield _judged("real time", found, not refused, advice)
+    refused = refusals(MachineSettings(priority=20), lockstep=False)
+    found = "; ".join(refused) or "SCHED_FIFO is permitted"
+    yield _judged("real time", found, not refused, "matters only for --priority")
 
 
 def _loopback() -> Finding:

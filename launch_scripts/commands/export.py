@@ -58,16 +58,9 @@ def export(
 
 
 def _print(summary: ExportSummary, console: Console) -> None:
-    notes = []
-    if not summary.whole:
-        notes.append("the recording was cut short, or is still written: this is what it holds")
-    if summary.left_out:
-        notes.append(f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
-    title = (
-        f"{summary.messages:,} messages in {summary.wall_s:.1f} s, "
-        f"{summary.size_bytes / 1e6:,.1f} MB"
-    )
-    columns = key_column("table"), Column("rows")
-    rows = tuple((part.name, part.rows) for part in summary.parts)
-    print_table(console, Table(title, columns, rows, tuple(notes)))
+    columns = key_column("signal or table"), Column("rows")
+    cut = "the recording was cut short, or is still written: this is what it holds"
+    title = f"{summary.messages:,} messages, cycles {summary.first_cycle} to {summary.last_cycle}"
+    notes = () if summary.whole else (cut,)
+    print_table(console, Table(title, columns, tuple(summary.rows.items()), notes))
     say(console, f"{summary.form}: {summary.path}")

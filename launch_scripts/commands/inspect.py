@@ -87,17 +87,16 @@ def _show_nodes(
     run: RunReader, nodes: Sequence[str], cycles: range, console: Console, *, keep: bool
 ) -> list[NodeCycle]:
     """Print nodes cycle by cycle, of a recording of any length; return what is to be kept."""
-    from recordings.inspect.timeline import NARROWEST, node_table, timeline
+    from recordings.inspect.timeline import heading, node_columns, row_text, timeline
 
     found = []
     for node in nodes:
         if len(nodes) > 1:
             _print_lines(console, [agent_name(node)], "bold")
-        width = max(console.width, NARROWEST)
-        table = node_table(run.plan.tree, node, len(run.clock.text(0)), width)
-        _print_lines(console, table.heading(), "bold")
+        columns = node_columns(run.plan.tree, node, len(run.clock.text(0)))
+        _print_lines(console, [heading(columns)], "bold")
         for (row,) in timeline(run, [node], cycles):
-            _print_lines(console, table.row(row), _style(row))
+            _print_lines(console, [row_text(columns, row)], _style(row))
             if keep:
                 found.append(row)
     return found
@@ -112,7 +111,7 @@ def _style(row: NodeCycle) -> str:
 
 
 def _show_plant(run: RunReader, cycle: int, console: Console) -> Sequence[NodeCycle]:
-    from recordings.inspect.timeline import NARROWEST, plant_lines, timeline
+    from recordings.inspect.timeline import plant_lines, timeline
 
     found = next(timeline(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
     if found is None:
@@ -121,9 +120,8 @@ def _show_plant(run: RunReader, cycle: int, console: Console) -> Sequence[NodeCy
     central = found[0]
     _print_lines(console, [f"cycle {cycle}, {run.clock.local(cycle):%Y-%m-%d} {central.time}"])
     _print_lines(console, [_plant_text(central)])
-    width = max(console.width, NARROWEST)
-    heading, units, *lines = plant_lines(run.plan.tree, found, width)
-    _print_lines(console, ["", heading, units], "bold")
+    names, *lines = plant_lines(run.plan.tree, found)
+    _print_lines(console, ["", names], "bold")
     _print_lines(console, lines)
     return found
 
@@ -169,7 +167,7 @@ def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Ov
         for gap in found.gaps[:_SHOWN_GAPS]
     )
     tables = [
-        texts_table(f"{found.run_id}, heliarch {found.driver}", facts(found)),
+        texts_table(found.run_id, facts(run, found)),
         Table("Signals", columns, attributes(found.signals, columns)),
         texts_table("Health of the run", health_lines(found.health, run.clock)),
     ]

@@ -7,18 +7,22 @@ import time
 from contextlib import suppress
 from math import inf
 from pathlib import Path
+from typing import Final
 
 import typer
 
+from bus_schemas.errors import InputError
 from launch_scripts.commands.options import changed_scenario
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
+
+_PORT: Final = 5020
 
 
 def inverters(
     scenario: str = "oahu",
     *,
     address: str = "127.0.0.1",
-    port: int = 5020,
+    port: int = _PORT,
     base_port: int | None = None,
     wait: bool = False,
     span: TimeOptions,
@@ -38,6 +42,8 @@ def inverters(
     --wait: Let the clouds stand still until the first limit is written.
     Example: heliarch inverters oahu --port 5020 --set plant.delay_s=1
     """
+    if base_port is not None and port != _PORT:
+        raise InputError("--port: expected no --base-port with it")
     from launch_scripts.launcher.run_folder import new_run_id
     from launch_scripts.scenarios.preparation import prepare
     from sunspec.limited_inverter import LimitedInverter

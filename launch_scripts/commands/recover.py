@@ -37,7 +37,7 @@ def recover(
 
     console = console_for(json)
     try:
-        reader = RunReader(run)
+        reader = RunReader(run, skip_damaged=True)
     except NothingRecordedError as error:
         return complain(f"{error}: there is nothing to recover", FAILED)
     with reader:
@@ -64,29 +64,17 @@ def _lines(recovery: Recovery) -> Iterator[str]:
     from recordings.record.recorder import FLUSH_S
 
     yield f"recovered: {recovery.out}"
-    yield f"kept: {recovery.messages:,} messages, {recovery.complete_cycles:,} complete cycles"
-    for chunk in recovery.damaged:
-        yield f"missing: a damaged chunk at byte {chunk.offset:,}: {chunk.reason}"
+    yield (
+        f"kept: {recovery.messages:,} messages, {recovery.complete_cycles:,} complete cycles of "
+        f"{recovery.planned_cycles:,} planned, up to cycle {recovery.last_cycle:,}"
+    )
+    if recovery.damage:
+        yield recovery.damage
     if recovery.cut_bytes:
-        yield (
-            f"the last {recovery.cut_bytes:,} bytes are an incomplete record; messages read out of "
-            f"it: {recovery.cut_messages:,}; they have no checksum and may be damaged"
-        )
-    if recovery.damaged_attachments:
-        yield f"damaged: attachment {', '.join(recovery.damaged_attachments)}, kept as it is"
+        yield f"missing: the last {recovery.cut_bytes:,} bytes, which are an incomplete record"
     if recovery.lost:
         yield f"may be missing: {recovery.lost:,} messages, by the gaps in the sequence numbers"
-    if recovery.early_ports:
-        yield (
-            f"may be missing: the last messages of {recovery.early_ports:,} keys, "
-            f"{recovery.early_messages:,} were due up to the end of the run"
-        )
     if recovery.lossless:
-        yield "missing: nothing, the recording goes up to the end of the run"
+        yield "missing: nothing"
     elif not recovery.closed:
         yield f"missing: what came last; if the recorder was killed, at most {FLUSH_S:g} s"
-    if not recovery.ended:
-        yield (
-            f"the run was planned for {recovery.planned_cycles:,} cycles; the recording has none "
-            f"after cycle {recovery.last_cycle:,}"
-        )

@@ -20,12 +20,10 @@ class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     cpus: Processors of all processes, `"0-1"`, or of one kind, `"plant=0"`.
     priority: SCHED_FIFO priority; 0: normal policy.
-    lock_memory: Whether the memory of plant and controllers is never paged out.
     """
 
     cpus: tuple[str, ...] = ()
     priority: Annotated[int, Meta(ge=0, le=HIGHEST_PRIORITY)] = 0
-    lock_memory: bool = False
 
 
 def machine_settings(
@@ -54,7 +52,7 @@ def machine_settings(
         )
     everywhere = of_kind.pop("", ())
     kinds = cast("dict[Kind, tuple[int, ...]]", of_kind)
-    return MachineSettings(everywhere, kinds, priority, table.lock_memory)
+    return MachineSettings(everywhere, kinds, priority)
 
 
 def _cpu_list(where: str, text: str) -> tuple[int, ...]:

@@ -75,10 +75,10 @@ def _oahu_sky(
     """Read the day of the run, and the latest before it where the past is asked for."""
     scenario = scenario_file.scenario
     folder = scenario_file.data_path(table.folder) if table.folder else scenario_file.data_folder
-    if not (any(folder.glob("*.txt")) or any(folder.glob("*.zip"))):
+    if not any(folder.glob("*.txt")):
         raise InputError(
-            "irradiance.folder: expected daily files (YYYYMMDD.txt or YYYYMM.zip) there or in the "
-            f"folder of --data, got none in {folder}"
+            "irradiance.folder: expected daily files YYYYMMDD.txt (unzip the archive's months) "
+            f"there or in the folder of --data, got none in {folder}"
         )
     positions = scenario_file.data_path(table.positions)
     most_missing = None if table.gaps == "refuse" else table.most_missing
@@ -119,5 +119,4 @@ def _measured_plant(scenario_file: ScenarioFile, table: DcCurrents) -> MeasuredP
         table.full_power_current,
         pd.Timestamp(local_start(scenario.time)).tz_convert("UTC").as_unit("ns"),
         scenario.plant.rating_kw,
-        refuse_gaps=table.gaps == "refuse",
     )

@@ -40,7 +40,7 @@ from launch_scripts.scenarios.scenario import (
     TimeTable,
     local_start,
 )
-from sim_plant.commitment import commitment_kw, hindsight
+from sim_plant.commitment import commitment_kw, is_hindsight
 from sim_plant.positions import east_north_m
 from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw
@@ -124,7 +124,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         day = _day(scenario_file, scenario, options)
         plan = _plan(scenario_file, scenario, options, run_id, day)
         regulation, remarks = np.zeros(len(day.times)), [f"warning: {one}" for one in _doubts(day)]
-        remarks += day.source.remarks(day.times)
+        remarks += day.source.remarks
         if offer is not None:
             zone, data_path = scenario.time.timezone, scenario_file.data_path
             regulation = regulation_kw(offer, day.times, zone, data_path)
@@ -133,8 +133,8 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         raise error if of_option else InputError(f"{scenario_file.path}: {error}") from None
     if plan.revert is not None and plan.revert != scenario.plant.revert:
         remarks.append(f"inverters revert after {plan.revert.after_s:g} s, which is three cycles")
-    if of_commitment := hindsight(scenario.commitment):
-        remarks.append(of_commitment)
+    if is_hindsight(scenario.commitment):
+        remarks.append("The commitment follows from the run's own possible power: hindsight.")
     meter = np.random.default_rng(scenario.plant.meter_seed)  # The same errors in each run.
     profile = Profile(
         np.ascontiguousarray(day.possible_kw[:, day.order]),

@@ -125,7 +125,7 @@ class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind")
     """Measured irradiance: daily files of the NREL Oahu Solar Measurement Grid, as published.
 
     positions: CSV with the columns `station, lat, lon`.
-    folder: Folder of YYYYMMDD.txt or YYYYMM.zip. Default: `--data`.
+    folder: Folder of YYYYMMDD.txt. Default: `--data`.
     stations: Default: all 17 horizontal sensors.
     gaps: Fill missing values from neighbours, or refuse them.
     most_missing: Leave a sensor out if a larger share of its day is missing.
@@ -144,13 +144,11 @@ class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
     currents: CSV: `t_s` (0 at `time.start`), then one column for each combiner.
     positions: CSV with the columns `combiner, inverter, x_m, y_m`.
     full_power_current: Current of an inverter at its rating, in the unit of the file.
-    gaps: Leave an inverter without current out, or refuse missing currents.
     """
 
     currents: str
     positions: str
     full_power_current: Annotated[float, Meta(gt=0.0, le=1e9)] = 100.0
-    gaps: Literal["leave-out", "refuse"] = "leave-out"
 
 
 Irradiance: TypeAlias = CloudIrradiance | MeasuredIrradiance | OahuGridIrradiance | DcCurrents

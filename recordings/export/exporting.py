@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
@@ -24,16 +23,8 @@ Form: TypeAlias = Literal["json-mcap", "parquet", "csv"]
 _ENDING: Final[dict[Form, str]] = {"json-mcap": ".json.mcap", "parquet": "-parquet", "csv": "-csv"}
 
 
-class Part(msgspec.Struct, frozen=True):
-    """A table, or a signal in a file for viewers: its rows or messages, and its file's size."""
-
-    name: str
-    rows: int
-    size_bytes: int
-
-
 class ExportSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of an export; `left_out` fields are NaN or infinite, which JSON does not have."""
+    """The result of an export; `rows` are those of each table, or the messages of each signal."""
 
     run_id: str
     form: Form
@@ -42,10 +33,7 @@ class ExportSummary(msgspec.Struct, frozen=True, kw_only=True):
     first_cycle: int | None
     last_cycle: int | None
     messages: int
-    left_out: int
-    size_bytes: int
-    wall_s: float
-    parts: list[Part]
+    rows: dict[str, int]
 
 
 def default_path(recording: Path, form: Form) -> Path:
@@ -63,14 +51,13 @@ def export(
     clock: Clock,
 ) -> ExportSummary:
     """Export some signals, nodes and cycles of a recording; no nodes or cycles given means all."""
-    began_at = time.monotonic()
     counts: Counter[str] = Counter()
     exported: set[int] = set()
     ports = reader.ports(*signals, nodes=nodes)
     with new_path(path) as beside:
         out: ViewerFile | TableFolder
         if form == "json-mcap":
-            out = ViewerFile(beside, reader, signals, clock)
+            out = ViewerFile(beside, reader, ports, clock)
         else:
             anchor = ClockAnchor.of(reader.metadata, reader.path)
             out = TableFolder(beside, reader.plan, signals, anchor, form)
@@ -83,10 +70,9 @@ def export(
                 counts[record.port.signal.name] += 1
                 if record.port.signal.is_cyclic:  # The end of a run names the cycle after it.
                     exported.add(record.cycle)
-        if isinstance(out, ViewerFile):
-            parts = [Part(signal.name, counts[signal.name], 0) for signal in signals]
-        else:
-            parts = [Part(name, f.rows, f.path.stat().st_size) for name, f in out.files.items()]
+        rows = {signal.name: counts[signal.name] for signal in signals}
+        if isinstance(out, TableFolder):
+            rows = {name: file.rows for name, file in out.files.items()}
     return ExportSummary(
         run_id=reader.plan.run_id,
         form=form,
@@ -95,8 +81,5 @@ def export(
         first_cycle=min(exported, default=None),
         last_cycle=max(exported, default=None),
         messages=counts.total(),
-        left_out=out.left_out if isinstance(out, ViewerFile) else 0,
-        size_bytes=sum(part.size_bytes for part in parts) or path.stat().st_size,
-        wall_s=time.monotonic() - began_at,
-        parts=parts,
+        rows=rows,
     )

@@ -22,36 +22,28 @@ JsonObject: TypeAlias = dict[str, object]
 
 
 def object_schema(signal: Signal[Message]) -> JsonObject:
-    """JSON Schema of a signal's messages as `JsonEncoder` writes them."""
+    """JSON Schema of a signal's messages as `json_bytes` writes them."""
     return _schema(inspect.type_info(signal.type))
 
 
-class JsonEncoder:
-    """Writes messages as JSON.
+def json_bytes(message: Message) -> bytes:
+    """Return a message as a JSON object.
 
-    JSON has neither NaN nor infinity: a field that holds one is left out, and counted. No schema
-    requires a field that could.
+    JSON has neither NaN nor infinity: a field that holds one is left out. No schema requires a
+    field that could.
     """
+    return msgspec.json.encode(_object(message))
 
-    def __init__(self) -> None:
-        self.left_out = 0
-        self._encoder = msgspec.json.Encoder()
 
-    def encode(self, message: Message) -> bytes:
-        """Return a message as a JSON object."""
-        return self._encoder.encode(self._object(message))
-
-    def _object(self, value: msgspec.Struct) -> JsonObject:
-        """Return a struct as a dictionary, those in its lists too, without what JSON cannot say."""
-        found: JsonObject = {}
-        for name, entry in msgspec.structs.asdict(value).items():
-            if isinstance(entry, tuple) and entry and isinstance(entry[0], msgspec.Struct):
-                found[name] = [self._object(item) for item in entry]
-            elif not _is_finite(entry):
-                self.left_out += 1
-            elif entry is not None:
-                found[name] = entry
-        return found
+def _object(value: msgspec.Struct) -> JsonObject:
+    """Return a struct as a dictionary, those in its lists too, without what JSON cannot say."""
+    found: JsonObject = {}
+    for name, entry in msgspec.structs.asdict(value).items():
+        if isinstance(entry, tuple) and entry and isinstance(entry[0], msgspec.Struct):
+            found[name] = [_object(item) for item in entry]
+        elif entry is not None and _is_finite(entry):
+            found[name] = entry
+    return found
 
 
 def _is_finite(value: object) -> bool:

@@ -8,7 +8,6 @@ pyarrow, a batch of rows at a time, so memory does not grow with the recording.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
@@ -111,7 +110,6 @@ class TableFile:
         self._is_csv = path.suffix == ".csv"
         self._writer: Any
         if self._is_csv:
-            self._time_unit = _time_unit(plan)
             self._writer = CSVWriter(path, self._schema.set(0, pa.field("time", _TEXT)))
         else:
             texts = [field.name for field in self._schema if field.type == _TEXT]
@@ -133,7 +131,7 @@ class TableFile:
             pa.array(cells, field.type) for cells, field in zip(columns, self._schema, strict=True)
         ]
         if self._is_csv:
-            arrays[0] = _iso_times(arrays[0], self._time_unit)
+            arrays[0] = _iso_times(arrays[0])
             self._writer.write(pa.table(arrays, names=self._schema.names))
         else:
             self._writer.write(pa.table(arrays, schema=self._schema))
@@ -144,19 +142,10 @@ class TableFile:
         self._writer.close()
 
 
-def _time_unit(plan: RunPlan) -> str:
-    """Return the coarsest unit that gives the beginning of every cycle exactly."""
-    units = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
-    times_ns = (plan.start_time_ns, plan.cycle_ns)
-    return next(unit for unit, ns in units.items() if not any(time % ns for time in times_ns))
-
-
-def _iso_times(times: pa.Array, unit: str) -> pa.Array:
-    """Return times as local ISO 8601 with the offset from UTC."""
+def _iso_times(times: pa.Array) -> pa.Array:
+    """Return times as local ISO 8601 with the offset from UTC, to the microsecond."""
     encoded = times.dictionary_encode()  # The messages of a cycle all have its time.
-    distinct = encoded.dictionary
-    with suppress(pa.ArrowInvalid):  # A time between the cycles keeps all its digits.
-        distinct = distinct.cast(pa.timestamp(unit, tz=times.type.tz))
+    distinct = encoded.dictionary.cast(pa.timestamp("us", tz=times.type.tz), safe=False)
     return pc.strftime(distinct, format="%Y-%m-%dT%H:%M:%S%Ez").take(encoded.indices)
 
 

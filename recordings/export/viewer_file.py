@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
@@ -10,8 +11,8 @@ from typing import Final, Literal, TypeAlias
 from mcap.writer import CompressionType, Writer
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port, Signal
-from recordings.export.json_messages import JsonEncoder, object_schema
+from bus_schemas.signals import SIGNALS, Port
+from recordings.export.json_messages import json_bytes, object_schema
 from recordings.read.reader import RecordedMessage, RunReader
 
 Clock: TypeAlias = Literal["wall", "sim"]
@@ -28,35 +29,37 @@ class ViewerFile:
     """
 
     def __init__(
-        self, path: Path, reader: RunReader, signals: tuple[Signal[Message], ...], clock: Clock
+        self, path: Path, reader: RunReader, ports: Iterable[Port[Message]], clock: Clock
     ) -> None:
         self._sim = clock == "sim"
         self._file = path.open("xb")
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"heliarch {version('heliarch')}")
         self._write_origin(reader, clock)
-        self._encoder = JsonEncoder()
-        self._schemas = {
+        schemas = {
             signal: self._writer.register_schema(
                 signal.type.__name__, "jsonschema", json.dumps(object_schema(signal)).encode()
             )
-            for signal in signals
+            for signal in SIGNALS
+            if signal.logged
         }
-        self._keys = reader.plan.wiring
-        self._channels: dict[Port[Message], int] = {}
-
-    @property
-    def left_out(self) -> int:
-        """Fields left out so far, since JSON has neither NaN nor infinity."""
-        return self._encoder.left_out
+        self._channels = {
+            port: self._writer.register_channel(
+                reader.plan.wiring.key(port),
+                "json",
+                schemas[port.signal],
+                {"signal": port.signal.name, "node": port.node},
+            )
+            for port in sorted(ports, key=str)
+        }
 
     def add(self, record: RecordedMessage, message: Message) -> None:
         self._writer.add_message(
-            channel_id=self._channel(record.port),
+            channel_id=self._channels[record.port],
             log_time=message.sim_time_ns if self._sim else record.log_time_ns,
             publish_time=message.sim_time_ns if self._sim else record.publish_time_ns,
             sequence=record.sequence,
-            data=self._encoder.encode(message),
+            data=json_bytes(message),
         )
 
     def __enter__(self) -> ViewerFile:
@@ -66,18 +69,6 @@ class ViewerFile:
         with self._file:
             if kind is None:
                 self._writer.finish()
-
-    def _channel(self, port: Port[Message]) -> int:
-        """Return the channel of a port; it is made with the port's first message."""
-        channel = self._channels.get(port)
-        if channel is None:
-            channel = self._channels[port] = self._writer.register_channel(
-                self._keys.key(port),
-                "json",
-                self._schemas[port.signal],
-                {"signal": port.signal.name, "node": port.node},
-            )
-        return channel
 
     def _write_origin(self, reader: RunReader, clock: Clock) -> None:
         for entry in reader.outline.attachments:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+from collections.abc import Mapping
+from typing import Final
 
 from agents.plan import RunPlan
-from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, SETPOINT, TELEMETRY
+from bus_schemas.messages import Message
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import ROOT
-
-Line: TypeAlias = tuple[str, str]
-"""Label, and the path of the value in a message."""
 
 _MOST_LINES: Final = 20
 _SHOWN_S: Final = 300
@@ -17,28 +16,27 @@ _SHOWN_S: Final = 300
 
 def viewer_layout(plan: RunPlan) -> dict[str, object]:
     """Return a layout: the plant's power, its clusters, and the first inverter."""
-    key, tree = plan.wiring.key, plan.tree
+    tree = plan.tree
     clusters = tree.children(ROOT)[:_MOST_LINES]
     inverter = tree.leaves[0]
-    made = key(PRODUCTION.of(ROOT))
+
+    def value(port: Port[Message], field: str = "power_kw") -> str:
+        return f"{plan.wiring.key(port)}.{field}"
+
     panels = {
-        "Plant power [kW]": [
-            ("possible", f"{made}.possible_kw"),
-            ("desired", f"{key(DISPATCH.of(ROOT))}.power_kw"),
-            ("delivered", f"{made}.delivered_kw"),
-        ],
-        "IMPP of the clusters [kW]": [
-            (node, f"{key(IMPP.of(node))}.power_kw") for node in clusters
-        ],
-        "Setpoints of the clusters [kW]": [
-            (node, f"{key(SETPOINT.of(node))}.power_kw") for node in clusters
-        ],
-        f"{inverter} [kW]": [
-            ("IMPP", f"{key(IMPP.of(inverter))}.power_kw"),
-            ("setpoint", f"{key(SETPOINT.of(inverter))}.power_kw"),
-            ("delivered", f"{key(TELEMETRY.of(inverter))}.power_kw"),
-        ],
-        f"{inverter}, alpha": [("alpha", f"{key(COMMAND.of(inverter))}.alpha")],
+        "Plant power [kW]": {
+            "possible": value(PRODUCTION.of(ROOT), "possible_kw"),
+            "desired": value(DISPATCH.of(ROOT)),
+            "delivered": value(PRODUCTION.of(ROOT), "delivered_kw"),
+        },
+        "IMPP of the clusters [kW]": {node: value(IMPP.of(node)) for node in clusters},
+        "Setpoints of the clusters [kW]": {node: value(SETPOINT.of(node)) for node in clusters},
+        f"{inverter} [kW]": {
+            "IMPP": value(IMPP.of(inverter)),
+            "setpoint": value(SETPOINT.of(inverter)),
+            "delivered": value(TELEMETRY.of(inverter)),
+        },
+        f"{inverter}, alpha": {"alpha": value(COMMAND.of(inverter), "alpha")},
     }
     ids = [f"Plot!panel{number}" for number in range(len(panels))]
     plots = zip(ids, panels.items(), strict=True)
@@ -56,23 +54,19 @@ def viewer_layout(plan: RunPlan) -> dict[str, object]:
     }
 
 
-def _plot(title: str, lines: list[Line]) -> dict[str, object]:
+def _plot(title: str, lines: Mapping[str, str]) -> dict[str, object]:
+    """Return a panel with a line for each label, and the path of its value in a message."""
     return {
         "foxglovePanelTitle": title,
         "paths": [
             {"value": path, "label": label, "enabled": True, "timestampMethod": "receiveTime"}
-            for label, path in lines
+            for label, path in lines.items()
         ],
         "minYValue": 0,
         "xAxisVal": "timestamp",
         "followingViewWidth": _SHOWN_S,
         "isSynced": True,
         "showLegend": True,
-        "legendDisplay": "floating",
-        "showPlotValuesInLegend": True,
-        "showXAxisLabels": True,
-        "showYAxisLabels": True,
-        "sidebarDimension": 240,
     }
 
 

@@ -18,7 +18,7 @@ from bus_schemas.faults import UNHEARD, FaultRule
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import FaultAct, FaultTally, NetworkFaults
 from bus_schemas.signals import TELEMETRY, Port
-from bus_schemas.tree import PLANT, RECORDER, some_of
+from bus_schemas.tree import some_of
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
 from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RecordedMessage, RunReader
@@ -32,7 +32,7 @@ _NAMED: Final = 5
 
 
 class Absence(msgspec.Struct, frozen=True):
-    """An agent of which nothing came in some cycles, or (they are None) that only restarted.
+    """An agent of which nothing came in some cycles; in 0 of them if it only restarted.
 
     It was heard again, or its other process joined, in the cycle `back_in`; None: it was not. If
     it restarted it then was of another process, maybe its standby. A real inverter is named
@@ -40,8 +40,8 @@ class Absence(msgspec.Struct, frozen=True):
     """
 
     agent: str
-    first_cycle: int | None
-    last_cycle: int | None
+    first_cycle: int
+    cycles: int
     back_in: int | None
     restarted: bool
     by_standby: bool = False
@@ -49,9 +49,7 @@ class Absence(msgspec.Struct, frozen=True):
     @property
     def weight(self) -> tuple[bool, int]:
         """What it is sorted by: the agent did not come back as it was, or for how long."""
-        if self.first_cycle is None or self.last_cycle is None:
-            return (True, 0)
-        return (self.restarted or self.back_in is None, self.last_cycle - self.first_cycle + 1)
+        return self.restarted or self.back_in is None, self.cycles
 
 
 class Misses(msgspec.Struct, frozen=True):
@@ -81,10 +79,8 @@ class WrongMessages(msgspec.Struct, frozen=True):
 class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
     """The part of a run's health that only the launcher knows, from the run's summary.
 
-    dropped: Messages that agents could not use, by cause.
-    restarts: How often each process was started again.
-    skipped_cycles: Cycles that were over before a process came to them.
-    recording_ended: Why the recording stops before the run's end; empty if it does not.
+    `dropped`: messages that agents could not use, by cause. `skipped_cycles` were over before a
+    process came to them. `recording_ended`: why the recording stops before the run's end.
     """
 
     run_id: str
@@ -102,10 +98,9 @@ class Health(msgspec.Struct, frozen=True):
     """How a run fared.
 
     `faults` counts what all rules did to messages, by kind. `lost` counts messages that the
-    sequence numbers leave out, by port, most first; `repeated` those that came again. `misses` are
-    by agent, most first; `absences` are in the order of time. `ended`: the recording goes up to the
-    run's end. `failure`: why the launcher gave up. `launcher` is None without a summary beside the
-    recording. `devices` is what was measured of real inverters.
+    sequence numbers leave out, by port, most first. `misses` are by agent, most first. `ended`: the
+    recording goes up to the run's end. `failure`: why the launcher gave up. `launcher` is None
+    without a summary beside the recording.
     """
 
     fault_acts: tuple[FaultAct, ...]
@@ -122,7 +117,6 @@ class Health(msgspec.Struct, frozen=True):
 
     @property
     def messages_lost(self) -> int:
-        """Messages that the sequence numbers leave out."""
         return sum(self.lost.values())
 
     @property
@@ -186,7 +180,7 @@ class HealthWatch:
         for agent, last in self._last_cycle.items():
             # A run that broke off has not completed its last cycle.
             if cycle > last + self._step[agent] + 1:
-                self._note(Absence(agent, last + 1, cycle - 1, None, False))
+                self._note(Absence(agent, last + 1, cycle - last - 1, None, False))
         ports, missed, external = self.gaps.ports, self._missed, self._plan.external
         misses = [
             Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
@@ -211,13 +205,9 @@ class HealthWatch:
         )
 
     def _stop_act(self, rule: FaultRule, run: RunReader) -> FaultAct:
-        """Return in which cycles a rule killed or froze controllers, if the run came to that."""
-        first, last = (
-            int(time_s * 1e9 / self._plan.cycle_ns) for time_s in (rule.at[0], rule.at[-1])
-        )
-        if first > run.last_cycle:
-            return FaultAct(rule)
-        return FaultAct(rule, 0, first, min(last, run.last_cycle))
+        """Return in which cycle a rule killed or froze controllers, if the run came to that."""
+        cycle = int(rule.at[0] * 1e9 / self._plan.cycle_ns)
+        return FaultAct(rule) if cycle > run.last_cycle else FaultAct(rule, 0, cycle, cycle)
 
     def _see_faults(self, port: Port[Message], message: Message) -> None:
         """Work out what became of a message on the way to each listener whose end is ours."""
@@ -228,15 +218,14 @@ class HealthWatch:
     def _see_agent(self, agent: str, cycle: int, joined: int | None) -> None:
         """Note that an agent was absent, or that a new process of it joined."""
         last = self._last_cycle[agent]
-        if cycle > last:
-            self._last_cycle[agent] = cycle
+        self._last_cycle[agent] = max(cycle, last)
         # A process that was started again stands by where there is a standby.
         by_standby = joined is not None and agent in self._plan.standbys
         if cycle > last + self._step[agent]:
-            is_new = joined is not None
-            self._note(Absence(agent, last + 1, cycle - 1, cycle, is_new, by_standby))
+            gone, is_new = cycle - last - 1, joined is not None
+            self._note(Absence(agent, last + 1, gone, cycle, is_new, by_standby))
         elif joined is not None:
-            self._note(Absence(agent, None, None, joined, True, by_standby))
+            self._note(Absence(agent, joined, 0, joined, True, by_standby))
 
     def _note(self, absence: Absence) -> None:
         """Keep an absence; beyond `LISTED_GAPS` the shortest are only counted."""
@@ -249,59 +238,46 @@ class HealthWatch:
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     """Yield the health of a run as text: what is looked at, and what was found."""
     launcher = health.launcher
-    unknown = f"not recorded: there is no {SUMMARY_NAME} beside the recording"
-    if health.fault_acts:
-        number = len(health.fault_acts)
-        rules = f"{number} rule{'s' if number > 1 else ''}"
-        yield "faults", f"{rules}; messages: {counts_text(health.faults) or 'none touched'}"
-        for act in health.fault_acts:
-            yield "fault", f"{act.rule}: {_act_text(act, clock)}"
-    else:
-        yield "faults", "none injected"
-    lost = f"{health.messages_lost:,} messages not recorded"
-    yield "missing", f"{lost}: {_named(health.lost)}" if health.lost else lost
+    yield "faults", f"messages: {counts_text(health.faults) or 'none'}"
+    for act in health.fault_acts:
+        yield "fault", f"{act.rule}: {_act_text(act, clock)}"
+    yield "missing", f"{health.messages_lost:,} messages not recorded{_named(health.lost)}"
     if health.repeated:
         yield "repeated", f"{health.repeated:,} messages came again"
-    yield "dropped", unknown if launcher is None else _dropped(launcher)
+    yield "dropped", _dropped(launcher)
     yield "inputs", _missed_text(health, clock)
-    named = sorted(health.absences, key=lambda one: one.weight, reverse=True)[:_NAMED]
-    for absence in health.absences:
-        if absence in named:
-            yield "absent", _absence_text(absence, clock)
-    if others := len(health.absences) + health.more_absences - len(named):
+    by_weight = sorted(health.absences, key=lambda one: one.weight, reverse=True)
+    for absence in by_weight[:_NAMED]:
+        yield "absent", _absence_text(absence, clock)
+    if others := len(by_weight[_NAMED:]) + health.more_absences:
         yield "absent", f"and {others:,} times more"
-    # Messages show that an agent restarted; the recorder publishes none.
-    if recorder := launcher.restarts.get(RECORDER) if launcher else None:
-        yield "absent", f"{RECORDER} restarted {recorder:,} time{'s' if recorder > 1 else ''}"
-    elif not health.absences:
-        yield "absent", "no agent restarted, died, or missed a cycle"
+    if not by_weight:
+        yield "absent", "none"
     yield from (("devices", text) for text in _devices_texts(health.devices))
+    end = "ended in order" if health.ended else "the recording stops before the run's end"
     if health.failure:
-        yield "run", f"failed: {health.failure}"
-    else:
-        end = "ended in order" if health.ended else "the recording stops before the run's end"
-        yield "run", launcher.recording_ended if launcher and launcher.recording_ended else end
+        end = f"failed: {health.failure}"
+    yield "run", launcher.recording_ended if launcher and launcher.recording_ended else end
 
 
 def _act_text(act: FaultAct, clock: RunClock) -> str:
     if act.rule.signal in UNHEARD:
         return f"changed nothing: no agent acts on {act.rule.signal}"
     if act.first_cycle is None or act.last_cycle is None:
-        return "never acted: the run was over" if act.rule.stops else "never acted on a message"
-    when = clock.span_text(act.first_cycle, act.last_cycle)
-    if act.rule.stops is not None:
-        return f"{'killed' if act.rule.kill else 'stood still'} {when}"
-    return f"acted on {act.messages:,} messages {when}"
+        return "never acted"
+    on = "" if act.rule.stops else f"on {act.messages:,} messages "
+    return f"acted {on}{clock.span_text(act.first_cycle, act.last_cycle)}"
 
 
-def _dropped(launcher: LauncherAccount) -> str:
-    dropped = f"{sum(launcher.dropped.values()):,} messages that agents could not use"
-    causes = counts_text(launcher.dropped)
+def _dropped(launcher: LauncherAccount | None) -> str:
+    if launcher is None:
+        return f"not recorded: there is no {SUMMARY_NAME} beside the recording"
+    dropped, skipped = launcher.dropped, launcher.skipped_cycles
     wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in launcher.wrong]
-    skipped = f"{launcher.skipped_cycles:,} cycles skipped" if launcher.skipped_cycles else ""
-    parts = [dropped + (f" ({causes})" if causes else ""), skipped]
+    parts = [f"{sum(dropped.values()):,} messages that agents could not use{_named(dropped)}"]
+    parts += [f"{skipped:,} cycles skipped"] if skipped else []
     parts += [f"wrong: {some_of(wrong, _NAMED)}"] if wrong else []
-    return "; ".join(part for part in parts if part)
+    return "; ".join(parts)
 
 
 def counts_text(counts: dict[str, int]) -> str:
@@ -309,8 +285,9 @@ def counts_text(counts: dict[str, int]) -> str:
 
 
 def _named(counts: Mapping[str, int]) -> str:
-    """List the first counts with their names."""
-    return some_of([f"{name} {count:,}" for name, count in counts.items()], _NAMED)
+    """List the first counts with their names, after a colon; empty if there are none."""
+    listed = some_of([f"{name} {count:,}" for name, count in counts.items()], _NAMED)
+    return f": {listed}" if listed else ""
 
 
 def _missed_text(health: Health, clock: RunClock) -> str:
@@ -320,31 +297,25 @@ def _missed_text(health: Health, clock: RunClock) -> str:
     first = min(found.first_cycle for found in misses)
     last = max(found.last_cycle for found in misses)
     worst = _named({found.agent: found.inputs for found in misses})
-    missed, old = health.missing_inputs, health.old_inputs
-    devices = "".join(f"; {m.agent} (external) {m.inputs:,}" for m in misses if m.external)
-    when = clock.span_text(first, last)
-    return f"{missed:,} missed and {old:,} older ones used {when}, most at {worst}{devices}"
+    used = f"{health.missing_inputs:,} missed and {health.old_inputs:,} older ones used"
+    return f"{used} {clock.span_text(first, last)}, most at{worst}"
 
 
 def _absence_text(absence: Absence, clock: RunClock) -> str:
-    if absence.first_cycle is None or absence.last_cycle is None:
-        what = "was taken over by its standby" if absence.by_standby else "restarted"
-        return f"{absence.agent} {what} in cycle {absence.back_in:,}"
-    when = clock.span_text(absence.first_cycle, absence.last_cycle)
-    text = f"{absence.agent}: nothing {when}"
+    first, cycles = absence.first_cycle, absence.cycles
+    gone = f"nothing {clock.span_text(first, first + cycles - 1)}, " if cycles else ""
     if absence.back_in is None:
-        gone = "the run ended without it" if absence.agent != PLANT else "the run ended there"
-        return f"{text}; {gone}"
-    if absence.by_standby:
-        return f"{text}, then its standby took over"
-    return f"{text}, then back{', with sequence numbers from 0 again' if absence.restarted else ''}"
+        return f"{absence.agent}: {gone}not back"
+    how = "its standby took over" if absence.by_standby else "restarted"
+    how = how if absence.restarted else "back"
+    return f"{absence.agent}: {gone}{how} in cycle {absence.back_in:,}"
 
 
 def _devices_texts(devices: tuple[DeviceAccount, ...]) -> Iterator[str]:
     fields = {"breaks": "lost connections", "late": "late readings", "refused": "refused requests"}
     for field, what in fields.items():
         if counts := +Counter({device.node: getattr(device, field) for device in devices}):
-            yield f"{counts.total():,} {what}, most at {_named(dict(counts.most_common()))}"
+            yield f"{counts.total():,} {what}, most at{_named(dict(counts.most_common()))}"
 
 
 def summary_in(folder: Path, plan: RunPlan, kind: type[Account]) -> Account | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Iterator
 
 import msgspec
@@ -39,33 +38,15 @@ class Overview(msgspec.Struct, frozen=True):
 
     path: str
     run_id: str
-    plant: str
-    title: str
-    driver: str
+    metadata: dict[str, dict[str, str]]
     whole: bool
-    files: int
-    size_mb: float
-    chunks: int
-    start: str
-    end: str
-    timezone: str
     first_cycle: int
     last_cycle: int
-    planned_cycles: int
     complete_cycles: int
-    cycle_s: float
-    simulated_s: float
+    planned_cycles: int
     wall_s: float
-    scheme: str
-    actuator: str
-    lockstep: bool
-    pace: float
-    versions: dict[str, str]
-    origin: dict[str, str]
-    recovery: dict[str, str]
     signals: tuple[SignalCount, ...]
     gaps: tuple[Gap, ...]
-    more_gaps: int
     health: Health
 
 
@@ -82,44 +63,21 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = production.newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
     health = watch.health(run, end)
-    plan, origin, gaps = run.plan, run.metadata["run"], watch.gaps
     wall_s = (last_ns - first_ns) / 1e9
     return Overview(
         path=str(run.path),
-        run_id=plan.run_id,
-        plant=plan.plant,
-        title=_title(run),
-        driver=origin.get("driver", ""),
+        run_id=run.plan.run_id,
+        metadata=run.metadata,
         whole=run.whole,
-        files=len(run.files),
-        size_mb=sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6,
-        chunks=len(run.outline.chunks),
-        start=run.clock.local(wanted.start).isoformat(),
-        end=run.clock.local(max(wanted.stop - 1, wanted.start)).isoformat(),
-        timezone=plan.timezone,
         first_cycle=wanted.start,
         last_cycle=wanted.stop - 1,
-        planned_cycles=plan.cycles,
         complete_cycles=production.messages,
-        cycle_s=plan.cycle_ns / 1e9,
-        simulated_s=len(wanted) * plan.cycle_ns / 1e9,
+        planned_cycles=run.plan.cycles,
         wall_s=wall_s,
-        scheme=plan.scheme,
-        actuator=plan.actuator,
-        lockstep=plan.lockstep,
-        pace=0.0 if plan.lockstep else plan.cycle_ns / plan.cycle_wall_ns,
-        versions={
-            name.removeprefix("version "): text
-            for name, text in origin.items()
-            if name.startswith("version ")
-        },
-        origin={name: text for name, text in origin.items() if not name.startswith("version ")},
-        recovery=run.metadata.get(RECOVERY_METADATA, {}),
         signals=tuple(
-            _count(signal, gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
+            _count(signal, watch.gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
         ),
-        gaps=tuple(gaps.gaps),
-        more_gaps=gaps.more_gaps,
+        gaps=tuple(watch.gaps.gaps),
         health=health,
     )
 
@@ -140,45 +98,32 @@ def _count(signal: Signal[Message], gaps: RunGaps, cycles: int, wall_s: float) -
     )
 
 
-def _title(run: RunReader) -> str:
-    """Return the title of the scenario that the recording carries, if it has one."""
-    try:
-        return str(tomllib.loads(run.scenario).get("title", ""))
-    except (tomllib.TOMLDecodeError, RecursionError):
-        return ""
-
-
-def facts(overview: Overview) -> Iterator[tuple[str, str]]:
+def facts(run: RunReader, overview: Overview) -> Iterator[tuple[str, str]]:
     """Yield what the recording is as text: names and facts."""
-    chunks = f"{overview.chunks:,} chunk{'s' if overview.chunks != 1 else ''}"
-    yield "recording", f"{overview.path} ({overview.size_mb:,.1f} MB, {chunks})"
-    yield "scenario", overview.title or overview.plant
-    pace = "lockstep" if overview.lockstep else f"pace {overview.pace:g}"
-    yield "control", f"scheme {overview.scheme}, actuator {overview.actuator}, {pace}"
-    begin, end = (text.replace("T", " ")[:19] for text in (overview.start, overview.end))
-    yield "time", f"{begin} to {end}, {overview.timezone}"
+    plan, origin = run.plan, overview.metadata["run"]
+    size_mb = sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6
+    size = f"{size_mb:,.1f} MB, files: {len(run.files)}, chunks: {len(run.outline.chunks):,}"
+    yield "recording", f"{overview.path} ({size})"
+    pace = "lockstep" if plan.lockstep else f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}"
+    scheme = f"scheme {plan.scheme}, actuator {plan.actuator}"
+    yield "run", f"heliarch {origin.get('driver')}, plant {plan.plant}, {scheme}, {pace}"
+    first, last = overview.first_cycle, max(overview.last_cycle, overview.first_cycle)
+    begin, end = (f"{run.clock.local(cycle):%F %T}" for cycle in (first, last))
+    yield "time", f"{begin} to {end}, {plan.timezone}, recorded in {overview.wall_s:,.1f} s"
     yield (
         "cycles",
-        f"{overview.first_cycle:,} to {overview.last_cycle:,} of {overview.cycle_s:g} s, "
+        f"{first:,} to {overview.last_cycle:,} of {plan.cycle_ns / 1e9:g} s, "
         f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
     )
-    yield "duration", f"{overview.simulated_s:,.0f} s simulated in {overview.wall_s:,.1f} s"
-    origin = overview.origin
-    versions = [f"{name} {text}" for name, text in overview.versions.items()]
-    yield "versions", ", ".join([*versions, f"Python {origin.get('python', 'not stated')}"])
+    versions = [
+        f"{name.removeprefix('version ')} {text}"
+        for name, text in origin.items()
+        if name.startswith("version ")
+    ]
+    yield "versions", ", ".join([*versions, f"Python {origin.get('python')}"])
     if "host" in origin:  # A run in memory does not depend on it.
-        cpus, kernel = origin.get("cpu_count", "?"), origin.get("kernel", "?")
+        cpus, kernel = origin.get("cpu_count"), origin.get("kernel")
         yield "host", f"{origin['host']}, {cpus} CPUs, Linux {kernel}"
-    files = f", {overview.files} files: its recorder was restarted" if overview.files > 1 else ""
-    yield "file", f"{'whole' if overview.whole else 'cut'}{files}{_recovered(overview)}"
-
-
-def _recovered(overview: Overview) -> str:
-    """Say that a file was recovered, and whether anything may be missing in it."""
-    if not overview.recovery:
-        return ""
-    lossless = overview.recovery.get("lossless") == "true"
-    return (
-        f", recovered from {overview.recovery.get('recovered_from', 'another file')}, "
-        f"{'nothing' if lossless else 'something'} is missing"
-    )
+    recovery = overview.metadata.get(RECOVERY_METADATA, {})
+    recovered = [f"{name.replace('_', ' ')} {text}" for name, text in recovery.items() if text]
+    yield "file", ", ".join(["whole" if overview.whole else "cut", *recovered])

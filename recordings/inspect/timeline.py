@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
@@ -22,22 +20,13 @@ _LAG_CYCLES: Final = 1000
 """How many cycles are kept open for messages that stand further back in the file."""
 
 _FIELDS: Final[dict[type[Message], dict[str, str]]] = {
-    messages.Telemetry: {
-        "power_kw": "power_kw",
-        "alpha": "applied_alpha",
-        "available_kw": "available_kw",
-    },
+    messages.Telemetry: {"power_kw": "power_kw"},
     messages.Impp: {"power_kw": "impp_kw", "stale_cycles": "stale_cycles"},
     messages.Residual: {"power_kw": "residual_kw"},
     messages.Help: {"missing_kw": "help_asked_kw"},
-    messages.Setpoint: {"power_kw": "setpoint_kw", "share_kw": "share_kw"},
+    messages.Setpoint: {"power_kw": "setpoint_kw"},
     messages.Command: {"alpha": "alpha"},
-    messages.Dispatch: {
-        "power_kw": "dispatch_kw",
-        "commitment_kw": "commitment_kw",
-        "regulation_kw": "regulation_kw",
-    },
-    messages.Meter: {"power_kw": "metered_kw"},
+    messages.Dispatch: {"power_kw": "dispatch_kw", "commitment_kw": "commitment_kw"},
     messages.Production: {"possible_kw": "possible_kw", "delivered_kw": "delivered_kw"},
 }
 """Which field of a message is which of the `NodeCycle` of its node."""
@@ -53,14 +42,9 @@ class HelpLine(msgspec.Struct, frozen=True):
 class NodeCycle(msgspec.Struct, omit_defaults=True):
     """One node in one cycle, at its local time. None, or nothing: no message said it.
 
-    `power_kw`, `applied_alpha` and `available_kw` are telemetry of the interval before. Then come
-    its IMPP, and for how many cycles there was no usable measurement; its share of the dispatch by
-    rating, and its IMPP less that; the power that it called for; siblings that produced more than
-    their share for it, or for which it did; its share of its parent's target, and what it had to
-    produce; the curtailment level that it told its inverter.
-
-    Of the central controller: the dispatch and its two parts, the plant's meter of the interval
-    before, and what the plant could have given and gave in this one. Of parents: the children that
+    `power_kw` is telemetry of the interval before, `stale_cycles` for how many cycles there was no
+    usable measurement, `request_kw` the share of the dispatch by rating. Siblings produced more
+    than their share for it (`help_from`), or it did so for them. Of parents: the children that
     called for help, and the power that they produced for each other.
     """
 
@@ -68,8 +52,6 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     time: str
     node: str
     power_kw: float | None = None
-    applied_alpha: float | None = None
-    available_kw: float | None = None
     impp_kw: float | None = None
     stale_cycles: int = 0
     request_kw: float | None = None
@@ -77,13 +59,10 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     help_asked_kw: float | None = None
     help_from: list[HelpLine] = []
     help_for: list[HelpLine] = []
-    share_kw: float | None = None
     setpoint_kw: float | None = None
     alpha: float | None = None
     dispatch_kw: float | None = None
     commitment_kw: float | None = None
-    regulation_kw: float | None = None
-    metered_kw: float | None = None
     possible_kw: float | None = None
     delivered_kw: float | None = None
     needy: list[str] = []
@@ -169,22 +148,11 @@ def _pop_before(cycle: int, opened: dict[int, dict[str, NodeCycle]]) -> Iterator
 
 # As text, in columns of fixed width ---------------------------------------------------------------
 
-NARROWEST: Final = 80
-"""The tables are whole from this width on [characters]."""
 
-_GAP: Final = "  "
-_LEAST_REMARK: Final = 20
-"""Remarks stand beside the columns if there is so much room, otherwise below them."""
-
-_INDENT: Final = 16
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column: its two lines of heading, the field that it shows, its width and format."""
+class Column(NamedTuple):
+    """One column: its heading, the field that it shows, its width and format."""
 
     name: str
-    unit: str
     field: str
     width: int = 8
     form: str = ".2f"
@@ -194,82 +162,53 @@ class Column:
         return ("-" if value is None else format(value, self.form)).rjust(self.width)
 
 
-_IMPP: Final = Column("IMPP", "kW", "impp_kw")
-_REQUEST: Final = Column("request", "kW", "request_kw")
-_RESIDUAL: Final = Column("residual", "kW", "residual_kw")
-_HELP_ASKED: Final = Column("help", "asked kW", "help_asked_kw")
-_SETPOINT: Final = Column("setpoint", "kW", "setpoint_kw")
-_POWER: Final = Column("power", "kW", "power_kw")
-_MOVED: Final = Column("moved", "kW", "moved_kw")
-_ALPHA: Final = Column("alpha", "", "alpha", 6, ".4f")
+_IMPP: Final = Column("IMPP", "impp_kw")
+_RESIDUAL: Final = Column("residual", "residual_kw")
+_REQUEST: Final = Column("request", "request_kw")
+_ASKED: Final = Column("asked", "help_asked_kw")
+_SETPOINT: Final = Column("setpoint", "setpoint_kw")
 
-_DIRECT: Final = (_POWER, _IMPP, _REQUEST, _RESIDUAL, _HELP_ASKED, _SETPOINT, _ALPHA)
-_SUPERVISOR: Final = (_REQUEST, _IMPP, _RESIDUAL, _HELP_ASKED, _SETPOINT, _MOVED)
+_DIRECT: Final = (
+    Column("power", "power_kw"),
+    *(_IMPP, _REQUEST, _RESIDUAL, _ASKED, _SETPOINT),
+    Column("alpha", "alpha", 6, ".4f"),
+)
+_SUPERVISOR: Final = (_IMPP, _REQUEST, _RESIDUAL, _ASKED, _SETPOINT, Column("moved", "moved_kw"))
 _CENTRAL: Final = (
-    Column("dispatch", "kW", "dispatch_kw"),
-    *(_IMPP, _RESIDUAL, _HELP_ASKED),
-    Column("possible", "kW", "possible_kw"),
-    Column("produced", "kW", "delivered_kw"),
+    Column("dispatch", "dispatch_kw"),
+    *(_IMPP, _RESIDUAL, _ASKED),
+    Column("possible", "possible_kw"),
+    Column("produced", "delivered_kw"),
 )
 
 
-_HELP_GIVEN: Final = ("help given", "from or for whom, kW")
+def node_columns(tree: ControlTree, node: str, time_width: int) -> tuple[Column, ...]:
+    """Return the columns of one node's timeline."""
+    powers = _CENTRAL if node == ROOT else _DIRECT if tree.is_leaf(node) else _SUPERVISOR
+    return (Column("cycle", "cycle", 6, "d"), Column("time", "time", time_width, ""), *powers)
 
 
-@dataclass(frozen=True, slots=True)
-class TimelineTable:
-    """Lines of nodes in columns; `last` is the heading above their remarks, in two lines."""
-
-    columns: tuple[Column, ...]
-    last: tuple[str, str]
-    width: int
-
-    def heading(self) -> list[str]:
-        """Return the two lines above the columns."""
-        names = " ".join(column.name.rjust(column.width) for column in self.columns)
-        units = " ".join(column.unit.rjust(column.width) for column in self.columns)
-        if self.width - len(names) - len(_GAP) < _LEAST_REMARK:
-            return [names.rstrip(), units.rstrip()]
-        return [f"{names}{_GAP}{self.last[0]}".rstrip(), f"{units}{_GAP}{self.last[1]}".rstrip()]
-
-    def row(self, node: NodeCycle) -> list[str]:
-        """Return the lines of a node in one cycle: its columns, and its remarks."""
-        cells, remarks = " ".join(column.text(node) for column in self.columns), _remarks(node)
-        begin = len(cells) + len(_GAP)
-        if self.width - begin < _LEAST_REMARK:
-            lines = textwrap.wrap(remarks, self.width - _INDENT)
-            return [cells.rstrip(), *(" " * _INDENT + line for line in lines)]
-        first, *rest = textwrap.wrap(remarks, self.width - begin) or [""]
-        return [f"{cells}{_GAP}{first}".rstrip(), *(" " * begin + line for line in rest)]
+def heading(columns: Sequence[Column]) -> str:
+    """Return the line above the columns."""
+    names = " ".join(column.name.rjust(column.width) for column in columns)
+    return f"{names}  help, remarks (powers in kW)"
 
 
-def node_table(
-    tree: ControlTree, node: str, time_width: int, width: int = NARROWEST
-) -> TimelineTable:
-    """Return the table of one node's timeline."""
-    powers: tuple[Column, ...]
-    if node == ROOT:
-        powers, last = _CENTRAL, ("children in need", "")
-    elif tree.is_leaf(node):
-        powers, last = _DIRECT, _HELP_GIVEN
-    else:
-        powers, last = _SUPERVISOR, ("help given, children in need", "from or for whom, kW")
-    when = Column("cycle", "", "cycle", 6, "d"), Column("time", "local", "time", time_width, "")
-    return TimelineTable((*when, *powers), last, width)
+def row_text(columns: Sequence[Column], node: NodeCycle) -> str:
+    """Return a node in one cycle: its columns, and its remarks, however long they are."""
+    cells = " ".join(column.text(node) for column in columns)
+    return f"{cells}  {_remarks(node)}".rstrip()
 
 
-def plant_lines(
-    tree: ControlTree, nodes: Sequence[NodeCycle], width: int = NARROWEST
-) -> Iterator[str]:
-    """Yield the plant in one cycle: its nodes as a tree, with the columns of a timeline."""
+def plant_lines(tree: ControlTree, nodes: Sequence[NodeCycle]) -> Iterator[str]:
+    """Yield the plant in one cycle: a heading, and its nodes as a tree."""
     branches = dict(_branches(tree, ROOT, ""))
-    longest = max(len(branch) for branch in branches.values())
-    first = Column("node".ljust(longest), "", "node", longest, f"<{longest}")
-    table = TimelineTable((first, *_DIRECT), _HELP_GIVEN, width)
-    yield from table.heading()
+    longest = max(map(len, branches.values()))
+    columns = (Column("node".ljust(longest), "node", longest, f"<{longest}"), *_DIRECT)
+    yield heading(columns)
     by_path = dict(zip(tree.nodes, nodes, strict=True))
     for path, branch in branches.items():
-        yield from table.row(replace(by_path[path], node=branch))
+        yield row_text(columns, replace(by_path[path], node=branch))
 
 
 def _branches(tree: ControlTree, node: str, indent: str) -> Iterator[tuple[str, str]]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from recordings.read.reader import RunReader
 
 LISTED_GAPS: Final = 100
-"""This many gaps are kept with their place; the rest are only counted."""
+"""So many gaps are kept with their place."""
 
 
 class Gap(msgspec.Struct, frozen=True):
@@ -38,25 +38,15 @@ def due_step(plan: RunPlan, port: Port[Message]) -> int:
 
 
 class PortGaps:
-    """The messages of one port, and what is missing between them.
+    """The messages of one port from `first_cycle` on, and what is missing between them.
 
     The messages of each incarnation are numbered from 0. Numbers of a process that was replaced are
     ignored. A number lower than expected means that a device has restarted, if the cycle is newer;
     if not, that a message came again.
 
-    step: Cycles from one due message to the next; 0: messages come when they are needed.
-    first_cycle: Messages of earlier cycles do not count as missing.
-
-    messages, lost, repeated, restarts: How many messages came, how many numbers were left out, how
-        many messages came again, and how often the numbers began again.
-    missing: Number of cycles in which a message was due and none came.
-    newest: Newest cycle of a message; `first_cycle` - 1 if there is none.
+    `missing` counts the cycles in which a message was due and none came: one is due in every
+    `step`-th cycle, or never if that is 0. `newest` is the newest cycle of a message.
     """
-
-    __slots__ = (
-        *("_due", "_expected", "_incarnation", "_step"),
-        *("lost", "messages", "missing", "newest", "repeated", "restarts"),
-    )
 
     def __init__(self, step: int = 0, first_cycle: int = 0) -> None:
         self.messages = self.missing = self.lost = self.repeated = self.restarts = 0
@@ -101,20 +91,16 @@ class RunGaps:
         logged = sorted((port for port in plan.wiring.ports if port.signal.logged), key=str)
         self.ports = {port: PortGaps(due_step(plan, port), first_cycle) for port in logged}
         self.gaps: list[Gap] = []
-        self.more_gaps = 0
 
     def see(self, port: Port[Message], cycle: int, sequence: int, incarnation: int = 0) -> None:
         if gap := self.ports[port].see(cycle, sequence, incarnation):
             self._note(port, gap)
 
-    def end(self, cycle: int) -> dict[Port[Message], range]:
-        """Note what was due before the cycle that the run ended with; return it by port."""
-        missing = {}
+    def end(self, cycle: int) -> None:
+        """Note what was due before the cycle that the run ended with."""
         for port, found in self.ports.items():
             if gap := found.end(cycle):
                 self._note(port, gap)
-                missing[port] = gap
-        return missing
 
     @property
     def lost(self) -> int:
@@ -124,8 +110,6 @@ class RunGaps:
     def _note(self, port: Port[Message], gap: range) -> None:
         if len(self.gaps) < LISTED_GAPS:
             self.gaps.append(Gap(str(port), gap[0], gap[-1], len(gap)))
-        else:
-            self.more_gaps += 1
 
 
 def recorder_absences(run: RunReader) -> Iterator[tuple[str, range]]:

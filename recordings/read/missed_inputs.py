@@ -22,9 +22,8 @@ _NOTHING_MISSED = b"missing\x90"
 class MissedInputs:
     """Counts the missed inputs of each agent, each once in a stage.
 
-    missing: Inputs that a stage awaited and that had not come at its deadline, by agent and key.
-    old: Older messages that were used in place of those that were due.
-    cycles: The first and the last cycle with either.
+    `missing`: inputs that had not come at a deadline, by agent and key. `old`: older messages that
+    were used instead. `cycles`: the first and the last cycle with either.
     """
 
     def __init__(self, plan: RunPlan) -> None:
@@ -46,7 +45,6 @@ class MissedInputs:
             self.count(record.port, record.message())
 
     def count(self, port: Port[Message], message: Message) -> None:
-        """Count what a message says."""
         if not message.missing:
             return
         agent, cycle, stage = port.publisher, message.cycle, stage_of(port, self._tree)

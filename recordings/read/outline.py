@@ -51,10 +51,8 @@ class Outline:
     """What a file consists of, in its order; metadata by name, schemas and channels by their id.
 
     It is `closed` if its writer came to the end of the messages. Otherwise it was cut, is damaged
-    at `readable_end`, behind the last readable record of the data section, or is still being
-    written. It is `indexed` if it has its index too. The last chunk may be cut.
-    `damaged_attachments` are the names of those whose checksum is wrong; of one that cannot be
-    read, where it is.
+    at `readable_end`, or is still being written. It is `indexed` if it has its index too. The
+    checksums of `damaged_attachments` are wrong.
 
     A recording may go on in further files. Then `size`, `closed` and `readable_end` are those of
     the last one, of the number `file`, and it is `indexed` if all of them are.
@@ -75,13 +73,7 @@ class Outline:
 
     @property
     def cut_early(self) -> bool:
-        """Whether it was cut before its first message."""
         return not self.closed and not self.chunks
-
-    @property
-    def ends_cut(self) -> bool:
-        """Whether the last file ends with a chunk that is cut."""
-        return bool(self.chunks) and self.chunks[-1].cut and self.chunks[-1].file == self.file
 
     def go_on(self, other: Outline) -> None:
         """Go on with the outline of a further file."""
@@ -126,10 +118,10 @@ def _by_index(file: BinaryIO, size: int) -> Outline:
             chunk = ChunkPlace(offset, length - RECORD_HEAD.size, first_ns, last_ns)
             outline.chunks.append(chunk)
             continue
-        for record in _records_in(content):
-            if isinstance(record, records.AttachmentIndex | records.MetadataIndex):
-                elsewhere.append(record.offset)
-            _enter(outline, record)
+        for entry in _records_in(content):
+            if isinstance(entry, records.AttachmentIndex | records.MetadataIndex):
+                elsewhere.append(entry.offset)
+            _enter(outline, entry)
     for offset in elsewhere:
         _take(outline, file, _place_at(file, offset))
     return outline
@@ -151,13 +143,11 @@ def walk_on(outline: Outline, file: BinaryIO) -> None:
     A second call goes on from there, since a file that is being written grows.
     """
     outline.size = size = file.seek(0, SEEK_END)
-    if outline.ends_cut:
-        outline.chunks.pop()
     for place in _walk(file, outline.readable_end, size):
+        if place.end > size:
+            break
         with suppress(*BROKEN):  # A damaged record still tells where the next one begins.
             _take(outline, file, place)
-        if place.end > size or outline.ends_cut:
-            break
         outline.readable_end = place.end
         if place.opcode == Opcode.DATA_END:
             outline.closed = True
@@ -167,23 +157,21 @@ def walk_on(outline: Outline, file: BinaryIO) -> None:
 def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
     """Enter a record of the data section into the outline."""
     if place.opcode == Opcode.CHUNK:
-        chunk = chunk_at(file, place.offset, place.length, outline.size)._replace(file=outline.file)
+        chunk = chunk_at(file, place.offset, place.length)._replace(file=outline.file)
         outline.chunks.append(chunk)
         if len(outline.chunks) == 1:
             # A recording declares all its channels before its first message.
-            for record in _records_in(unpack_chunk(file, chunk)):
-                _enter(outline, record)
+            for entry in _records_in(unpack_chunk(file, chunk)):
+                _enter(outline, entry)
     elif place.opcode in {Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA}:
         content = _content(file, place, outline.size)
-        found = list(_records_in(content))
-        for record in found:
-            _enter(outline, record)
-        body, checksum = content[RECORD_HEAD.size : -4], int.from_bytes(content[-4:], "little")
-        if place.opcode == Opcode.ATTACHMENT and zlib.crc32(body) != checksum:
-            named = [record.name for record in found if isinstance(record, records.Attachment)]
-            outline.damaged_attachments += named or [f"at byte {place.offset:,}"]
-        elif not found:
+        record = next(_records_in(content), None)
+        if record is None:
             raise ValueError(f"the record at byte {place.offset} is damaged")
+        _enter(outline, record)
+        body, checksum = content[RECORD_HEAD.size : -4], int.from_bytes(content[-4:], "little")
+        if isinstance(record, records.Attachment) and zlib.crc32(body) != checksum:
+            outline.damaged_attachments.append(record.name)
 
 
 def _enter(outline: Outline, record: records.McapRecord) -> None:

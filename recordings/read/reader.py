@@ -6,6 +6,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
@@ -16,7 +17,7 @@ from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import RUN, SIGNALS, Port, Signal
-from bus_schemas.tree import ROOT, agent_name
+from bus_schemas.tree import ROOT, agent_name, some_of
 from recordings.read.chunks import (
     ChunkPlace,
     DamagedChunkError,
@@ -26,7 +27,7 @@ from recordings.read.chunks import (
 )
 from recordings.read.outline import read_outline
 from recordings.read.run_clock import RunClock
-from recordings.read.run_file import RECORDING_NAME, declare, further_file, read_origin
+from recordings.read.run_file import RECORDING_NAME, further_file, read_origin
 from recordings.read.selection import find_nodes, find_signals
 
 if TYPE_CHECKING:
@@ -43,9 +44,6 @@ _FURTHEST_CYCLES: Final = 1000
 _MOST_CYCLES: Final = 1 << 40
 """No run has as many."""
 
-_NAMED: Final = 3
-"""So many damaged chunks are named, the rest is counted."""
-
 
 class Head(msgspec.Struct, gc=False):
     """What a reader needs to choose a message; the rest is skipped."""
@@ -61,10 +59,8 @@ def head_of(payload: bytes) -> Head:
     """Return what a reader needs of a payload to choose it; DecodeError if it is not there."""
     try:
         return _head(payload)
-    except UnicodeDecodeError as error:
-        raise msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}") from None
-    except RecursionError:
-        raise msgspec.DecodeError("lists or maps are nested too deep") from None
+    except (UnicodeDecodeError, RecursionError) as error:
+        raise msgspec.DecodeError(str(error)) from None
 
 
 class RecordedMessage(NamedTuple):
@@ -80,30 +76,21 @@ class RecordedMessage(NamedTuple):
 
     def message(self) -> Message:
         """Decode it; InputError if it is no message of its signal."""
-        return _decoded(self.port, self.sequence, self.payload)
-
-
-def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
-    try:
-        message = decode(port.signal, payload)
-    except msgspec.DecodeError as error:
-        expected = port.signal.type.__name__
-        raise InputError(f"{port} number {sequence}: expected a {expected}, got: {error}") from None
-    if not 0 <= message.cycle < _MOST_CYCLES:
-        raise InputError(f"{port} number {sequence} cycle: expected from 0 on, got {message.cycle}")
-    return message
+        try:
+            return decode(self.port.signal, self.payload)
+        except msgspec.DecodeError as error:
+            expected = self.port.signal.type.__name__
+            raise InputError(
+                f"{self.port} number {self.sequence}: expected a {expected}, got: {error}"
+            ) from None
 
 
 class RunReader:
-    """A recording of a run; if it was cut, everything up to the cut.
-
-    If the recorder was started again, `run-2.mcap` and further files belong to the recording.
+    """A recording of a run, with its further files; if it was cut, everything up to the cut.
 
     `whole`: each file was closed in order and has its index. `damage`: the damaged chunks skipped
-    so far. `read_share`: the share read so far, 0 to 1; `follow` is called with it now and then.
-    `file_number`: the file that is being read.
-
-    Memory: the largest chunk, and some 300 bytes for each chunk of the file.
+    so far. `follow` is called now and then with the share read so far, 0 to 1. `file_number`: the
+    file that is being read.
     """
 
     def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
@@ -116,7 +103,6 @@ class RunReader:
             ) from None
         self.damage: set[ChunkPlace] = set()
         self.file_number = 0
-        self.read_share = 0.0
         self.follow: Callable[[float], None] = lambda share: None
         self._skip_damaged = skip_damaged
         self._first_cycles: dict[ChunkPlace, int | None] = {}
@@ -125,8 +111,6 @@ class RunReader:
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
-            if self.outline.chunks and not self.outline.channels:
-                declare(self.outline, self.plan)  # The first chunk had them, and is damaged.
         except BaseException:
             self.close()
             raise
@@ -155,10 +139,9 @@ class RunReader:
     ) -> Iterator[Delivery]:
         """Yield messages with their ports, in the order in which they were recorded.
 
-        signals: Which, or their names; none given: all.
-        nodes: About which nodes, see `find_nodes`; none given: about all.
+        signals, nodes: Which signals and which nodes, see `find_nodes`; by default all.
         start, end: The first and the last cycle: local time (`13:49:00`), time since the start
-            (`90s`) or number. Cycles outside of them are not read.
+            (`90s`) or number.
         """
         ports = self.ports(*signals, nodes=nodes)
         if start is None and end is None:
@@ -181,15 +164,12 @@ class RunReader:
         self, ports: Collection[Port[Message]], cycles: range | None = None
     ) -> Iterator[Delivery]:
         """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
-        port_of = self._channels_of(ports)
-        for channel, sequence, _, _, payload in self._raw(port_of, cycles):
-            port = port_of[channel]
+        for record in self.records(ports, cycles):
             try:
-                message = _decoded(port, sequence, payload)
+                message = record.message()
             except InputError as error:
                 raise InputError(f"{self.path}: {error}") from None
-            if cycles is None or cycles.start <= message.cycle < cycles.stop:
-                yield port, message
+            yield record.port, message
 
     def records(
         self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None
@@ -216,8 +196,7 @@ class RunReader:
         """Return the messages of one signal as a table, one row each; for the rest see `messages`.
 
         It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
-        `node` and the signal's own fields, with units in their names. `help_given` and the fields
-        of `production` that list inverters hold tuples.
+        `node` and the signal's own fields, with units in their names.
         """
         import pandas as pd  # noqa: PLC0415 - it loads slowly
 
@@ -260,19 +239,20 @@ class RunReader:
         """The cycle before which the plant ended the run; None: that is not recorded."""
         runs = self.on([RUN.of(ROOT)], range(max(self.last_cycle, 0), _MOST_CYCLES))
         stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
-        return end_of_run(stops, self.last_cycle)
+        # Another program may have said so before a cycle that took place. Controllers that did not
+        # wait for the plant may have begun the cycle of its own stop.
+        later = [cycle for cycle in stops if cycle > self.last_cycle]
+        return min(later, default=self.last_cycle if self.last_cycle in stops else None)
 
     def followed_chunks(self, begin: int = 0) -> Iterator[ChunkPlace]:
         """Yield the chunks from one on, and tell `follow` now and then how far the reading is."""
         count = len(self.outline.chunks)
         for number, place in enumerate(self.outline.chunks[begin:], start=begin):
-            self.read_share = number / count
             if number % (count // 100 + 1) == 0:
-                self.follow(self.read_share)
+                self.follow(number / count)
             yield place
 
     def unpack(self, place: ChunkPlace) -> bytes:
-        """Return the records in a chunk; DamagedChunkError if it is damaged."""
         return unpack_chunk(self.files[place.file], place)
 
     def messages_of(self, place: ChunkPlace, channels: Container[int]) -> Iterator[RawMessage]:
@@ -289,33 +269,12 @@ class RunReader:
                 "what is sound"
             ) from None
 
-    def cycles_in(self, place: ChunkPlace) -> range:
-        """Return the cycles that a chunk has messages of; empty if none can be read."""
-        cycles = [self._head_of(raw).cycle for raw in self._readable(place)]
-        return range(min(cycles), max(cycles) + 1) if cycles else range(0)
-
     def damage_text(self) -> str:
         """Say what is missing: the damaged chunks that were skipped, and damaged attachments."""
-        parts = [
-            f"chunk at byte {place.offset:,}, {self._missing_text(number)}"
-            for number, place in enumerate(self.outline.chunks)
-            if place in self.damage
-        ]
-        if len(parts) > _NAMED:
-            parts[_NAMED:] = [f"and {len(parts) - _NAMED:,} more chunks"]
+        parts = [f"chunk at byte {place.offset:,}" for place in sorted(self.damage)]
         parts += [f"attachment {name}" for name in self.outline.damaged_attachments]
-        what = f"a part of the file is damaged ({'; '.join(parts)}): see heliarch recover"
+        what = f"a part of the file is damaged ({some_of(parts)}): see heliarch recover"
         return f"{self.path}: {what}" if parts else ""
-
-    def _missing_text(self, number: int) -> str:
-        """Say of which cycles messages are missing, between the chunks around a damaged one."""
-        chunks = self.outline.chunks
-        before = next(filter(None, map(self.cycles_in, reversed(chunks[:number]))), range(1))
-        behind = next(filter(None, map(self.cycles_in, chunks[number + 1 :])), None)
-        begin = before.stop - 1
-        if behind is None:
-            return f"messages from cycle {begin:,} on are missing"
-        return f"cycles {begin:,} to {max(begin, behind.start):,} missing"
 
     def close(self) -> None:
         for file in self.files:
@@ -345,8 +304,7 @@ class RunReader:
     def _search(self, cycle: int) -> int:
         """Return the number of a chunk before which there is no message of a cycle.
 
-        Messages are nearly in the order of their cycles, at most `_slack` cycles behind. So where
-        a chunk begins more than that before the cycle, the cycle has not begun.
+        Where a chunk begins more than `_slack` cycles before the cycle, it has not begun.
         """
         before = cycle - self._slack
 
@@ -359,15 +317,11 @@ class RunReader:
     def _first_cycle(self, place: ChunkPlace) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if place not in self._first_cycles:
-            raw = next(self._readable(place), None)
-            self._first_cycles[place] = None if raw is None else self._head_of(raw).cycle
+            self._first_cycles[place] = None
+            with suppress(DamagedChunkError):
+                for raw in islice(messages_in(self.unpack(place), self.channels), 1):
+                    self._first_cycles[place] = self._head_of(raw).cycle
         return self._first_cycles[place]
-
-    def _readable(self, place: ChunkPlace) -> Iterator[RawMessage]:
-        """Return all messages of a chunk, to search in; a damaged one has none."""
-        with suppress(DamagedChunkError):
-            return messages_in(self.unpack(place), self.channels)
-        return iter(())
 
     def _head_of(self, raw: RawMessage) -> Head:
         try:
@@ -387,16 +341,6 @@ class RunReader:
         if self.plan.lockstep:
             return _FURTHEST_CYCLES
         return max(round(_LATEST_S * 1e9 / self.plan.cycle_wall_ns), self.plan.periods.longest) + 1
-
-
-def end_of_run(stops: Collection[int], last_cycle: int) -> int | None:
-    """Return the cycle before which the plant ended the run, by the stops that were recorded.
-
-    Another program may have said so before a cycle that took place. Controllers that did not wait
-    for the plant may have begun the cycle of its own stop.
-    """
-    later = [cycle for cycle in stops if cycle > last_cycle]
-    return min(later, default=last_cycle if last_cycle in stops else None)
 
 
 def open_run(path: Path | str) -> RunReader:

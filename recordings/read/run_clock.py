@@ -1,13 +1,13 @@
 """Times of a run as a user writes them: local time, time since the start, or a cycle's number.
 
 Cycles are numbered from 0, and cycle k begins at `start + k * cycle length`: a time belongs to the
-cycle that has begun by then. Every command uses this rule.
+cycle that has begun by then. A time of day is the first one in the run. Every command uses this
+rule.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from datetime import datetime, time, timedelta
 from typing import Final
 from zoneinfo import ZoneInfo
@@ -81,44 +81,24 @@ class RunClock:
 
     def extent(self) -> str:
         """Say when the run begins and ends."""
-        if self._last_cycle < 0:
-            return "which has no cycle"
         first, last = self.local(0), self.local(self._last_cycle)
-        end = self.text(self._last_cycle) if first.date() == last.date() else f"{last:%F %T}"
-        return (
-            f"which goes from {first:%Y-%m-%d} {self.text(0)} to {end} {last:%Z} "
-            f"(cycles 0 to {self._last_cycle})"
-        )
+        return f"which goes from {first:%F %T} to {last:%F %T %Z} (cycles 0 to {self._last_cycle})"
 
     def _cycle_at(self, text: str) -> int:
-        """Return the cycle of a time that is not a cycle's number; -1: it is not in the run."""
+        """Return the cycle of a time that is not a cycle's number."""
         since_start_s = duration_s(text)
         if since_start_s is not None:
             return round(min(since_start_s, 2 * LONGEST_S) * _SECOND_NS) // self._plan.cycle_ns
         found = read_time(text)
         if found is None:
             raise InputError(_FORMS)
-        moments = [found] if isinstance(found, datetime) else self._on_each_day(found)
-        cycles = {cycle for moment in moments for cycle in self._cycles_of(moment)}
-        inside = [cycle for cycle in sorted(cycles) if 0 <= cycle <= self._last_cycle]
-        if len(inside) > 1:
-            dated = " or ".join(self.local(cycle).isoformat() for cycle in inside[:2])
-            raise InputError(f"the whole time, {dated}: the run has {len(inside)} of them")
-        return inside[0] if inside else -1
+        if isinstance(found, time):
+            found = datetime.combine(self.local(0).date(), found)
+            if self._cycle_of(found) < 0:
+                found += timedelta(days=1)
+        return self._cycle_of(found)
 
-    def _on_each_day(self, clock: time) -> list[datetime]:
-        """Return a time of day on each day of the run."""
-        first, last = self.local(0).date(), self.local(max(self._last_cycle, 0)).date()
-        days = range((last - first).days + 1)
-        return [datetime.combine(first + timedelta(days=n), clock) for n in days]
-
-    def _cycles_of(self, moment: datetime) -> Iterator[int]:
-        """Yield the cycle of a local time, or two if clocks were put back over it."""
-        first = moment if moment.tzinfo else moment.replace(tzinfo=self._zone)
-        second = first.replace(fold=1)
-        if first.timestamp() > second.timestamp():
-            raise InputError(f"another time: clocks are put forward over {moment:%F %T}")
-        for instant in (first, second):
-            seconds = int(instant.replace(microsecond=0).timestamp())
-            instant_ns = seconds * _SECOND_NS + instant.microsecond * 1000
-            yield (instant_ns - self._plan.start_time_ns) // self._plan.cycle_ns
+    def _cycle_of(self, moment: datetime) -> int:
+        local = moment if moment.tzinfo else moment.replace(tzinfo=self._zone)
+        moment_ns = round(local.timestamp() * 1e6) * 1000
+        return (moment_ns - self._plan.start_time_ns) // self._plan.cycle_ns

@@ -1,20 +1,15 @@
-"""What a recording looks like: its name, version, schemas, channels, scenario and plan."""
+"""What a recording is: its names, version, scenario and plan."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Final
 from zoneinfo import ZoneInfo
 
 import msgspec
-from mcap.records import Channel, Schema
 
 from agents.plan import RunPlan, check_plan
-from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message
-from bus_schemas.signals import SIGNALS, Port, ports
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR
 from recordings.read.outline import Outline
 from recordings.read.run_clock import RunClock
@@ -33,40 +28,6 @@ SCHEMA_VERSION: Final = "3"
 
 def log_name(agent: str) -> str:
     return f"{agent.replace('/', '.')}.log"
-
-
-_NUMBER_OF: Final = {
-    signal: number for number, signal in enumerate((s for s in SIGNALS if s.logged), start=1)
-}
-
-
-def schemas() -> list[Schema]:
-    """Return the schemas of every recording, numbered from 1 in the order of the table."""
-    return [
-        Schema(number, json.dumps(json_schema(signal)).encode(), "jsonschema", signal.type.__name__)
-        for signal, number in _NUMBER_OF.items()
-    ]
-
-
-def channels(plan: RunPlan) -> dict[Port[Message], Channel]:
-    """Return the channels of a run's recording, numbered from 1 in the order of its ports."""
-    logged = (port for port in ports(plan.tree) if port.signal.logged)
-    return {
-        port: Channel(
-            id=number,
-            topic=plan.wiring.key(port),
-            message_encoding="msgpack",
-            schema_id=_NUMBER_OF[port.signal],
-            metadata={"signal": port.signal.name, "node": port.node},
-        )
-        for number, port in enumerate(logged, start=1)
-    }
-
-
-def declare(outline: Outline, plan: RunPlan) -> None:
-    """Give the outline of a file the schemas and channels that its plan leads to."""
-    outline.schemas = {schema.id: schema for schema in schemas()}
-    outline.channels = {channel.id: channel for channel in channels(plan).values()}
 
 
 class NothingRecordedError(InputError):

@@ -9,10 +9,7 @@ from typing import Final
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Signal
-from bus_schemas.tree import CENTRAL, PLANT, ROOT, ControlTree, agent_name
-
-_NEAR: Final = 4
-"""How many similar names are listed."""
+from bus_schemas.tree import CENTRAL, PLANT, ROOT, ControlTree, agent_name, some_of
 
 _LISTED: Final = 12
 """Up to so many names are listed where none is similar."""
@@ -75,9 +72,4 @@ def _words(text: str) -> list[str]:
 
 def _expected(name: str, known: Iterable[str]) -> str:
     names = list(known)
-    near = get_close_matches(name, names, n=_NEAR)
-    if near:
-        return f"expected a known one, similar are {', '.join(near)}"
-    rest = len(names) - _LISTED
-    more = f" and {rest} more" if rest > 0 else ""
-    return f"expected one of {', '.join(names[:_LISTED])}{more}"
+    return f"expected one such as {some_of(get_close_matches(name, names) or names, _LISTED)}"

@@ -6,9 +6,9 @@ the figures of merit.
 
 from __future__ import annotations
 
-from array import array
+from collections import defaultdict
 from dataclasses import dataclass, replace
-from math import nan
+from math import isnan, nan
 from pathlib import Path
 from typing import Final
 
@@ -130,76 +130,64 @@ class RunSeries:
         return replace(self, start_time_ns=begin_ns, **part)
 
 
-class _Values:
-    """The numbers of one port: of the first message of each cycle."""
-
-    def __init__(self) -> None:
-        self._cycles, self._values = array("q"), array("d")
-
-    def add(self, cycle: int, value: float) -> None:
-        self._cycles.append(cycle)
-        self._values.append(value)
-
-    def by_cycle(self, cycles: int) -> NDArray[np.float64]:
-        found = np.full(cycles, nan)
-        cycle, value = np.array(self._cycles), np.array(self._values)
-        kept = (cycle >= 0) & (cycle < cycles)
-        # Later entries overwrite earlier ones: backwards, so that the first message counts.
-        found[cycle[kept][::-1]] = value[kept][::-1]
-        return found
-
-
 class SeriesCollector:
     """Turns the messages of a run, live or from a recording, into a `RunSeries`."""
 
     def __init__(self, plan: RunPlan) -> None:
         self._plan = plan
-        self._of_plant = {name: _Values() for name in _OF_PLANT}
-        self._of_inverters = {name: [_Values() for _ in plan.tree.leaves] for name in _OF_INVERTERS}
         self._column = {leaf: column for column, leaf in enumerate(plan.tree.leaves)}
-        self._cycles = self._productions = 0
+        self._of_plant = {name: np.full(plan.cycles, nan) for name in _OF_PLANT}
+        self._of_inverters = defaultdict[str, NDArray[np.float64]](
+            lambda: np.full((plan.cycles, len(self._column)), nan)
+        )
+        self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message; those that the series does not need are ignored."""
-        cycle, of_inverters = message.cycle, self._of_inverters
+        cycle = message.cycle
+        if not 0 <= cycle < self._plan.cycles:
+            return
         match message:
             case Dispatch():
                 for name, values in self._of_plant.items():
-                    values.add(cycle, getattr(message, name))
-            case Production() if 0 <= cycle < self._plan.cycles:
+                    _enter(values, cycle, getattr(message, name))
+            case Production():
                 self._cycles = max(self._cycles, cycle + 1)
-                self._productions += 1
                 made = {"mpp_kw": message.inverter_mpp_kw, "power_kw": message.inverter_power_kw}
                 for name, listed in made.items():
                     # An external plant may list too few or too many inverters.
-                    for column, value in zip(of_inverters[name], listed, strict=False):
-                        column.add(cycle, value)
+                    for column, value in zip(self._column.values(), listed, strict=False):
+                        _enter(self._of_inverters[name], (cycle, column), value)
             case Impp() if port.node in self._column:
-                of_inverters["impp_kw"][self._column[port.node]].add(cycle, message.power_kw)
+                self._enter_of(port, "impp_kw", cycle, message.power_kw)
             case Residual() if port.node in self._column:
-                of_inverters["residual_kw"][self._column[port.node]].add(cycle, message.power_kw)
+                self._enter_of(port, "residual_kw", cycle, message.power_kw)
             case Command():
-                of_inverters["alpha"][self._column[port.node]].add(cycle, message.alpha)
+                self._enter_of(port, "alpha", cycle, message.alpha)
+
+    def _enter_of(self, port: Port[Message], name: str, cycle: int, value: float) -> None:
+        _enter(self._of_inverters[name], (cycle, self._column[port.node]), value)
 
     def series(self, label: str) -> RunSeries:
         """Return the cycles up to the last one that the plant completed."""
-        cycles = self._cycles
-        if not cycles:
+        if not self._cycles:
             raise InputError("expected a run with at least one complete cycle, got none")
-        if cycles > _MOST_APART * (self._productions + 1):
+        found = self._of_plant | self._of_inverters
+        values = {name: column[: self._cycles] for name, column in found.items()}
+        series = RunSeries.of(self._plan, label, **values)
+        known = int(series.known.sum())
+        if known * _MOST_APART <= series.cycles:
             raise InputError(
-                f"expected production of most cycles up to {cycles - 1:,}, got that of "
-                f"{self._productions:,}"
+                f"expected dispatch and production of most of {series.cycles:,} cycles, got those "
+                f"of {known:,}"
             )
-        of_plant = {name: values.by_cycle(cycles) for name, values in self._of_plant.items()}
-        of_inverters = {
-            name: np.column_stack([values.by_cycle(cycles) for values in columns])
-            for name, columns in self._of_inverters.items()
-        }
-        series = RunSeries.of(self._plan, label, **of_plant, **of_inverters)
-        if not series.known.any():
-            raise InputError("expected a cycle with dispatch and production, got none")
         return series
+
+
+def _enter(values: NDArray[np.float64], place: int | tuple[int, int], value: float) -> None:
+    """Enter a number, unless an earlier message gave one."""
+    if isnan(values[place]):
+        values[place] = value
 
 
 def read_series(path: Path) -> RunSeries:

@@ -18,9 +18,7 @@ _UNFINISHED: Final = ".unfinished"
 def whole_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     """Open a file to write to, which replaces an older one when it is complete.
 
-    A device, a pipe or a link is written in place: it must not be replaced by a plain file.
-    `/dev/stdout` is a link, which leads to a file where standard output goes to one. `mode` is that
-    of a new file, less the process's mask.
+    A device, a pipe or a link, such as `/dev/stdout`, is written in place.
     """
     with named_in_errors(path):
         if path.is_symlink() or (path.exists() and not path.is_file()):
@@ -36,10 +34,7 @@ def whole_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
 
 @contextmanager
 def named_in_errors(path: Path) -> Iterator[None]:
-    """Name a path in errors that name none, or only a temporary name.
-
-    A call that finds the disk full often knows no name.
-    """
+    """Name a path in errors that name none, as of a full disk, or only a temporary name."""
     try:
         yield
     except OSError as error:

@@ -10,14 +10,11 @@ from msgspec.structs import replace
 from agents.events import Complaint
 from bus_schemas.printable import printable
 
+# Causes of complaints: numbers that cannot be right, messages that came again, and messages that
+# contradict others of their key. All of them are recorded.
 ABSURD: Final = "absurd"
-"""The cause of complaints about messages of the run whose numbers cannot be right."""
-
 REPEATED: Final = "repeated"
-"""The cause of complaints about messages that came again, which are recorded all the same."""
-
 TWO_SENDERS: Final = "two senders"
-"""The cause of complaints about messages that contradict others of their key. They are recorded."""
 
 _RECORDED: Final = frozenset({ABSURD, REPEATED, TWO_SENDERS})
 
@@ -31,22 +28,23 @@ _LONGEST: Final = 300
 class Complaints:
     """All complaints of a run."""
 
-    def __init__(self, log: Callable[[str], None], tell: Callable[[Complaint], None]) -> None:
+    def __init__(self, log: Callable[[int, str], None], tell: Callable[[Complaint], None]) -> None:
         self._log = log
         self._tell = tell
         self._found: dict[tuple[str, str], Complaint] = {}
 
     def add(self, key: str, cause: str, example: str) -> None:
         key, example = printable(key[:_LONGEST]), printable(example[:_LONGEST])
-        self._log(f"{key}: {example}")
         if (key, cause) not in self._found and len(self._found) >= _MOST_PLACES:
             key = "other keys"
         before = self._found.get((key, cause))
         if before is None:
-            self._found[key, cause] = Complaint(key, cause, 1, example)
-            self._tell(self._found[key, cause])
+            found = Complaint(key, cause, 1, example)
+            self._tell(found)
         else:
-            self._found[key, cause] = replace(before, count=before.count + 1)
+            found = replace(before, count=before.count + 1)
+        self._found[key, cause] = found
+        self._log(found.count, f"{key}: {example}")
 
     @property
     def set_aside(self) -> int:

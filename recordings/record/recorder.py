@@ -20,9 +20,9 @@ from typing import Final
 import msgspec
 from msgspec.structs import replace
 
-from agents.drop_log import DropLog
 from agents.events import Armed, Joined, Over, Presence, Recorded, RecordingEnded
 from agents.launcher_link import LauncherLink
+from agents.loop import log_drop
 from agents.machine import stand_back
 from agents.plan import RunPlan
 from agents.process import run_guarded, set_up_process
@@ -111,7 +111,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
             if not plan.lockstep:
                 stand_back()
             so_far = first if path != first else None
-            Recorder(plan, tap, writer, link, DropLog(), so_far, last_cycle).run()
+            Recorder(plan, tap, writer, link, log_drop, so_far, last_cycle).run()
 
     return run_guarded(RECORDER, link, run)
 
@@ -128,7 +128,7 @@ class Recorder:
         tap: ZenohTap,
         writer: RunWriter,
         link: LauncherLink,
-        on_wrong: Callable[[str], None],
+        on_wrong: Callable[[int, str], None],
         first: Path | None = None,
         last_cycle: int = -1,
     ) -> None:
@@ -204,13 +204,10 @@ class Recorder:
             self._ask_end()
 
     def _ask_end(self) -> None:
-        """Let the recording end: with so many messages as are expected, if that is known.
-
-        Else once nothing comes any more, or soon if something always does.
-        """
         self._asked_at = self._asked_at or time.monotonic()
 
     def _may_end(self) -> bool:
+        """Whether all that is expected has come, or if that is unknown nothing comes any more."""
         asked_at, expected = self._asked_at, self._expected
         if asked_at is None:
             return False

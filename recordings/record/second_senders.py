@@ -26,7 +26,7 @@ _UNDECIDED = ("ready_time_ns", "publish_time_ns", "sequence", "incarnation", "mi
 class SecondSenders:
     """The newest messages, by cycle, and the newest incarnations of keys with one in each cycle.
 
-    Of agents with a standby two processes may speak, until one has heard the other.
+    `standbys`: agents of which two processes may speak, until one has heard the other.
     """
 
     def __init__(self, ports: Iterable[Port[Message]], standbys: Collection[str] = ()) -> None:

@@ -6,6 +6,7 @@ clock by one pair of readings, kept in the metadata, so they never jump with the
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import time
@@ -20,11 +21,12 @@ from typing import Final, Protocol
 from mcap.writer import CompressionType, Writer
 
 from agents.plan import RunPlan
+from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port
+from bus_schemas.signals import SIGNALS, Port, ports
 from recordings.read.reader import RunReader
-from recordings.read.run_file import SCHEMA_VERSION, channels, schemas
+from recordings.read.run_file import SCHEMA_VERSION
 
 _VERSIONED: Final = ("heliarch", "eclipse-zenoh", "msgspec", "mcap", "numpy", "pvlib")
 
@@ -38,12 +40,11 @@ class ClockAnchor:
 
     @classmethod
     def now(cls) -> ClockAnchor:
-        """Read both clocks."""
         return cls(time.monotonic_ns(), time.time_ns())
 
     @classmethod
     def of(cls, metadata: Mapping[str, Mapping[str, str]], path: Path) -> ClockAnchor:
-        """Return the one that the recording at a path has in its metadata; InputError if none."""
+        """Return that of the recording at a path, from its metadata."""
         found = metadata.get("clock_anchor", {})
         try:
             return cls(int(found["monotonic_ns"]), int(found["wall_ns"]))
@@ -54,12 +55,11 @@ class ClockAnchor:
             ) from None
 
     def wall(self, monotonic_ns: int) -> int:
-        """Return the wall time of a monotonic time."""
         return monotonic_ns - self.monotonic_ns + self.wall_ns
 
 
 class Numbered(Protocol):
-    """What a recording must know of a message besides its bytes."""
+    """A message, or its head."""
 
     cycle: int
     publish_time_ns: int
@@ -69,16 +69,12 @@ class Numbered(Protocol):
 class RunWriter:
     """A recording that is being written.
 
-    A full disk ends the recording, not the run: later messages are counted and not kept. The file
-    then ends as if it had been cut; it can be read up to there, and `heliarch recover` repairs it.
+    A full disk ends the recording, not the run: later messages are counted and not kept. Then
+    `trouble` says why, and `on_end` is called with it (None: the error is raised instead).
 
-    `scenario` is the text of the scenario file, attached whole; `driver` is `launch` or `simulate`.
-    The anchor turns times of the messages' clock into wall clock; by default that is this host's
-    monotonic clock. `on_end` is called once, with a line of text, when the recording has to end
-    early (None: the error is raised instead); `trouble` then says why.
-
-    `heard` counts the messages that should have been written, `recorded` those in the file, by
-    signal; if the recording ended early, `close` counts them there.
+    `driver` is `launch` or `simulate`; the anchor turns times of the messages' clock into wall
+    clock. `heard` counts the messages that should have been written, `recorded` those in the file,
+    by signal; if the recording ended early, `close` counts them there.
     """
 
     def __init__(
@@ -104,7 +100,6 @@ class RunWriter:
         self._channels = self._register(plan)
 
     def add(self, port: Port[Message], head: Numbered, payload: bytes, logged_ns: int) -> None:
-        """Write one message."""
         self.heard += 1
         self._cycle = head.cycle
         if self.trouble:
@@ -174,14 +169,24 @@ class RunWriter:
         self._writer.add_metadata("clock_anchor", clocks)
 
     def _register(self, plan: RunPlan) -> dict[Port[Message], int]:
-        # The file gives them the same numbers: a reader can do without its first chunk.
-        for schema in schemas():
-            self._writer.register_schema(schema.name, schema.encoding, schema.data)
+        """Declare the schema of each signal and the channel of each port; return the channels."""
+        register = self._writer.register_schema
+        schema_of = {
+            signal: register(
+                signal.type.__name__, "jsonschema", json.dumps(json_schema(signal)).encode()
+            )
+            for signal in SIGNALS
+            if signal.logged
+        }
         return {
             port: self._writer.register_channel(
-                channel.topic, channel.message_encoding, channel.schema_id, channel.metadata
+                plan.wiring.key(port),
+                "msgpack",
+                schema_of[port.signal],
+                {"signal": port.signal.name, "node": port.node},
             )
-            for port, channel in channels(plan).items()
+            for port in ports(plan.tree)
+            if port.signal.logged
         }
 
 

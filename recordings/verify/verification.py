@@ -96,6 +96,7 @@ def verify(
     the share of the recording that has been read.
     """
     with RunReader(run) as reader:
+        reader.follow = progress
         plan, stop_cycle = reader.plan, reader.stop_cycle
         wanted = reader.clock.span(start, end)
         team, left_out = _team(plan, nodes, reader.path)
@@ -116,7 +117,6 @@ def verify(
             if cycle.number >= wanted.start:
                 cycles += bool(cycle.messages)
                 unrecorded += cycle.number in away and PRODUCTION.of(ROOT) not in cycle.messages
-            progress(reader.read_share)
         for rerun in reruns:
             rerun.end()
             if missed is not None:

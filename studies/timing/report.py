@@ -52,7 +52,6 @@ class Host(msgspec.Struct, frozen=True, kw_only=True):
     python: str
     heliarch: str
     zenoh: str
-    memory_locked: bool = False
 
 
 class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -179,7 +178,6 @@ def _host(
     if machine.cpus:
         bound["others" if bound else "all"] = machine.cpus
     scheduling += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound.items()]
-    refused = any(remark.startswith("memory: ") for remark in remarks)
     return Host(
         kernel=run.get("kernel", ""),
         cpus=int(run.get("cpu_count", "0")),
@@ -189,7 +187,6 @@ def _host(
         python=run.get("python", ""),
         heliarch=run.get("version heliarch", ""),
         zenoh=run.get("version eclipse-zenoh", ""),
-        memory_locked=machine.lock_memory and not refused,
     )
 
 

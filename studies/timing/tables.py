@@ -84,7 +84,7 @@ def host_lines(host: Host) -> list[str]:
     lines = [
         f"kernel {host.kernel}",
         f"{host.cpus} CPUs{load}",
-        f"scheduling: {host.scheduling}{'; memory locked' if host.memory_locked else ''}",
+        f"scheduling: {host.scheduling}",
         f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}",
     ]
     if host.load_before is not None and host.load_before > host.cpus:

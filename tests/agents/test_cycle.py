@@ -12,9 +12,10 @@ import pytest
 from plans_by_hand import plan_of
 
 from agents.agent import Agent
-from agents.cycle import KINDS, STAGES, USED_SHARE, Deadlines, kind_of, stage_place
+from agents.cycle import KINDS, STAGES, USED_SHARE, Deadlines, kind_of, stage_of
 from agents.team import controllers
-from bus_schemas.tree import CENTRAL, PLANT, ControlTree
+from bus_schemas.signals import COMMAND, PRODUCTION, SETPOINT
+from bus_schemas.tree import ROOT, ControlTree
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
@@ -46,6 +47,8 @@ def test_each_agent_goes_through_the_stages_of_its_kind() -> None:
         found[kind] = tuple(stage.name for stage in agent.stages(0))
         assert found[kind] == STAGES[kind]
     assert set(found) == set(KINDS) - {"recorder"}
+    later = (SETPOINT.of("c1/a"), COMMAND.of("c1/a"), PRODUCTION.of(ROOT))
+    assert [stage_of(port, THREE_TIERS) for port in later] == ["solve", "actuate", "apply"]
 
 
 @pytest.mark.parametrize("tree", [FLAT, THREE_TIERS, RAGGED])
@@ -57,22 +60,8 @@ def test_whoever_hears_waits_longer_than_whoever_sends(tree: ControlTree, by_tie
         for stage in agent.stages(0):
             own_ns = deadlines.deadline_ns(agent.name, stage.name)
             for port in stage.awaits:
-                sent_in = sender_stage(port.signal.name, port.publisher, tree)
+                sent_in = stage_of(port, tree)
                 assert deadlines.deadline_ns(port.publisher, sent_in) < own_ns, f"{port}"
-                assert stage_place(port.publisher, sent_in, tree) < stage_place(
-                    agent.name, stage.name, tree
-                )
-
-
-def sender_stage(signal: str, publisher: str, tree: ControlTree) -> str:
-    """The stage in which an agent sends a signal."""
-    if publisher == PLANT:
-        return "sense"
-    if publisher == CENTRAL or signal == "setpoint":
-        return "solve"
-    if signal == "command":
-        return "actuate"
-    return "estimate" if tree.is_leaf(publisher) else "report"
 
 
 def test_by_default_the_first_place_has_three_parts_of_the_cycle_and_each_other_one() -> None:

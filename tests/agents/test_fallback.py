@@ -69,11 +69,6 @@ def test_a_direct_controller_goes_down_the_ladder_and_up_again() -> None:
     assert alpha_in(work, 11, setpoint_kw=20.0) == 0.25
 
 
-def test_before_a_setpoint_its_own_share_is_commanded_and_before_the_dispatch_nothing() -> None:
-    assert alpha_in(direct(), 0) == 0.625
-    assert alpha_in(direct(), 0, dispatch_kw=None) is None
-
-
 @pytest.mark.parametrize("most_kw", [100.0, 100.0 * (1.0 + 1e-12)])
 def test_a_setpoint_may_exceed_the_rating_by_a_rounding_error(most_kw: float) -> None:
     assert alpha_in(direct(), 0, setpoint_kw=most_kw) == 1.0
@@ -181,16 +176,7 @@ def test_without_its_residual_a_report_counts_and_the_residual_is_worked_out() -
         assert setpoints_kw(sent) == (80.0, 50.0)
 
 
-# A silent operator, a silent inverter -------------------------------------------------------------
-
-
-def test_without_a_new_dispatch_the_last_one_holds_and_then_nothing_is_set() -> None:
-    central = central_after_one_cycle()
-    found = []
-    for cycle in (1, 2, 3):
-        central.hear(*report("a", cycle, 80.0, 20.0), *report("b", cycle, 90.0, 30.0))
-        found.append(setpoints_kw(central.at_deadline("solve")))
-    assert found == [(60.0, 60.0)] * HOLD + [()]
+# A silent inverter --------------------------------------------------------------------------------
 
 
 def test_without_telemetry_the_last_impp_holds_and_its_age_is_counted() -> None:

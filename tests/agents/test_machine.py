@@ -3,158 +3,85 @@
 from __future__ import annotations
 
 import os
-import resource
-import sys
-import threading
-from collections.abc import Callable
-from typing import TypeVar
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from command_line import python
 
 from agents.cycle import Kind
-from agents.machine import (
-    MachineSettings,
-    refusals,
-    scheduling_policy,
-    stand_back,
-    take_machine,
-)
+from agents.machine import MachineSettings, refusals, stand_back, take_machine
 
-T = TypeVar("T")
-
-linux = pytest.mark.skipif(sys.platform != "linux", reason="policies and CPUs are set on Linux")
+Place = tuple[int, int, set[int]]
 
 
-def in_a_thread(work: Callable[[], T]) -> T:
-    """Do something in a thread of its own: the kernel keeps policy and CPUs thread by thread."""
-    results: list[T] = []
-    thread = threading.Thread(target=lambda: results.append(work()))
-    thread.start()
-    thread.join()
-    return results[0]
+def place() -> Place:
+    """Policy, priority and CPUs of this thread."""
+    priority = os.sched_getparam(0).sched_priority
+    return os.sched_getscheduler(0), priority, os.sched_getaffinity(0)
 
 
-def place_of(
+def taken(
     settings: MachineSettings, kind: Kind = "direct", *, lockstep: bool = False
-) -> tuple[tuple[str, ...], str]:
-    """Return what was refused, and policy and CPUs as the kernel has them then."""
-    return in_a_thread(
-        lambda: (take_machine(settings, kind, lockstep=lockstep), scheduling_policy())
-    )
+) -> tuple[tuple[str, ...], Place]:
+    """What a thread is refused, and its place then: the kernel keeps it thread by thread."""
+    with ThreadPoolExecutor(1) as thread:
+        refused = thread.submit(take_machine, settings, kind, lockstep=lockstep).result()
+        return refused, thread.submit(place).result()
 
 
-def lines_of(code: str) -> list[str]:
-    """Run Python code in a process of its own; return the lines that it prints."""
-    done = python(f"from agents.machine import *\n{code}")
-    return done.stdout.splitlines()
-
-
-@linux
 def test_a_process_runs_on_the_cpus_of_its_kind_or_of_all() -> None:
     first, last = min(os.sched_getaffinity(0)), max(os.sched_getaffinity(0))
     settings = MachineSettings(cpus=(first,), cpus_of={"plant": (last,)})
-    assert place_of(settings, "plant")[1].endswith(f" on CPU {last}")
-    refused, policy = place_of(settings, lockstep=True)
-    assert refused == ()
-    assert policy.startswith("batch")
-    assert policy.endswith(f" on CPU {first}")
+    assert taken(settings, "plant")[1][2] == {last}
+    assert taken(settings, lockstep=True) == ((), (os.SCHED_BATCH, 0, {first}))
 
 
-@linux
 def test_a_cpu_that_is_not_there_is_said_and_the_process_goes_on() -> None:
-    (refused,), policy = place_of(MachineSettings(cpus=(1023,)))
+    (refused,), found = taken(MachineSettings(cpus=(1023,)))
     assert refused.startswith("CPU 1023: not available (")
-    assert policy == scheduling_policy()
+    assert found == place()
 
 
-@linux
 def test_priority_is_taken_where_the_machine_permits_it_and_what_is_refused_is_said() -> None:
-    before = scheduling_policy()
+    before = place()
     expected = refusals(MachineSettings(priority=7), lockstep=False)
-    assert scheduling_policy() == before, "trying it leaves this process as it is"
-    refused, policy = place_of(MachineSettings(priority=7))
+    assert place() == before, "trying it leaves this process as it is"
+    refused, found = taken(MachineSettings(priority=7))
     assert refused == expected
-    assert policy == before if refused else policy.startswith("fifo 7")
+    assert found == before if refused else found[:2] == (os.SCHED_FIFO, 7)
 
 
-# Modules are imported before the privileges go: the folder may be closed to strangers.
-GIVE_UP = """
-import os, resource, traceback
-os.setgroups([]); os.setgid(65534); os.setuid(65534)
-"""
-root = pytest.mark.skipif(os.geteuid() != 0, reason="privileges can be given up by root alone")
-
-
-@linux
-@root
+@pytest.mark.skipif(os.geteuid() != 0, reason="privileges can be given up by root alone")
 def test_without_permission_the_policy_stays_and_the_text_says_what_it_takes() -> None:
     """A process without privileges, and with a limit of 0, may not run first."""
-    refused, policy = lines_of(
-        f"""
-import resource
+    # Modules are imported before the privileges go: the folder may be closed to strangers.
+    refused, policy = python(
+        """
+import os, resource, traceback
+from agents.machine import MachineSettings, take_machine
 resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
-{GIVE_UP}
+os.setgroups([]); os.setgid(65534); os.setuid(65534)
 print(take_machine(MachineSettings(priority=20), "direct", lockstep=False))
-print(scheduling_policy())
+print(os.sched_getscheduler(0))
 """
-    )
+    ).stdout.splitlines()
     assert "priority 20: the kernel refuses SCHED_FIFO (Operation not permitted)" in refused
     assert "`ulimit -r 20`" in refused
-    assert policy.startswith("other")
+    assert policy == str(os.SCHED_OTHER)
 
 
-def locking(limit: str, give_up: str = "") -> list[str]:
-    """What is said beforehand, in lockstep, when memory is locked, and how much is [kB]."""
-    return lines_of(
-        f"""
-import ctypes, pathlib, re, resource
-resource.setrlimit(resource.RLIMIT_MEMLOCK, ({limit}, {limit}))
-{give_up}
-locks = MachineSettings(lock_memory=True)
-print(refusals(locks, lockstep=False))
-print(refusals(locks, lockstep=True))
-print(take_machine(locks, "direct", lockstep=False))
-print(re.search("VmLck:.*", pathlib.Path("/proc/self/status").read_text())[0].split()[1])
-"""
-    )
-
-
-@linux
-@root
-def test_memory_that_may_not_be_locked_is_said_beforehand() -> None:
-    beforehand, in_lockstep, then, locked_kb = locking("8 << 20", GIVE_UP)
-    assert "memory: not locked (the limit is 8,192 KiB); it needs CAP_IPC_LOCK" in beforehand
-    assert in_lockstep == "()"
-    assert then == beforehand
-    assert locked_kb == "0"
-
-
-@linux
-def test_memory_is_locked_where_that_is_permitted() -> None:
-    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    beforehand, _, then, locked_kb = locking(str(limit))
-    if beforehand != "()":
-        pytest.skip(f"this machine does not permit it: {beforehand}")
-    assert then == "()"
-    assert int(locked_kb) > 1_000
-
-
-@linux
 def test_only_the_thread_that_stands_back_does_so() -> None:
-    def priority_aside() -> int:
-        stand_back()
-        return os.getpriority(os.PRIO_PROCESS, 0)
-
     before = os.getpriority(os.PRIO_PROCESS, 0)
-    assert in_a_thread(priority_aside) == before + 5
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(stand_back).result()
+        assert thread.submit(os.getpriority, os.PRIO_PROCESS, 0).result() == before + 5
     assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
 
-@linux
 def test_timers_are_exact_in_real_time() -> None:
-    code = (
-        "import ctypes; take_machine(MachineSettings(), 'direct', lockstep=False); "
+    done = python(
+        "import ctypes; from agents.machine import *; "
+        "take_machine(MachineSettings(), 'direct', lockstep=False); "
         "print(ctypes.CDLL(None).prctl(30))"  # PR_GET_TIMERSLACK
     )
-    assert lines_of(code) == ["1"]
+    assert done.stdout == "1\n"

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from plans_by_hand import REAL_TIME, plan_of
-from plants_by_hand import AtWork, at, dispatch, impp, setpoint
+from plants_by_hand import AtWork, at, dispatch, impp, setpoint, telemetry
 
 from agents.agent import Stage, Turn
-from agents.loop import AgentLoop
+from agents.loop import AgentLoop, log_drop
 from agents.plan import START_WITHIN_NS, RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Notice
@@ -314,3 +317,32 @@ def test_a_stop_holds_until_the_plant_goes_on() -> None:
     assert goes_on(3)
     assert not loop.stop_heard
     assert loop.dropped == {("run", "contradicted"): 2}
+
+
+# A flood ------------------------------------------------------------------------------------------
+
+
+def test_of_each_cycle_to_come_one_message_of_a_key_is_kept() -> None:
+    long = plan(period_cycles=(60, 10))
+    work = AtWork(long, "c1/a")
+    tracemalloc.start()
+    for number in range(20_000):
+        work.loop.hear(*telemetry("c1/a", 1 + number % 61, 1.0), 0)
+    grown, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert grown < 1_000_000
+    assert work.loop.dropped == {("c1/a/telemetry", "duplicate"): 20_000 - 61}
+
+
+def test_a_flood_of_one_kind_does_not_hide_another_in_the_log(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    loop = AgentLoop(Clerk(), LOCKSTEP, log_drop)
+    loop.begin(0, 0)
+    port, message = impp("c1/a", 0, 1.0)
+    with caplog.at_level(logging.WARNING):
+        for _ in range(10_000):
+            loop.hear(port, message, 0)
+        loop.hear(port, replace(message, source="central"), 0)
+    assert 10 < len(caplog.records) < 40
+    assert "is from 'central'" in caplog.records[-1].message

@@ -13,7 +13,7 @@ from memory_runs import Sent
 from plans_by_hand import plan_of
 from plants_by_hand import hear
 
-from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
+from agents.plan import RunPlan
 from bus_schemas.signals import HELP, IMPP, RESIDUAL, SETPOINT
 from bus_schemas.tree import ROOT, ControlTree
 
@@ -45,15 +45,6 @@ def ratings(draw: st.DrawFn) -> dict[str, float]:
 
 
 @st.composite
-def neighbourhoods(draw: st.DrawFn, tree: ControlTree) -> tuple[NodeNeighbourhoods, ...]:
-    """Random correlations at the root, none at the other parents."""
-    count = len(tree.children(ROOT))
-    row = st.lists(st.floats(-1.0, 1.0), min_size=count, max_size=count).map(tuple)
-    rows = tuple(draw(st.lists(row, min_size=count, max_size=count)))
-    return (NodeNeighbourhoods(ROOT, (Neighbourhood(0, rows),)),)
-
-
-@st.composite
 def periods(draw: st.DrawFn, tree: ControlTree) -> tuple[int, ...]:
     """Each tier acts as often as the one below it, or half as often."""
     factors = draw(st.lists(st.integers(1, 2), min_size=tree.height, max_size=tree.height))
@@ -78,7 +69,6 @@ def weathers(draw: st.DrawFn) -> Weather:
             ratings_kw,
             cycles=cycles,
             period_cycles=draw(periods(tree)),
-            neighbourhoods=draw(neighbourhoods(tree)),
         ),
         [
             [share * rating for share, rating in zip(row, ratings_kw.values(), strict=True)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import product
 
 import msgpack
@@ -17,9 +16,8 @@ from bus_schemas.messages import (
     HelpGiven,
     Impp,
     Message,
-    Residual,
 )
-from bus_schemas.signals import IMPP, RESIDUAL, SIGNALS, Signal
+from bus_schemas.signals import IMPP, SIGNALS, Signal
 from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 
 HEAD_FIELDS = [
@@ -43,11 +41,6 @@ def one(signal: Signal[Message]) -> Message:
     }
     names = signal.type.__struct_fields__
     return msgspec.convert({name: plain.get(name, 1.5) for name in names}, signal.type)
-
-
-def test_a_power_that_is_no_number_arrives_as_it_is() -> None:
-    arrived = decode(RESIDUAL, encode(Residual(1, 2, "c1", (), power_kw=math.nan)))
-    assert math.isnan(arrived.power_kw)
 
 
 @each_signal

@@ -6,16 +6,21 @@ import random
 from collections import Counter
 from hashlib import blake2b
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from clock_by_hand import ClockByHand
 from msgspec import DecodeError
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from bus_schemas.bus import Arrival
 from bus_schemas.codec import decode, encode
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule, check_rule
+from bus_schemas.faulty_bus import FaultyBus
 from bus_schemas.messages import Impp, Run
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import COMMAND, IMPP, RUN
@@ -140,6 +145,22 @@ def test_fates_are_the_same_whenever_and_wherever_they_are_drawn() -> None:
 
 def test_only_processes_of_this_host_are_killed_and_messages_to_other_hosts_are_delayed() -> None:
     there = {"c1": "10.0.0.2", "c1/a": "10.0.0.2", "c1/b": "10.0.0.2"}
-    with pytest.raises(InputError, match=r"10\.0\.0\.2"):
+    with pytest.raises(InputError, match=r"this host.*c1/\*"):
         check_rule(FaultRule(kill="c1/*", at=(3.0,)), TREE, "rule", (), there)
     check_rule(FaultRule(listener="c1/a", delay_ms=5.0), TREE, "rule", (), there)
+
+
+def test_a_delayed_message_arrives_when_it_is_due_and_a_doubled_one_twice() -> None:
+    coming, clock = [Arrival("c1", IMPP.of("c1/a"), impp(1), 0)], ClockByHand(0)
+
+    def receive(until_ns: int | None, wanted: int) -> list[Arrival]:
+        came = coming.copy()
+        coming.clear()
+        clock.now_ns = clock.now_ns if came or until_ns is None else until_ns
+        return came
+
+    wire = SimpleNamespace(receive=receive, now_ns=clock)
+    faults = at_work(FaultRule(delay_ms=40.0), FaultRule(duplicate=1.0))
+    bus = FaultyBus(cast(Any, wire), "c1", faults)
+    assert bus.receive(0) == bus.receive(39_000_000) == []
+    assert [arrival.time_ns for arrival in bus.receive(SECOND_NS)] == [40_000_000] * 2

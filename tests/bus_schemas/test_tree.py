@@ -53,7 +53,7 @@ def test_a_node_has_the_children_of_the_next_tier_and_the_rating_of_all_its_inve
         ((), "inverters"),
         ((("c1/a", 1.0), ("c1/a", 1.0)), "c1/a"),
         ((("c1", 1.0), ("c1/a", 1.0)), "c1"),
-        *(((("c1/a", kw),), "node c1/a: rating_kw") for kw in (0.0, -5.0, math.nan, math.inf)),
+        *(((("c1/a", kw),), "c1/a: rating_kw") for kw in (0.0, -5.0, math.nan, math.inf)),
         *((((path, 1.0),), "name: expected") for path in ("", "c1//a", "c1/*", "c1/a\n")),
         ((("plant/a", 1.0),), "got 'plant'"),
     ],

@@ -111,10 +111,6 @@ def mcap_file(path: Path, *attached: str, **metadata: str) -> Path:
     return path
 
 
-def test_a_recording_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    refused(tmp_path / "x.mcap")
-
-
 @pytest.mark.parametrize("content", [b"inverter,lat,lon\na,1,2\n" * 20, b"\x89MCAP1\r\n", b"short"])
 def test_a_file_that_is_no_mcap_is_refused_with_what_it_is(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "run.mcap"

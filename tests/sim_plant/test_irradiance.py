@@ -44,14 +44,10 @@ def test_columns_positions_and_times_belong_together(read: Read) -> None:
     assert found.sensors == ("DH3", "AP1", "DH4")
     np.testing.assert_array_equal(found.lat_deg, [21.31236, 21.31276, 21.31303])
     np.testing.assert_array_equal(found.lon_deg, [-158.08463, -158.08389, -158.08505])
-    np.testing.assert_array_equal(found.ghi_wm2[1], [801.5, 791.0, 10.0])
+    np.testing.assert_array_equal(found.ghi_wm2[:2], [[800.5, 790.0, 0.0], [801.5, 791.0, 10.0]])
     assert found.ghi_wm2.dtype == np.float64
     assert str(found.times.tz) == "UTC"
     assert found.times[-1] == pd.Timestamp("2010-04-01T20:00:03Z")
-
-
-def test_a_small_negative_offset_is_set_to_zero(read: Read) -> None:
-    assert read().ghi_wm2[0, 2] == 0.0
 
 
 def test_stations_are_taken_in_the_order_asked_for(read: Read) -> None:
@@ -72,9 +68,7 @@ def test_a_bad_value_of_a_station_not_asked_for_does_no_harm(read: Read) -> None
         ("801.5,791.0", "801.5,2001", "ghi.csv: line 3, column 'AP1'"),
         ("801.5,791.0", "801.5,-10.1", "ghi.csv: line 3, column 'AP1'"),
         ("20:00:02Z", "20:00:01Z", "ghi.csv: line 4, column 'utc'"),
-        ("utc,DH3,AP1", "utc,DH3,DH3", "ghi.csv: line 1: expected a column for each station"),
-        ("utc,DH3,AP1,DH4", "utc,DH3,AP1,DH5", "ghi.csv: line 1: expected a column for each"),
-        ("station,lat", "name,lat", "positions.csv: line 1: expected the columns station"),
+        ("DH4,21", "DH3,21", "positions.csv: line 4, column 'station'"),
         ("-158.08505", "201.9", "positions.csv: line 4, column 'lon'"),
     ],
 )
@@ -84,19 +78,14 @@ def test_one_wrong_field_is_located(read: Read, old: str, new: str, complaint: s
     assert complaint_of(read, *texts).startswith(complaint)
 
 
-def test_a_station_has_one_position(read: Read) -> None:
-    twice = POSITIONS.replace("DH4,", "DH3,")
-    assert "station 'DH3', got 2" in complaint_of(read, positions=twice, stations=["DH3"])
-
-
 @pytest.mark.parametrize(
     ("stations", "named"),
-    [(["DH3", "DH9"], "'DH9'"), (["DH3", "DH3"], "'DH3' twice"), ([], "none")],
+    [(["DH3", "DH9"], "DH3, DH9"), (["DH3", "DH3"], "DH3, DH3"), ([], "none")],
 )
 def test_stations_are_refused(read: Read, stations: list[str], named: str) -> None:
     complaint = complaint_of(read, stations=stations)
     assert complaint.startswith("ghi.csv: line 1: stations: expected")
-    assert named in complaint
+    assert complaint.endswith(named)
 
 
 def test_a_file_that_lacks_a_station_is_not_taken_for_a_smaller_plant(read: Read) -> None:

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path
-from zipfile import ZipFile
 
 import numpy as np
 import pandas as pd
@@ -53,12 +52,15 @@ def message_of(read: Read, text: str, **options: object) -> str:
 
 
 def test_each_sensor_has_its_own_field_and_the_tilted_have_none(read: Read) -> None:
-    found = read(day_text(DAY, some_minutes()), stations=None)
+    ghi_wm2 = some_minutes()
+    ghi_wm2[3, column("DH4")] = -0.7
+    found = read(day_text(DAY, ghi_wm2), stations=None)
     assert found.sensors == HORIZONTAL
     assert len(HORIZONTAL) == 17
     assert not {"DH1T", "AP6T", "AP2"} & set(HORIZONTAL)
     for sensor, value in zip(HORIZONTAL, found.ghi_wm2[7], strict=True):
         assert value == 10.0 * (5 + column(sensor)) + 7.0
+    assert found.ghi_wm2[3, HORIZONTAL.index("DH4")] == 0.0, "a small negative of the night"
     assert found.report == ()
 
 
@@ -67,32 +69,6 @@ def test_stamps_are_hawaii_standard_time(read: Read) -> None:
     assert times[0] == pd.Timestamp("2010-04-01T05:00:00-10:00")
     assert times[-1] == pd.Timestamp("2010-04-01T15:02:29Z")
     assert str(times.tz) == "UTC"
-
-
-def test_stations_and_their_positions_are_in_the_order_asked_for(read: Read) -> None:
-    found = read(day_text(DAY, some_minutes()), stations=["AP7", "DH1"])
-    assert found.sensors == ("AP7", "DH1")
-    np.testing.assert_array_equal(found.ghi_wm2[0], [200.0, 120.0])
-    np.testing.assert_array_equal(found.lat_deg, [21.31478, 21.31533])
-    np.testing.assert_array_equal(found.lon_deg, [-158.07785, -158.087])
-
-
-def test_the_small_negatives_of_the_night_are_zero(read: Read) -> None:
-    ghi_wm2 = some_minutes()
-    ghi_wm2[3, column("DH4")] = -0.7
-    found = read(day_text(DAY, ghi_wm2))
-    assert found.ghi_wm2[3, HORIZONTAL.index("DH4")] == 0.0
-    assert found.report == ()
-
-
-@pytest.mark.parametrize("inside", ["20100401.txt", "201004/20100401.txt"])
-def test_a_day_is_found_in_the_archive_of_its_month(tmp_path: Path, inside: str) -> None:
-    with ZipFile(tmp_path / "201004.zip", "w") as archive:
-        archive.writestr("readme.txt", "about the month")
-        archive.writestr(inside, day_text(DAY, some_minutes()))
-    found = read_day(tmp_path, DAY, POSITIONS, most_missing=0.2)
-    assert found.ghi_wm2.shape == (150, 17)
-    assert found.source == f"{tmp_path / '201004.zip'}/{inside}"
 
 
 # Gaps ---------------------------------------------------------------------------------------------
@@ -106,9 +82,8 @@ def with_gap(sensor: str, rows: slice) -> Floats:
 
 def test_a_gap_is_filled_and_told(read: Read) -> None:
     found = read(day_text(DAY, with_gap("DH8", slice(40, 60))), stations=["DH6", "DH8"])
-    assert found.report == (
-        "20100401.txt: DH8: 20 of 150 values missing, filled from DH6 times 1.069",
-    )
+    (told,) = found.report
+    assert told.startswith("20100401.txt: DH8: 20 of 150 values missing")
     truth = some_minutes()[40:60, column("DH8")]
     np.testing.assert_allclose(found.ghi_wm2[40:60, 1], truth, rtol=0.02)
 
@@ -133,12 +108,10 @@ GOOD += "2,2010,91,1200" + ",700" * 19 + "\n3,2010,91,1200" + ",800" * 19 + "\n"
     ("old", "new", "place"),
     [
         ("2,2010,91,1200,700", "2,2010,91,1200,n/a", "line 3, column 'DH3': expected a number"),
-        ("2,2010,91,1200,700", "2,2010,91,1200", "line 3: expected 23 fields"),
         ("2,2010,91,1200,700", "2,2010,91,1200,2100", "line 3, column 'DH3': expected -10 to"),
-        ("2,2010,91", "2,2010,92", "line 3: expected second, year, day of year, hour and minute"),
-        ("2,2010,91,1200", "2,2010,91,1260", "line 3: expected second, year"),
-        ("2,2010,91,1200", "60,2010,91,1200", "line 3: expected second, year"),
-        ("2,2010,91,1200", "1,2010,91,1200", "line 3, column 'second': expected a time 1 s after"),
+        ("2,2010,91", "2,2010,92", "line 3, column 'day of year': expected that"),
+        ("2,2010,91,1200", "2,2010,91,1260", "line 3, column 'second': expected times"),
+        ("2,2010,91,1200", "1,2010,91,1200", "line 3, column 'second': expected times"),
     ],
 )
 def test_one_wrong_field_is_located(read: Read, old: str, new: str, place: str) -> None:
@@ -146,47 +119,23 @@ def test_one_wrong_field_is_located(read: Read, old: str, new: str, place: str) 
     assert message_of(read, GOOD.replace(old, new)).startswith(f"20100401.txt: {place}")
 
 
-def test_a_file_of_ap2_in_place_of_the_grid_is_recognised(read: Read) -> None:
-    assert "AP2" in message_of(read, "0,2010,91,1200,500,100,400\n3,2010,91,1200,500,100,400\n")
+OF_AP2 = "0,2010,91,1200,500,100,400\n3,2010,91,1200,500,100,400\n"
 
 
-@pytest.mark.parametrize("text", ["", GOOD[: GOOD.index("\n") + 1]])
-def test_less_than_two_lines_are_refused(read: Read, text: str) -> None:
+@pytest.mark.parametrize("text", [GOOD[: GOOD.index("\n") + 1], OF_AP2])
+def test_a_single_line_and_a_file_of_ap2_are_refused(read: Read, text: str) -> None:
     assert message_of(read, text).startswith("20100401.txt: ")
 
 
-@pytest.mark.parametrize("stations", [["DH1", "AP6T"], ["DH1", "AP2"], ["DH1", "DH1"], []])
+@pytest.mark.parametrize("stations", [["DH1", "AP6T"], ["DH1", "DH1"], []])
 def test_stations_that_are_none_are_refused(read: Read, stations: list[str]) -> None:
     assert message_of(read, GOOD, stations=stations).startswith("stations: expected")
 
 
-# Days and archives --------------------------------------------------------------------------------
+# Earlier days -------------------------------------------------------------------------------------
 
 
-def test_an_archive_that_is_none_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "201004.zip").write_text("not a ZIP archive")
-    found = complaint_of(read_day, tmp_path, DAY, POSITIONS)
-    assert found.startswith(f"{tmp_path / '201004.zip'}: expected")
-
-
-@pytest.mark.parametrize(
-    ("plain", "zipped", "latest"),
-    [
-        (["20100330", "20100331", "20100402"], {}, "2010-03-31"),
-        ([], {"201003": ["20100329"]}, "2010-03-29"),
-        (["20100328"], {"201003": ["20100329"], "201002": ["20100228"]}, "2010-03-29"),
-        (["20100331"], {"201004": ["20100401", "20100402"]}, "2010-03-31"),
-        ([], {"201002": ["20100228"], "201004": ["20100402"]}, "2010-02-28"),
-        (["notes", "20100331", "20109999"], {"old": ["20100331"]}, "2010-03-31"),
-    ],
-)
-def test_the_latest_earlier_day_is_found_in_files_and_archives(
-    tmp_path: Path, plain: list[str], zipped: dict[str, list[str]], latest: str
-) -> None:
-    for name in plain:
+def test_the_latest_earlier_day_is_found_among_other_files(tmp_path: Path) -> None:
+    for name in ("notes", "20100328", "20100331", "20100401", "20100402", "20109999"):
         (tmp_path / f"{name}.txt").write_text(GOOD)
-    for month, days in zipped.items():
-        with ZipFile(tmp_path / f"{month}.zip", "w") as archive:
-            for day in days:
-                archive.writestr(f"{day}.txt", GOOD)
-    assert latest_day_before(tmp_path, DAY) == date.fromisoformat(latest)
+    assert latest_day_before(tmp_path, DAY) == date(2010, 3, 31)

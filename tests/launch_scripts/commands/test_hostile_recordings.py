@@ -7,8 +7,8 @@ from pathlib import Path
 from struct import pack
 from typing import Any
 
+import lz4.frame
 import pytest
-import zstandard
 from command_line import heliarch, python, refusal
 from mcap.opcode import Opcode
 from msgspec.structs import replace
@@ -63,7 +63,7 @@ def nested(depth: int) -> bytes:
         (with_plan(start_time_ns=-(2**63)), "start_time_ns: expected"),
         (with_plan(period_cycles=(1,)), "period_cycles"),
         (with_plan(faults=(FaultRule(kill="c1"),)), "faults[0]: at: expected"),
-        (with_payload(nested(300_000)), "nested too deep"),
+        (with_payload(nested(300_000)), "c1/a/impp"),
         (with_payload(encode(replace(HEAD, cycle=2**63 - 1))), "c1/a/impp"),
         (with_payload(b"\x81\xa5cycle\xa1\xff"), "c1/a/impp"),
     ],
@@ -91,7 +91,7 @@ def test_a_cycle_far_from_all_others_is_refused(tmp_path: Path) -> None:
     plan = replace(PLAN, cycles=10_000_000)
     last = [(port, replace(message, cycle=9_999_999)) for port, message in cycle_of_the_plant(3)]
     write_run(tmp_path / "run.mcap", [*whole_run(3), *last], plan=plan)
-    assert "production of most cycles" in refusal("report", tmp_path)
+    assert "production of most of 10,000,000 cycles" in refusal("report", tmp_path)
 
 
 PEAK_TOLD = """
@@ -107,16 +107,12 @@ What `wait4` says counts the memory of the process that forked it too.
 """
 
 
-@pytest.mark.parametrize("claimed", [1 << 31, 1000])
-def test_a_chunk_that_unpacks_to_gigabytes_is_left_out_and_told(
-    claimed: int, tmp_path: Path
-) -> None:
+def test_a_chunk_that_unpacks_to_gigabytes_is_left_out_and_told(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_run(path, whole_run(3), close=False)
-    packer = zstandard.ZstdCompressor().compressobj()
-    zeros = bytes(1 << 20)
-    packed = b"".join([*(packer.compress(zeros) for _ in range(1 << 11)), packer.flush()])
-    body = pack("<QQQII4sQ", 1, 1, claimed, 0, 4, b"zstd", len(packed)) + packed
+    packer, zeros = lz4.frame.LZ4FrameCompressor(), bytes(1 << 20)
+    packed = b"".join([packer.begin(), *(packer.compress(zeros) for _ in range(1 << 11))])
+    body = pack("<QQQII3sQ", 1, 1, 1 << 31, 0, 3, b"lz4", len(packed)) + packed
     with path.open("ab") as file:
         file.write(pack("<BQ", Opcode.CHUNK, len(body)) + body)
     found = python(PEAK_TOLD, "inspect", path, cwd=tmp_path)

@@ -41,7 +41,7 @@ def run(content: bytes, tmp_path: Path) -> Path:
 def test_a_recording_is_told_with_what_is_missing_in_it(run: Path) -> None:
     text = done("inspect", run)
     facts = " ".join(text.split())
-    assert "Scenario Four inverters" in facts
+    assert "plant field, scheme paper" in facts
     assert "Time 2010-04-01 12:00:00 to 2010-04-01 12:01:29, Pacific/Honolulu" in facts
     assert "Cycles 0 to 89 of 1 s, 90 complete, 1,000 planned" in facts
     (row,) = [line.split() for line in text.splitlines() if line.startswith("impp ")]
@@ -112,8 +112,9 @@ def test_a_part_of_the_run_may_be_exported_with_its_figures_as_json(run: Path) -
     impp = pd.read_csv(folder / "impp.csv")
     assert set(impp["node"]) == {"c1/a", "central"}
     assert sorted(impp["cycle"]) == sorted([*range(30, 41)] * 2)
-    assert figures["size_bytes"] == sum(path.stat().st_size for path in folder.iterdir())
-    assert {part["name"]: part["rows"] for part in figures["parts"]}["impp"] == len(impp)
+    assert (figures["path"], figures["whole"]) == (str(folder), True)
+    assert (figures["first_cycle"], figures["last_cycle"]) == (30, 40)
+    assert figures["rows"]["impp"] == len(impp)
 
 
 # report -------------------------------------------------------------------------------------------

@@ -49,10 +49,10 @@ def test_a_priority_is_1_to_99(priority: int) -> None:
 
 
 def test_a_scenario_says_the_same_and_the_command_line_goes_before_it() -> None:
-    table = 'cpus = ["0-1", "plant=3"]\npriority = 20\nlock_memory = true'
+    table = 'cpus = ["0-1", "plant=3"]\npriority = 20'
     found = settings(table=table)
-    assert found == MachineSettings((0, 1), {"plant": (3,)}, 20, lock_memory=True)
-    assert settings("3", priority=7, table=table) == MachineSettings((3,), {}, 7, lock_memory=True)
+    assert found == MachineSettings((0, 1), {"plant": (3,)}, 20)
+    assert settings("3", priority=7, table=table) == MachineSettings((3,), {}, 7)
     # A scenario may be run in lockstep too: there its priority is of no use, and of no harm.
     assert settings(table=table, lockstep=True).priority == 20
 

@@ -298,11 +298,6 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
             f"{BUDGETS}hop_p99_ms.setpoint = 0.0\n[control]",
             "timing.budgets.hop_p99_ms[...]: expected number",
         ),
-        (
-            "[control]",
-            f"{SYNTHETIC}capacity_kw = 1\nfrom = 09:00:00\nto = 09:00:00\n[control]",
-            "regulation.from, regulation.to: expected",
-        ),
     ],
 )
 def test_a_bad_scenario_is_refused_with_file_and_field(

@@ -51,7 +51,8 @@ def test_every_message_is_read_and_is_as_its_schema_says(tmp_path: Path, reader:
         for record in recording.records():
             key = recording.plan.wiring.key(record.port)
             expected[key] = expected.get(key, 0) + 1
-    assert {topic: entry["messages"] for topic, entry in found.items()} == expected
+    counts = {topic: entry["messages"] for topic, entry in found.items() if entry["messages"]}
+    assert counts == expected
     assert {topic: entry["errors"] for topic, entry in found.items() if entry["errors"]} == {}
     assert found["field/production"]["last"]["delivered_kw"] == 239.0
     assert found["field/c1/b/setpoint"]["last"]["help_given"] == [

@@ -101,5 +101,5 @@ def record(
     link.tell = said.append
     time = Mock(monotonic=lambda: clock.now_ns / 1e9, monotonic_ns=clock, sleep=clock.sleep)
     with patch("recordings.record.recorder.time", time):
-        Recorder(plan, tap, writer, link, lambda text: None).run()
+        Recorder(plan, tap, writer, link, lambda count, text: None).run()
     return said

@@ -1,4 +1,4 @@
-"""What the recorder keeps of a run with external agents, and the account that it gives of them."""
+"""What the recorder keeps of a run with external agents, and says of them; its arming rounds."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from recorded_runs import published
 from agents.events import Complaint, Recorded
 from bus_schemas.codec import encode
 from bus_schemas.messages import Impp, Message, Setpoint
-from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Port
-from bus_schemas.tree import CENTRAL, ROOT
+from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Occurrence, Port, ports
+from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
 from recordings.record.message_complaints import Complaints
-from recordings.record.recorder import Recorder
+from recordings.record.recorder import Recorder, Round
 from recordings.record.second_senders import SecondSenders
 from recordings.record.writer import RunWriter
 
@@ -56,7 +56,7 @@ def recorded(
     tap.watch_tokens.return_value.changes.return_value = ()
     link = Mock(expected_messages=lambda: expected, by_hand=False, dismissed=expected is None)
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
-    Recorder(IN_LOCKSTEP, tap, writer, link, lambda text: None).run()
+    Recorder(IN_LOCKSTEP, tap, writer, link, lambda count, text: None).run()
     told = [call.args[0] for call in link.tell.call_args_list]
     (account,) = [event for event in told if isinstance(event, Recorded)]
     with RunReader(folder) as reader:
@@ -181,10 +181,49 @@ def test_what_comes_second_on_a_key_is_no_loss_and_a_false_stop_is_named(tmp_pat
 
 def test_keys_without_end_are_named_up_to_a_number_and_shown_without_control_characters() -> None:
     told: list[Complaint] = []
-    complaints = Complaints(lambda text: None, told.append)
+    complaints = Complaints(lambda count, text: None, told.append)
     for number in range(3000):
         complaints.add(f"oahu/\x1b[31m{number}", "unknown", "x" * 10_000)
     found = complaints.all()
     assert len(found) == len(told) < 1000
     assert sum(entry.count for entry in found) == 3000
     assert all(entry.key.isprintable() and len(entry.example) < 1000 for entry in found)
+
+
+# Arming rounds ------------------------------------------------------------------------------------
+
+STEADY = [
+    port
+    for port in ports(IN_LOCKSTEP.tree)
+    if port.signal.occurrence in {Occurrence.CYCLE, Occurrence.TURN}
+]
+OF_PLANT = [port for port in STEADY if port.publisher == PLANT]
+OF_OTHERS = [port for port in STEADY if port.publisher != PLANT]
+
+
+def test_a_device_that_speaks_of_another_round_does_not_end_the_one_under_way() -> None:
+    under_way = Round(IN_LOCKSTEP)
+    under_way.sees(DISPATCH.of(ROOT), -7)
+    for early in (-5, -9, -6):
+        assert not under_way.sees(IMPP.of("c2/inv07"), early)
+    seen = [under_way.sees(port, -7) for port in (*OF_PLANT, *OF_OTHERS)]
+    assert seen == [False] * (len(STEADY) - 1) + [True]
+    assert under_way.answered
+    assert under_way.count == 1
+
+
+def test_answers_that_overtake_the_plants_words_are_counted() -> None:
+    under_way = Round(IN_LOCKSTEP)
+    assert not any(under_way.sees(port, -7) for port in OF_OTHERS)
+    assert under_way.unheard(["c2/inv07"]) == []
+    seen = [under_way.sees(port, -7) for port in OF_PLANT]
+    assert seen == [False] * (len(OF_PLANT) - 1) + [True]
+
+
+def test_who_says_nothing_in_the_round_under_way_is_named() -> None:
+    under_way = Round(IN_LOCKSTEP)
+    under_way.sees(DISPATCH.of(ROOT), -7)
+    under_way.sees(IMPP.of("c2/inv07"), -5)
+    assert under_way.unheard(["c2/inv07"]) == [
+        f"c2/inv07/{signal}" for signal in ("command", "impp", "residual")
+    ]

@@ -85,34 +85,26 @@ def test_the_summary_beside_a_recording_is_used_if_it_is_of_that_run(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("machine", "remarks", "scheduling", "locked"),
+    ("machine", "remarks", "scheduling"),
     [
-        (MachineSettings(), (), "normal", False),
-        (MachineSettings(priority=20), ("priority 20: no SCHED_FIFO here",), "normal", False),
+        (MachineSettings(), (), "normal"),
+        (MachineSettings(priority=20), ("priority 20: no SCHED_FIFO here",), "normal"),
         (
             MachineSettings(cpus=(0,), cpus_of={"direct": (1,)}, priority=7),
             (),
             "SCHED_FIFO 7, direct on CPU 1, others on CPU 0",
-            False,
         ),
-        (MachineSettings(lock_memory=True), (), "normal", True),
-        (MachineSettings(lock_memory=True), ("memory: not locked",), "normal", False),
     ],
 )
 def test_the_host_tells_what_was_asked_for_and_not_refused(
-    machine: MachineSettings,
-    remarks: tuple[str, ...],
-    scheduling: str,
-    locked: bool,
-    tmp_path: Path,
+    machine: MachineSettings, remarks: tuple[str, ...], scheduling: str, tmp_path: Path
 ) -> None:
     recorded(tmp_path, cycle(0), plan=replace(PLAN, machine=machine))
     found = report_on(tmp_path, replace(summary_of(tmp_path), remarks=remarks))
     host = found.host
-    assert (host.scheduling, host.memory_locked) == (scheduling, locked)
+    assert host.scheduling == scheduling
     assert (host.cpus, host.load_before) == (os.cpu_count(), None)
     text = text_of(replace(found, host=replace(host, load_before=1e6)))
-    assert ("memory locked" in text) == locked
     assert "busy before the run" in text
 
 
