@@ -140,16 +140,9 @@ def compare(
 class ComparedRuns(NamedTuple):
     """Two recorded runs, A and B, side by side.
 
-    Attributes
-    ----------
-    figures
-        A row for each figure of merit: `figure`, `unit`, `A`, `B` and `difference`, B less A.
-    differences
-        A row for each message that differs: its first `cycle`, `time` and `node`, the values of `A`
-        and `B` there, and in how many cycles it differs. The first row is where it began; no rows:
-        both runs are the same, bit for bit.
-    notes
-        What is compared: a line for each run, and what differs between them.
+    `figures` has a row for each figure of merit: `figure`, `unit`, `A`, `B` and `difference`, B
+    less A. `differences` has a row for each message that differs: where it first does, the values
+    there, and in how many cycles. Without rows both runs are the same, bit for bit.
     """
 
     figures: pd.DataFrame
@@ -160,11 +153,8 @@ class ComparedRuns(NamedTuple):
 def compare_runs(first: str | Path, second: str | Path) -> ComparedRuns:
     """Compare two recordings, as `heliarch compare RUN RUN` does.
 
-    Parameters
-    ----------
-    first, second
-        A and B: the folders of two runs of the same plant that begin at the same time, or their
-        `run.mcap`. Of the longer one only the cycles that both have count.
+    A and B are the folders of two runs of the same plant that begin at the same time, or their
+    `run.mcap`. Of the longer one only the cycles that both have count.
     """
     series, notes = read_two_runs((Path(first), Path(second)))
     tables = two_runs_tables(*series)

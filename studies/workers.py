@@ -99,12 +99,7 @@ def share_over_cluster(
 
     Raises WorkerLostError: There is no scheduler, or the cluster gave up.
     """
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError:
-        raise InputError(
-            "--scheduler: Dask is not installed; install it with pip install 'heliarch[cluster]'"
-        ) from None
+    distributed: Any = import_module("distributed")
     try:
         with distributed.Client(scheduler, timeout="10s") as client:
             futures = client.map(function, items, pure=False)

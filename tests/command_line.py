@@ -11,7 +11,7 @@ from pathlib import Path
 from running import REPOSITORY
 from typer.testing import CliRunner, Result
 
-from launch_scripts.cli import app
+from launch_scripts.app import app
 
 
 def heliarch(*words: str | Path) -> Result:

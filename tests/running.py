@@ -17,6 +17,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+import launch_scripts.app
 import launch_scripts.commands.run
 import launch_scripts.launcher.launch  # noqa: F401
 from bus_schemas.errors import InputError
@@ -107,12 +108,7 @@ class Command(ForkServerProcess):
         sys.argv = ["heliarch", *self._words]
         main()
 
-    @property
-    def returncode(self) -> int | None:
-        return self.exitcode
-
-    def poll(self) -> int | None:
-        return self.exitcode
+    returncode = ForkServerProcess.exitcode
 
     def wait(self, timeout: float | None = None) -> int:
         self.join(timeout)
@@ -169,7 +165,7 @@ class Heliarch:
             if is_over or time.monotonic() > give_up_at:
                 output = self.output.read_text() + self.error_text()
                 pytest.fail(f"it never came to {what}; the run said:\n{output}")
-            is_over = self.process.poll() is not None
+            is_over = self.process.exitcode is not None
             time.sleep(0.02)
 
     def until_said(self, beginning: str) -> str:
@@ -245,7 +241,7 @@ def commands_in(folder: Path) -> Iterator[Start]:
     try:
         yield start
         for command in started:
-            if command.process.poll() is not None:
+            if command.process.exitcode is not None:
                 assert_none_left(command.folder)
     finally:
         for command in started:

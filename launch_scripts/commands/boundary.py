@@ -10,9 +10,8 @@ import time
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from itertools import zip_longest
 from types import FrameType
-from typing import Any, ClassVar, Final, NoReturn, TypeAlias
+from typing import Any, ClassVar, Final, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -32,9 +31,6 @@ INTERRUPTED: Final = 130
 _LOOK_S: Final = 0.1
 """How often to look whether an exception that ends the program got lost."""
 
-_Report: TypeAlias = Callable[["sys.UnraisableHookArgs"], object]
-"""What Python calls with an exception that it has dropped."""
-
 _BAD_PATH: Final = (
     FileExistsError,
     FileNotFoundError,
@@ -42,15 +38,21 @@ _BAD_PATH: Final = (
     NotADirectoryError,
     PermissionError,
 )
+_EXTRAS: Final = {
+    "cryptography": "keys",
+    "distributed": "cluster",
+    "foxglove": "foxglove",
+    "pymodbus": "modbus",
+    "sunspec2": "modbus",
+}
+"""Packages that not every user needs, and the extra that installs them."""
+
 _UsageError: Final[Any] = typer.BadParameter.__mro__[1]
 """What typer raises for an option or argument that it cannot accept."""
 
 
 class CommandLine(TyperGroup):
     """The command line. Its commands return their exit status, or None for success."""
-
-    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Typer's type is private
-        return _with_plain_types(super().get_params(ctx), ctx)
 
     def main(self, *args: Any, **options: Any) -> NoReturn:
         """Run the command that the user named, and leave with its exit status."""
@@ -62,46 +64,20 @@ class CommandLine(TyperGroup):
 
 
 class Command(TyperCommand):
-    """One command, whose `--report` may be followed by a file."""
-
-    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Typer's type is private
-        return _with_plain_types(super().get_params(ctx), ctx)
+    """One command, whose `--report` may be followed by a file *.html."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - Typer's type is private
-        """Read the options; a bare `--report` gets an empty value.
-
-        The argument after it is its file if it ends in .html.
-        """
-        found, other = [], ""
-        for arg, following in zip_longest(args, args[1:]):
+        """Read the options; a `--report` without a file gets an empty value."""
+        found = []
+        for before, arg, after in zip(["", *args], args, [*args[1:], ""], strict=False):
             # As `--out "$FOLDER"` has it if that is not set: as a path it would be this folder.
-            if arg.startswith("--") and (arg.endswith("=") or following == ""):
-                raise InputError(f"{arg.rstrip('=')}: expected a value, got nothing")
-            if not arg:
-                raise InputError("an argument: expected a value, got nothing")
-            if re.search("[\ud800-\udfff]", arg):  # JSON and TOML could not have it.
+            if not arg or (arg.startswith("--") and arg.endswith("=")):
+                raise InputError(f"{arg or before}: expected a value, got nothing")
+            if re.search("[\ud800-\udfff]", arg):
                 raise InputError(f"{arg}: expected UTF-8, got bytes that are not")
-            is_bare = arg == "--report" and not (following or "").endswith(".html")
+            is_bare = arg == "--report" and not after.endswith(".html")
             found.append("--report=" if is_bare else arg)
-            if is_bare and following and not following.startswith("-"):
-                other = following
-        try:
-            return super().parse_args(ctx, found)
-        except _UsageError as error:
-            if other and type(error) is _UsageError:  # One argument too many.
-                raise InputError(f"--report: expected a file *.html, got {other}") from None
-            raise
-
-
-def _with_plain_types(params: list[Any], ctx: object) -> list[Any]:
-    """Let the help show NUMBER in place of `<int>`, and nothing for arguments and flags."""
-    for param in params:
-        shown = str(param.display_type_rich(ctx))
-        if shown.startswith(("<int", "<float")):
-            param.metavar = "NUMBER"
-        elif param.param_type_name == "argument" or shown == "<bool>":
-            param.display_type_rich = lambda ctx: ""
-    return params
+        return super().parse_args(ctx, found)
 
 
 @contextmanager
@@ -127,10 +103,15 @@ def boundary() -> Iterator[None]:
         _end(_text(error), BAD_INPUT)
     except (FailureError, OSError) as error:
         _end(_text(error), FAILED)
-    except (KeyboardInterrupt, typer.Abort):
+    except KeyboardInterrupt:
         _end("interrupted", INTERRUPTED)
+    except ModuleNotFoundError as error:
+        if error.name not in _EXTRAS:
+            raise
+        extra = f"pip install 'heliarch[{_EXTRAS[error.name]}]'"
+        _end(f"{error.name} is not installed: {extra}", BAD_INPUT)
     except _UsageError as error:
-        _end(_usage_text(error), BAD_INPUT)
+        _end(" ".join(error.format_message().split()), BAD_INPUT)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         sys.unraisablehook = report
@@ -179,7 +160,9 @@ def _leave(number: int, frame: FrameType | None) -> None:
     raise _Leave(number)
 
 
-def _unless_ending(report: _Report) -> _Report:
+def _unless_ending(
+    report: Callable[[sys.UnraisableHookArgs], object],
+) -> Callable[[sys.UnraisableHookArgs], None]:
     """Return the hook that reports what Python has dropped, except what ends the program.
 
     A dropped Ctrl-C is sent once more. Only this hook shows that it was lost: `_Interrupt`, unlike
@@ -200,19 +183,6 @@ def _text(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
-
-
-def _usage_text(error: Any) -> str:  # noqa: ANN401 - Typer's type is private
-    """Say what is wrong with an option as `OPTION: expected X, got Y`."""
-    details = getattr(error.__cause__, "errors", None)
-    if details is None or error.param is None:
-        return " ".join(str(error.format_message()).split())
-    detail = details()[0]
-    what = re.sub(r"Value error, .* is (?:not )?(.*?)\.?$", r"expected \1", str(detail["msg"]))
-    what = what.partition(", unable to")[0].replace("Input should be", "expected")
-    what = re.sub(r"expected (?=greater|less)", "expected a number ", what)
-    option = error.param.get_error_hint().strip("'")
-    return f"{option}: {what}, got {detail['input']}"
 
 
 def _end(text: str, status: int) -> NoReturn:

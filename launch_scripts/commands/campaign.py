@@ -71,7 +71,5 @@ def campaign(
             f"seed {outcome.seed}: {first.invariant}, cycle {first.cycle}: {first.text}",
             f"  {shlex.join([*words, *faults])}",
         ]
-    if len(broken) > _LISTED:
-        more.append(f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
     publish(results.campaign_result(preparation, found, outcomes), files, "campaign.html", *more)
     return FAILED if broken else OK

@@ -29,7 +29,7 @@ def clusters(
 
     --periods SECONDS: Periods of the central controller, in seconds; default those of 1,10,60 that
         the cycle allows.
-    --random 1..1000: How many random choices of clusters to try.
+    --random NUMBER 1..1000: How many random choices of clusters to try.
     --learn TIME: Choose clusters from this first part of the run, then run the rest.
     Example: heliarch clusters oahu --random 50 --periods 1,30 --report
     """

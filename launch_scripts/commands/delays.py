@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Final
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import ResultOptions, changed_scenario
 from launch_scripts.commands.output import publish, shared
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
-
-DEFAULT_SCENARIO: Final = "oahu-day"
-DEFAULT_START: Final = "11:58"
-DEFAULT_DURATION: Final = "62m"
-DEFAULT_SETTINGS: Final = ("commitment.share=0.6",)
-"""At 0.6 of what is possible no shortfall is unavoidable: what the network spoils stands out."""
 
 
 def delays(
@@ -41,10 +34,9 @@ def delays(
 
     changes, start, duration = tuple(settings or ()), span.start, span.duration
     if scenario is None:
-        scenario, start = DEFAULT_SCENARIO, start or DEFAULT_START
-        changes = (*DEFAULT_SETTINGS, *changes)
-        if span.end is None:
-            duration = duration or DEFAULT_DURATION
+        # With this share no shortfall is unavoidable: what the network spoils stands out.
+        scenario, changes = "oahu-day", ("commitment.share=0.6", *changes)
+        start, duration = start or "11:58", duration or (None if span.end else "62m")
     changed = changed_scenario(scenario, files.data, changes)
     preparation = prepare(changed, RunOptions(start, duration, seed=seed, end=span.end), "delays")
     plan = preparation.plan

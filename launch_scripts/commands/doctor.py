@@ -12,23 +12,20 @@ import time
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, OK
-from launch_scripts.commands.output import write_json
+from launch_scripts.commands.output import say, write_json
 from studies.tables import console_for
 
-_PACKAGES: Final = ("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap")
-_OPTIONAL: Final = {
+_PACKAGES: Final = {
+    **dict.fromkeys(("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap"), ""),
     "cryptography": "--secure needs it: pip install 'heliarch[keys]'",
     "pymodbus": "real inverters and `inverters` need it: pip install 'heliarch[modbus]'",
 }
-
 _CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
-
-Verdict: TypeAlias = Literal["ok", "slow", "wrong"]
 
 
 class Finding(NamedTuple):
@@ -39,15 +36,8 @@ class Finding(NamedTuple):
 
     about: str
     found: str
-    verdict: Verdict = "ok"
+    verdict: str = "ok"
     advice: str = ""
-
-
-def _judged(
-    about: str, found: str, is_ok: bool, advice: str, otherwise: Verdict = "slow"
-) -> Finding:
-    """Return a finding that has advice unless all is well."""
-    return Finding(about, found) if is_ok else Finding(about, found, otherwise, advice)
 
 
 def doctor(
@@ -61,90 +51,44 @@ def doctor(
     --out DIR: Folder in which runs will be recorded.
     Example: heliarch doctor
     """
-    from rich.table import Table
-    from rich.text import Text
-
     if not out.is_dir():
         raise InputError(f"--out: expected an existing folder, got {out}")
-    found = [
-        *_processors(),
-        *_scheduling(),
-        _clock(),
-        _wake_up(),
-        _loopback(),
-        _zenoh(),
-        _open_files(),
-        _memory(),
-        *_versions(),
-        _disk(out),
-    ]
+    found = [*_machine(), *_scheduling(), _loopback(), _zenoh(), *_limits(out), *_versions()]
     write_json([finding._asdict() for finding in found], json)
-    rows = Table.grid(padding=(0, 1))
-    for finding in found:
-        style = {"ok": "green", "slow": "yellow", "wrong": "bold red"}[finding.verdict]
-        rows.add_row(finding.about, Text(finding.verdict, style), Text(finding.found))
-        if finding.advice:
-            rows.add_row("", "", Text(finding.advice, "dim"))
-    console = console_for(json)
-    console.print(rows, width=min(console.width, 100))
+    for about, what, verdict, advice in found:
+        say(console_for(json), f"{about:14} {verdict:6} {what}")
+        if advice:
+            say(console_for(json), f"{'':21} {advice}")
     return FAILED if any(finding.verdict == "wrong" for finding in found) else OK
 
 
-def _processors() -> Iterator[Finding]:
-    cores = len(os.sched_getaffinity(0))
+def _judged(about: str, found: str, is_ok: bool, advice: str, otherwise: str = "slow") -> Finding:
+    """Return a finding that has advice unless all is well."""
+    return Finding(about, found) if is_ok else Finding(about, found, otherwise, advice)
+
+
+def _machine() -> Iterator[Finding]:
+    cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
     few = "use 4 or more if you can: the 23 processes of oahu share them"
     yield _judged("processors", f"{cores}", cores >= 4, few)
-    load = os.getloadavg()[0]
     busy = "other programs are running: end them before you measure"
     yield _judged("load", f"{load:.1f}", load <= 0.5 * cores, busy)
     if _GOVERNOR.exists():
         governor = _GOVERNOR.read_text(encoding="ascii").strip()
         advice = "run: cpupower frequency-set -g performance"
         yield _judged("frequency", governor, governor in {"performance", "schedutil"}, advice)
+    if _CLOCK.exists():
+        clock = _CLOCK.read_text(encoding="ascii").strip()
+        advice = "boot with clocksource=tsc if the processor has it"
+        yield _judged("clock", clock, clock not in {"hpet", "acpi_pm", "jiffies"}, advice)
 
 
 def _scheduling() -> Iterator[Finding]:
     from agents.machine import MachineSettings, refusals
 
     refused = refusals(MachineSettings(priority=20), lockstep=False)
-    for refusal in refused:
-        about, _, why = refusal.partition(": ")
-        yield Finding(about, why, "slow", "matters only for --priority")
-    if not refused:
-        yield Finding("real time", "SCHED_FIFO is permitted")
-
-
-def _clock() -> Finding:
-    calls = 20_000
-    began_ns = time.perf_counter_ns()
-    for _ in range(calls):
-        time.monotonic_ns()
-    each_ns = (time.perf_counter_ns() - began_ns) / calls
-    name = _CLOCK.read_text(encoding="ascii").strip() if _CLOCK.exists() else "unknown"
-    advice = "boot with clocksource=tsc if the processor has it"
-    return _judged("clock", f"{name}, read in {each_ns:.0f} ns", each_ns < 500.0, advice)
-
-
-def _wake_up() -> Finding:
-    """Sleep for 1 ms again and again, in a thread set up like an agent; see how late it wakes."""
-    from agents.machine import wake_precisely
-
-    late_us: list[float] = []
-
-    def sleep() -> None:
-        wake_precisely()
-        for _ in range(200):
-            due_ns = time.monotonic_ns() + 1_000_000
-            time.sleep(0.001)
-            late_us.append((time.monotonic_ns() - due_ns) / 1e3)
-
-    thread = threading.Thread(target=sleep)
-    thread.start()
-    thread.join()
-    late_us.sort()
-    text = f"median {late_us[100]:.0f} µs late, 99 of 100 within {late_us[197]:.0f} µs"
-    advice = "agents notice deadlines this late: try --priority"
-    return _judged("wake-up", text, late_us[197] < 1000.0, advice)
+    found = "; ".join(refused) or "SCHED_FIFO is permitted"
+    yield _judged("real time", found, not refused, "matters only for --priority")
 
 
 def _loopback() -> Finding:
@@ -187,47 +131,34 @@ def _zenoh() -> Finding:
     except zenoh.ZError as error:
         advice = "no agent can listen on 127.0.0.1: ip link set lo up, or reinstall eclipse-zenoh"
         return Finding("Zenoh", f"{error}", "wrong", advice)
-    text = f"a session has {threads} thread" + "s" * (threads != 1)
     is_tuned = os.environ.get("ZENOH_RUNTIME", ZENOH_RUNTIME) == ZENOH_RUNTIME
     advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
-    return _judged("Zenoh", text, is_tuned, advice)
+    return _judged("Zenoh", f"threads of a session: {threads}", is_tuned, advice)
 
 
-def _open_files() -> Finding:
-    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if files == resource.RLIM_INFINITY:
-        return Finding("open files", "any number")
-    # Recorder and plant have a link with each inverter.
-    inverters = max(files - 100, 0)
-    advice = f"enough for {inverters:,} inverters; ulimit -n 65536 for more"
-    otherwise: Verdict = "slow" if inverters > 50 else "wrong"
-    return _judged("open files", f"{files:,} at once", files >= 4096, advice, otherwise)
-
-
-def _memory() -> Finding:
+def _limits(folder: Path) -> Iterator[Finding]:
     import psutil
 
+    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if files == resource.RLIM_INFINITY:
+        files = 2**20
+    inverters = max(files - 100, 0)  # Recorder and plant have a link with each inverter.
+    advice = f"enough for {inverters:,} inverters; ulimit -n 65536 for more"
+    verdict = "slow" if inverters > 50 else "wrong"
+    yield _judged("open files", f"{files:,} at once", files >= 4096, advice, verdict)
     free_mb = psutil.virtual_memory().available / 1e6
-    processes = int(free_mb // 25)
     advice = "a process needs about 25 MB: end other programs, or take a smaller plant"
-    text = f"{free_mb:,.0f} MB free, enough for about {processes:,} processes"
-    return _judged("memory", text, processes >= 40, advice)
+    yield _judged("memory", f"{free_mb:,.0f} MB free", free_mb >= 1000.0, advice)
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    text = f"{free_gb:,.1f} GB free; 17 inverters at 1 cycle/s take 0.02 GB an hour"
+    advice = "free some, or choose another folder for runs with --out"
+    yield _judged("disk", text, free_gb >= 0.1, advice, "wrong")
 
 
 def _versions() -> Iterator[Finding]:
-    found = [f"Python {platform.python_version()}"]
-    for name in (*_PACKAGES, *_OPTIONAL):
+    yield Finding("Python", platform.python_version())
+    for name, advice in _PACKAGES.items():
         try:
-            found.append(f"{name} {version(name)}")
+            yield Finding(name, version(name))
         except PackageNotFoundError:
-            yield Finding(name, "not installed", "ok", _OPTIONAL.get(name, "reinstall heliarch"))
-    yield Finding("versions", ", ".join(found))
-
-
-def _disk(folder: Path) -> Finding:
-    free_gb = shutil.disk_usage(folder).free / 1e9
-    # 17 inverters take about 6 kB a cycle.
-    hours = free_gb * 1e6 / 6.0 / 3600.0
-    text = f"{free_gb:,.1f} GB free, about {hours:,.0f} h of 17 inverters at 1 cycle/s"
-    advice = "free some, or choose another folder for runs with --out"
-    return _judged("disk", text, free_gb >= 0.1, advice, "wrong")
+            yield Finding(name, "not installed", advice=advice)

@@ -49,7 +49,7 @@ def export(
         wanted = find_signals(signals or "")
         rows = tuple(row for row in SIGNALS if row.logged and (not wanted or row in wanted))
         cycles = None if start is None and end is None else reader.clock.span(start, end)
-        with progress_bar(f"{form} {path.name}") as reader.follow:
+        with progress_bar(form) as reader.follow:
             summary = export_run(reader, form, path, rows, nodes or "", cycles, clock or "wall")
         damage = reader.damage_text()
     _print(summary, console_for(json))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,11 +12,12 @@ from bus_schemas.errors import InputError
 from bus_schemas.printable import printable
 from bus_schemas.tree import agent_name
 from launch_scripts.commands.boundary import OK, complain
-from launch_scripts.commands.output import json_rows, progress_bar, write_json
+from launch_scripts.commands.output import progress_bar, write_json
 from studies.tables import (
     Column,
     Table,
     attributes,
+    cell_text,
     console_for,
     key_column,
     print_table,
@@ -58,14 +59,23 @@ def inspect(
         raise InputError("--cycle: expected neither --nodes, --from nor --to with it")
     console = console_for(json)
     with RunReader(run, skip_damaged=True) as reader:
+        found: object
         if cycle is not None:
-            _show_plant(reader, reader.clock.cycle(cycle, "--cycle"), json, console)
+            found = _show_plant(reader, reader.clock.cycle(cycle, "--cycle"), console)
         elif nodes is not None:
-            found = find_nodes(reader.plan.tree, nodes)
-            _show_nodes(reader, found, reader.clock.span(start, end), json, console)
+            names = find_nodes(reader.plan.tree, nodes)
+            cycles = reader.clock.span(start, end)
+            found = _show_nodes(reader, names, cycles, console, keep=json is not None)
         else:
             part = None if start is None and end is None else reader.clock.span(start, end)
-            _show_overview(reader, part, json, console)
+            found = _show_overview(reader, part, console)
+        write_json(found, json)
+        if not reader.whole:
+            text = (
+                f"{reader.path} or a file that it goes on in was cut, is damaged, or is still "
+                "being recorded. `heliarch recover` makes a whole file of it."
+            )
+            console.print(Text(text, "yellow"))
         damage = reader.damage_text()
     return complain(damage, OK) if damage else OK
 
@@ -74,20 +84,22 @@ def inspect(
 
 
 def _show_nodes(
-    run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
-) -> None:
+    run: RunReader, nodes: Sequence[str], cycles: range, console: Console, *, keep: bool
+) -> list[NodeCycle]:
+    """Print nodes cycle by cycle, of a recording of any length; return what is to be kept."""
     from recordings.inspect.timeline import heading, node_columns, row_text, timeline
 
-    with json_rows(json) as write:
-        for node in nodes:
-            if len(nodes) > 1:
-                _print_lines(console, [agent_name(node)], "bold")
-            columns = node_columns(run.plan.tree, node, len(run.clock.text(0)))
-            _print_lines(console, [heading(columns)], "bold")
-            for (row,) in timeline(run, [node], cycles):
-                _print_lines(console, [row_text(columns, row)], _style(row))
-                write(row)
-    _warn_if_cut(run, console)
+    found = []
+    for node in nodes:
+        if len(nodes) > 1:
+            _print_lines(console, [agent_name(node)], "bold")
+        columns = node_columns(run.plan.tree, node, len(run.clock.text(0)))
+        _print_lines(console, [heading(columns)], "bold")
+        for (row,) in timeline(run, [node], cycles):
+            _print_lines(console, [row_text(columns, row)], _style(row))
+            if keep:
+                found.append(row)
+    return found
 
 
 def _style(row: NodeCycle) -> str:
@@ -98,7 +110,7 @@ def _style(row: NodeCycle) -> str:
 # The plant in one cycle ----------------------------------------------------------------------
 
 
-def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) -> None:
+def _show_plant(run: RunReader, cycle: int, console: Console) -> Sequence[NodeCycle]:
     from recordings.inspect.timeline import plant_lines, timeline
 
     found = next(timeline(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
@@ -111,20 +123,19 @@ def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) 
     names, *lines = plant_lines(run.plan.tree, found)
     _print_lines(console, ["", names], "bold")
     _print_lines(console, lines)
-    write_json(found, json)
-    _warn_if_cut(run, console)
+    return found
 
 
 def _plant_text(central: NodeCycle) -> str:
     """Return desired, possible and produced power of the plant as a line."""
-
-    def text(value_kw: float | None) -> str:
-        return "not recorded" if value_kw is None else f"{value_kw:.2f} kW"
-
-    return (
-        f"dispatch {text(central.dispatch_kw)} (commitment {text(central.commitment_kw)}), "
-        f"possible {text(central.possible_kw)}, produced {text(central.delivered_kw)}"
+    values_kw = (
+        central.dispatch_kw,
+        central.commitment_kw,
+        central.possible_kw,
+        central.delivered_kw,
     )
+    texts = (cell_text(value_kw, Column("power", decimals=2)) for value_kw in values_kw)
+    return "dispatch {} kW (commitment {} kW), possible {} kW, produced {} kW".format(*texts)
 
 
 def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> None:
@@ -135,25 +146,12 @@ def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> Non
 # The whole recording -------------------------------------------------------------------------
 
 
-def _show_overview(
-    run: RunReader, cycles: range | None, json: str | None, console: Console
-) -> None:
-    from recordings.inspect.overview import read_overview
+def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Overview:
+    from recordings.inspect.health import health_lines
+    from recordings.inspect.overview import facts, read_overview
 
     with progress_bar("reading") as run.follow:
-        overview = read_overview(run, cycles)
-    for table in _overview_tables(run, overview):
-        print_table(console, table)
-    _warn_if_cut(run, console)
-    write_json(overview, json)
-
-
-def _overview_tables(run: RunReader, overview: Overview) -> Iterator[Table]:
-    from recordings.inspect.health import health_lines
-    from recordings.inspect.overview import facts
-
-    clock = run.clock
-    yield texts_table(overview.run_id, facts(run, overview))
+        found = read_overview(run, cycles)
     columns = (
         key_column("signal"),
         Column("nodes"),
@@ -164,27 +162,18 @@ def _overview_tables(run: RunReader, overview: Overview) -> Iterator[Table]:
         Column("repeated"),
         Column("cycles without", name="missing_cycles"),
     )
-    yield Table("Signals", columns, attributes(overview.signals, columns))
-    yield texts_table("Health of the run", health_lines(overview.health, clock))
-    shown = overview.gaps[:_SHOWN_GAPS]
-    if shown:
-        yield Table(
-            f"Cycles without a message that was due, the first {_SHOWN_GAPS} gaps",
-            (key_column("key"), Column("cycles"), word_column("when")),
-            tuple(
-                (gap.port, gap.cycles, clock.span_text(gap.first_cycle, gap.last_cycle))
-                for gap in shown
-            ),
-        )
-
-
-def _warn_if_cut(run: RunReader, console: Console) -> None:
-    if not run.whole:
-        text = (
-            f"{run.path} can be read up to byte {run.outline.readable_end:,} of "
-            f"{run.outline.size:,}: it was cut, is damaged there, or is still being recorded."
-        )
-        if run.outline.closed:
-            text = f"{run.path}, or a file that it goes on in, was cut or is damaged."
-        text += " `heliarch recover` makes a whole file of it."
-        console.print(Text(text, "yellow"))
+    gaps = tuple(
+        (gap.port, f"{gap.cycles:,} {run.clock.span_text(gap.first_cycle, gap.last_cycle)}")
+        for gap in found.gaps[:_SHOWN_GAPS]
+    )
+    tables = [
+        texts_table(found.run_id, facts(run, found)),
+        Table("Signals", columns, attributes(found.signals, columns)),
+        texts_table("Health of the run", health_lines(found.health, run.clock)),
+    ]
+    if found.gaps:
+        title = f"Cycles without a message that was due: the first {_SHOWN_GAPS} gaps"
+        tables.append(Table(title, (key_column("key"), word_column("cycles")), gaps))
+    for table in tables:
+        print_table(console, table)
+    return found

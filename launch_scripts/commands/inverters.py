@@ -7,6 +7,7 @@ import time
 from contextlib import suppress
 from math import inf
 from pathlib import Path
+from typing import Final
 
 import typer
 
@@ -14,12 +15,14 @@ from bus_schemas.errors import InputError
 from launch_scripts.commands.options import changed_scenario
 from launch_scripts.scenarios.run_options import RunOptions, TimeOptions
 
+_PORT: Final = 5020
+
 
 def inverters(
     scenario: str = "oahu",
     *,
     address: str = "127.0.0.1",
-    port: int | None = None,
+    port: int = _PORT,
     base_port: int | None = None,
     wait: bool = False,
     span: TimeOptions,
@@ -34,23 +37,17 @@ def inverters(
     plant's connection. Ends with the scenario, or with Ctrl-C.
 
     --address ADDRESS: Address at which to listen; 0.0.0.0 is for other hosts too.
-    --port 0..65535: One port, with a unit for each inverter; default 5020.
-    --base-port 1..65535: Instead, a port for each inverter, from this port on; all are unit 1.
+    --port PORT 0..65535: One port, with a unit for each inverter.
+    --base-port PORT 1..65535: Instead, a port for each inverter, from this port on; all are unit 1.
     --wait: Let the clouds stand still until the first limit is written.
     Example: heliarch inverters oahu --port 5020 --set plant.delay_s=1
     """
-    if port is not None and base_port is not None:
+    if base_port is not None and port != _PORT:
         raise InputError("--port: expected no --base-port with it")
     from launch_scripts.launcher.run_folder import new_run_id
     from launch_scripts.scenarios.preparation import prepare
-
-    try:
-        from sunspec.limited_inverter import LimitedInverter
-        from sunspec.server import Sky, served
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"inverters: {error.name} is not installed: pip install 'heliarch[modbus]'"
-        ) from None
+    from sunspec.limited_inverter import LimitedInverter
+    from sunspec.server import Sky, served
 
     scenario_file = changed_scenario(scenario, data, settings)
     options = RunOptions(**vars(span), seed=seed)
@@ -58,24 +55,22 @@ def inverters(
     plan = prepared.plan
     sky = Sky(prepared.profile.mpp_kw, plan.cycle_ns / 1e9, None if wait else time.monotonic())
 
-    simulated = {}
-    for place, (name, rating_kw) in enumerate(plan.inverters):
-        follows = plan.settings_of(name)
-        simulated[name] = LimitedInverter(
+    follows = {name: plan.settings_of(name) for name, _ in plan.inverters}
+    simulated = {
+        name: LimitedInverter(
             rating_kw,
             sky.possible_kw(place),
-            follows.delay_s or 0.0,
-            follows.ramp_percent_per_s or inf,
+            follows[name].delay_s or 0.0,
+            follows[name].ramp_percent_per_s or inf,
         )
-    first_port = next((given for given in (port, base_port) if given is not None), 5020)
-    serving = served(
-        simulated, sky, time.monotonic, address, first_port, a_port_each=base_port is not None
-    )
+        for place, (name, rating_kw) in enumerate(plan.inverters)
+    }
+    first_port, a_port_each = base_port or port, base_port is not None
+    serving = served(simulated, sky, time.monotonic, address, first_port, a_port_each=a_port_each)
     with suppress(KeyboardInterrupt), serving as addresses:
         for name, where in addresses.items():
             typer.echo(f"meter: {where}" if name == "meter" else f"--device {name}={where}")
-        begins = "stands still until the first limit comes" if wait else "moves on"
-        typer.echo(f"the sky of {prepared.local_start()} {begins}")
+        typer.echo(f"the sky begins at {prepared.local_start()}")
         sys.stdout.flush()
         while not sky.is_over(time.monotonic()):
             time.sleep(0.2)

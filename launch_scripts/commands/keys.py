@@ -27,7 +27,7 @@ def keys(
     ca.pem. Keep ca.key secret: it can sign certificates.
 
     --out DIR: Folder of the keys; default keys/PLANT.
-    --days ..3650: Days for which the certificates are valid.
+    --days NUMBER ..3650: Days for which the certificates are valid.
     --address ADDRESS: An address at which agents listen, besides 127.0.0.1. May be given several
         times.
     Example: heliarch keys oahu && heliarch launch oahu --secure --duration 30
@@ -42,6 +42,8 @@ def keys(
     agents = plan.tree.agents()
     expires, is_new = make_keys(folder, plan.plant, agents, days, address or ())
     write_json({"folder": str(folder), "agents": agents, "expires": expires.isoformat()}, json)
-    authority = "a new authority" if is_new else "renewed by the authority there"
-    text = f"{folder}: {len(agents)} certificates, {authority}, valid until"
-    say(console_for(json), f"{text} {expires:%Y-%m-%d %H:%M} UTC")
+    until = f"{expires:%Y-%m-%d %H:%M} UTC"
+    authority = "a new authority" if is_new else "the same authority"
+    say(
+        console_for(json), f"{folder}: {len(agents)} certificates, {authority}, valid until {until}"
+    )

@@ -20,29 +20,30 @@ if TYPE_CHECKING:
     from launch_scripts.scenarios.scenario import ScenarioFile
 
 
-def file_in_folder(option: typer.CallbackParam, value: str | None) -> str | None:
-    """Refuse a place where no file can be written, before any work is done."""
-    if value in (None, "") or (value == "-" and option.name == "json"):
+def result_file(option: typer.CallbackParam, value: str | None) -> str | None:
+    """Refuse a place where no result can be written, before any work is done."""
+    if not value or (value == "-" and option.name == "json"):
         return value
-    path = Path(str(value))
-    if value == "-" or path.is_dir() or not path.absolute().parent.is_dir():
-        raise InputError(f"{option.opts[0]}: expected a file in an existing folder, got {path}")
-    if not os.access(path if path.exists() else path.absolute().parent, os.W_OK):
-        raise InputError(f"{option.opts[0]}: expected a file that can be written, got {path}")
-    if path.suffix in {".toml", ".mcap"}:  # As if `--json` were a switch: `--json plant.toml`.
-        raise InputError(f"{option.opts[0]}: expected a file for the result, got {path}")
+    path, name = Path(value), option.opts[0]
+    if option.name == "report" and path.suffix != ".html":
+        raise InputError(f"{name}: expected a file whose name ends in .html, got {path}")
+    # `--json plant.toml`, as if `--json` were a switch, must not replace the scenario.
+    is_input = path.suffix in {".toml", ".mcap"}
+    place = path if path.exists() else path.absolute().parent
+    if value == "-" or is_input or path.is_dir() or not os.access(place, os.W_OK):
+        raise InputError(f"{name}: expected a file for the result that can be written, got {path}")
     return value
 
 
 _SHARED: Final = """
 RUN: Folder of a run, or its run.mcap.
 SCENARIO: A shipped scenario (see `heliarch scenarios`) or a TOML file.
---seed: Seed of the synthetic clouds.
+--seed NUMBER: Seed of the synthetic clouds.
 --scheme: How maximum powers are estimated.
 --set FIELD=VALUE (settings): Change a field of the scenario: commitment.share=0.5. May be given
     several times.
 --data DIR: Folder of the data files that the scenario names.
---workers 1..256: Processes that share the work.
+--workers NUMBER 1..256: Processes that share the work.
 --from TIME (start): First cycle: 13:49:00, 90s, or its number.
 --to TIME (end): Last cycle, in the same forms.
 --nodes NODES: Only these nodes: c2/inv07,c1/*,central (c1/*: c1 and all below it).
@@ -115,8 +116,15 @@ def refuse_others(context: typer.Context, allowed: Collection[str], why: str) ->
 
 def is_run(path: Path) -> bool:
     """Whether a path names a run rather than a scenario. The run need not exist."""
+    from launch_scripts.scenarios.scenario import shipped_scenarios
+
     is_elsewhere = len(path.parts) > 1 and path.suffix != ".toml"
-    return is_elsewhere or path.suffix == ".mcap" or (path / "run.mcap").exists()
+    if is_elsewhere or path.suffix == ".mcap" or (path / "run.mcap").exists():
+        return True
+    if path.suffix != ".toml" and str(path) not in shipped_scenarios():
+        names = ", ".join(shipped_scenarios())
+        raise InputError(f"{path}: expected a run, a scenario *.toml, or one of {names}")
+    return False
 
 
 def changed_scenario(
@@ -160,6 +168,8 @@ def add_command(app: typer.Typer, command: Callable[..., int | None], heading: s
     for option in options:
         kind = option.annotation
         if words := described.pop(option.name, None) or shared.get(option.name):
+            if kind in (bool, bool | None):
+                words.metavar = ""
             kind = Annotated[kind, words]
         keyword.append(option.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
     assert not described, f"{command.__name__} takes no {', '.join(described)}"
@@ -171,7 +181,7 @@ def add_command(app: typer.Typer, command: Callable[..., int | None], heading: s
 
 
 _ENTRY: Final = re.compile(r"\n(?=(?:--[\w-]+|[A-Z]{3}).*: )")
-_HEAD: Final = re.compile(r"(--[\w-]+)? ?(\S*[A-Z]\S*)? ?(?:(\d*)\.\.(\d+))? ?(?:\((\w+)\))?")
+_HEAD: Final = re.compile(r"(--[\w-]+)? ?(\S*[A-Z]\S*)? ?(?:(\d*)\.\.(\d*))? ?(?:\((\w+)\))?")
 
 
 def _described(text: str) -> tuple[str, dict[str, Any]]:
@@ -193,6 +203,6 @@ def _described(text: str) -> tuple[str, dict[str, Any]]:
             **shown,
             min=int(least) if least else None,
             max=int(most) if most else None,
-            callback=file_in_folder if name in _WRITTEN else None,
+            callback=result_file if name in _WRITTEN else None,
         )
     return rest.rstrip(), found

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from functools import partial
+from itertools import count
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import TypeVar
 
 import msgspec
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress
 
 from bus_schemas.printable import printable
 from launch_scripts.commands.options import ResultOptions
@@ -35,11 +30,12 @@ def say(console: Console, *lines: str) -> None:
 
 
 @contextmanager
-def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
-    """Show in a terminal how far something has come; give a function to say so, from 0 to 1."""
-    with _progress(description) as progress:
-        task = progress.add_task(description, total=1.0)
-        yield lambda share: progress.update(task, completed=share)
+def progress_bar(description: str, total: float = 1.0) -> Iterator[Callable[[float], None]]:
+    """Show in a terminal how far something has come; give a function that says how far."""
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(description, total=total)
+        yield lambda completed: progress.update(task, completed=completed)
 
 
 def shared(
@@ -55,43 +51,42 @@ def shared(
     """
     from studies.workers import share_over_cluster, share_work
 
-    with _progress(description, MofNCompleteColumn()) as progress:
-        task = progress.add_task(description, total=len(items))
-        done = partial(progress.advance, task)
+    numbers = count(1)
+    with progress_bar(description, len(items)) as progress:
         if scheduler is not None:
-            return share_over_cluster(function, items, scheduler, done)
-        return share_work(function, items, workers, done)
-
-
-def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
-    console = Console(stderr=True)
-    return Progress(
-        *(TextColumn(description, markup=False), BarColumn(), *columns, TimeRemainingColumn()),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
+            return share_over_cluster(function, items, scheduler, lambda: progress(next(numbers)))
+        return share_work(function, items, workers, lambda: progress(next(numbers)))
 
 
 def publish(result: Result, files: ResultOptions, default: Path | str, *more: str) -> None:
     """Write a result as JSON and as a page, if asked to; then print it, and `more` lines.
 
-    The files come first, since a pipe such as `| head` may close before the end of the tables. If a
-    file cannot be written, the tables are still printed.
+    The files come first, since a pipe such as `| head` may close before the end of the tables.
     """
-    try:
-        write_json(result.document, files.json)
+    lines, console = [*more], console_for(files.json)
+
+    def write_page() -> None:
         if files.report is not None:
             from studies.report.page import html_page
 
             path = Path(files.report or default)
             path.parent.mkdir(parents=True, exist_ok=True)
             _write(html_page(result).encode(), path)
-            more += (f"report: {path}",)
-    finally:
-        console = console_for(files.json)
-        print_result(console, result)
-        say(console, *more)
+            lines.append(f"report: {path}")
+
+    do_all(
+        partial(write_json, result.document, files.json),
+        write_page,
+        partial(print_result, console, result),
+        lambda: say(console, *lines),
+    )
+
+
+def do_all(*steps: Callable[[], object]) -> None:
+    """Take steps in their order. If one fails, take the others before its error is raised."""
+    with ExitStack() as stack:
+        for step in reversed(steps):
+            stack.callback(step)
 
 
 def write_json(content: object, destination: str | None) -> None:
@@ -103,30 +98,6 @@ def write_json(content: object, destination: str | None) -> None:
         sys.stdout.write(document.decode())
     else:
         _write(document, Path(destination))
-
-
-@contextmanager
-def json_rows(destination: str | None) -> Iterator[Callable[[object], None]]:
-    """Give a function that adds a row to the list for `--json`, which so needs no memory."""
-    from recordings.read.whole_file import whole_file
-
-    if destination is None:
-        yield lambda row: None
-        return
-    place: AbstractContextManager[BinaryIO] = nullcontext(sys.stdout.buffer)
-    if destination != "-":
-        place = whole_file(Path(destination))
-    with place as file:
-        rows = 0
-
-        def add(row: object) -> None:
-            nonlocal rows
-            file.write((b",\n" if rows else b"[\n") + msgspec.json.encode(row))
-            rows += 1
-
-        yield add
-        file.write(b"\n]\n" if rows else b"[]\n")
-        file.flush()
 
 
 def _write(content: bytes, path: Path) -> None:

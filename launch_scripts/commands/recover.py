@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -13,13 +11,9 @@ from launch_scripts.commands.output import progress_bar, say, write_json
 from studies.tables import console_for
 
 if TYPE_CHECKING:
-    from recordings.read.reader import RunReader
     from recordings.recover import Recovery
 
 LOSSY: Final = 3
-
-_WIDTH: Final = 100
-_SUFFIX: Final = ".recovered.mcap"
 
 
 def recover(
@@ -53,32 +47,26 @@ def recover(
             say(console, f"{reader.path}: it is whole, there is nothing to recover")
             write_json({"source": str(reader.path), "out": None, "lossless": True}, json)
             return OK
-        out = out or reader.path.with_suffix(_SUFFIX)
+        out = out or reader.path.with_suffix(".recovered.mcap")
         with progress_bar("copying") as reader.follow:
             recovery = recover_run(reader, out)
         if not recovery.messages:
             out.unlink()
             nothing = "no message can be read, there is nothing to recover"
             return complain(f"{reader.path}: {nothing}", FAILED)
-        for line in _lines(reader, recovery):
-            text = textwrap.fill(line, _WIDTH, subsequent_indent="  ", break_long_words=False)
-            say(console, text)
+        say(console, *_lines(recovery))
     write_json(msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}, json)
     return OK if recovery.lossless else LOSSY
 
 
-def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
+def _lines(recovery: Recovery) -> Iterator[str]:
     """Say what there is and what is missing."""
-    from recordings.read.run_clock import RunClock
     from recordings.record.recorder import FLUSH_S
 
     yield f"recovered: {recovery.out}"
-    clock = RunClock(run.plan, recovery.last_cycle)
     yield (
         f"kept: {recovery.messages:,} messages, {recovery.complete_cycles:,} complete cycles of "
-        f"{recovery.planned_cycles:,} planned, up to cycle {recovery.last_cycle:,} "
-        f"({clock.local(recovery.last_cycle):%Y-%m-%d %H:%M:%S}), with plan, scenario, schemas, "
-        "times and sequence numbers"
+        f"{recovery.planned_cycles:,} planned, up to cycle {recovery.last_cycle:,}"
     )
     if recovery.damage:
         yield recovery.damage
@@ -89,15 +77,4 @@ def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
     if recovery.lossless:
         yield "missing: nothing"
     elif not recovery.closed:
-        yield (
-            f"missing: everything after {_wall_time(recovery.last_ns)}, wall clock; if the "
-            f"recorder was killed, at most its last {FLUSH_S:g} s"
-        )
-
-
-def _wall_time(time_ns: int) -> str:
-    """Return the wall clock of this machine's time zone."""
-    try:
-        return f"{datetime.fromtimestamp(time_ns / 1e9).astimezone():%Y-%m-%d %H:%M:%S.%f %Z}"
-    except (OverflowError, ValueError, OSError):
-        return f"a time that is damaged ({time_ns:,} ns)"
+        yield f"missing: what came last; if the recorder was killed, at most {FLUSH_S:g} s"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 import typer
 
@@ -13,8 +12,6 @@ from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
 from launch_scripts.commands.options import refuse_others
 from launch_scripts.commands.output import write_json
-
-_ENDPOINT: Final = re.compile(r"tcp/[^/\s#?]+:\d{1,5}")
 
 
 def replay(
@@ -61,8 +58,6 @@ def replay(
     from recordings.replay.playback import replay_recording
 
     out = sys.stderr if json == "-" else sys.stdout
-    if listen is not None and not _ENDPOINT.fullmatch(listen):
-        raise InputError(f"--listen: expected an address such as tcp/127.0.0.1:7447, got {listen}")
     if live is None and plan is not None:
         raise InputError("--plan: expected --live with it: the live controllers run by this plan")
     if start_paused and not has_keyboard():

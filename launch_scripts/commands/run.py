@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -16,7 +15,7 @@ from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import some_of
 from launch_scripts.commands.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.commands.options import FileOptions, PageOptions, changed_scenario
-from launch_scripts.commands.output import say, write_json
+from launch_scripts.commands.output import do_all, say, write_json
 from launch_scripts.launcher.launch import check_processes, launch
 from launch_scripts.launcher.live_view import view_for
 from launch_scripts.launcher.run_folder import RunFolder, RunRequest, prepare_run
@@ -44,12 +43,10 @@ def page_beside(options: PageOptions, console: Console) -> Iterator[PageProcess 
         with PageProcess(options.page_address, options.page_port) as page:
             yield page
             page.let_end(partial(say, console))
-        return
-    addresses = {"--page-address": options.page_address, "--page-port": options.page_port}
-    for option, given in addresses.items():
-        if given is not None:
-            raise InputError(f"{option}: expected --page with it")
-    yield None
+    elif options.page_address is not None or options.page_port is not None:
+        raise InputError("--page-address, --page-port: expected --page with it")
+    else:
+        yield None
 
 
 def run_and_print(
@@ -68,46 +65,31 @@ def run_and_print(
 def _print_result(
     summary: RunSummary, folder: RunFolder, files: FileOptions, console: Console
 ) -> int:
-    trouble = _write_summary(summary, folder, files.json)
-    print_summary(summary, console)
-    say(console, f"recording: {folder.recording}")
-    if trouble:
-        return complain("; ".join(filter(None, (trouble, summary.recording_ended))), FAILED)
-    if files.report is not None and summary.cycles:
-        from studies.report.run_report import write_run_report  # Plotly is slow to import.
+    document = summary.as_json()
 
-        page = Path(files.report) if files.report else None
-        say(console, f"report: {write_run_report(folder.path, page)}")
+    def write_page() -> None:
+        if files.report is not None and summary.cycles:
+            from studies.report.run_report import write_run_report  # Plotly is slow to import.
+
+            page = Path(files.report) if files.report else None
+            say(console, f"report: {write_run_report(folder.path, page)}")
+
+    do_all(
+        partial(folder.write_summary, document),
+        partial(write_json, msgspec.Raw(document), files.json),
+        partial(print_summary, summary, console),
+        partial(say, console, f"recording: {folder.recording}"),
+        write_page,
+    )
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
     if attacked := summary.two_senders:
         text = some_of([f"{one.key}: {one.example}" for one in attacked])
         return complain(f"more than one program sent messages on {text}", FAILED)
     if summary.lost_by_processes:
-        lost = "; ".join(
-            f"{count.signal}: {count.published:,} published, {count.recorded:,} recorded"
-            for count in summary.messages
-            if count.lost
-        )
+        lost = ", ".join(count.signal for count in summary.messages if count.lost)
         return complain(f"messages were lost: {lost}", FAILED)
     return INTERRUPTED if summary.interrupted else OK
-
-
-def _write_summary(summary: RunSummary, folder: RunFolder, json: str | None) -> str:
-    """Write a summary into its folder, and where `--json` says.
-
-    Returns the error if the disk is full: the result is still to be printed.
-    """
-    document = summary.as_json()
-    try:
-        folder.write_summary(document)
-        if json is not None:
-            write_json(msgspec.Raw(document), json)
-    except OSError as error:
-        if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
-            raise
-        return f"{error.filename}: {error.strerror}"
-    return ""
 
 
 def run(
@@ -140,11 +122,5 @@ def run(
     except RunFailure as failure:
         if not folder.recording.exists():
             raise
-        text = f"{failure}\nrecording up to there: {folder.recording}"
-        if server is not None and plan.lockstep:
-            try:
-                check_processes(plan)  # How long it takes nobody knows: the keys may have expired.
-            except InputError as error:
-                text += f"\n{error}"
-        raise FailureError(text) from failure
+        raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure
     return summary, folder

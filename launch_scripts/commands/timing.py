@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -108,22 +107,15 @@ def _time_several(
 
     folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
 
-    def prepared(rate_hz: float) -> Callable[[], TimingReport]:
+    def timed(rate_hz: float) -> TimingReport:
         name = f"rate-{rate_hz:g}"
         if (folder / name).exists():
             name = f"{name}-again"
         preparation, place = prepare_at(rate_hz, length_s, request, folder / name)
-        return lambda: measured_run(preparation, place, console)
-
-    # All listed rates are prepared before the first one runs, so that none is refused then.
-    listed = {rate_hz: prepared(rate_hz) for rate_hz in rates.listed_hz}
+        return measured_run(preparation, place, console)
 
     if shown is not None:
         say(console, f"page: {shown.show(folder, several=True)}")
-
-    def timed(rate_hz: float) -> TimingReport:
-        return (listed.get(rate_hz) or prepared(rate_hz))()
-
     found = sweep(rates, timed)
     result = sweep_result(found, request.scenario.scenario.name)
     publish(result, files, folder / "timing.html", f"recordings: {folder}")

@@ -55,32 +55,22 @@ def _holds_several(path: Path) -> bool:
     """Tell a folder of runs from a run, which may not have begun yet."""
     from live_page.run_list import recordings_in
     from recordings.read.reader import RunReader
-    from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
+    from recordings.read.run_file import RECORDING_NAME
 
-    recording, begun = path / RECORDING_NAME, (path / "plan.json").exists()
-    if path.is_dir() and not recording.exists() and not begun:
+    is_run = any((path / name).exists() for name in (RECORDING_NAME, "plan.json"))
+    if path.is_dir() and not is_run:
         if not recordings_in(path):
             raise InputError(f"{path}: expected a run or a folder with runs, got neither")
         return True
-    if recording.exists() or not begun:
-        try:
-            RunReader(path).close()
-        except NothingRecordedError:
-            if not begun:
-                raise
+    if not (path / "plan.json").exists():  # Otherwise it may not have begun.
+        RunReader(path).close()
     return False
 
 
 def _foxglove_stream(path: Path, port: int) -> FoxgloveStream:
+    from live_page.foxglove_stream import FoxgloveStream
     from live_page.run_view import RunView
 
-    try:
-        from live_page.foxglove_stream import FoxgloveStream
-    except ModuleNotFoundError:
-        raise InputError(
-            "--foxglove: expected the package foxglove-sdk; `pip install 'heliarch[foxglove]'` "
-            "installs it"
-        ) from None
     return FoxgloveStream(RunView(path), port)
 
 

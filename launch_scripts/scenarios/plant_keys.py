@@ -11,28 +11,23 @@ from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
 from typing import Final
 
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    load_pem_private_key,
+)
+
 from agents.plan import RunPlan
 from agents.session import common_name
-from bus_schemas.errors import FailureError, InputError
+from bus_schemas.errors import InputError
 from bus_schemas.zenoh_bus import KeyFiles
 from launch_scripts.scenarios.externals import own_address
 from recordings.read.whole_file import whole_file
-
-try:
-    from cryptography import x509
-    from cryptography.exceptions import InvalidSignature
-    from cryptography.hazmat.primitives import hashes
-    from cryptography.hazmat.primitives.asymmetric import ec
-    from cryptography.hazmat.primitives.serialization import (
-        Encoding,
-        NoEncryption,
-        PrivateFormat,
-        load_pem_private_key,
-    )
-except ImportError as error:
-    raise FailureError(
-        "keys need the package cryptography: pip install 'heliarch[keys]'"
-    ) from error
 
 _AUTHORITY_DAYS: Final = 3650
 _BEFORE: Final = timedelta(hours=1)

@@ -30,7 +30,7 @@ class PlantOptions:
     """What is different from the scenario.
 
     --actuator: Whether a command is a fraction of the maximum or a power limit.
-    --fault RULE (faults): Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source,
+    --fault RULE (faults): Make links imperfect: source=c1/*,delay=50ms (fields: source,
         listener, signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by,
         silent=60s..90s, at=60s..90s). Or cut links, freeze or kill controllers:
         partition=c1|c2,at=5s..9s, freeze=c2,at=5s..9s, kill=c2,at=5s. May be given several times.
@@ -50,7 +50,7 @@ class ProcessOptions:
     --external AGENT: Do not start this agent; wait for your own device: c2/inv07, c2, central or
         plant. May be given several times.
     --device NODE=ADDRESS (devices): Use a real inverter, over Modbus TCP:
-        c2/inv07=modbus://10.0.0.7/1. May be given several times.
+        NODE=modbus://10.0.0.7/1. May be given several times.
     --external-timeout SECONDS (external_timeout_s): How long to wait for external agents and other
         hosts. Once all are there, they have 30 s to answer the arming rounds.
     --base-port PORT: Listen on this port and those after it, with the plant's name as namespace, so

@@ -17,7 +17,7 @@ from command_line import heliarch
 from documents import DOCUMENTS, REPOSITORY, Block, blocks_of, heliarch_lines, words_of
 
 from bus_schemas.errors import InputError
-from launch_scripts.cli import app
+from launch_scripts.app import app
 
 USAGE_ERROR: Final[type[Exception]] = typer.BadParameter.__bases__[0]
 """No such command, no such option."""
@@ -130,6 +130,8 @@ def complaint_about(line: str, in_prose: bool) -> str:
     words = words_of(line)
     if "--install-completion" in words:
         return "parsing it would install it"
+    if list(words) == ["--version"]:
+        return ""
     group = typer.main.get_command(app)
     assert isinstance(group, typer.core.TyperGroup)
     try:
@@ -138,7 +140,7 @@ def complaint_about(line: str, in_prose: bool) -> str:
         assert name is not None
         assert command is not None
         command.make_context(name, rest, parent=context)
-    except (InputError, typer.Exit):  # a folder that the document makes; --help and --version
+    except (InputError, typer.Exit):  # a folder that the document makes; --help
         return ""
     except typer.BadParameter as error:
         return "" if in_prose else str(error)  # in prose an argument may be left out

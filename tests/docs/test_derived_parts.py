@@ -16,7 +16,6 @@ from bus_schemas.messages import LARGEST_PAYLOAD, LONGEST_MISSING, LONGEST_TEXT,
 from bus_schemas.signals import RESIDUAL, SETPOINT, SIGNALS
 from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 from docs.derived import DOCUMENTS, descriptions, filled, scenario_tables
-from launch_scripts import cli
 from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.machine_table import MachineTable
 from launch_scripts.scenarios.preparation import RunOptions, prepare
@@ -138,9 +137,6 @@ def test_the_nodes_in_the_commands_of_the_documents_are_those_of_the_scenario() 
             text = path.read_text(encoding="utf-8")
             words = re.findall(r"--(?:external|node|nodes|live) ([a-z0-9/,]+)", text)
             found |= {(path.name, node.rstrip("/")) for word in words for node in word.split(",")}
-    found |= {
-        ("cli.py", node) for node in re.findall(r"c\d/inv\d+", Path(cli.__file__).read_text())
-    }
     found |= {("wire.md", node) for node in re.findall(r"c\d/inv\d+", WIRE)}
     assert {name for name, _ in found} >= {"README.md", "wire.md", "direct_controller.py"}
     assert [(name, node) for name, node in sorted(found) if node not in known] == []

@@ -7,24 +7,24 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from command_line import python
-from typer.testing import CliRunner
+from command_line import done, heliarch, python
 
 from agents.settings import Actuator, Scheme
-from launch_scripts.cli import COMMANDS, app
+from launch_scripts.app import COMMANDS
 from launch_scripts.scenarios.scenario import shipped_scenarios
 from studies.arrays.schemes import SCHEMES
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
 REPOSITORY = Path(__file__).parents[2]
 NAMES = [name for names in COMMANDS.values() for name in names]
+MAIN = "from launch_scripts.cli import main; main()"
 HEAVY = {"numba", "pandas", "plotly", "pvlib", "scipy", "zenoh"}
 
 
-def help_of(*words: str) -> str:
-    found = CliRunner().invoke(app, [*words, "--help"])
-    assert found.exit_code == 0
-    return found.stdout
+def help_of(command: str) -> str:
+    text = done(command, "-h")
+    assert text == done(command, "--help")
+    return text
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -64,9 +64,9 @@ def test_help_does_not_wait_for_what_a_run_needs(words: list[str]) -> None:
 
 
 def test_version_and_scenarios_are_told() -> None:
-    assert CliRunner().invoke(app, ["--version"]).stdout.startswith("heliarch ")
-    found = CliRunner().invoke(app, ["scenarios", "--json", "-"])
-    assert {entry["name"] for entry in json.loads(found.stdout)} == set(shipped_scenarios())
+    assert heliarch("--version").stdout.startswith("heliarch ")
+    found = json.loads(heliarch("scenarios", "--json", "-").stdout)
+    assert {entry["name"] for entry in found} == set(shipped_scenarios())
 
 
 @pytest.mark.parametrize(
@@ -74,16 +74,13 @@ def test_version_and_scenarios_are_told() -> None:
     [("heliarch re", {"report", "replay", "recover"}), ("heliarch launch --sc", {"--scheme"})],
 )
 def test_the_shell_completes_commands_and_options(typed: str, offered: set[str]) -> None:
-    code = "import sys; sys.argv = ['heliarch']; from launch_scripts.cli import main; main()"
+    code = f"import sys; sys.argv = ['heliarch']; {MAIN}"
     completion = {
         "_HELIARCH_COMPLETE": "complete_bash",
         "COMP_WORDS": typed,
         "COMP_CWORD": str(typed.count(" ")),
     }
     assert set(python(code, variables=completion).stdout.split()) == offered
-
-
-MAIN = "import sys; from launch_scripts.cli import main; main()"
 
 
 def test_a_terminal_without_the_lines_of_a_tree_gets_the_rest() -> None:
@@ -94,3 +91,12 @@ def test_a_terminal_without_the_lines_of_a_tree_gets_the_rest() -> None:
 
 def test_a_command_needs_no_standard_output() -> None:
     assert python(f"import sys; sys.stdout = None; {MAIN}", "scenarios").stderr == ""
+
+
+def test_doctor_finds_what_would_stop_a_run_and_says_what_to_do_about_it() -> None:
+    code = f"import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (120, 120)); {MAIN}"
+    document = python(code, "doctor", "--json", "-", status=1).stdout
+    found = {finding["about"]: finding for finding in json.loads(document)}
+    assert found["open files"]["verdict"] == "wrong"
+    assert "ulimit" in found["open files"]["advice"]
+    assert all(finding["advice"] for finding in found.values() if finding["verdict"] != "ok")

@@ -63,7 +63,7 @@ def test_a_launched_run_moves_and_stays_when_it_is_over(
     window.until(at(run.recorded_cycles()), "the last cycle")
     assert window.run("return document.querySelector('#banner').hidden")
     assert window.problems() == []
-    assert run.process.poll() is None  # It is still looked at.
+    assert run.process.exitcode is None  # It is still looked at.
     window.open("about:blank")
     assert run.wait() == 130, run.error_text()
 

@@ -31,7 +31,6 @@ def test_one_case_is_a_table_and_a_page_with_each_scheme_and_actuator(
     page, document = tmp_path / "compare.html", tmp_path / "rows.json"
     words = ("--actuator", "limit,fraction", "--report", page, "--json", document)
     text = done("compare", small, "--duration", "60", "--schemes", "paper,uncontrolled", *words)
-    assert "Regulation signal" not in text
     rows = [line.split()[:2] for line in text.splitlines()]
     expected = [["paper", "limit"], ["paper", "fraction"], ["uncontrolled", "-"]]
     assert all(row in rows for row in expected)
@@ -40,14 +39,15 @@ def test_one_case_is_a_table_and_a_page_with_each_scheme_and_actuator(
     assert found == [("paper", "limit"), ("paper", "fraction"), ("uncontrolled", None)]
 
 
-def test_a_regulation_signal_adds_the_second_table() -> None:
-    words = ("--from", "10:00", "--duration", "60", "--schemes", "paper")
-    assert "Regulation signal" in done("compare", "oahu-day", *words)
-
-
-def test_faults_that_do_not_act_here_are_named(small: str) -> None:
-    words = ("--duration", "5", "--schemes", "paper", "--set", "faults=[{loss=0.5}]")
-    assert "faults of the scenario are left out" in done("compare", small, *words)
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("oahu-day --from 10:00 --duration 60", "Regulation signal"),
+        ("oahu --duration 5 --set faults=[{loss=0.5}]", "faults of the scenario are left out"),
+    ],
+)
+def test_what_one_case_has_besides_is_told(words: str, said: str) -> None:
+    assert said in done("compare", *words.split(), "--schemes", "paper")
 
 
 def test_many_cases_have_a_row_each_and_a_summary_as_csv(small: str, tmp_path: Path) -> None:
@@ -136,17 +136,17 @@ def test_two_runs_stand_side_by_side_with_their_differences(
 
 
 def test_what_are_no_two_runs_of_one_plant_is_refused(run: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other.mcap"
-    write_run(other, [], plan=plan_of(start_time_ns=PLAN.start_time_ns))
-    later = tmp_path / "later.mcap"
-    plan = msgspec.structs.replace(PLAN, start_time_ns=PLAN.start_time_ns + 10**9)
-    write_run(later, whole_run(20), plan=plan)
-    renamed = tmp_path / "renamed.mcap"
-    inverters = tuple((f"{path}2", rating_kw) for path, rating_kw in PLAN.inverters)
-    of_plant = [(port, message) for port, message in whole_run(20) if not port.node]
-    write_run(renamed, of_plant, plan=msgspec.structs.replace(PLAN, inverters=inverters))
-    for second in (later, renamed):
-        line = refusal("compare", run, second)
-        assert line.startswith(f"heliarch: {second}: expected ")
+    renamed = tuple((f"{path}2", rating_kw) for path, rating_kw in PLAN.inverters)
+    later_ns = PLAN.start_time_ns + 10**9
+    plans = {
+        "later": msgspec.structs.replace(PLAN, start_time_ns=later_ns),
+        "renamed": msgspec.structs.replace(PLAN, inverters=renamed),
+    }
+    for name, plan in plans.items():
+        of_plant = [(port, message) for port, message in whole_run(20) if not port.node]
+        write_run(tmp_path / name, of_plant, plan=plan)
+        line = refusal("compare", run, tmp_path / name)
+        assert line.startswith(f"heliarch: {tmp_path / name}: expected ")
         assert str(run) in line
-    assert "cycle" in refusal("compare", run, other)
+    write_run(tmp_path / "empty", [], plan=plan_of(start_time_ns=PLAN.start_time_ns))
+    assert "cycle" in refusal("compare", run, tmp_path / "empty")

@@ -9,7 +9,7 @@ from typing import Any
 
 import lz4.frame
 import pytest
-from command_line import python, refusal
+from command_line import heliarch, python, refusal
 from mcap.opcode import Opcode
 from msgspec.structs import replace
 from recordings_by_hand import (
@@ -20,13 +20,11 @@ from recordings_by_hand import (
     write_messages,
     write_run,
 )
-from typer.testing import CliRunner
 
 from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Impp
 from bus_schemas.signals import IMPP
-from launch_scripts.cli import app
 from recordings.record.writer import RunWriter
 
 PORT = IMPP.of("c1/a")
@@ -60,7 +58,6 @@ def nested(depth: int) -> bytes:
     ("make", "named"),
     [
         (with_plan(timezone="../../etc/passwd"), "timezone: expected a name"),
-        (with_plan(cycle_ns=0), "cycle_ns: expected above 0"),
         (with_plan(cycle_ns=2**62), "cycle_ns: expected above 0, up to"),
         (with_plan(cycles=10**15), "cycles: expected up to"),
         (with_plan(start_time_ns=-(2**63)), "start_time_ns: expected"),
@@ -82,21 +79,19 @@ def test_hostile_content_is_refused_in_one_line(
 @pytest.mark.parametrize("command", ["inspect", "report", "timing"])
 def test_a_scenario_that_is_nested_deep_breaks_nothing(command: str, tmp_path: Path) -> None:
     write_messages(tmp_path / "run.mcap", whole_run(3), scenario="a = " + "[" * 300_000)
-    done = CliRunner().invoke(app, [command, str(tmp_path)])
+    done = heliarch(command, tmp_path)
     assert isinstance(done.exception, SystemExit | None), done.exception
     assert len(done.stderr.splitlines()) <= 1
 
 
-def test_production_of_a_cycle_far_from_all_others_is_refused(tmp_path: Path) -> None:
+def test_a_cycle_far_from_all_others_is_refused(tmp_path: Path) -> None:
+    far = tmp_path / "far.mcap"
+    with_payload(encode(replace(HEAD, cycle=2**39)))(far)
+    assert "before the year 10000" in refusal("inspect", far)
     plan = replace(PLAN, cycles=10_000_000)
     last = [(port, replace(message, cycle=9_999_999)) for port, message in cycle_of_the_plant(3)]
     write_run(tmp_path / "run.mcap", [*whole_run(3), *last], plan=plan)
     assert "production of most of 10,000,000 cycles" in refusal("report", tmp_path)
-
-
-def test_a_cycle_beyond_the_calendar_is_refused_in_one_line(tmp_path: Path) -> None:
-    with_payload(encode(replace(HEAD, cycle=2**39)))(tmp_path / "run.mcap")
-    assert "before the year 10000" in refusal("inspect", tmp_path)
 
 
 PEAK_TOLD = """

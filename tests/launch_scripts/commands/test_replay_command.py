@@ -30,9 +30,8 @@ def test_the_clock_of_the_run_is_the_default(
     words = ("--pace", "20", "--from", "12:00:10", "--to", "12:00:16", "--json", path)
     result = heliarch("replay", folder, *words)
     assert result.exit_code == 0, result.output
-    for text in ("endpoint tcp/127.0.0.1:", "keys recorded-1/field/**", f"clock {clock}"):
+    for text in ("endpoint tcp/127.0.0.1:", "keys recorded-1/field/**", "12:00:16 cycle 16 of"):
         assert text in result.stdout
-    assert "12:00:16 cycle 16 of 0 to 39" in result.stdout, "the last cycle, numbered from 0"
     figures = json.loads(path.read_bytes())
     wanted = sum(10 <= entry.message.cycle < 17 for entry in SAID)
     assert (figures["messages"], figures["cycles"], figures["clock"]) == (wanted, 7, clock)
@@ -57,12 +56,9 @@ def test_some_nodes_and_signals_may_be_replayed_alone_as_fast_as_possible(record
 
 
 def test_an_address_that_is_taken_is_refused(recorded: Path) -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        line = refusal("replay", recorded, "--listen", endpoint)
-    assert endpoint in line
+        assert endpoint in refusal("replay", recorded, "--listen", endpoint)
 
 
 def test_a_plan_of_another_plant_is_refused(recorded: Path, tmp_path: Path) -> None:

@@ -12,9 +12,6 @@ from msgspec.structs import replace
 from recorded_runs import AGENTS, cloudy_profile, faulty_plan, plan_of, published, record
 
 from agents.direct import DirectController
-from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message
-from bus_schemas.signals import COMMAND, Port
 from recordings.read.run_file import RECORDING_NAME
 from recordings.verify.verification import PROFILE_NAME
 
@@ -29,18 +26,19 @@ def run(tmp_path: Path) -> Path:
     return record(tmp_path / "run", PLAN, PUBLISHED, PROFILE)
 
 
-def with_alpha(port: Port[Message], message: Message) -> Delivery:
-    """The same message, or with another alpha if it is a certain command."""
-    if port is COMMAND.of("c2/d") and message.cycle == 3:
-        return port, replace(message, alpha=0.0625)
-    return port, message
+def with_alpha(folder: Path, alpha: float) -> Path:
+    """Folder of the same run, with another alpha in one command."""
+    messages = [
+        (port, replace(message, alpha=alpha) if place == ("c2/d/command", 3) else message)
+        for port, message in PUBLISHED
+        for place in [(str(port), message.cycle)]
+    ]
+    return record(folder, PLAN, messages, PROFILE)
 
 
 @pytest.fixture
 def changed(tmp_path: Path) -> Path:
-    """The same run, with another alpha in one command."""
-    messages = [with_alpha(*pair) for pair in PUBLISHED]
-    return record(tmp_path / "changed", PLAN, messages, PROFILE)
+    return with_alpha(tmp_path / "changed", 0.0625)
 
 
 # What it finds ------------------------------------------------------------------------------------
@@ -56,11 +54,9 @@ def outcome_of(*words: str | Path) -> tuple[int, dict[str, Any]]:
 
 def test_an_equal_run_ends_with_status_0(run: Path) -> None:
     status, outcome = outcome_of(run)
-    assert status == 0
-    assert outcome["equal"]
+    assert (status, outcome["equal"]) == (0, True)
     assert (outcome["compared"], outcome["recorded"]) == (len(PUBLISHED) - 2, len(PUBLISHED))
     assert [entry["agent"] for entry in outcome["agents"]] == list(AGENTS)
-    assert heliarch("verify", run).exit_code == 0
 
 
 def test_a_difference_is_found_with_its_place_its_values_and_its_inputs(changed: Path) -> None:
@@ -89,11 +85,9 @@ def test_a_difference_is_found_with_its_place_its_values_and_its_inputs(changed:
         ("--nodes c1/*,c2", 0, range(8)),
         ("--nodes c1/* --nodes c2/d", 1, range(8)),
         ("--nodes c2/d --tolerance 1", 0, range(8)),
-        ("--nodes c2/d --ignore power_kw", 1, range(8)),
         ("--nodes c2/d --ignore power_kw,alpha", 0, range(8)),
         ("--nodes c2/d --from 4", 0, range(4, 8)),
         ("--nodes c2/d --to 2s", 0, range(3)),
-        ("--nodes c2/d --from 12:00:03", 1, range(3, 8)),
     ],
 )
 def test_what_the_user_allows_or_leaves_out_does_not_count(

@@ -21,7 +21,7 @@ from agents.parent import Parent, Report, Supervisor
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Dispatch
-from launch_scripts.cli import app
+from launch_scripts.app import app
 from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
