@@ -97,11 +97,15 @@ def share_over_cluster(
 
     They must have Heliarch installed and see the data under the same paths.
 
-    Raises WorkerLostError: There is no scheduler, or the cluster gave up.
+    Raises WorkerLostError: The cluster gave up.
     """
     distributed: Any = import_module("distributed")
     try:
-        with distributed.Client(scheduler, timeout="10s") as client:
+        client = distributed.Client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {scheduler}: no Dask scheduler there ({error})") from None
+    try:
+        with client:
             futures = client.map(function, items, pure=False)
             for _ in distributed.as_completed(futures, raise_errors=False):
                 done()

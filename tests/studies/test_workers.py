@@ -96,5 +96,5 @@ def test_a_dask_cluster_gives_the_same() -> None:
 
 def test_a_scheduler_that_is_no_address_is_refused() -> None:
     pytest.importorskip("distributed", reason="Dask is not installed")
-    with pytest.raises(WorkerLostError, match="--scheduler nowhere"):
+    with pytest.raises(InputError, match="--scheduler nowhere"):
         share_over_cluster(neg, range(5), "nowhere")
