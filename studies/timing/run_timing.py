@@ -174,7 +174,8 @@ def _stage_durations(
     ticks_ns = {one.name: one.closed.index * plan.cycle_wall_ns for one in stages}
     # When the agent had last published before each stage of each cycle.
     spoke_ns = pd.DataFrame({one.name: one.closed.last_ns + ticks_ns[one.name] for one in stages})
-    before_ns = spoke_ns.stack().dropna().cummax().shift().unstack().reindex_like(spoke_ns)
+    latest_ns = spoke_ns.stack().dropna().cummax().shift().unstack()
+    before_ns = pd.DataFrame(latest_ns, spoke_ns.index, spoke_ns.columns)
     for stage in stages:
         closed, place = stage.closed, stage_place(agent, stage.name, plan.tree)
         row = place, f"{tier} {stage.name}", kind, agent
