@@ -22,6 +22,7 @@ from recordings.read.chunks import (
     ChunkPlace,
     DamagedChunkError,
     RawMessage,
+    check_codec,
     messages_in,
     unpack_chunk,
 )
@@ -111,6 +112,8 @@ class RunReader:
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
+            for place in self.outline.chunks[:1]:
+                check_codec(self.files[place.file], place)
         except BaseException:
             self.close()
             raise
