@@ -34,7 +34,6 @@ class Recovery(msgspec.Struct, kw_only=True):
     complete_cycles: int = 0
     last_cycle: int = -1
     planned_cycles: int
-    last_ns: int = 0
     cut_bytes: int
     lost: int = 0
     damage: str = ""
@@ -79,7 +78,6 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
             )
             gaps.see(one.port, one.cycle, one.sequence, one.incarnation)
             found.messages += 1
-            found.last_ns = one.log_time_ns
             if one.port.signal is not RUN:
                 found.last_cycle = max(found.last_cycle, one.cycle)
         found.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].messages
