@@ -11,6 +11,7 @@ import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
@@ -126,7 +127,7 @@ class PageServer:
             # Another site's page must not reach this one under a name of its own.
             hosts = ["127.0.0.1", "localhost", "::1", "[::1]"]
             middleware.insert(0, Middleware(TrustedHostMiddleware, allowed_hosts=hosts))
-        errors: Any = dict.fromkeys((ValueError, OverflowError), _bad_input)
+        errors: Any = {ValueError: _bad_input}
         return Starlette(routes=routes, middleware=middleware, exception_handlers=errors)
 
     def _file(self, name: str) -> Callable[[Request], Awaitable[Response]]:
@@ -168,7 +169,7 @@ class PageServer:
     async def _stream(self, request: Request) -> Response:
         """Follow the newest cycle, or play from the cycle `from` at a `speed`."""
         begin = _number(request, "from", -1.0)
-        speed = _number(request, "speed", 0.0)
+        speed = max(_number(request, "speed", 0.0), 0.0)
         view = self._view(request)
         return EventStream(self._events(view.updates(None if begin < 0 else begin, speed)))
 
@@ -212,7 +213,10 @@ async def _bad_input(request: Request, error: Exception) -> Response:
 
 
 def _number(request: Request, name: str, default: float) -> float:
-    return float(request.query_params.get(name, default))
+    value = float(request.query_params.get(name, default))
+    if not isfinite(value):
+        raise InputError(f"{name}: expected a number, got {value}")
+    return value
 
 
 def _cycles(request: Request) -> range:

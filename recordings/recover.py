@@ -14,6 +14,7 @@ from bus_schemas.tree import ROOT
 from recordings.read.gaps import RunGaps
 from recordings.read.reader import RunReader
 from recordings.read.whole_file import new_path
+from recordings.record.writer import declare
 
 RECOVERY_METADATA: Final = "recovery"
 """Name of the metadata of a recovered file."""
@@ -33,7 +34,6 @@ class Recovery(msgspec.Struct, kw_only=True):
     complete_cycles: int = 0
     last_cycle: int = -1
     planned_cycles: int
-    last_ns: int = 0
     cut_bytes: int
     lost: int = 0
     damage: str = ""
@@ -78,7 +78,6 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
             )
             gaps.see(one.port, one.cycle, one.sequence, one.incarnation)
             found.messages += 1
-            found.last_ns = one.log_time_ns
             if one.port.signal is not RUN:
                 found.last_cycle = max(found.last_cycle, one.cycle)
         found.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].messages
@@ -95,7 +94,7 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
 
 
 def _begin(writer: Writer, run: RunReader) -> dict[Port[Message], int]:
-    """Copy all but the messages; return the channel of each port."""
+    """Write all but the messages; return the channel of each port."""
     outline, header = run.outline, run.outline.header
     writer.start(header.profile if header else "", header.library if header else "")
     for entry in outline.attachments:
@@ -104,14 +103,4 @@ def _begin(writer: Writer, run: RunReader) -> dict[Port[Message], int]:
         )
     for name, entries in outline.metadata.items():
         writer.add_metadata(name, entries)
-    schema_of = {
-        number: writer.register_schema(schema.name, schema.encoding, schema.data)
-        for number, schema in sorted(outline.schemas.items())
-    }
-    channel_of = {}
-    for number, port in sorted(run.channels.items()):
-        old = outline.channels[number]
-        channel_of[port] = writer.register_channel(
-            old.topic, old.message_encoding, schema_of[old.schema_id], old.metadata
-        )
-    return channel_of
+    return declare(writer, run.plan)

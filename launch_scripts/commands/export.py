@@ -60,7 +60,9 @@ def export(
 def _print(summary: ExportSummary, console: Console) -> None:
     columns = key_column("signal or table"), Column("rows")
     cut = "the recording was cut short, or is still written: this is what it holds"
-    title = f"{summary.messages:,} messages, cycles {summary.first_cycle} to {summary.last_cycle}"
+    title = f"{summary.messages:,} messages"
+    if summary.first_cycle is not None:
+        title += f", cycles {summary.first_cycle:,} to {summary.last_cycle:,}"
     notes = () if summary.whole else (cut,)
     print_table(console, Table(title, columns, tuple(summary.rows.items()), notes))
     say(console, f"{summary.form}: {summary.path}")

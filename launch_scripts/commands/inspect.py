@@ -45,8 +45,8 @@ def inspect(
 ) -> int:
     """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
 
-    Without --nodes and --cycle: scenario, duration, versions, messages and
-    rate of each signal, the health of the run, and what is missing.
+    Without --nodes and --cycle: plant, time span, versions, messages and rate
+    of each signal, the health of the run, and what is missing.
 
     --nodes NODES: Show these nodes cycle by cycle: c2/inv07,c1/*,central (c1/*: c1 and all below).
     --cycle TIME: Show the whole plant in this cycle; same forms as --from.

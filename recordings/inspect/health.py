@@ -238,7 +238,8 @@ class HealthWatch:
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     """Yield the health of a run as text: what is looked at, and what was found."""
     launcher = health.launcher
-    yield "faults", f"messages: {counts_text(health.faults) or 'none'}"
+    touched = f"messages: {counts_text(health.faults) or 'none touched'}"
+    yield "faults", touched if health.fault_acts else "none injected"
     for act in health.fault_acts:
         yield "fault", f"{act.rule}: {_act_text(act, clock)}"
     yield "missing", f"{health.messages_lost:,} messages not recorded{_named(health.lost)}"

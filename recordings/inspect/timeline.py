@@ -191,7 +191,7 @@ def node_columns(tree: ControlTree, node: str, time_width: int) -> tuple[Column,
 def heading(columns: Sequence[Column]) -> str:
     """Return the line above the columns."""
     names = " ".join(column.name.rjust(column.width) for column in columns)
-    return f"{names}  help, remarks (powers in kW)"
+    return f"{names}  help, remarks [kW]"
 
 
 def row_text(columns: Sequence[Column], node: NodeCycle) -> str:

@@ -16,6 +16,8 @@ import lz4.frame
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
+from bus_schemas.errors import InputError
+
 RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 """Channel, sequence number, log time [ns], publish time [ns], payload."""
 
@@ -35,6 +37,9 @@ _CHUNK_HEAD: Final = Struct("<QQQII")
 
 _MESSAGE_HEAD: Final = Struct("<BQHIQQ")
 """Of a message: opcode, length, channel, sequence number, log time, publish time."""
+
+_ANOTHER_CODEC: Final = b"zstd"
+"""What other tools use."""
 
 _PACKED_LENGTH_SIZE: Final = 8
 """Bytes between the codec's name and the packed data."""
@@ -62,6 +67,13 @@ def chunk_at(file: BinaryIO, offset: int, length: int) -> ChunkPlace:
     file.seek(offset + RECORD_HEAD.size)
     first_ns, last_ns, *_ = _CHUNK_HEAD.unpack(file.read(_CHUNK_HEAD.size))
     return ChunkPlace(offset, length, first_ns, last_ns)
+
+
+def check_codec(file: BinaryIO, place: ChunkPlace) -> None:
+    """Refuse a chunk that another tool has packed anew: it is not damaged."""
+    file.seek(place.offset + RECORD_HEAD.size + _CHUNK_HEAD.size)
+    if file.read(len(_ANOTHER_CODEC)) == _ANOTHER_CODEC:
+        raise InputError(f"{file.name}: another tool has packed it anew: expected lz4, got zstd")
 
 
 def unpack_chunk(file: BinaryIO, place: ChunkPlace) -> bytes:

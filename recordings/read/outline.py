@@ -48,7 +48,7 @@ class _Place(NamedTuple):
 
 @dataclass
 class Outline:
-    """What a file consists of, in its order; metadata by name, schemas and channels by their id.
+    """What a file consists of, in its order; metadata by name, channels by their id.
 
     It is `closed` if its writer came to the end of the messages. Otherwise it was cut, is damaged
     at `readable_end`, or is still being written. It is `indexed` if it has its index too. The
@@ -65,7 +65,6 @@ class Outline:
     header: records.Header | None = None
     attachments: list[records.Attachment] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
     damaged_attachments: list[str] = field(default_factory=list)
@@ -79,7 +78,7 @@ class Outline:
         """Go on with the outline of a further file."""
         self.file += 1
         self.chunks += [place._replace(file=self.file) for place in other.chunks]
-        self.channels, self.schemas = self.channels or other.channels, self.schemas or other.schemas
+        self.channels = self.channels or other.channels
         self.size, self.readable_end, self.closed = other.size, other.readable_end, other.closed
         self.indexed &= other.indexed
 
@@ -182,8 +181,6 @@ def _enter(outline: Outline, record: records.McapRecord) -> None:
             outline.attachments.append(record)
         case records.Metadata():
             outline.metadata[record.name] = record.metadata
-        case records.Schema():
-            outline.schemas[record.id] = record
         case records.Channel():
             outline.channels[record.id] = record
 

@@ -16,12 +16,13 @@ from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Run
-from bus_schemas.signals import RUN, SIGNALS, Port, Signal
+from bus_schemas.signals import RUN, SIGNALS, Port, Signal, ports
 from bus_schemas.tree import ROOT, agent_name, some_of
 from recordings.read.chunks import (
     ChunkPlace,
     DamagedChunkError,
     RawMessage,
+    check_codec,
     messages_in,
     unpack_chunk,
 )
@@ -111,6 +112,8 @@ class RunReader:
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
+            for place in self.outline.chunks[:1]:
+                check_codec(self.files[place.file], place)
         except BaseException:
             self.close()
             raise
@@ -212,7 +215,10 @@ class RunReader:
 
     @cached_property
     def channels(self) -> dict[int, Port[Message]]:
-        """Ports by the numbers of their channels, which are known from the first chunk on."""
+        """Ports by the numbers of their channels."""
+        if not self.outline.channels:  # The first chunk has them, and is damaged.
+            logged = (port for port in ports(self.plan.tree) if port.signal.logged)
+            return dict(enumerate(logged, start=1))  # As the writer numbers them.
         port_at = self.plan.wiring.port
         found = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
         return {number: port for number, port in found.items() if port is not None}
@@ -327,9 +333,9 @@ class RunReader:
         try:
             return head_of(raw[4])
         except msgspec.DecodeError as error:
-            topic = self.outline.channels[raw[0]].topic
+            port = self.channels[raw[0]]
             raise InputError(
-                f"{self.path}: {topic} number {raw[1]}: expected a message with its cycle, got: "
+                f"{self.path}: {port} number {raw[1]}: expected a message with its cycle, got: "
                 f"{error}"
             ) from None
 

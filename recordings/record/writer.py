@@ -97,7 +97,7 @@ class RunWriter:
         self._writer = Writer(self._file, compression=CompressionType.LZ4)
         self._writer.start(profile="heliarch", library=f"heliarch {version('heliarch')}")
         self._write_origin(plan, scenario, driver)
-        self._channels = self._register(plan)
+        self._channels = declare(self._writer, plan)
 
     def add(self, port: Port[Message], head: Numbered, payload: bytes, logged_ns: int) -> None:
         self.heard += 1
@@ -168,26 +168,26 @@ class RunWriter:
         clocks = {"monotonic_ns": str(anchor.monotonic_ns), "wall_ns": str(anchor.wall_ns)}
         self._writer.add_metadata("clock_anchor", clocks)
 
-    def _register(self, plan: RunPlan) -> dict[Port[Message], int]:
-        """Declare the schema of each signal and the channel of each port; return the channels."""
-        register = self._writer.register_schema
-        schema_of = {
-            signal: register(
-                signal.type.__name__, "jsonschema", json.dumps(json_schema(signal)).encode()
-            )
-            for signal in SIGNALS
-            if signal.logged
-        }
-        return {
-            port: self._writer.register_channel(
-                plan.wiring.key(port),
-                "msgpack",
-                schema_of[port.signal],
-                {"signal": port.signal.name, "node": port.node},
-            )
-            for port in ports(plan.tree)
-            if port.signal.logged
-        }
+
+def declare(writer: Writer, plan: RunPlan) -> dict[Port[Message], int]:
+    """Declare the schema of each signal and the channel of each port; return the channels."""
+    schema_of = {
+        signal: writer.register_schema(
+            signal.type.__name__, "jsonschema", json.dumps(json_schema(signal)).encode()
+        )
+        for signal in SIGNALS
+        if signal.logged
+    }
+    return {
+        port: writer.register_channel(
+            plan.wiring.key(port),
+            "msgpack",
+            schema_of[port.signal],
+            {"signal": port.signal.name, "node": port.node},
+        )
+        for port in ports(plan.tree)
+        if port.signal.logged
+    }
 
 
 def _count(path: Path) -> Counter[str]:

@@ -119,6 +119,7 @@ def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path:
         ("back", 12, "device c2/c"),
         ("silent", 85, "device c2/c"),
     ]
+    assert {event.count for event in follower.events.since(0)} == {1}
     states = NodeStates(follower)
     assert [states.frame(cycle)["unread"] for cycle in (4, 5)] == [[], [place("c2/c")]]
 

@@ -58,6 +58,7 @@ def test_the_series_of_a_node_and_of_the_plant_can_be_asked_for(run: Path) -> No
         assert page.get("window?from=0&to=3")["desired"] == [240.0] * 4
         assert page.status("node?path=c9&from=0&to=1") == 404
         assert page.status("window?from=x") == 404
+        assert page.status("stream?from=nan") == page.status("stream?from=0&speed=inf") == 404
 
 
 def test_the_layout_for_viewers_names_fields_of_topics_of_the_run(run: Path) -> None:

@@ -92,17 +92,18 @@ def test_all_whole_chunks_up_to_the_cut_are_kept_with_times_numbers_and_origin(
         }
 
 
-@pytest.mark.parametrize("number", [0, 2])
+@pytest.mark.parametrize(("number", "cut_bytes"), [(2, 0), (0, 40)])
 def test_a_damaged_chunk_is_left_out_and_named(
-    recording: Recording, tmp_path: Path, number: int
+    recording: Recording, tmp_path: Path, number: int, cut_bytes: int
 ) -> None:
+    """Also the first one, which declares the channels, of a file that has lost its index."""
     path, written = recording
     with RunReader(path, skip_damaged=True) as run:
         assert is_sound(run)
         place = run.outline.chunks[number]
     content = bytearray(path.read_bytes())
     content[place.offset + 400] ^= 0xFF
-    out, recovery = recovered(bytes(content), tmp_path)
+    out, recovery = recovered(bytes(content[: len(content) - cut_bytes]), tmp_path)
     with RunReader(tmp_path / "run.mcap", skip_damaged=True) as run:
         assert not is_sound(run)
     assert f"chunk at byte {place.offset:,}" in recovery.damage

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from struct import pack
 from typing import Any
@@ -11,6 +12,8 @@ import lz4.frame
 import pytest
 from command_line import heliarch, python, refusal
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from msgspec.structs import replace
 from recordings_by_hand import (
     PLAN,
@@ -49,6 +52,22 @@ def with_payload(payload: bytes) -> Callable[[Path], None]:
     return make
 
 
+def packed_anew(path: Path) -> None:
+    """As the tools of MCAP do it, with zstd."""
+    write_run(path, whole_run(3))
+    reader = make_reader(BytesIO(path.read_bytes()))
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for entry in reader.iter_attachments():
+            writer.add_attachment(0, 0, entry.name, entry.media_type, entry.data)
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        channel = writer.register_channel("field/dispatch", "msgpack", 0)
+        writer.add_message(channel, 1, encode(HEAD), 1)
+        writer.finish()
+
+
 def nested(depth: int) -> bytes:
     return b"\x82\xa5cycle\x01\xa4more" + b"\x91" * depth + b"\xc0"
 
@@ -63,6 +82,7 @@ def nested(depth: int) -> bytes:
         (with_plan(start_time_ns=-(2**63)), "start_time_ns: expected"),
         (with_plan(period_cycles=(1,)), "period_cycles"),
         (with_plan(faults=(FaultRule(kill="c1"),)), "faults[0]: at: expected"),
+        (packed_anew, "expected lz4, got zstd"),
         (with_payload(nested(300_000)), "c1/a/impp"),
         (with_payload(encode(replace(HEAD, cycle=2**63 - 1))), "c1/a/impp"),
         (with_payload(b"\x81\xa5cycle\xa1\xff"), "c1/a/impp"),
