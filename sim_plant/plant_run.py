@@ -7,7 +7,6 @@ a whole cycle with a number below 0, has come back to the plant and past the rec
 
 from __future__ import annotations
 
-import logging
 import time
 from pathlib import Path
 from typing import Final
@@ -22,8 +21,6 @@ from bus_schemas.tree import PLANT, ROOT, some_of
 from sim_plant.devices import Devices
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
-
-log = logging.getLogger(__name__)
 
 FIRST_ROUND: Final = -1_000_000
 """Cycle of the first arming round; the next ones count upwards."""
@@ -100,9 +97,8 @@ def _arm(process: AgentProcess, give_up_at: float) -> None:
             return
         if time.monotonic() > give_up_at:
             break
-    # One agent that does not answer delays all others; an external one is the most likely.
-    external = [port for port in loop.waiting if port.publisher in plan.elsewhere]
-    needs = some_of(sorted(map(str, external or loop.waiting)), most=3)
+    # One agent that does not answer delays all others.
+    needs = some_of(sorted(map(str, loop.waiting)), most=3)
     raise FailureError(f"no arming round closed; the plant waits for {needs or 'the recorder'}")
 
 

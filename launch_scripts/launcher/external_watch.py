@@ -78,7 +78,10 @@ class ExternalWatch:
         )
 
     def explain(self, failure: str) -> str:
-        """Add to the failure of a run that did not begin which external agents did not answer."""
+        """Say before the failure of a run that did not begin which external agents are silent.
+
+        One of them is the likely cause, and all others wait for it.
+        """
         if not self.unheard:
             return failure
-        return f"{failure}\nno answer to the arming rounds came on {some_of(self.unheard)}"
+        return f"no answer to the arming rounds came on {some_of(self.unheard)}\n{failure}"

@@ -77,10 +77,10 @@ def test_the_plant_is_missed_while_it_is_gone_and_in_lockstep_each_device_from_t
     assert found == gone
 
 
-def test_keys_without_an_answer_to_the_arming_rounds_are_named() -> None:
+def test_keys_without_an_answer_to_the_arming_rounds_are_named_first() -> None:
     externals = watch(NODE, "c1")
     externals.unheard = ["c1/setpoint"]
-    failure, unheard = externals.explain("plant gave up").splitlines()
+    unheard, failure = externals.explain("plant gave up").splitlines()
     assert (failure, unheard.split()[-1]) == ("plant gave up", "c1/setpoint")
 
 
