@@ -55,11 +55,12 @@ class ExternalWatch:
         agent, plan = event.agent, self._plan
         name = f"{agent} ({plan.addresses.get(agent, 'external')})"
         if not event.alive:
-            when = f"in cycle {event.cycle}" if event.cycle >= 0 else "before cycle 0"
             if agent in plan.external and (plan.lockstep or agent == PLANT):
                 self.gone[agent] = now
+            if event.cycle < 0:
+                return f"{name} is gone before cycle 0"
             goes_on = "" if plan.lockstep or agent == PLANT else "; the run goes on without it"
-            return f"{name} is gone {when}{goes_on}"
+            return f"{name} is gone in cycle {event.cycle}{goes_on}"
         if event.cycle < 0 or not plan.lockstep:
             self.gone.pop(agent, None)
         self._never_seen.pop(agent, None)

@@ -69,6 +69,7 @@ def test_the_plant_is_missed_while_it_is_gone_and_in_lockstep_each_device_from_t
     agent: str, changes: dict[str, Any], gone: list[bool]
 ) -> None:
     externals = watch(agent, **changes)
+    assert "goes on" not in externals.hear(Presence(agent, False, -1), 100.0)
     externals.hear(Presence(agent, True, -1), 101.0)
     found = []
     for alive in (False, True):
