@@ -280,7 +280,7 @@ def column(
         cells.append(f"{most}, named" if named else most)
     if told is None:
         return [*cells, str(status), "-", "-"]
-    memory = {each["kind"]: each["resident_largest_mb"] for each in told["memory"]}
+    memory = {each["kind"]: each["resident_median_mb"] for each in told["memory"]}
     return [*cells, str(status), str(told["missing_inputs"]), f"{memory.get('recorder', 0.0):.0f}"]
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any, Final, TypeVar
@@ -50,12 +51,8 @@ def share_work(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(items)), context, _begin, (function,))
     try:
-        # Workers start with the signals blocked: only this process obeys them, once it goes on.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
-        try:
+        with _signals_held():
             futures: list[Future[Any]] = [pool.submit(_apply, item) for item in items]
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for future in as_completed(futures):
             future.result()
             done()
@@ -87,6 +84,29 @@ def _apply(item: object) -> object:
     return _OF_WORKER["function"](item)
 
 
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Let workers start that never obey the signals that end this process; it obeys them later.
+
+    Blocking them is not enough: the kernel then gives them to a thread of a library, and Python
+    calls the handler in the main thread. A worker that is started halfway prints a traceback.
+    """
+    came: list[int] = []
+    handlers: dict[int, Any] = {}
+    with suppress(ValueError):  # Only the main thread has handlers.
+        for one in _SIGNALS:
+            handlers[one] = signal.signal(one, lambda number, _: came.append(number))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in came:
+            signal.raise_signal(number)
+
+
 def share_over_cluster(
     function: Callable[[Item], Result],
     items: Sequence[Item],
@@ -97,11 +117,15 @@ def share_over_cluster(
 
     They must have Heliarch installed and see the data under the same paths.
 
-    Raises WorkerLostError: There is no scheduler, or the cluster gave up.
+    Raises WorkerLostError: The cluster gave up.
     """
     distributed: Any = import_module("distributed")
     try:
-        with distributed.Client(scheduler, timeout="10s") as client:
+        client = distributed.Client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {scheduler}: no Dask scheduler there ({error})") from None
+    try:
+        with client:
             futures = client.map(function, items, pure=False)
             for _ in distributed.as_completed(futures, raise_errors=False):
                 done()

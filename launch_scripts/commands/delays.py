@@ -43,7 +43,8 @@ def delays(
     if plan.faults:
         raise InputError(f"{changed.path} faults: expected none, this study has its own")
     if plan.cycles * plan.cycle_ns <= WARM_UP_S * 1e9:
-        raise InputError(f"--duration: expected more than the {WARM_UP_S:g} s that do not count")
+        begin = f"the first {WARM_UP_S:g} s, which do not count"
+        raise InputError(f"--duration: expected more than {begin}")
     run = partial(run_under, plan, preparation.profile)
     outcomes = shared(run, conditions(plan), workers, "runs")
     publish(study_result(preparation, changes, outcomes), files, "delays.html")

@@ -24,7 +24,7 @@ def recover(
     """Repair a recording that a crash or a full disk cut short.
 
     Exit status: 0 if nothing is missing, 3 if something is or may be,
-    1 if there is nothing to recover.
+    1 if no message can be read.
 
     --out FILE: The new file; default run.recovered.mcap beside the recording.
     Example: heliarch recover runs/oahu-20261121-120000-4711 --out whole.mcap

@@ -119,6 +119,6 @@ def _process_rows(summary: RunSummary) -> Iterator[Row]:
         per_cycle = Number(1e3 * sum(cpu_s) / summary.cycles, 2)
         yield "Processor time per cycle", per_cycle, "ms", "all processes"
     for use in summary.memory:
-        each = f" in each of {use.processes}" if use.processes > 1 else ""
-        note = f"resident{each}, {use.own_median_mb:.1f} MB its own"
+        median = f", the median of {use.processes}" if use.processes > 1 else ""
+        note = f"resident{median}; {use.own_median_mb:.1f} MB its own"
         yield f"Memory, {use.kind}", Number(use.resident_median_mb, 1), "MB", note

@@ -300,6 +300,8 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
         end = _start(table, options.end, "--to", start)
         # In UTC: between two times of one zone Python counts the hours of the wall clock.
         where, duration_s = "--to", (end.astimezone(UTC) - start.astimezone(UTC)).total_seconds()
+        if duration_s <= 0.0:
+            raise InputError(f"--to: expected a time after {start:%H:%M:%S}, got {options.end}")
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(

@@ -24,7 +24,9 @@ class Device:
         self._log = folder / "device.log"
         self._process: subprocess.Popen[bytes] | None = None
         if command is not None and not self._words(folder):
-            raise InputError(f"--command: expected a program with its words, got {command!r}")
+            raise InputError(
+                f"--command: expected a program that is there, with its words, got {command!r}"
+            )
 
     def __enter__(self) -> Device:
         return self

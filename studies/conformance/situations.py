@@ -186,5 +186,6 @@ def _random(trial: Trial, port: Port[Message], draw: random.Random) -> Message:
     changes = {"power_kw": draw.uniform(*_RANGES[kind]) * rating_kw}
     if kind is Telemetry:
         changes["alpha"] = draw.choice((1.0, draw.uniform(trial.plan.alpha_min, 1.0)))
-        changes["available_kw"] = draw.uniform(0.0, 1.04) * rating_kw
+        if draw.random() < 0.5:
+            changes["available_kw"] = draw.uniform(0.0, 1.04) * rating_kw
     return trial.message(port, **changes)

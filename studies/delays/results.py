@@ -28,7 +28,7 @@ TROUBLES: Final[dict[Trouble, tuple[str, str, str]]] = {
 _LEGEND: Final = (
     "absent: inputs that had not come at their deadline",
     "old inputs: older messages used in their place",
-    f"the first {WARM_UP_S:g} s of each run do not count",
+    f"the first {WARM_UP_S:g} s of each run do not count, except for these two",
 )
 
 _DRAWN: Final = ("control-caused", "over-delivered", "mileage", "regd", "score")

@@ -141,7 +141,7 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
             figure.add_hline(y=edge, line=line, **panel)
     style.dress(figure, height_px + 60, legend=False)
     # All matrices are squares without ticks, at the top of their place, below their titles.
-    look = {"showticklabels": False, "showgrid": False, "constrain": "domain"}
+    look = {"showticklabels": False, "ticks": "", "showgrid": False, "constrain": "domain"}
     figure.update_xaxes(**look)
     figure.update_yaxes(**look, autorange="reversed", constraintoward="top")
     for axis in figure.select_yaxes():

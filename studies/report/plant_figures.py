@@ -106,7 +106,10 @@ def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
     first = series[0]
     if not _asks_regulation(first):
         return None
-    worst = farthest_from_asked(series)
+    # One that never curtails follows nothing: it would hide the others, and choose the minutes.
+    curtailing = {at: one for at, one in enumerate(series) if np.any(one.power_kw < one.mpp_kw)}
+    following = curtailing or dict(enumerate(series))
+    worst = farthest_from_asked(list(following.values()))
     figure = make_subplots(
         rows=2,
         cols=1,
@@ -115,7 +118,7 @@ def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
     )
     for row, cycles in enumerate((range(first.cycles), worst), start=1):
         once = {"showlegend": row == 1}
-        for place, one in enumerate(series):
+        for place, one in following.items():
             given_kw, name = one.delivered_kw - one.commitment_kw, _of("given", one, series)
             look = style.scheme_line(place)
             given = style.time_line(one, given_kw, name, look, cycles, **once)

@@ -8,7 +8,7 @@ from typing import Final
 
 import plotly.graph_objects as go
 
-from bus_schemas.tree import CENTRAL, PLANT, ControlTree
+from bus_schemas.tree import CENTRAL, PLANT, ControlTree, some_of
 from studies.report import style
 from studies.report.decimation import extremes
 from studies.report.result import Result
@@ -210,12 +210,15 @@ def _budgets(
     verdicts: Sequence[Verdict], rows: Sequence[tuple[str, str]], ends: list[float]
 ) -> list[go.Scatter]:
     """Draw a line for each limit of these rows."""
-    limits_ms = {one.limit for one in verdicts if (one.measure, one.of) in rows}
-    look = {"color": style.BLACK, "width": 1.3, "dash": "dash"}
-    return [
-        style.curve(ends, [limit_ms, limit_ms], f"budget {limit_ms:g} ms", look)
-        for limit_ms in sorted(limits_ms)
-    ]
+    judged = [one for one in verdicts if (one.measure, one.of) in rows]
+    lines = []
+    for place, limit_ms in enumerate(sorted({one.limit for one in judged})):
+        name, dash = f"budget {limit_ms:g} ms", ("dash", "dot", "solid")[place % 3]
+        whose = some_of([one.line for one in judged if one.limit == limit_ms], 3)
+        look = {"color": style.BLACK, "width": 1.3, "dash": dash}
+        hover = f"{name}: {style.plain(whose)}<extra></extra>"
+        lines.append(style.curve(ends, [limit_ms, limit_ms], name, look, hovertemplate=hover))
+    return lines
 
 
 def rate_figure(rows: Sequence[RateRow]) -> style.ReportFigure:

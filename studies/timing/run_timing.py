@@ -171,6 +171,11 @@ def _stage_durations(
     """Measure the stages of an agent; of a device only what can be seen from outside."""
     agent = stages[0].agent
     tier, kind = tier_of(agent, plan.tree), kind_of(agent, plan.tree)
+    ticks_ns = {one.name: one.closed.index * plan.cycle_wall_ns for one in stages}
+    # When the agent had last published before each stage of each cycle.
+    spoke_ns = pd.DataFrame({one.name: one.closed.last_ns + ticks_ns[one.name] for one in stages})
+    latest_ns = spoke_ns.stack().dropna().cummax().shift().unstack()
+    before_ns = pd.DataFrame(latest_ns, spoke_ns.index, spoke_ns.columns)
     for stage in stages:
         closed, place = stage.closed, stage_place(agent, stage.name, plan.tree)
         row = place, f"{tier} {stage.name}", kind, agent
@@ -184,13 +189,14 @@ def _stage_durations(
         by_clock = closed if stage.timed else closed[closed.lacking]
         yield _Durations("lateness", *row, by_clock.first_ns - stage.deadline_ns)
         yield _Durations("age", *row, closed.ready_ns - closed.oldest_ns)
-        yield from _hop_durations(plan, agent, closed[~closed.lacking], clocks)
+        was_busy = before_ns[stage.name].loc[closed.index] > closed.ready_ns + ticks_ns[stage.name]
+        yield from _hop_durations(plan, agent, closed[~was_busy & ~closed.lacking], clocks)
 
 
 def _hop_durations(
     plan: RunPlan, agent: str, waited: pd.DataFrame, clocks: set[str]
 ) -> Iterator[_Durations]:
-    """Measure the hop of the input that completed a stage."""
+    """Measure the hop of the input that completed a stage, if the agent waited for it."""
     hops_ns = (waited.ready_ns - waited.completed_ns).dropna()
     for port, hop_ns in hops_ns.groupby(waited.cause, sort=False):
         signal, publisher, place = port.signal.name, port.publisher, SIGNALS.index(port.signal)

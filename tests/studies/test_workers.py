@@ -12,7 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from command_line import process
+from command_line import process, python
 
 from bus_schemas.errors import InputError
 from studies.workers import WorkerLostError, share_over_cluster, share_work
@@ -84,6 +84,33 @@ def test_no_worker_outlives_a_comparison_that_is_killed(comparison: psutil.Proce
     assert not alive
 
 
+SIGNAL_AT_A_START = """
+import _thread, signal
+from multiprocessing import util
+from operator import neg
+from launch_scripts.commands.boundary import boundary
+from studies.workers import share_work
+
+spawn = util.spawnv_passfds
+
+def spawn_and_interrupt(path, words, files):
+    pid = spawn(path, words, files)
+    if "spawn_main" in str(words):  # A worker, which has not been told yet what to do.
+        # As if another thread had received the signal: this one cannot block it.
+        _thread.interrupt_main(signal.SIGTERM)
+    return pid
+
+util.spawnv_passfds = spawn_and_interrupt
+with boundary():
+    share_work(neg, range(4), 2)
+"""
+
+
+@pytest.mark.processes
+def test_a_signal_while_a_worker_starts_ends_the_study_without_a_traceback() -> None:
+    assert python(SIGNAL_AT_A_START, status=143).stderr == ""
+
+
 @pytest.mark.processes
 def test_a_dask_cluster_gives_the_same() -> None:
     distributed = pytest.importorskip("distributed", reason="Dask is not installed")
@@ -96,5 +123,5 @@ def test_a_dask_cluster_gives_the_same() -> None:
 
 def test_a_scheduler_that_is_no_address_is_refused() -> None:
     pytest.importorskip("distributed", reason="Dask is not installed")
-    with pytest.raises(WorkerLostError, match="--scheduler nowhere"):
+    with pytest.raises(InputError, match="--scheduler nowhere"):
         share_over_cluster(neg, range(5), "nowhere")

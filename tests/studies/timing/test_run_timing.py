@@ -82,6 +82,12 @@ def test_a_missed_deadline_is_a_stage_that_names_an_input_it_awaited(tmp_path: P
     assert row(found, "age", "plant apply")[2] == pytest.approx(age_ms)
 
 
+def test_an_input_that_comes_while_its_receiver_is_busy_has_no_hop(tmp_path: Path) -> None:
+    slow = {**TIMES_MS, "c1/a/command": (12.4, CYCLE_MS + 2.5)}
+    found = timed(tmp_path, cycle(0, slow), cycle(1))
+    assert row(found, "hop", "telemetry")[0] == 7
+
+
 def test_an_input_that_a_stage_uses_and_does_not_await_is_no_missed_deadline(
     tmp_path: Path,
 ) -> None:
