@@ -16,7 +16,6 @@ class Joined(Event, frozen=True):
 class Armed(Event, frozen=True):
     """All are there; cycle 0 begins at `start_time_ns` of the host's monotonic clock."""
 
-    rounds: int
     start_time_ns: int
 
 

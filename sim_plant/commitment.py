@@ -129,12 +129,13 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
     table.check_header((_COLUMN,))
     expected = f"a power from 0 to {_LARGEST_KW:g} kW"
     power_kw = table.numbers((_COLUMN,), expected, 0.0, _LARGEST_KW)[:, 0]
+    table.check_length()
     stamp = table.header[0]
     begins = table.times(stamp)
     back = np.flatnonzero(np.diff(begins.asi8) <= 0)
     if back.size:
         raise table.error(int(back[0]) + 1, stamp, "a time after that of the line before")
-    ends = begins[-1] + (begins[-1] - begins[-2:][0])
+    ends = begins[-1] + (begins[-1] - begins[-2])
     run_ends = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
     if times[0] < begins[0] or run_ends > ends:
         raise InputError(

@@ -103,10 +103,13 @@ class CsvTable:
         self.check_steady(column, time_ns)
         return time_ns
 
+    def check_length(self) -> None:
+        if len(self.fields) < 2:
+            raise InputError(f"{self.name}: expected at least 2 rows, got {len(self.fields)}")
+
     def check_steady(self, column: str, time_ns: NDArray[np.int64]) -> None:
         """Refuse the times of a column unless they are two or more that keep one step above 0."""
-        if len(time_ns) < 2:
-            raise InputError(f"{self.name}: expected at least 2 rows, got {len(time_ns)}")
+        self.check_length()
         step_ns = np.diff(time_ns)
         # The median, so that one gap at the top of the file is not taken for its step.
         usual_ns = float(np.median(step_ns))

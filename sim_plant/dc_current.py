@@ -50,6 +50,8 @@ def read_currents(
     table.check_header(("t_s",))
     combiners = _read_combiners(positions_csv)
     columns = [name for name in table.header if name != "t_s"]
+    if not columns:
+        raise InputError(f"{table.name}: line 1: expected t_s and a column for each combiner")
     if unknown := [name for name in columns if name not in combiners.index]:
         raise InputError(
             f"{positions_csv.name}: expected a line for each combiner of {table.name}, got none "

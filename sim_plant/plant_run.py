@@ -7,7 +7,6 @@ a whole cycle with a number below 0, has come back to the plant and past the rec
 
 from __future__ import annotations
 
-import logging
 import time
 from pathlib import Path
 from typing import Final
@@ -22,8 +21,6 @@ from bus_schemas.tree import PLANT, ROOT, some_of
 from sim_plant.devices import Devices
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
-
-log = logging.getLogger(__name__)
 
 FIRST_ROUND: Final = -1_000_000
 """Cycle of the first arming round; the next ones count upwards."""
@@ -65,12 +62,11 @@ def _lead(process: AgentProcess, patience_s: float) -> None:
     plan, loop = process.plan, process.loop
     _await_everybody(process, time.monotonic() + patience_s)
     # Agents that have appeared answer soon; only waiting for them to appear may take longer.
-    rounds = _arm(process, time.monotonic() + min(patience_s, _ARMING_S))
+    _arm(process, time.monotonic() + min(patience_s, _ARMING_S))
     lead_s = 0.0 if plan.lockstep else _LEAD_S
     start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
     process.driver.publish(RUN.of(ROOT), plan.run_message("start", 0, start_time_ns))
-    process.link.tell(Armed(rounds, start_time_ns))
-    log.info("armed after %d rounds", rounds)
+    process.link.tell(Armed(start_time_ns))
     loop.begin(start_time_ns, time.monotonic_ns())
     for _ in process.drive():
         if process.link.dismissed:
@@ -90,20 +86,19 @@ def _await_everybody(process: AgentProcess, give_up_at: float) -> None:
         time.sleep(0.005)
 
 
-def _arm(process: AgentProcess, give_up_at: float) -> int:
-    """Send rounds through the loop until one closes and is recorded. Return their number."""
+def _arm(process: AgentProcess, give_up_at: float) -> None:
+    """Send rounds through the loop until one closes and is recorded."""
     plan, loop = process.plan, process.loop
     for number in range(1, -FIRST_ROUND):
         loop.enter(FIRST_ROUND + number, time.monotonic_ns())
         process.driver.go_on(loop)
         longest_s = longest_round_s(number) + _ROUND_PER_AGENT_S * len(plan.tree.nodes)
         if _round_closes(process, FIRST_ROUND + number, time.monotonic() + longest_s):
-            return number
+            return
         if time.monotonic() > give_up_at:
             break
-    # One agent that does not answer delays all others; an external one is the most likely.
-    external = [port for port in loop.waiting if port.publisher in plan.elsewhere]
-    needs = some_of(sorted(map(str, external or loop.waiting)), most=3)
+    # One agent that does not answer delays all others.
+    needs = some_of(sorted(map(str, loop.waiting)), most=3)
     raise FailureError(f"no arming round closed; the plant waits for {needs or 'the recorder'}")
 
 

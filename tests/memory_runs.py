@@ -15,7 +15,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Message, Production
 from bus_schemas.signals import Port
-from launch_scripts.launcher.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
+from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.preparation import Preparation
 from sim_plant.profile import Profile
@@ -47,22 +47,15 @@ class Sent:
         return [message for _, message in self.messages if isinstance(message, Production)]
 
     @property
-    def over_kw(self) -> NDArray[np.float64]:
-        """Power beyond what was desired [kW], shape (cycles,)."""
-        return np.array([one.delivered_kw - one.desired_kw for one in self.produced])
-
-    @property
     def power_kw(self) -> NDArray[np.float64]:
         """Power of each inverter [kW], shape (cycles, n)."""
         return np.array([one.inverter_power_kw for one in self.produced])
 
 
-def run_in_memory(
-    plan: RunPlan, profile: Profile, restart_takes_s: float = RESTART_TAKES_S
-) -> tuple[MemoryRun, Sent]:
+def run_in_memory(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, Sent]:
     """Run a plan through under a profile, and hear all that is sent."""
     sent = Sent()
-    run = MemoryRun(plan, profile, sent, restart_takes_s)
+    run = MemoryRun(plan, profile, sent)
     assert list(run.cycles()) == list(range(plan.cycles))
     run.close()
     return run, sent
@@ -71,10 +64,9 @@ def run_in_memory(
 def run_with(
     prepared: Preparation,
     rules: Sequence[FaultRule | str] = (),
-    restart_takes_s: float = RESTART_TAKES_S,
     **changes: object,
 ) -> tuple[MemoryRun, Sent]:
     """Run through by a virtual clock if there are fault rules, also as `--fault` has them."""
     faults = tuple(parse_fault(rule) if isinstance(rule, str) else rule for rule in rules)
     plan = msgspec.structs.replace(prepared.plan, faults=faults, **changes)
-    return run_in_memory(on_the_clock(plan) if faults else plan, prepared.profile, restart_takes_s)
+    return run_in_memory(on_the_clock(plan) if faults else plan, prepared.profile)

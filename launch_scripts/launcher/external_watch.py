@@ -54,18 +54,21 @@ class ExternalWatch:
         """Note that an agent has appeared or disappeared; return a message about it."""
         agent, plan = event.agent, self._plan
         name = f"{agent} ({plan.addresses.get(agent, 'external')})"
+        when = f"in cycle {event.cycle}" if event.cycle >= 0 else "before cycle 0"
         if not event.alive:
-            when = f"in cycle {event.cycle}" if event.cycle >= 0 else "before cycle 0"
-            if agent in plan.external and (plan.lockstep or agent == PLANT):
+            if event.cycle >= 0 and not plan.lockstep and agent != PLANT:
+                return f"{name} is gone {when}; the run goes on without it"
+            if event.cycle >= 0 and agent in plan.external:
                 self.gone[agent] = now
-            goes_on = "" if plan.lockstep or agent == PLANT else "; the run goes on without it"
-            return f"{name} is gone {when}{goes_on}"
-        if event.cycle < 0 or not plan.lockstep:
+            return f"{name} is gone {when}"
+        if not plan.lockstep:
             self.gone.pop(agent, None)
-        self._never_seen.pop(agent, None)
-        if not self._never_seen and self.complete_at is None:
+        if agent not in self._never_seen:
+            return f"{name} is back {when}"
+        del self._never_seen[agent]
+        if not self._never_seen:
             self.complete_at = now
-        return f"{name} is here" if event.cycle < 0 else f"{name} is back in cycle {event.cycle}"
+        return f"{name} is here"
 
     def late(self, now: float) -> str:
         """Name the agents that did not come in time; empty if none is missing yet."""
@@ -78,7 +81,10 @@ class ExternalWatch:
         )
 
     def explain(self, failure: str) -> str:
-        """Add to the failure of a run that did not begin which external agents did not answer."""
+        """Say before the failure of a run that did not begin which external agents are silent.
+
+        One of them is the likely cause, and all others wait for it.
+        """
         if not self.unheard:
             return failure
-        return f"{failure}\nno answer to the arming rounds came on {some_of(self.unheard)}"
+        return f"no answer to the arming rounds came on {some_of(self.unheard)}\n{failure}"

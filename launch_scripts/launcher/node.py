@@ -36,7 +36,6 @@ WorkingDirectory={folder}
 Restart=always
 RestartSec=1
 LimitRTPRIO=99
-LimitMEMLOCK=infinity
 
 [Install]
 WantedBy=multi-user.target

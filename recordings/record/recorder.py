@@ -304,7 +304,7 @@ class Recorder:
                 is_early = message.cycle < self._plan.cycles
                 self._over_at = time.monotonic() + wait_s * is_early
         elif PLANT in self._plan.external:
-            self._link.tell(Armed(self._round.count, message.start_time_ns))
+            self._link.tell(Armed(message.start_time_ns))
 
     def _contradict_stop(self, cycle: int) -> None:
         """Complain of a stop before a cycle that the plant has begun."""
@@ -361,7 +361,6 @@ class Round:
 
     def __init__(self, plan: RunPlan) -> None:
         self._all = frozenset(port for port in ports(plan.tree) if due_step(plan, port))
-        self.count = 0
         self.answered = False
         self._cycle: int | None = None
         self._open: set[Port[Message]] = set()
@@ -376,7 +375,6 @@ class Round:
         if port.publisher == PLANT and (self._cycle is None or cycle > self._cycle):
             self._cycle = cycle
             self._open = {port for port in self._all if self._last.get(port) != cycle}
-            self.count += 1
         self._last[port] = cycle
         if cycle != self._cycle or port not in self._open:
             return False

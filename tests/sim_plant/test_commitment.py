@@ -110,6 +110,7 @@ def test_a_schedule_that_begins_after_the_run_is_refused(tmp_path: Path) -> None
     [
         ("2000\n", "-2000\n", "bids.csv: line 3, column 'commitment_kw'"),
         ("22:00:02Z", "20:00:00Z", "bids.csv: line 3, column 'begins'"),
+        (SCHEDULE, SCHEDULE.splitlines()[0], "bids.csv: expected at least 2 rows"),
     ],
 )
 def test_one_wrong_field_is_located(tmp_path: Path, old: str, new: str, complaint: str) -> None:

@@ -112,6 +112,7 @@ def test_an_inverter_that_comes_and_goes_is_refused(read: Read) -> None:
         ("10,60,80", "10,60,201", "hour.csv: line 3, column 'A-2'"),
         ("20,90", "10,90", "hour.csv: line 4, column 't_s'"),
         ("t_s,", "utc,", "hour.csv: line 1: expected the columns t_s"),
+        (CURRENTS, "t_s\n0\n10\n", "hour.csv: line 1: expected t_s and"),
         ("A-1,A-2", "A-1,A-9", "positions.csv: expected a line for each combiner"),
         ("A-2,01", "A-1,01", "positions.csv: line 3, column 'combiner'"),
         ("A-2,01", "A-2,a/b", "positions.csv: name"),

@@ -30,6 +30,7 @@ def test_each_hour_equals_numpy_on_the_rows_of_that_hour_of_all_days() -> None:
         rows = power[hour == h].T
         np.testing.assert_allclose(correlation[h], np.corrcoef(rows), rtol=0.0, atol=1e-12)
         np.testing.assert_allclose(covariance[h], np.cov(rows, bias=True), rtol=1e-9)
+        assert np.array_equal(np.diag(correlation[h]), np.ones(17))
 
 
 @pytest.mark.parametrize("level", [0.0, 0.1, 470.588235294])

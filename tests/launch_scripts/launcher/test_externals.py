@@ -52,7 +52,7 @@ def test_only_who_never_came_is_missed_and_only_after_the_time_out() -> None:
     externals.hear(Presence(NODE, True, -1), 101.0)
     assert (externals.complete_at, externals.late(159.0)) == (None, "")
     assert externals.late(161.0).startswith("no sign of central after 60 s")
-    externals.hear(Presence("central", True, -1), 161.0)
+    assert externals.hear(Presence("central", True, 7), 161.0).endswith("is here")
     assert (externals.complete_at, externals.late(162.0)) == (161.0, "")
 
 
@@ -69,7 +69,11 @@ def test_the_plant_is_missed_while_it_is_gone_and_in_lockstep_each_device_from_t
     agent: str, changes: dict[str, Any], gone: list[bool]
 ) -> None:
     externals = watch(agent, **changes)
-    externals.hear(Presence(agent, True, -1), 101.0)
+    assert externals.hear(Presence(agent, True, -1), 100.0).endswith("is here")
+    assert "goes on" not in externals.hear(Presence(agent, False, -1), 101.0)
+    # The recorder may tell of a return, or of its first sign, only when cycles have begun.
+    assert "is back" in externals.hear(Presence(agent, True, 3), 102.0)
+    assert not externals.gone
     found = []
     for alive in (False, True):
         externals.hear(Presence(agent, alive, 41), 150.0)
@@ -77,10 +81,10 @@ def test_the_plant_is_missed_while_it_is_gone_and_in_lockstep_each_device_from_t
     assert found == gone
 
 
-def test_keys_without_an_answer_to_the_arming_rounds_are_named() -> None:
+def test_keys_without_an_answer_to_the_arming_rounds_are_named_first() -> None:
     externals = watch(NODE, "c1")
     externals.unheard = ["c1/setpoint"]
-    failure, unheard = externals.explain("plant gave up").splitlines()
+    unheard, failure = externals.explain("plant gave up").splitlines()
     assert (failure, unheard.split()[-1]) == ("plant gave up", "c1/setpoint")
 
 
