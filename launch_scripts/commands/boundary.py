@@ -104,7 +104,7 @@ def boundary() -> Iterator[None]:
         _end(_text(error), BAD_INPUT)
     except (FailureError, OSError) as error:
         _end(_text(error), FAILED)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         _end("interrupted", INTERRUPTED)
     except ModuleNotFoundError as error:
         if error.name not in _EXTRAS:
