@@ -72,7 +72,8 @@ class Command(TyperCommand):
         for before, arg, after in zip(["", *args], args, [*args[1:], ""], strict=False):
             # As `--out "$FOLDER"` has it if that is not set: as a path it would be this folder.
             if not arg or (arg.startswith("--") and arg.endswith("=")):
-                raise InputError(f"{arg or before}: expected a value, got nothing")
+                option = next((word for word in (arg, before) if word[:2] == "--"), "an argument")
+                raise InputError(f"{option.rstrip('=')}: expected a value, got nothing")
             if re.search("[\ud800-\udfff]", arg):
                 raise InputError(f"{arg}: expected UTF-8, got bytes that are not")
             is_bare = arg == "--report" and not after.endswith(".html")
@@ -103,7 +104,7 @@ def boundary() -> Iterator[None]:
         _end(_text(error), BAD_INPUT)
     except (FailureError, OSError) as error:
         _end(_text(error), FAILED)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):
         _end("interrupted", INTERRUPTED)
     except ModuleNotFoundError as error:
         if error.name not in _EXTRAS:
@@ -111,7 +112,7 @@ def boundary() -> Iterator[None]:
         extra = f"pip install 'heliarch[{_EXTRAS[error.name]}]'"
         _end(f"{error.name} is not installed: {extra}", BAD_INPUT)
     except _UsageError as error:
-        _end(" ".join(error.format_message().split()), BAD_INPUT)
+        _end(_usage_text(error), BAD_INPUT)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         sys.unraisablehook = report
@@ -183,6 +184,18 @@ def _text(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
+
+
+def _usage_text(error: Any) -> str:  # noqa: ANN401 - Typer's type is private
+    """Return a complaint about the command line; about a value as `OPTION: expected X, got Y`."""
+    details = getattr(error.__cause__, "errors", None)
+    if details is None:
+        return " ".join(error.format_message().split())
+    detail = details()[0]
+    what = re.sub("Input should be|Value error, .* is not", "expected", detail["msg"])
+    what = re.sub("expected (?=greater|less)", "expected a number ", what).partition(", unable")[0]
+    option = error.param.get_error_hint().strip("'")
+    return f"{option}: {what.rstrip('.')}, got {detail['input']}"
 
 
 def _end(text: str, status: int) -> NoReturn:

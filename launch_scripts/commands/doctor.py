@@ -25,6 +25,7 @@ _PACKAGES: Final = {
     "pymodbus": "real inverters and `inverters` need it: pip install 'heliarch[modbus]'",
 }
 _CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+_POLICIES: Final = ("SCHED_OTHER", "SCHED_BATCH", "SCHED_IDLE", "SCHED_FIFO", "SCHED_RR")
 _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 
 
@@ -86,6 +87,11 @@ def _machine() -> Iterator[Finding]:
 def _scheduling() -> Iterator[Finding]:
     from agents.machine import MachineSettings, refusals
 
+    own, nice = os.sched_getscheduler(0), os.nice(0)
+    policy = next((name for name in _POLICIES if getattr(os, name) == own), "unknown")
+    is_last = policy in {"SCHED_BATCH", "SCHED_IDLE"} or nice > 0
+    advice = "runs started here get the processor after other programs: use another shell"
+    yield _judged("policy", f"{policy}, nice {nice}", not is_last, advice)
     refused = refusals(MachineSettings(priority=20), lockstep=False)
     found = "; ".join(refused) or "SCHED_FIFO is permitted"
     yield _judged("real time", found, not refused, "matters only for --priority")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,7 +12,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.printable import printable
 from bus_schemas.tree import agent_name
 from launch_scripts.commands.boundary import OK, complain
-from launch_scripts.commands.output import progress_bar, write_json
+from launch_scripts.commands.output import progress_bar, write_json, write_rows
 from studies.tables import (
     Column,
     Table,
@@ -59,17 +59,15 @@ def inspect(
         raise InputError("--cycle: expected neither --nodes, --from nor --to with it")
     console = console_for(json)
     with RunReader(run, skip_damaged=True) as reader:
-        found: object
         if cycle is not None:
-            found = _show_plant(reader, reader.clock.cycle(cycle, "--cycle"), console)
+            write_json(_show_plant(reader, reader.clock.cycle(cycle, "--cycle"), console), json)
         elif nodes is not None:
             names = find_nodes(reader.plan.tree, nodes)
             cycles = reader.clock.span(start, end)
-            found = _show_nodes(reader, names, cycles, console, keep=json is not None)
+            write_rows(_show_nodes(reader, names, cycles, console), json)
         else:
             part = None if start is None and end is None else reader.clock.span(start, end)
-            found = _show_overview(reader, part, console)
-        write_json(found, json)
+            write_json(_show_overview(reader, part, console), json)
         if not reader.whole:
             text = (
                 f"{reader.path} or a file that it goes on in was cut, is damaged, or is still "
@@ -84,12 +82,11 @@ def inspect(
 
 
 def _show_nodes(
-    run: RunReader, nodes: Sequence[str], cycles: range, console: Console, *, keep: bool
-) -> list[NodeCycle]:
-    """Print nodes cycle by cycle, of a recording of any length; return what is to be kept."""
+    run: RunReader, nodes: Sequence[str], cycles: range, console: Console
+) -> Iterator[NodeCycle]:
+    """Print nodes cycle by cycle, of a recording of any length; yield each line's node."""
     from recordings.inspect.timeline import heading, node_columns, row_text, timeline
 
-    found = []
     for node in nodes:
         if len(nodes) > 1:
             _print_lines(console, [agent_name(node)], "bold")
@@ -97,9 +94,7 @@ def _show_nodes(
         _print_lines(console, [heading(columns)], "bold")
         for (row,) in timeline(run, [node], cycles):
             _print_lines(console, [row_text(columns, row)], _style(row))
-            if keep:
-                found.append(row)
-    return found
+            yield row
 
 
 def _style(row: NodeCycle) -> str:

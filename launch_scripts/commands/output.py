@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import TypeVar
+from typing import BinaryIO, TypeVar
 
 import msgspec
 from rich.console import Console
@@ -98,6 +99,21 @@ def write_json(content: object, destination: str | None) -> None:
         sys.stdout.write(document.decode())
     else:
         _write(document, Path(destination))
+
+
+def write_rows(rows: Iterable[object], destination: str | None) -> None:
+    """Take rows one by one, and write them as `write_json` does a list: they may be a day's."""
+    from recordings.read.whole_file import whole_file
+
+    place: AbstractContextManager[BinaryIO] = nullcontext(sys.stdout.buffer)
+    if destination != "-":
+        place = whole_file(Path(destination or os.devnull))
+    with place as file:
+        before = b"["
+        for row in rows:
+            file.write(before + b"\n" + msgspec.json.encode(row))
+            before = b","
+        file.write(b"[]\n" if before == b"[" else b"\n]\n")
 
 
 def _write(content: bytes, path: Path) -> None:

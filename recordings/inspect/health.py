@@ -18,7 +18,7 @@ from bus_schemas.faults import UNHEARD, FaultRule
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import FaultAct, FaultTally, NetworkFaults
 from bus_schemas.signals import TELEMETRY, Port
-from bus_schemas.tree import some_of
+from bus_schemas.tree import RECORDER, some_of
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
 from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RecordedMessage, RunReader
@@ -252,7 +252,10 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "absent", _absence_text(absence, clock)
     if others := len(by_weight[_NAMED:]) + health.more_absences:
         yield "absent", f"and {others:,} times more"
-    if not by_weight:
+    # Messages show which agents restarted; the recorder publishes none.
+    if recorder := launcher.restarts.get(RECORDER) if launcher else None:
+        yield "absent", f"{RECORDER}: restarted ({recorder:,})"
+    elif not by_weight:
         yield "absent", "none"
     yield from (("devices", text) for text in _devices_texts(health.devices))
     end = "ended in order" if health.ended else "the recording stops before the run's end"

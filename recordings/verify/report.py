@@ -38,7 +38,7 @@ def finding_lines(found: Mapping[str, Findings], clock: RunClock) -> Iterator[st
         first, failure = findings.first, findings.failure
         if first is None:
             continue
-        counts = ", ".join(f"{count:,} x {kind}" for kind, count in findings.differences.items())
+        counts = ", ".join(f"{kind} ({count:,})" for kind, count in findings.differences.items())
         yield ""
         yield f"{agent}: {counts}, {clock.span_text(first.cycle, findings.last_cycle)}"
         yield from _difference_lines(agent, first)

@@ -107,7 +107,7 @@ def sweep(rates: Rates, timed: Callable[[float], TimingReport]) -> Sweep:
     """Run at the listed rates; or search for the highest clean one, doubling, then halving steps.
 
     A search runs a rate that was not clean once more, and the second run counts: one stall of the
-    machine must not end it. A rate of a search may be refused because stated deadlines do not fit
+    machine must not end it. A later rate may be refused because stated deadlines do not fit
     into its cycle, or its run may fail: that rate has failed, and the others still count. Only if
     the very first rate is refused, so is the sweep.
     """

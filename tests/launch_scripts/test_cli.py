@@ -99,4 +99,5 @@ def test_doctor_finds_what_would_stop_a_run_and_says_what_to_do_about_it() -> No
     found = {finding["about"]: finding for finding in json.loads(document)}
     assert found["open files"]["verdict"] == "wrong"
     assert "ulimit" in found["open files"]["advice"]
+    assert found["policy"]["found"].startswith("SCHED_")
     assert all(finding["advice"] for finding in found.values() if finding["verdict"] != "ok")

@@ -261,6 +261,8 @@ def test_options_that_do_not_go_together_are_refused(words: str, folder: Path) -
         ("keys small.toml --out=", "--out"),
         ("export run --format csv --nodes=", "--nodes"),
         ("launch --report=page.pdf", "--report"),
+        ("compare --workers none", "--workers: expected"),
+        ("compare --workers none", "got none"),
     ],
 )
 def test_a_mistyped_word_is_named(words: str, named: str, folder: Path) -> None:

@@ -155,6 +155,7 @@ def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, ru
     summary: dict[str, Any] = {
         "run_id": run_id,
         "dropped": {"late": 3},
+        "restarts": {"recorder": 2},
         "skipped_cycles": 2,
         "wrong": [{"key": "c1/a/impp", "cause": "absurd", "count": 5, "example": "x"}],
     }
@@ -168,6 +169,7 @@ def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, ru
     assert health.launcher is not None
     assert health.launcher.dropped == {"late": 3}
     assert "5 absurd on c1/a/impp" in text
+    assert "absent: recorder" in text
 
 
 def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: Path) -> None:
