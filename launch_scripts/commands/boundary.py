@@ -54,6 +54,9 @@ _UsageError: Final[Any] = typer.BadParameter.__mro__[1]
 class CommandLine(TyperGroup):
     """The command line. Its commands return their exit status, or None for success."""
 
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Typer's type is private
+        return _without_types(super().get_params(ctx), ctx)
+
     def main(self, *args: Any, **options: Any) -> NoReturn:
         """Run the command that the user named, and leave with its exit status."""
         options["standalone_mode"] = False
@@ -65,6 +68,9 @@ class CommandLine(TyperGroup):
 
 class Command(TyperCommand):
     """One command, whose `--report` may be followed by a file *.html."""
+
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Typer's type is private
+        return _without_types(super().get_params(ctx), ctx)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - Typer's type is private
         """Read the options; a `--report` without a file gets an empty value."""
@@ -79,6 +85,14 @@ class Command(TyperCommand):
             is_bare = arg == "--report" and not after.endswith(".html")
             found.append("--report=" if is_bare else arg)
         return super().parse_args(ctx, found)
+
+
+def _without_types(params: list[Any], ctx: object) -> list[Any]:
+    """Let the help show no `<bool>` and `<path>` beside flags and arguments."""
+    for param in params:
+        if param.param_type_name == "argument" or str(param.display_type_rich(ctx)) == "<bool>":
+            param.display_type_rich = lambda ctx: ""
+    return params
 
 
 @contextmanager
