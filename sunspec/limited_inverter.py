@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from math import copysign, inf
-from typing import Annotated, Final, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -15,6 +15,7 @@ LONGEST_REVERT_S: Final = 65_534
 
 LIMIT_POINTS: Final = {
     123: {
+        "Conn": "connected",
         "WMaxLim_Ena": "enabled",
         "WMaxLimPct": "percent",
         "WMaxLimPct_RvrtTms": "revert_s",
@@ -25,6 +26,9 @@ LIMIT_POINTS: Final = {
         "WMaxLimPctRvrtTms": "revert_s",
         "WMaxLimPctEnaRvrt": "revert_enabled",
         "WMaxLimPctRvrt": "revert_percent",
+        "WSetEna": "set_enabled",
+        "WSetMod": "set_in_w",
+        "WSet": "set_w",
     },
 }
 """Points of SunSpec models, with the fields of `LimitSettings` that they set."""
@@ -35,9 +39,9 @@ _STEP_S: Final = 1.0
 
 
 class LimitSettings(msgspec.Struct, frozen=True):
-    """What an inverter is told: a limit in per cent of its rating.
+    """What an inverter is told: a limit in per cent of its rating, one in watts, and to disconnect.
 
-    After `revert_s` without another limit (0: never) it goes to `revert_percent` if
+    After `revert_s` without another limit in per cent (0: never) that goes to `revert_percent` if
     `revert_enabled`, and is released otherwise.
     """
 
@@ -46,17 +50,21 @@ class LimitSettings(msgspec.Struct, frozen=True):
     revert_s: Annotated[int, Meta(ge=0, le=LONGEST_REVERT_S)] = 0
     revert_enabled: bool = False
     revert_percent: Percent = 100.0
+    set_enabled: bool = False
+    set_in_w: Literal[1] = 1
+    set_w: Annotated[float, Meta(ge=0.0)] = 0.0
+    connected: bool = True
 
-    @property
-    def target(self) -> float:
-        """Where the power limit goes [%]."""
-        return self.percent if self.enabled else 100.0
+    def target(self, rating_kw: float) -> float:
+        """Return where the power limit goes [%]."""
+        percent = self.percent if self.enabled else 100.0
+        return min(percent, self.set_w / (10.0 * rating_kw)) if self.set_enabled else percent
 
 
 class LimitedInverter:
     """An inverter that is asked what it does now.
 
-    possible_kw: What the sun allows at a time.
+    sun_kw: What the sun allows at a time.
     delay_s: Time from a limit until the inverter begins to follow it.
     ramp_percent_per_s: How fast it follows; infinite: at once.
 
@@ -67,27 +75,37 @@ class LimitedInverter:
     def __init__(
         self,
         rating_kw: float,
-        possible_kw: Callable[[float], float],
+        sun_kw: Callable[[float], float],
         delay_s: float = 0.0,
         ramp_percent_per_s: float = inf,
     ) -> None:
-        self.rating_kw, self.possible_kw = rating_kw, possible_kw
+        self.rating_kw = rating_kw
         self.ramp_percent_per_s = ramp_percent_per_s
         self.settings = LimitSettings()
         self.energy_kwh = 0.0
+        self._sun_kw = sun_kw
         self._delay_s = delay_s
         self._pending: deque[tuple[float, float]] = deque()
         self._revert_at = inf
         self._began_at, self._from, self._to = -inf, 100.0, 100.0
         self._at: float | None = None
 
-    def told(self, settings: LimitSettings, at: float) -> None:
-        """Take new settings at a time [s]; the revert time begins anew."""
+    def told(self, settings: LimitSettings, at: float, *, renews: bool = True) -> None:
+        """Take new settings at a time [s]; `renews`: the revert time begins anew."""
         self.advance(at)
         self.settings = settings
-        self._pending.append((at + self._delay_s, settings.target))
-        reverts = settings.enabled and settings.revert_s > 0
-        self._revert_at = at + settings.revert_s if reverts else inf
+        self._pending.append((at + self._delay_s, settings.target(self.rating_kw)))
+        if renews:
+            reverts = settings.enabled and settings.revert_s > 0
+            self._revert_at = at + settings.revert_s if reverts else inf
+
+    def possible_kw(self, at: float) -> float:
+        """Return what it could give at a time: nothing while it is disconnected."""
+        return self._sun_kw(at) if self.settings.connected else 0.0
+
+    def revert_in_s(self, at: float) -> float:
+        """Return the time until it reverts [s]; 0 if it does not."""
+        return self._revert_at - at if self._revert_at < inf else 0.0
 
     def power_kw(self, at: float) -> float:
         return min(self.possible_kw(at), self._limit(at) / 100.0 * self.rating_kw)
@@ -108,7 +126,7 @@ class LimitedInverter:
                     settings, enabled=settings.revert_enabled, percent=settings.revert_percent
                 )
                 self._pending.clear()
-                self._follow(self.settings.target, event_at)
+                self._follow(self.settings.target(self.rating_kw), event_at)
         self._integrate(until)
 
     def _follow(self, target: float, at: float) -> None:

@@ -1,7 +1,7 @@
 """SunSpec registers of a simulated inverter, and of the meter of a plant.
 
 A unit is a list of models from address 40000 on. Measurements are worked out when they are read;
-what is written to the points of a limit is what the inverter is told.
+what is written to the points of a limit, or to `Conn`, is what the inverter is told.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _END: Final = b"\xff\xff\x00\x00"
 _VOLTS: Final = 480.0
 _UNSIGNED: Final = 65_535
 
-_SLEEPING, _RUNNING, _THROTTLED = 2, 4, 5
+_OFF, _SLEEPING, _RUNNING, _THROTTLED = 1, 2, 4, 5
 """States of model 103; those of 701 are one less."""
 
 _NO_REVERT: Final = {"revert_enabled": False, "revert_percent": 100.0}
@@ -39,13 +39,14 @@ class Registers:
 
     points: Returns its present points; the first model is the common one, 1.
     tell: Called with a model's number and the fields of `LimitSettings` that were written to it.
+        Not used for units without a model of `LIMIT_POINTS`.
     """
 
     def __init__(
         self,
         unit: int,
         points: Callable[[], Points],
-        tell: Callable[[int, dict[str, Any]], None] = lambda model, told: None,
+        tell: Callable[[int, dict[str, Any]], None] | None = None,
     ) -> None:
         self._points, self._tell = points, tell
         self._models: dict[int, Model] = {}
@@ -95,6 +96,7 @@ class Registers:
                 return ExcCodes.ILLEGAL_ADDRESS
             point.set_mb(data[2 * place : 2 * (place + point.len)])
             told[known[name]] = point.cvalue
+        assert self._tell is not None
         try:
             self._tell(model.model_id, told)
         except msgspec.ValidationError:
@@ -132,14 +134,15 @@ def inverter_device(
         return _common("simulated inverter", name, unit) | points(inverter, at)
 
     def tell(model: int, told: dict[str, Any]) -> None:
-        if model == 123:
+        renews = not told.keys() <= {"connected", "set_enabled", "set_in_w", "set_w"}
+        if renews and model == 123:
             told |= _NO_REVERT
         at = now()
         inverter.advance(at)  # It may have reverted meanwhile.
         present = msgspec.structs.asdict(inverter.settings)
         settings = msgspec.convert(present | told, LimitSettings, strict=False)
         on_limit()
-        inverter.told(settings, at)
+        inverter.told(settings, at, renews=renews)
 
     return Registers(unit, current, tell).device
 
@@ -172,12 +175,18 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
     """Return the points of all models of an inverter, except the common one."""
     rating_kw, ramp = inverter.rating_kw, inverter.ramp_percent_per_s
     power_kw, possible_kw = inverter.power_kw(at), inverter.possible_kw(at)
+    connected = inverter.settings.connected
     rating, watts, energy = 1e3 * rating_kw, 1e3 * power_kw, 1e3 * inverter.energy_kwh
     signed, unsigned = _scale(rating), _scale(rating, _UNSIGNED)
     amperes, phase_volts = _amperes(watts), _VOLTS / sqrt(3.0)
     held_kw = possible_kw - power_kw
     throttled = 100.0 * held_kw / rating_kw if held_kw > 1e-6 * rating_kw else 0.0
-    state = _THROTTLED if throttled else _RUNNING if possible_kw > 0.0 else _SLEEPING
+    if not connected:
+        state = _OFF
+    elif possible_kw <= 0.0:
+        state = _SLEEPING
+    else:
+        state = _THROTTLED if throttled else _RUNNING
     limits = {
         number: {name: getattr(inverter.settings, field) for name, field in fields.items()}
         for number, fields in LIMIT_POINTS.items()
@@ -200,21 +209,24 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
             "VRef": _VOLTS, "VRefOfs": 0, **({} if ramp == inf else {"WGra": ramp}),
         },
         122: {
-            "WAval_SF": unsigned, "PVConn": 7, "StorConn": 0, "ECPConn": 2, "ActWh": round(energy),
-            "WAval": 1e3 * possible_kw, "StActCtl": inverter.settings.enabled,
+            "WAval_SF": unsigned, "PVConn": 7, "StorConn": 0, "ECPConn": 2 if connected else 1,
+            "ActWh": round(energy), "WAval": 1e3 * possible_kw,
+            "StActCtl": inverter.settings.enabled,
         },
         123: {
-            "WMaxLimPct_SF": -2, "OutPFSet_SF": -2, "Conn": 1, "OutPFSet": 1,
-            "OutPFSet_Ena": 0, "VArPct_Ena": 0, **limits[123],
+            "WMaxLimPct_SF": -2, "OutPFSet_SF": -2, "OutPFSet": 1, "OutPFSet_Ena": 0,
+            "VArPct_Ena": 0, **limits[123],
         },
         701: {
-            "W_SF": signed, "TotWh_SF": 0, "Hz_SF": -2, "V_SF": 0, "ACType": 2, "St": 1,
-            "ConnSt": 1, "Alrm": 0, "W": watts, "InvSt": state - 1, "Hz": 60, "LLV": _VOLTS,
-            "TotWhInj": energy, "ThrotPct": ceil(throttled), "ThrotSrc": 1 if throttled else 0,
+            "W_SF": signed, "TotWh_SF": 0, "Hz_SF": -2, "V_SF": 0, "ACType": 2, "St": connected,
+            "ConnSt": connected, "Alrm": 0, "W": watts, "InvSt": state - 1, "Hz": 60,
+            "LLV": _VOLTS, "TotWhInj": energy, "ThrotPct": ceil(throttled),
+            "ThrotSrc": 1 if throttled else 0,
         },
         702: {"W_SF": unsigned, "WMaxRtg": rating, "WMax": rating},
         704: {
-            "WMaxLimPct_SF": -2, **limits[704],
+            "WMaxLimPct_SF": -2, "WSet_SF": 0, **limits[704],
+            "WMaxLimPctRvrtRem": ceil(inverter.revert_in_s(at)),
             **({} if ramp == inf else {"WRmp": round(ramp), "WRmpRef": 1}),
         },
     }  # fmt: skip

@@ -149,11 +149,11 @@ class Busy(LimitedInverter):
 
     was_told = False
 
-    def told(self, settings: LimitSettings, at: float) -> None:
+    def told(self, settings: LimitSettings, at: float, *, renews: bool = True) -> None:
         self.was_told, first = True, not self.was_told
         if first:
             raise RuntimeError
-        super().told(settings, at)
+        super().told(settings, at, renews=renews)
 
 
 def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path: Path) -> None:

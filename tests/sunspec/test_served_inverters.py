@@ -127,9 +127,10 @@ def test_model_704_reverts_to_the_limit_it_was_told(site: Site) -> None:
         model.points[name].value = 1
     model.WMaxLimPctRvrtTms.value = 30
     model.write()
-    site.clock.sleep(29.0)
-    assert watts(device) == 50_000
-    site.clock.sleep(2.0)
+    site.clock.sleep(10.0)
+    model.read()
+    assert model.WMaxLimPctRvrtRem.value == 20
+    site.clock.sleep(25.0)
     assert watts(device) == 20_000
 
 
@@ -143,6 +144,45 @@ def test_a_limited_inverter_says_what_it_could_give_and_what_throttles_it(site: 
         model.read()
     assert (der.ThrotPct.value, der.ThrotSrc.value, measured.St.value) == (30, 1, 5)
     assert status.WAval.cvalue == 80_000
+
+
+def test_a_limit_in_watts_holds_beside_one_in_per_cent(site: Site) -> None:
+    site.serve()
+    device = site.client()
+    model = device.models[704][0]
+    model.WSetEna.value, model.WSetMod.value, model.WSet.cvalue = 1, 1, 45_000
+    model.write()
+    assert watts(device) == 45_000
+    limit_123(device, 30.0, 60)
+    assert watts(device) == 30_000
+    site.clock.sleep(40.0)
+    model.WSet.cvalue = 25_000
+    model.write()
+    assert watts(device) == 25_000
+    site.clock.sleep(25.0)  # The limit in per cent has reverted, whatever came in watts meanwhile.
+    model.WSet.cvalue = 70_000
+    model.write()
+    assert watts(device) == 70_000
+    model.WSetMod.value = 0
+    with pytest.raises(ModbusClientException):
+        model.write()
+
+
+def test_an_inverter_that_is_disconnected_stops_and_keeps_its_limit(site: Site) -> None:
+    site.serve()
+    device = site.client()
+    limit_123(device, 50.0, 0)
+    model, der, status = (device.models[number][0] for number in (123, 701, 122))
+    model.Conn.value = 0
+    model.write()
+    assert watts(device) == 0
+    assert device.models[103][0].St.value == 1
+    der.read()
+    status.read()
+    assert (der.InvSt.value, der.ConnSt.value, status.WAval.cvalue) == (0, 0, 0)
+    model.Conn.value = 1
+    model.write()
+    assert watts(device) == 50_000
 
 
 def test_the_meter_adds_up_power_and_energy(site: Site) -> None:
@@ -172,8 +212,16 @@ def test_only_limits_can_be_written_and_only_in_their_range(site: Site) -> None:
     with pytest.raises(ModbusClientException):
         settings.write()
     assert watts(device) == 80_000
+
+
+def test_a_revert_time_that_no_other_model_can_show_is_refused(site: Site) -> None:
+    site.serve()
+    device = site.client()
     with pytest.raises(ModbusClientException):
-        limit_704(device, 50.0, 65_535)  # Model 123 could not show this revert time.
+        limit_704(device, 50.0, 65_535)
+    (model,) = device.models[123]
+    model.read()
+    assert model.WMaxLimPct_RvrtTms.value == 0
 
 
 def test_the_sky_moves_on_and_may_wait_for_the_first_limit(site: Site) -> None:
