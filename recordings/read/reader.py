@@ -77,13 +77,18 @@ class RecordedMessage(NamedTuple):
 
     def message(self) -> Message:
         """Decode it; InputError if it is no message of its signal."""
-        try:
-            return decode(self.port.signal, self.payload)
-        except msgspec.DecodeError as error:
-            expected = self.port.signal.type.__name__
-            raise InputError(
-                f"{self.port} number {self.sequence}: expected a {expected}, got: {error}"
-            ) from None
+        return _decoded(self.port, self.sequence, self.payload)
+
+
+def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
+    try:
+        message = decode(port.signal, payload)
+    except msgspec.DecodeError as error:
+        expected = port.signal.type.__name__
+        raise InputError(f"{port} number {sequence}: expected a {expected}, got: {error}") from None
+    if not 0 <= message.cycle < _MOST_CYCLES:
+        raise InputError(f"{port} number {sequence} cycle: expected from 0 on, got {message.cycle}")
+    return message
 
 
 class RunReader:
@@ -167,12 +172,15 @@ class RunReader:
         self, ports: Collection[Port[Message]], cycles: range | None = None
     ) -> Iterator[Delivery]:
         """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
-        for record in self.records(ports, cycles):
+        port_of = self._channels_of(ports)
+        for channel, sequence, _, _, payload in self._raw(port_of, cycles):
+            port = port_of[channel]
             try:
-                message = record.message()
+                message = _decoded(port, sequence, payload)
             except InputError as error:
                 raise InputError(f"{self.path}: {error}") from None
-            yield record.port, message
+            if cycles is None or cycles.start <= message.cycle < cycles.stop:
+                yield port, message
 
     def records(
         self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None
