@@ -46,7 +46,7 @@ class MemoryUse(msgspec.Struct, frozen=True):
 
 
 class ProcessAccount(msgspec.Struct, frozen=True):
-    """What one process said at its end, and what it took.
+    """What a process reported at its end, and the resources it used.
 
     dropped: Messages that it could not use, by cause.
     skipped_cycles: Cycles that were over before it came to them.
