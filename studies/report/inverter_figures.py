@@ -37,16 +37,19 @@ def residuals(series: RunSeries) -> style.ReportFigure:
     order = inverters_by_cluster(series)
     cells_kw, rows = least_per_bucket(series.residual_kw[:, order])
     cell_ms = rows * series.cycle_s * 1e3
-    # Without the few largest, which would leave the rest pale.
-    limit_kw = float(np.nanquantile(np.abs(cells_kw), 0.99)) or 1.0
+    # Without the few largest on either side, which would leave the rest pale.
+    least_kw = min(-1.0, float(np.nanquantile(cells_kw, 0.005)))
+    greatest_kw = max(1.0, float(np.nanquantile(cells_kw, 0.995)))
+    zero = -least_kw / (greatest_kw - least_kw)
+    places = np.interp(np.linspace(-1.0, 1.0, len(diverging.RdBu)), (-1, 0, 1), (0.0, zero, 1.0))
     cells = go.Heatmap(
         z=cells_kw.T.astype(np.float32),
         x0=style.clock_ms(series)[0] + cell_ms / 2.0,
         dx=cell_ms,
         y=[style.plain(series.inverters[position]) for position in order],
-        colorscale=diverging.RdBu,
-        zmin=-limit_kw,
-        zmax=limit_kw,
+        colorscale=list(zip(places.tolist(), diverging.RdBu, strict=True)),
+        zmin=least_kw,
+        zmax=greatest_kw,
         colorbar=style.colour_bar("kW", map_px),
         hovertemplate="%{y}: %{z:,.1f} kW<extra></extra>",
     )
@@ -54,14 +57,15 @@ def residuals(series: RunSeries) -> style.ReportFigure:
     figure.update_yaxes(autorange="reversed", showgrid=False, dtick=every, tickfont_size=11)
     style.label_time_axis(figure, series)
     figure.update_layout(hovermode="closest")
-    least_kw = np.fmin.reduce(series.residual_kw, axis=1)
-    needy = 100.0 * np.mean(least_kw[np.isfinite(least_kw)] < 0.0)
+    worst_kw = np.fmin.reduce(series.residual_kw, axis=1)
+    needy = 100.0 * np.mean(worst_kw[np.isfinite(worst_kw)] < 0.0)
     return style.ReportFigure(
         "residuals",
         "Residuals of the inverters",
         "Residual of each inverter, IMPP less request [kW]. Red: it cannot meet its request and "
-        "needs help. Blue: it has headroom. In a long run a cell shows the least residual of the "
-        f"cycles that it covers. At least one inverter needed help in {needy:.1f} % of the cycles.",
+        "needs help. Blue: it has headroom. The two sides have scales of their own. In a long run "
+        "a cell shows the least residual of the cycles that it covers. At least one inverter "
+        f"needed help in {needy:.1f} % of the cycles.",
         figure,
     )
 
