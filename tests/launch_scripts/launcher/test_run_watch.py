@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import pytest
 from msgspec.structs import replace
 from plans_by_hand import plan_at_noon
@@ -38,8 +40,10 @@ class Watched:
 
 
 @pytest.mark.parametrize("when", ["on-failure", "never"])
-def test_a_silent_recorder_is_told_once_and_blamed_if_no_other_is_started(when: str) -> None:
-    run = Watched(replace(real_time(), restart=RestartPolicy(when=when)))  # type: ignore[arg-type]
+def test_a_silent_recorder_is_told_once_and_blamed_if_no_other_is_started(
+    when: Literal["on-failure", "never"],
+) -> None:
+    run = Watched(replace(real_time(), restart=RestartPolicy(when=when)))
     assert (run.blamed(101.9), run.told) == (None, [])
     assert (run.blamed(102.1), run.blamed(109.9)) == (None, None)
     assert len(run.told) == 1
