@@ -27,7 +27,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 import zenoh
-from harness import die_with_parent, run
+from harness import run
 from numpy.typing import NDArray
 
 import heliarch
@@ -246,8 +246,8 @@ def attacked(attacker: Attacker, options: argparse.Namespace, folder: Path) -> l
 
 def started(command: list[str], folder: Path, stack: ExitStack) -> subprocess.Popen[bytes]:
     """Start a program that ends with the stack."""
-    nowhere = subprocess.DEVNULL
-    process = subprocess.Popen(command, cwd=folder, stdout=nowhere, preexec_fn=die_with_parent)  # noqa: PLW1509
+    tied = ["setpriv", "--pdeathsig", "KILL", *command]
+    process = subprocess.Popen(tied, cwd=folder, stdout=subprocess.DEVNULL)
     stack.callback(process.wait)
     stack.callback(process.terminate)
     return process

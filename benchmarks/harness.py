@@ -11,7 +11,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from math import nan
 from pathlib import Path
 from typing import Any, Final
@@ -91,9 +90,9 @@ class Watched(msgspec.Struct, frozen=True):
         return used_s / (last.at - first.at)
 
 
-def die_with_parent(number: int = signal.SIGKILL) -> None:
-    """Have the kernel send this process a signal when its parent ends (Linux)."""
-    _prctl(_PR_SET_PDEATHSIG, number)
+def die_with_parent() -> None:
+    """Have the kernel kill this process when its parent ends (Linux)."""
+    _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None) -> Watched:
@@ -105,11 +104,10 @@ def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None)
     with tempfile.NamedTemporaryFile("w", prefix="bench-") as output:
         started, switches = time.monotonic(), _switches()
         process = subprocess.Popen(
-            command,
+            ["setpriv", "--pdeathsig", "TERM", *command],
             stdout=output,
             stderr=subprocess.STDOUT,
             process_group=0,
-            preexec_fn=partial(die_with_parent, signal.SIGTERM),  # noqa: PLW1509 - one thread here
         )
         samples: list[Sample] = []
         try:

@@ -314,7 +314,7 @@ def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zen
     return config
 
 
-def main() -> None:
+def main(kind: type[DirectController] = DirectController) -> None:
     """Join the run of a plan, and control the inverter until the plant says that it is over."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
@@ -328,7 +328,7 @@ def main() -> None:
         parser.error(f"expected a plan of protocol {PROTOCOL}, got {plan['protocol']}")
     arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
     with zenoh.open(session_config(plan, options.node, options.connect)) as session:
-        controller = DirectController(plan, options.node, session)
+        controller = kind(plan, options.node, session)
         # What is declared holds for as long as there is a name for it.
         subscribers = [
             session.declare_subscriber(key, arrived.put)

@@ -118,8 +118,6 @@ class MisbehavingDevice(direct_controller.DirectController):
 
 if __name__ == "__main__":
     sys.argv = [sys.argv[0], "--plan", sys.argv[2], "--node", sys.argv[3]]
-    kind = MisbehavingDevice if "everything" in FAULTS else WrongDevice
-    direct_controller.DirectController = kind  # type: ignore[misc]
     if "wrong messages" in FAULTS:
         direct_controller.read_message = believes_all
-    direct_controller.main()
+    direct_controller.main(MisbehavingDevice if "everything" in FAULTS else WrongDevice)

@@ -13,7 +13,7 @@ from memory_runs import run_with
 
 from agents.settings import RestartPolicy, Revert
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Takeover
+from bus_schemas.messages import Setpoint, Takeover
 from bus_schemas.signals import SETPOINT
 from bus_schemas.tree import CENTRAL
 from launch_scripts.launcher.supervision import RunFailure
@@ -152,7 +152,7 @@ def test_it_goes_on_with_what_the_other_process_knew(minute: Preparation) -> Non
     run = Run(minute, *faults, "kill=central,at=40s")
     assert healthy.takeovers == []
     decided = [
-        [message.power_kw for port, message in one.sent if port.signal is SETPOINT]  # type: ignore[attr-defined]
+        [message.power_kw for _, message in one.sent if isinstance(message, Setpoint)]
         for one in (healthy, run)
     ]
     assert decided[0] == decided[1]
