@@ -26,7 +26,7 @@ $(READY): pyproject.toml constraints.txt
 run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes; open the page that it prints to watch it
 	$(BIN)/heliarch launch oahu --page --report
 
-test: $(READY) ## all tests, about 5 minutes on 2 cores; three workers, because many tests wait for processes
+test: $(READY) ## all tests, about 3 minutes on 2 cores; three workers, because many tests wait for processes
 	$(BIN)/pytest -n 3 --dist worksteal
 
 docs: $(READY) ## the documents as a site in build/site; read them with `python -m http.server -d build/site`
@@ -48,6 +48,7 @@ check: $(READY) ## format, lint, types, directions of imports
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/pytest -q tests/test_house.py
 
 format: $(READY) ## bring the code into its format
 	$(BIN)/ruff format .
@@ -65,7 +66,7 @@ $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
 	@touch $@
 
 results: $(READY) ## every measured table of the documents; DATA=FOLDER for those of measurements, PAGES=delays.md for one page
-	PYTHONPATH=$(CURDIR) $(BIN)/python docs/measured $(abspath $(DATA)) $(PAGES)
+	PYTHONPATH=$(CURDIR) $(BIN)/python docs/measured.py $(abspath $(DATA)) $(PAGES)
 
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py

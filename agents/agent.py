@@ -49,7 +49,7 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
     inputs: dict[Port[Message], Any]
 
     def get(self, port: Port[M]) -> M | None:
-        """Return the newest message of a port, None if it is silent."""
+        """Return the newest message of a port, None if it has expired."""
         message: M | None = self.inputs[port]
         return message
 

@@ -6,7 +6,6 @@ sense (plant) -> estimate (direct) -> report (supervisors, upwards)
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
@@ -17,17 +16,6 @@ from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, agent_of, de
 
 Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "recorder"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-
-PLACES: Final[dict[str, Callable[[int, int], int]]] = {
-    "sense": lambda height, level: 0,
-    "estimate": lambda height, level: 1,
-    "report": lambda height, level: 1 + height - level,
-    "solve": lambda height, level: 1 + height + level,
-    "actuate": lambda height, level: 1 + height + level,
-    "apply": lambda height, level: 2 + 2 * height,
-}
-"""Place of each stage in the order of a cycle, from the tree's tiers below the root (height) and
-the tier of the agent (level, 0 for the central controller). Each step is one hop on the bus."""
 
 STAGES: Final[dict[Kind, tuple[str, ...]]] = {
     "plant": ("sense", "apply"),
@@ -56,8 +44,18 @@ def kind_of(agent: str, tree: ControlTree) -> Kind:
 
 
 def stage_place(agent: str, stage: str, tree: ControlTree) -> int:
+    """Return the place of a stage in the order of a cycle. Each step is one hop on the bus."""
     level = 0 if agent in {CENTRAL, PLANT} else depth(agent)
-    return PLACES[stage](tree.height, level)
+    match stage:
+        case "sense":
+            return 0
+        case "estimate":
+            return 1
+        case "report":
+            return 1 + tree.height - level
+        case "apply":
+            return 2 + 2 * tree.height
+    return 1 + tree.height + level  # The way down: solve and actuate.
 
 
 def stage_of(port: Port[Message], tree: ControlTree) -> str:

@@ -12,12 +12,17 @@ from typing import Final
 import msgspec
 
 from agents.agent import Stage, Turn
-from agents.control.curtailment import curtailment_level
 from agents.control.forecast import forecast_impp
-from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp, stale
-from agents.control.request import residual_kw
-from agents.dispatch import own_report, own_request_kw
-from agents.plan import RunPlan
+from agents.control.impp import (
+    NOTHING_KNOWN,
+    Estimate,
+    curtailment_level,
+    estimate_impp,
+    stale,
+)
+from agents.control.share import residual_kw
+from agents.dispatch import own_report, own_share_kw
+from agents.plan import Control
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, SETPOINT, TELEMETRY
@@ -34,19 +39,22 @@ class DirectState(msgspec.Struct, frozen=True, gc=False):
 
 
 class DirectController:
-    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha."""
+    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha.
+
+    reverts: Whether the inverter does something of its own when no commands come.
+    """
 
     may_skip = True
 
-    def __init__(self, plan: RunPlan, node: str) -> None:
+    def __init__(
+        self, node: str, rating_kw: float, control: Control, cycle_s: float, *, reverts: bool
+    ) -> None:
         self.name = node
-        self._rating_kw = plan.tree.rating_kw(node)
-        self._cycle_s = plan.cycle_ns / 1e9
-        self._predicts = plan.scheme == "predictive"
-        self._limits = plan.actuator == "limit"
-        self._alpha_min = plan.alpha_floor
-        self._reverts = plan.settings_of(node).revert is not None
-        self._periods, self._parent = plan.periods, parent_of(node)
+        self._rating_kw = rating_kw
+        self._control = control
+        self._cycle_s = cycle_s
+        self._reverts = reverts
+        self._parent = parent_of(node)
         self._telemetry = TELEMETRY.of(node)
         self._dispatch = DISPATCH.of(ROOT)
         self._setpoint = SETPOINT.of(node)
@@ -60,7 +68,9 @@ class DirectController:
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns it waits for nobody but its inverter."""
-        return self._with_parent if self._periods.is_turn(self._parent, cycle) else self._alone
+        return (
+            self._with_parent if self._control.periods.is_turn(self._parent, cycle) else self._alone
+        )
 
     def step(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
         if turn.stage == "estimate":
@@ -75,8 +85,8 @@ class DirectController:
         if telemetry is not None and telemetry.cycle > state.telemetry_cycle + 1:
             last = last._replace(is_seen=False)  # After a gap its change tells no trend.
         estimate = self._estimate_now(telemetry, last)
-        request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw) or 0.0
-        residual = residual_kw(estimate.power_kw, request_kw)
+        share_kw = own_share_kw(turn.get(self._dispatch), self._rating_kw) or 0.0
+        residual = residual_kw(estimate.power_kw, share_kw)
         outputs = own_report(self.name, turn, estimate.power_kw, estimate.stale_cycles, residual)
         measured = state.telemetry_cycle if telemetry is None else telemetry.cycle
         return DirectState(estimate, measured), outputs
@@ -86,9 +96,9 @@ class DirectController:
             return stale(last)
         power_kw, alpha, rating_kw = telemetry.power_kw, telemetry.alpha, self._rating_kw
         available_kw = nan if telemetry.available_kw is None else telemetry.available_kw
-        if not self._predicts:
+        if self._control.scheme == "paper":
             return estimate_impp(power_kw, alpha, available_kw, rating_kw, last)
-        if self._limits:
+        if self._control.actuator == "limit":
             alpha = 1.0  # It holds its limit, and gives all it has below it.
         return forecast_impp(
             power_kw, alpha, available_kw, telemetry.limit_kw, rating_kw, self._cycle_s, last
@@ -97,19 +107,19 @@ class DirectController:
     def _actuate(self, state: DirectState, turn: Turn) -> list[Delivery]:
         """Command the setpoint; without one the inverter's own share of the dispatch.
 
-        Where the dispatch is silent too, nothing is sent: the inverter decides for itself. Nor is
+        Where the dispatch has expired too, nothing is sent: the inverter decides for itself. Nor is
         anything before the first telemetry, since that would wipe a limit which the inverter has.
         """
         if state.telemetry_cycle == _NEVER:
             return []
         setpoint = turn.get(self._setpoint)
-        request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw)
-        target_kw = request_kw if setpoint is None else setpoint.power_kw
+        share_kw = own_share_kw(turn.get(self._dispatch), self._rating_kw)
+        target_kw = share_kw if setpoint is None else setpoint.power_kw
         if target_kw is None:
             return []
         impp_kw = state.estimate.power_kw
-        alpha = curtailment_level(target_kw, impp_kw, self._alpha_min)
+        alpha = curtailment_level(target_kw, impp_kw, self._control.alpha_floor)
         power_kw = alpha * impp_kw if alpha < 1.0 else self._rating_kw
-        revert_kw = request_kw if self._reverts else None
+        revert_kw = share_kw if self._reverts else None
         command = Command(*turn.stamp, alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
         return [(self._command, command)]

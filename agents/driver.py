@@ -7,7 +7,7 @@ from heapq import heappop, heappush
 from itertools import count
 from typing import Any
 
-from agents.loop import AgentLoop
+from agents.loop import Loop
 from bus_schemas.bus import Arrival, Bus
 from bus_schemas.messages import Message
 from bus_schemas.signals import DISPATCH, RUN, Port
@@ -16,9 +16,7 @@ from bus_schemas.signals import DISPATCH, RUN, Port
 class Driver:
     """Some agents of a run, on one bus."""
 
-    def __init__(
-        self, loops: Iterable[AgentLoop[Any]], bus: Bus, now_ns: Callable[[], int]
-    ) -> None:
+    def __init__(self, loops: Iterable[Loop[Any]], bus: Bus, now_ns: Callable[[], int]) -> None:
         self.loops = {loop.name: loop for loop in loops}
         self.bus = bus
         self.now_ns = now_ns
@@ -28,16 +26,16 @@ class Driver:
         self._deadlines: list[tuple[int, int, str]] = []
         self._deadline_of: dict[str, int | None] = dict.fromkeys(self.loops)
 
-    def leave(self, name: str) -> AgentLoop[Any]:
+    def leave(self, name: str) -> Loop[Any]:
         """Go on without an agent, whose process stands still or has died."""
         return self.loops.pop(name)
 
-    def join(self, loop: AgentLoop[Any]) -> None:
+    def join(self, loop: Loop[Any]) -> None:
         """Go on with an agent, whose process is new or goes on itself."""
         self.loops[loop.name] = loop
         self._deadline_of[loop.name] = None
         loop.catch_up(self.now_ns())
-        self.go_on(loop)
+        self.advance(loop)
 
     @property
     def finished(self) -> bool:
@@ -46,7 +44,7 @@ class Driver:
     def run(self) -> Iterator[Sequence[Arrival]]:
         """Go on to the end of the run; yield, after each wait, the messages that came."""
         for loop in self.loops.values():
-            self.go_on(loop)
+            self.advance(loop)
         while not self.finished:
             yield self.turn()
 
@@ -62,7 +60,7 @@ class Driver:
     def stop(self) -> None:
         """Act on nothing more that comes."""
 
-    def go_on(self, loop: AgentLoop[Any]) -> None:
+    def advance(self, loop: Loop[Any]) -> None:
         """Take an agent as far as its inputs go, and publish what it says."""
         while loop.is_complete:
             self._close(loop)
@@ -87,15 +85,15 @@ class Driver:
     def _act_on(self, arrivals: Sequence[Arrival]) -> None:
         only = self._only
         if only is not None and only.catch_up(self.now_ns()):
-            self.go_on(only)
+            self.advance(only)
         for agent, port, message, time_ns in arrivals:
             loop = self.loops[agent]
             loop.hear(port, message, time_ns)
             # The beginning of the run, or a dispatch that takes it into a run that has begun.
             if not loop.waiting or port.signal is RUN or port.signal is DISPATCH:
-                self.go_on(loop)
+                self.advance(loop)
 
-    def _close(self, loop: AgentLoop[Any]) -> None:
+    def _close(self, loop: Loop[Any]) -> None:
         bus, now_ns = self.bus, self.now_ns
         for port, message in loop.close_stage(now_ns()):
             bus.publish(port, message, now_ns())
@@ -114,4 +112,4 @@ class Driver:
         if deadline_ns is not None and deadline_ns <= self.now_ns():
             loop = self.loops[heappop(self._deadlines)[2]]
             self._close(loop)
-            self.go_on(loop)
+            self.advance(loop)

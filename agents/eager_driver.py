@@ -13,7 +13,7 @@ from threading import Lock
 from typing import Any
 
 from agents.driver import Driver
-from agents.loop import AgentLoop
+from agents.loop import Loop
 from bus_schemas.bus import Arrival
 from bus_schemas.zenoh_bus import ZenohBus
 
@@ -21,7 +21,7 @@ from bus_schemas.zenoh_bus import ZenohBus
 class EagerDriver(Driver):
     """One controller, on Zenoh."""
 
-    def __init__(self, loop: AgentLoop[Any], bus: ZenohBus) -> None:
+    def __init__(self, loop: Loop[Any], bus: ZenohBus) -> None:
         super().__init__([loop], bus, bus.now_ns)
         self._loop = loop
         self._zenoh = bus
@@ -32,7 +32,7 @@ class EagerDriver(Driver):
     def run(self) -> Iterator[Sequence[Arrival]]:
         self._zenoh.inbox.on_enough = self._act_at_once
         with self._lock:
-            self.go_on(self._loop)
+            self.advance(self._loop)
             self._act()
         while not self.finished:
             yield self.turn()

@@ -10,21 +10,20 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
-from typing import NamedTuple
+from operator import itemgetter
+from typing import Final, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
 
 from agents.agent import Stage, Turn
-from agents.control.allocation import allocate, total
+from agents.control.allocation import allocate, help_order, total
 from agents.control.correction import corrected
-from agents.control.neighbours import help_order
-from agents.control.request import residual_kw, usable_dispatch_kw
-from agents.dispatch import own_report, own_request_kw
-from agents.plan import RunPlan
+from agents.control.share import residual_kw, usable_dispatch_kw
+from agents.dispatch import own_report, own_share_kw
+from agents.plan import Control
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
-    Dispatch,
     HelpGiven,
     Impp,
     Message,
@@ -34,13 +33,15 @@ from bus_schemas.messages import (
     Setpoint,
 )
 from bus_schemas.signals import DISPATCH, IMPP, METER, NOTICE, RESIDUAL, SETPOINT, Port
-from bus_schemas.tree import ROOT, agent_name, parent_of
+from bus_schemas.tree import ROOT, ControlTree, agent_name, parent_of
+
+_DISPATCH: Final = DISPATCH.of(ROOT)
 
 
 class Report(NamedTuple):
-    """What a parent knows of a child: of a silent one its own request, and nothing beyond it.
+    """What a parent knows of a child: of an expired one its own share, and nothing beyond it.
 
-    is_old, is_silent: Whether the report is of an earlier cycle, and whether it is too old to
+    is_old, is_expired: Whether the report is of an earlier cycle, and whether it is too old to
         count.
     """
 
@@ -48,7 +49,7 @@ class Report(NamedTuple):
     residual_kw: float
     stale_cycles: int
     is_old: bool
-    is_silent: bool = False
+    is_expired: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +66,7 @@ class Parent:
 
     may_skip = True
 
-    def __init__(self, plan: RunPlan, node: str) -> None:
-        tree = plan.tree
+    def __init__(self, node: str, tree: ControlTree, control: Control) -> None:
         self.name = agent_name(node)
         self._children = tuple(
             _Child(path, tree.rating_kw(path), IMPP.of(path), RESIDUAL.of(path), SETPOINT.of(path))
@@ -75,40 +75,39 @@ class Parent:
         self._ratings_kw = tuple(child.rating_kw for child in self._children)
         self._rating_kw = tree.rating_kw(node)
         self._node = node
-        self._dispatch = DISPATCH.of(ROOT)
         self._inputs: tuple[Port[Message], ...] = (
             *(port for child in self._children for port in (child.impp, child.residual)),
-            self._dispatch,
+            _DISPATCH,
         )
-        self._periods = plan.periods
-        self._hold_cycles = plan.hold_cycles
-        self._floor = plan.alpha_floor
-        self._tops_up_old = plan.scheme == "predictive"
-        self._tops_up = self._tops_up_old and plan.periods.rests_between(node)
-        hours = plan.neighbourhoods_of(node)
-        self._from_times_ns = [hour.from_time_ns for hour in hours]
+        self._control = control
+        self._rests = control.periods.rests_between(node)
+        hours = control.neighbourhoods_of(node)
         alike = [[0.0] * len(self._children)] * len(self._children)
-        self._orders = [help_order(hour.correlation) for hour in hours] or [help_order(alike)]
+        self._orders = [(hour.from_time_ns, help_order(hour.correlation)) for hour in hours] or [
+            (0, help_order(alike))
+        ]
 
     def reports(self, turn: Turn) -> list[Report]:
         """Return what each child reports.
 
-        The inverters of a silent child serve their own requests, since they do not hear of
+        The inverters of an expired child serve their own shares, since they do not hear of
         setpoints either. A residual counts only if it belongs to the same cycle as the IMPP.
         """
-        dispatch = turn.get(self._dispatch)
-        return [self._report(turn, child, dispatch) for child in self._children]
-
-    def _report(self, turn: Turn, child: _Child, dispatch: Dispatch | None) -> Report:
-        impp, residual = turn.get(child.impp), turn.get(child.residual)
-        request_kw = own_request_kw(dispatch, child.rating_kw) or 0.0
-        if impp is None:
-            return Report(request_kw, 0.0, self._hold_cycles + 1, is_old=True, is_silent=True)
-        left_kw = residual_kw(impp.power_kw, request_kw)
-        if residual is not None and residual.cycle == impp.cycle:
-            left_kw = residual.power_kw
-        age = turn.cycle - impp.cycle
-        return Report(impp.power_kw, left_kw, impp.stale_cycles + age, is_old=age > 0)
+        dispatch = turn.get(_DISPATCH)
+        reports = []
+        for child in self._children:
+            impp, residual = turn.get(child.impp), turn.get(child.residual)
+            share_kw = own_share_kw(dispatch, child.rating_kw) or 0.0
+            if impp is None:
+                expired = self._control.hold_cycles + 1
+                reports.append(Report(share_kw, 0.0, expired, is_old=True, is_expired=True))
+                continue
+            left_kw = residual_kw(impp.power_kw, share_kw)
+            if residual is not None and residual.cycle == impp.cycle:
+                left_kw = residual.power_kw
+            age = turn.cycle - impp.cycle
+            reports.append(Report(impp.power_kw, left_kw, impp.stale_cycles + age, is_old=age > 0))
+        return reports
 
     def report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
         """State the sums over the children (eq. 2)."""
@@ -123,15 +122,18 @@ class Parent:
         Between its turns, or where a report is old, `predictive` gives needy children what they
         lack as well, for power that comes back before the parent hears of it.
         """
-        tops_up = self._tops_up or (self._tops_up_old and any(r.is_old for r in reports))
-        silent_kw = total([report.impp_kw for report in reports if report.is_silent])
-        hour = max(bisect_right(self._from_times_ns, turn.sim_time_ns) - 1, 0)
+        tops_up = self._control.scheme == "predictive" and (
+            self._rests or any(report.is_old for report in reports)
+        )
+        expired_kw = total([report.impp_kw for report in reports if report.is_expired])
+        later = bisect_right(self._orders, turn.sim_time_ns, key=itemgetter(0))
+        _, order = self._orders[max(later - 1, 0)]
         power_kw, share_kw, donors, needy, given_kw = allocate(
-            max(target_kw - silent_kw, 0.0),
+            max(target_kw - expired_kw, 0.0),
             self._ratings_kw,
-            [0.0 if report.is_silent else report.impp_kw for report in reports],
-            self._floor,
-            self._orders[hour],
+            [0.0 if report.is_expired else report.impp_kw for report in reports],
+            self._control.alpha_floor,
+            order,
             tops_up,
         )
         help_given: list[tuple[HelpGiven, ...]] = [()] * len(self._children)
@@ -142,7 +144,7 @@ class Parent:
                 child.setpoint,
                 Setpoint(
                     *turn.stamp,
-                    power_kw=report.impp_kw if report.is_silent else power,
+                    power_kw=report.impp_kw if report.is_expired else power,
                     share_kw=share,
                     help_given=given,
                 ),
@@ -156,22 +158,21 @@ class Parent:
 class Supervisor(Parent):
     """Balances need and headroom within its cluster, and asks its parent for the rest."""
 
-    def __init__(self, plan: RunPlan, node: str) -> None:
-        super().__init__(plan, node)
+    def __init__(self, node: str, tree: ControlTree, control: Control) -> None:
+        super().__init__(node, tree, control)
         self._setpoint = SETPOINT.of(node)
         report = Stage("report", self._inputs)
         self._with_parent = (report, Stage("solve", (self._setpoint,), self._inputs))
         self._alone = (report, Stage("solve", (), (self._setpoint, *self._inputs)))
-        self._between_turns = (report,)
 
     def initial_state(self) -> None:
         """Return nothing: the newest messages say all that it must know."""
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns the newest setpoint holds."""
-        if not self._periods.is_turn(self.name, cycle):
-            return self._between_turns
-        parent_acts = self._periods.is_turn(parent_of(self.name), cycle)
+        if not self._control.periods.is_turn(self.name, cycle):
+            return self._alone[:1]
+        parent_acts = self._control.periods.is_turn(parent_of(self.name), cycle)
         return self._with_parent if parent_acts else self._alone
 
     def step(self, state: None, turn: Turn) -> tuple[None, list[Delivery]]:
@@ -179,8 +180,8 @@ class Supervisor(Parent):
         if turn.stage == "report":
             return None, self.report_up(turn, reports)
         setpoint = turn.get(self._setpoint)
-        request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw)
-        target_kw = request_kw if setpoint is None else setpoint.power_kw
+        share_kw = own_share_kw(turn.get(_DISPATCH), self._rating_kw)
+        target_kw = share_kw if setpoint is None else setpoint.power_kw
         if target_kw is None:
             return None, []
         return None, self.setpoints(turn, target_kw, reports)
@@ -200,12 +201,10 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
 class CentralController(Parent):
     """Takes the operator's dispatch and moves power between clusters to meet it."""
 
-    def __init__(self, plan: RunPlan) -> None:
-        super().__init__(plan, ROOT)
-        self._corrects = plan.correction
-        self._cycle_s = plan.cycle_ns / 1e9
+    def __init__(self, tree: ControlTree, control: Control, cycle_s: float) -> None:
+        super().__init__(ROOT, tree, control)
+        self._cycle_s = cycle_s
         self._meter = METER.of(ROOT)
-        self._notice = NOTICE.of(ROOT)
         self._stages = (Stage("solve", (*self._inputs, self._meter)),)
 
     def initial_state(self) -> CentralState:
@@ -218,7 +217,7 @@ class CentralController(Parent):
         reports = self.reports(turn)
         outputs = self.report_up(turn, reports)
         state = self._read_meter(state, turn.get(self._meter))
-        dispatch = turn.get(self._dispatch)
+        dispatch = turn.get(_DISPATCH)
         if dispatch is None:
             return state, outputs
         usable_kw = usable_dispatch_kw(dispatch.power_kw, dispatch.plant_rating_kw)
@@ -227,12 +226,12 @@ class CentralController(Parent):
             what = "0 kW" if usable_kw == 0.0 else f"the rating, {usable_kw:.10g} kW"
             text = f"dispatch of {dispatch.power_kw:.10g} kW clamped to {what}"
             state = replace(state, clamped=state.clamped + 1)
-            outputs.append((self._notice, Notice(*turn.stamp, text=text, count=state.clamped)))
-        if self._periods.is_turn(ROOT, turn.cycle):
-            possible_kw = total([report.impp_kw for report in reports])
+            outputs.append((NOTICE.of(ROOT), Notice(*turn.stamp, text=text, count=state.clamped)))
+        if self._control.periods.is_turn(ROOT, turn.cycle):
+            impp_kw = total([report.impp_kw for report in reports])
             # The way down to the inverters is taken to be as long as that of their reports up.
             delay = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
-            state = self._correct(state, usable_kw, possible_kw, delay * self._cycle_s)
+            state = self._correct(state, usable_kw, impp_kw, delay * self._cycle_s)
             target_kw = min(state.wanted_kw + state.correction_kw, self._rating_kw)
             outputs += self.setpoints(turn, target_kw, reports)
         return state, outputs
@@ -249,16 +248,16 @@ class CentralController(Parent):
         )
 
     def _correct(
-        self, state: CentralState, dispatch_kw: float, possible_kw: float, delay_s: float
+        self, state: CentralState, dispatch_kw: float, impp_kw: float, delay_s: float
     ) -> CentralState:
         """Correct by the mean of the readings since the last turn."""
         correction_kw = state.correction_kw
-        if self._corrects and state.readings:
+        if self._control.correction and state.readings:
             correction_kw = corrected(
                 correction_kw,
                 state.wanted_kw,
                 state.metered_kw / state.readings,
-                dispatch_kw >= possible_kw,
+                dispatch_kw >= impp_kw,
                 self._rating_kw,
                 state.readings * self._cycle_s,
                 delay_s,

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import fnmatch
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import msgspec
 from msgspec.structs import asdict, replace
 
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.cycle import Deadlines, Periods
-from agents.machine import MachineSettings
+from agents.faults import Fault, Freeze, Kill, check_fault
+from agents.process.machine import MachineSettings
 from agents.settings import Actuator, InverterSettings, RestartPolicy, Revert, Scheme
-from bus_schemas.errors import InputError
-from bus_schemas.faults import FaultRule, check_rule
+from bus_schemas.errors import InputError, listed
 from bus_schemas.messages import PROTOCOL, Message, Run
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import Occurrence, Port
-from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, some_of, standby_of
+from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, standby_of
 from bus_schemas.wiring import Links, Wiring
 
 LONGEST_CYCLE_NS: Final = 3_600_000_000_000
@@ -28,7 +29,7 @@ MOST_VALUES: Final = 100_000_000
 """A run has at most so many cycles, and cycles times inverters: 0.8 GB for one number of each."""
 
 START_WITHIN_NS: Final = 10_000_000_000
-"""A run that is said to begin further from now than this was timed by another host's clock."""
+"""A start time further from now than this is of another host's clock."""
 
 
 class Neighbourhood(msgspec.Struct, frozen=True):
@@ -49,149 +50,100 @@ class NodeNeighbourhoods(msgspec.Struct, frozen=True):
     hours: tuple[Neighbourhood, ...]
 
 
-class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
-    """What the agents of a run share: see the table in docs/wire.md.
+class Timing(msgspec.Struct, frozen=True, dict=True, kw_only=True):
+    """When cycles begin and end, simulated and on the wall clock.
 
-    inverters: Path and AC rating [kW] of each inverter.
     start_time_ns: Simulated time of cycle 0 [ns since 1970-01-01 UTC].
-    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0: none is offered.
     cycle_wall_ns: Length of a cycle on the wall clock; 0 is lockstep, without deadlines.
-    period_cycles: Period of each tier that has children, the central controller's first.
-    hold_cycles: An input that is older than this is silent.
-    available_bias: Relative error of the available power that the inverters state; None: none do.
-    stall_timeout_s: In lockstep: how long an agent waits before it says for what.
-    ramp_limit_percent_per_min: Ramp limit that the run is measured by, in % of the plant's rating.
-    tcp_ports: Port of each agent that listens. Empty in memory.
-    external: Agents that the launcher waits for: the user's own devices.
-    namespace: Prefix of the run's keys. Empty: the `run_id`, so that two runs never meet.
     tier_deadlines_ns: See `agents.cycle.Deadlines`.
-    revert: What an inverter does without new commands; None: it obeys the last one forever.
-    secret, users_file: What ids and passwords of the agents' sessions are made from, and the file
-        of passwords: without keys, a program with one of them may publish as any agent. Empty: any
-        program may.
-    agent_ports: Without keys, beside devices: the ports where the other agents link with each
-        other. Devices, which have no password, connect to `tcp_ports`.
-    keys_folder: Folder of the agents' certificates; empty: the links are not encrypted.
-    address, addresses: Where the agents listen, and those that run on other hosts.
-    devices: Real inverters, each with its address: `modbus://host:port/unit`.
-    settings: For each field, the last entry that matches an inverter counts.
-    standby: Parents that have a standby, except in lockstep, where nothing has a deadline.
-    positions_m: Metres east and north of a point that is the same for all. Empty: unknown.
+    stall_timeout_s: In lockstep: how long an agent waits before it says for what.
     """
 
-    run_id: str
-    plant: str
-    inverters: tuple[tuple[str, float], ...]
     start_time_ns: int
     cycle_ns: int
     cycles: int
     timezone: str
-    regulation_capacity_kw: float
     cycle_wall_ns: int
+    stall_timeout_s: float
+    tier_deadlines_ns: tuple[int, ...] = ()
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether cycles close on completeness alone."""
+        return self.cycle_wall_ns == 0
+
+    @property
+    def cycle_s(self) -> float:
+        return self.cycle_ns / 1e9
+
+    def is_on_clock(self, start_ns: int, now_ns: int) -> bool:
+        """Whether a time at which a run begins can be of the clock that says now."""
+        return self.lockstep or abs(start_ns - now_ns) <= START_WITHIN_NS
+
+    def sim_time_ns(self, cycle: int) -> int:
+        """Return the simulated time at the beginning of a cycle, ns since 1970-01-01 UTC."""
+        return self.start_time_ns + cycle * self.cycle_ns
+
+
+class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
+    """How the controllers decide.
+
+    period_cycles: Period of each tier that has children, the central controller's first.
+    hold_cycles: An input that is older than this is expired.
+    correction: Whether the central controller corrects its target by the plant's meter.
+    """
+
     period_cycles: tuple[int, ...]
     scheme: Scheme
     actuator: Actuator
     alpha_min: float
     hold_cycles: int
-    stall_timeout_s: float
     neighbourhoods: tuple[NodeNeighbourhoods, ...]
-    tcp_ports: dict[str, int]
-    ramp_limit_percent_per_min: float | None = None
-    faults: tuple[FaultRule, ...] = ()
-    faults_seed: int = 0
-    external: tuple[str, ...] = ()
-    namespace: str = ""
     correction: bool = False
-    available_bias: float | None = None
-    tier_deadlines_ns: tuple[int, ...] = ()
-    machine: MachineSettings = MachineSettings()
-    seed: int | None = None
-    restart: RestartPolicy = RestartPolicy()
-    revert: Revert | None = None
-    devices: tuple[tuple[str, str], ...] = ()
-    ramp_percent_per_s: float | None = None
-    delay_s: float = 0.0
-    settings: tuple[InverterSettings, ...] = ()
-    positions_m: tuple[tuple[float, float], ...] = ()
-    secret: str = ""
-    users_file: str = ""
-    agent_ports: dict[str, int] = {}
-    keys_folder: str = ""
-    address: str = "127.0.0.1"
-    addresses: dict[str, str] = {}
-    standby: tuple[str, ...] = ()
-    protocol: int = PROTOCOL
-
-    @cached_property
-    def tree(self) -> ControlTree:
-        return ControlTree(self.inverters)
-
-    @cached_property
-    def wiring(self) -> Wiring:
-        return Wiring(self.plant, self.tree, self.standbys)
-
-    @cached_property
-    def links(self) -> Links:
-        return self.wiring.links()
-
-    @cached_property
-    def device_links(self) -> Links:
-        """Those of the links that have a device at an end."""
-        return Links(tuple(each for each in self.links.pairs if {*each} & {*self.external}))
-
-    @cached_property
-    def agent_links(self) -> Links:
-        """Those of the links that have none."""
-        return Links(tuple(each for each in self.links.pairs if not {*each} & {*self.external}))
-
-    @property
-    def restarts(self) -> bool:
-        when = self.restart.when or ("never" if self.lockstep else "on-failure")
-        # In lockstep a parent that acts rarely would lack what came between its turns.
-        return when != "never" and not (self.lockstep and self.periods.longest > 1)
-
-    @property
-    def standbys(self) -> tuple[str, ...]:
-        return () if self.lockstep else self.standby
-
-    @property
-    def processes(self) -> tuple[str, ...]:
-        return (*self.tree.agents(), *map(standby_of, self.standbys))
-
-    @cached_property
-    def elsewhere(self) -> tuple[str, ...]:
-        """Agents that the launcher does not start: devices, and agents on other hosts."""
-        away = {*self.external, *self.addresses}
-        return tuple(agent for agent in self.tree.agents() if agent in away)
-
-    def host_of(self, process: str) -> str:
-        """Protocol and address at which a process listens, as Zenoh's endpoints begin."""
-        address = self.addresses.get(process, self.address)
-        bracketed = f"[{address}]" if ":" in address else address
-        return f"{'tls' if self.keys_folder else 'tcp'}/{bracketed}"
-
-    @property
-    def alpha_floor(self) -> float:
-        """Lowest curtailment level of any inverter: what everybody knows it cannot go below."""
-        hides = self.scheme == "predictive" and self.actuator == "limit"
-        return HIDDEN_ALPHA_MIN if hides else self.alpha_min
-
-    def period(self, port: Port[Message]) -> int:
-        if port.signal.occurrence is not Occurrence.TURN:
-            return 1
-        return self.periods.cycles[depth(parent_of(port.node))]
-
-    @cached_property
-    def network_faults(self) -> NetworkFaults:
-        return NetworkFaults(self.faults, self.faults_seed, self.tree, self.cycle_ns)
 
     @cached_property
     def periods(self) -> Periods:
         return Periods(self.period_cycles)
 
     @cached_property
-    def deadlines(self) -> Deadlines:
-        return Deadlines(self.tree, self.cycle_wall_ns, self.tier_deadlines_ns)
+    def alpha_floor(self) -> float:
+        """Lowest curtailment level of any inverter: what everybody knows it cannot go below."""
+        hides = self.scheme == "predictive" and self.actuator == "limit"
+        return HIDDEN_ALPHA_MIN if hides else self.alpha_min
+
+    def neighbourhoods_of(self, node: str) -> tuple[Neighbourhood, ...]:
+        return next((entry.hours for entry in self.neighbourhoods if entry.node == node), ())
+
+    def period(self, port: Port[Message]) -> int:
+        """Return how many cycles there are from one message of a port to the next."""
+        if port.signal.occurrence is not Occurrence.TURN:
+            return 1
+        return self.periods.cycles[depth(parent_of(port.node))]
+
+
+class Site(msgspec.Struct, frozen=True, kw_only=True):
+    """What the inverters do, and what the plant is measured by.
+
+    seed: What random weather is made from.
+    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0: none is offered.
+    ramp_limit_percent_per_min: Ramp limit that the run is measured by, in % of the plant's rating.
+    available_bias: Relative error of the available power that the inverters state; None: none do.
+    revert: What an inverter does without new commands; None: it obeys the last one forever.
+    settings: For each field, the last entry that matches an inverter counts.
+    devices: Real inverters, each with its address: `modbus://host:port/unit`.
+    positions_m: Metres east and north of a point that is the same for all. Empty: unknown.
+    """
+
+    seed: int | None = None
+    regulation_capacity_kw: float = 0.0
+    ramp_limit_percent_per_min: float | None = None
+    available_bias: float | None = None
+    revert: Revert | None = None
+    ramp_percent_per_s: float | None = None
+    delay_s: float = 0.0
+    settings: tuple[InverterSettings, ...] = ()
+    devices: tuple[tuple[str, str], ...] = ()
+    positions_m: tuple[tuple[float, float], ...] = ()
 
     def settings_of(self, leaf: str) -> InverterSettings:
         found = InverterSettings(
@@ -209,47 +161,172 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         ramp = settings.ramp_percent_per_s
         return (settings.delay_s or 0.0) + (100.0 / ramp if ramp is not None else 0.0)
 
+
+class Access(msgspec.Struct, frozen=True, kw_only=True):
+    """Where the agents of a run find each other, and what proves who they are.
+
+    namespace: Prefix of the run's keys. Empty: the `run_id`, so that two runs never meet.
+    external: Agents that the launcher waits for: the user's own devices.
+    tcp_ports: Port of each agent that listens. Empty in memory.
+    agent_ports: Without keys, beside devices: the ports where the other agents link with each
+        other. Devices, which have no password, connect to `tcp_ports`.
+    address, addresses: Where the agents listen, and those that run on other hosts.
+    keys_folder: Folder of the agents' certificates; empty: the links are not encrypted.
+    secret, users_file: What ids and passwords of the agents' sessions are made from, and the file
+        of passwords: without keys, a program with one of them may publish as any agent. Empty: any
+        program may.
+    """
+
+    namespace: str = ""
+    external: tuple[str, ...] = ()
+    tcp_ports: dict[str, int] = {}
+    agent_ports: dict[str, int] = {}
+    address: str = "127.0.0.1"
+    addresses: dict[str, str] = {}
+    keys_folder: str = ""
+    secret: str = ""
+    users_file: str = ""
+
+    def host_of(self, process: str) -> str:
+        """Protocol and address at which a process listens, as Zenoh's endpoints begin."""
+        address = self.addresses.get(process, self.address)
+        bracketed = f"[{address}]" if ":" in address else address
+        return f"{'tls' if self.keys_folder else 'tcp'}/{bracketed}"
+
+
+class Faults(msgspec.Struct, frozen=True):
+    """Planned faults of links and processes, and the seed of those that are random."""
+
+    rules: tuple[Fault, ...] = ()
+    seed: int = 0
+
+
+class Supervision(msgspec.Struct, frozen=True, kw_only=True):
+    """How the launcher keeps the processes of a run going.
+
+    standby: Parents that have a standby, except in lockstep, where nothing has a deadline.
+    """
+
+    restart: RestartPolicy = RestartPolicy()
+    standby: tuple[str, ...] = ()
+    machine: MachineSettings = MachineSettings()
+
+
+class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
+    """What the agents of a run share: see the table in docs/wire.md.
+
+    inverters: Path and AC rating [kW] of each inverter.
+    """
+
+    protocol: int = PROTOCOL
+    run_id: str
+    plant: str
+    inverters: tuple[tuple[str, float], ...]
+    timing: Timing
+    control: Control
+    site: Site = Site()
+    access: Access = Access()
+    faults: Faults = Faults()
+    supervision: Supervision = Supervision()
+
+    @cached_property
+    def tree(self) -> ControlTree:
+        return ControlTree(self.inverters)
+
+    @cached_property
+    def wiring(self) -> Wiring:
+        return Wiring(self.plant, self.tree, self.standbys)
+
+    @cached_property
+    def links(self) -> Links:
+        return self.wiring.links()
+
+    @cached_property
+    def agent_links(self) -> Links:
+        """The links that have no device at either end."""
+        devices = {*self.access.external}
+        return Links(tuple(pair for pair in self.links.pairs if devices.isdisjoint(pair)))
+
+    @cached_property
+    def deadlines(self) -> Deadlines:
+        timing = self.timing
+        return Deadlines(self.tree, timing.cycle_wall_ns, timing.tier_deadlines_ns)
+
+    def network_faults(self) -> NetworkFaults:
+        """Return the faults of the run's links, not yet at work."""
+        on_links = {
+            number: fault
+            for number, fault in enumerate(self.faults.rules)
+            if not isinstance(fault, Kill | Freeze)
+        }
+        return NetworkFaults(on_links, self.faults.seed, self.tree, self.timing.cycle_ns)
+
+    @property
+    def restarts(self) -> bool:
+        lockstep = self.timing.lockstep
+        when = self.supervision.restart.when or ("never" if lockstep else "on-failure")
+        # In lockstep a parent that acts rarely would lack what came between its turns.
+        return when != "never" and not (lockstep and self.control.periods.longest > 1)
+
+    @property
+    def standbys(self) -> tuple[str, ...]:
+        return () if self.timing.lockstep else self.supervision.standby
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        return (*self.tree.agents(), *map(standby_of, self.standbys))
+
+    @cached_property
+    def elsewhere(self) -> tuple[str, ...]:
+        """Agents that the launcher does not start: devices, and agents on other hosts."""
+        away = {*self.access.external, *self.access.addresses}
+        return tuple(agent for agent in self.tree.agents() if agent in away)
+
     @property
     def public(self) -> RunPlan:
         """The plan without what the agents of the run prove themselves by."""
-        return replace(self, secret="", users_file="", keys_folder="")
+        return changed(self, access={"secret": "", "users_file": "", "keys_folder": ""})
 
     @property
     def bus_namespace(self) -> str:
-        return self.namespace or self.run_id
-
-    @property
-    def lockstep(self) -> bool:
-        """Whether cycles close on completeness alone."""
-        return self.cycle_wall_ns == 0
-
-    def sim_time_ns(self, cycle: int) -> int:
-        """Return the simulated time at the beginning of a cycle, ns since 1970-01-01 UTC."""
-        return self.start_time_ns + cycle * self.cycle_ns
+        return self.access.namespace or self.run_id
 
     def run_message(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> Run:
         return Run(
             cycle,
-            self.sim_time_ns(cycle),
+            self.timing.sim_time_ns(cycle),
             PLANT,
             (),
             state=state,
             start_time_ns=start_time_ns,
-            cycle_wall_ns=self.cycle_wall_ns,
+            cycle_wall_ns=self.timing.cycle_wall_ns,
+            protocol=self.protocol,
         )
-
-    def neighbourhoods_of(self, node: str) -> tuple[Neighbourhood, ...]:
-        return next((entry.hours for entry in self.neighbourhoods if entry.node == node), ())
 
     def as_json(self) -> bytes:
         return msgspec.json.format(msgspec.json.encode(self), indent=1)
 
 
+def changed(plan: RunPlan, **parts: Mapping[str, Any]) -> RunPlan:
+    """Return a plan with other values in its parts: `changed(plan, timing={"cycles": 60})`."""
+    return replace(
+        plan, **{name: replace(getattr(plan, name), **new) for name, new in parts.items()}
+    )
+
+
+class _Version(msgspec.Struct):
+    """What a plan of any version says."""
+
+    protocol: int
+
+
 def load_plan(path: Path) -> RunPlan:
     try:
-        plan = msgspec.json.decode(path.read_bytes(), type=RunPlan)
-        if plan.protocol != PROTOCOL:
-            raise InputError(f"protocol: expected {PROTOCOL}, got {plan.protocol}")
+        data = path.read_bytes()
+        protocol = msgspec.json.decode(data, type=_Version).protocol
+        if protocol != PROTOCOL:
+            raise InputError(f"protocol: expected {PROTOCOL}, got {protocol}")
+        plan = msgspec.json.decode(data, type=RunPlan)
         check_plan(plan)
     except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: expected the plan.json of a run, got: {error}") from None
@@ -266,21 +343,22 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
 
 
 def check_plan(plan: RunPlan) -> None:
-    check_size(plan.cycles, len(plan.tree.leaves), "cycles")
-    for number, rule in enumerate(plan.faults):
-        check_rule(rule, plan.tree, f"faults[{number}]", plan.external, plan.addresses)
+    check_size(plan.timing.cycles, len(plan.tree.leaves), "cycles")
+    access = plan.access
+    for number, fault in enumerate(plan.faults.rules):
+        check_fault(fault, plan.tree, f"faults[{number}]", access.external, access.addresses)
     leaves, height = plan.tree.leaves, plan.tree.height
-    if not 0 < plan.cycle_ns <= LONGEST_CYCLE_NS:
-        got = f"got {plan.cycle_ns:,}"
+    if not 0 < plan.timing.cycle_ns <= LONGEST_CYCLE_NS:
+        got = f"got {plan.timing.cycle_ns:,}"
         raise InputError(f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, {got}")
-    for number, entry in enumerate(plan.settings):
+    for number, entry in enumerate(plan.site.settings):
         if not fnmatch.filter(leaves, entry.nodes):
-            known = f"inverters ({some_of(leaves)}) or a pattern such as c1/*"
+            known = f"inverters ({listed(leaves)}) or a pattern such as c1/*"
             where = f"plant.settings[{number}].nodes"
             raise InputError(f"{where}: expected {known}, got {entry.nodes!r}")
     for where, entries, expected in (
-        ("control.period_cycles", plan.periods.cycles, {height}),
-        ("tier_deadlines_ns", plan.tier_deadlines_ns, {0, height + 1}),
+        ("control.period_cycles", plan.control.periods.cycles, {height}),
+        ("tier_deadlines_ns", plan.timing.tier_deadlines_ns, {0, height + 1}),
     ):
         if len(entries) not in expected:
             numbers = " or ".join(map(str, sorted(expected)))

@@ -51,12 +51,12 @@ class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What an inverter does without new commands (SunSpec models 123 and 704).
 
     after_s: Time after the last command [s].
-    to: `request`: its own share of the last dispatch that its controller heard. `release`: no
+    to: `share`: its own share of the last dispatch that its controller heard. `release`: no
         limit. A number: this share of its rating.
     """
 
     after_s: Annotated[float, Meta(gt=0.0, le=86_400.0)] = 60.0
-    to: Literal["request", "release"] | Annotated[float, Meta(ge=0.0, le=1.0)] = "request"
+    to: Literal["share", "release"] | Annotated[float, Meta(ge=0.0, le=1.0)] = "share"
 
 
 class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -18,10 +18,13 @@ Controller: TypeAlias = Agent[Any]
 
 def controller(plan: RunPlan, name: str) -> Controller:
     """Return the controller of a name: `central`, or the path of a cluster or an inverter."""
+    tree, control, cycle_s = plan.tree, plan.control, plan.timing.cycle_s
     if name == CENTRAL:
-        return CentralController(plan)
-    is_direct = kind_of(name, plan.tree) == "direct"
-    return DirectController(plan, name) if is_direct else Supervisor(plan, name)
+        return CentralController(tree, control, cycle_s)
+    if kind_of(name, tree) == "supervisor":
+        return Supervisor(name, tree, control)
+    reverts = plan.site.settings_of(name).revert is not None
+    return DirectController(name, tree.rating_kw(name), control, cycle_s, reverts=reverts)
 
 
 def controllers(plan: RunPlan) -> list[Controller]:
@@ -31,7 +34,7 @@ def controllers(plan: RunPlan) -> list[Controller]:
 def stages_of_agents(plan: RunPlan) -> dict[str, list[tuple[Stage, ...]]]:
     """Return the stages of each agent, the plant first, in the cycles until they repeat."""
     commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
-    cycles = range(plan.periods.longest)
+    cycles = range(plan.control.periods.longest)
     found: dict[str, list[tuple[Stage, ...]]] = {}
     found[PLANT] = [(Stage("sense", (), timed=True), Stage("apply", commands)) for _ in cycles]
     for one in controllers(plan):

@@ -2,9 +2,9 @@
 
     python benchmarks/attacks.py --only "keys of central"
 
-Each attacker has a run of its own, in real time. One attack after another lasts ATTACK cycles, with
-as many of peace behind it. A cell has the largest difference [kW] of the plant's power, as it was
-recorded, from that of the same run in memory, and whether the run named the messages. The last
+Each attacker has a run of its own, in real time. One attack after another lasts ATTACK cycles,
+followed by as many quiet cycles. A cell has the largest difference [kW] of the plant's power, as it
+was recorded, from that of the same run in memory, and whether the run named the messages. The last
 rows: inputs that came late, and how much memory [MB] the recorder took.
 """
 
@@ -16,13 +16,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
-from itertools import chain, product
+from itertools import product
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -32,7 +32,6 @@ from numpy.typing import NDArray
 
 import heliarch
 from agents.plan import RunPlan, load_plan
-from agents.session import password, session_id
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Run
@@ -49,21 +48,18 @@ from bus_schemas.signals import (
     Port,
     Signal,
 )
-from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
+from bus_schemas.zenoh_session import KeyFiles, SessionSettings
 from recordings.read.run_file import RECORDING_NAME
 from recordings.read.series import read_plant_series
 
 DEVICE: Final = "c2/inv07"
 START: Final = "12:40"
-"""The plant could give twice what is desired."""
+"""The plant could give twice what is dispatched."""
 
 FIRST: Final = 10
 ATTACK: Final = 6
 AHEAD: Final = 3
 """Cycles to come for which messages are forged."""
-
-Sessions: TypeAlias = Callable[[str], Sequence[zenoh.Session]]
-"""Those that an attacker has to publish in an agent's name."""
 
 
 class Attacker(NamedTuple):
@@ -79,10 +75,7 @@ EXTERNAL: Final = ("--external", DEVICE)
 SECURE: Final = ("--secure", "--keys", "own")
 ATTACKERS: Final = (
     Attacker("nothing"),
-    Attacker("plan.json", folder="plan"),
     Attacker("nothing, beside a device", EXTERNAL),
-    Attacker("session ids, beside a device", EXTERNAL, folder="ids"),
-    Attacker("plan.json, beside a device", EXTERNAL, folder="plan"),
     Attacker("nothing, with keys", SECURE),
     Attacker("keys of another plant", SECURE, DEVICE, "other"),
     *(Attacker(f"keys of {who}", SECURE, who, "own") for who in (DEVICE, "c2", "central", "plant")),
@@ -105,7 +98,7 @@ class Attack(NamedTuple):
             encode(
                 self.signal.type(
                     cycle=ahead,
-                    sim_time_ns=plan.sim_time_ns(ahead),
+                    sim_time_ns=plan.timing.sim_time_ns(ahead),
                     source=port.publisher,
                     missing=(),
                     **self.fields(rating_kw, ahead),
@@ -117,7 +110,7 @@ class Attack(NamedTuple):
 
 NO_OTHER: Final[dict[str, object]] = {"commitment_kw": 0.0, "regulation_kw": 0.0}
 MUCH: Final[dict[str, object]] = {
-    **dict.fromkeys(("desired_kw", "possible_kw", "delivered_kw"), 9e6),
+    **dict.fromkeys(("dispatch_kw", "available_kw", "delivered_kw"), 9e6),
     **dict.fromkeys(("inverter_mpp_kw", "inverter_power_kw"), (9e6 / 17,) * 17),
 }
 
@@ -160,63 +153,46 @@ def ports_of(plan: RunPlan, attack: Attack) -> list[Port[Any]]:
 
 
 @contextmanager
-def sessions_of(attacker: Attacker, plan: RunPlan, keys: Path) -> Iterator[Sessions]:
-    """Link an attacker with every agent that listens."""
+def sessions_of(attacker: Attacker, plan: RunPlan, keys: Path) -> Iterator[list[zenoh.Session]]:
+    """Link an attacker with every agent that listens, as a peer and as a client."""
     own = KeyFiles.of(keys / attacker.folder, attacker.agent) if attacker.agent else None
     further = own.config() if own else {}
     settings = SessionSettings(plan.bus_namespace, [], [], lockstep=False, further=further)
     host = "tls/127.0.0.1" if own else "tcp/127.0.0.1"
-    ports = (*plan.tcp_ports.values(), *plan.agent_ports.values())
+    ports = (*plan.access.tcp_ports.values(), *plan.access.agent_ports.values())
+    sessions: list[zenoh.Session] = []
 
-    def identities() -> Iterator[tuple[str, SessionSettings, Sequence[str]]]:
-        if attacker.folder not in {"ids", "plan"}:
-            yield "", settings, ("peer", "client")
-            return
-        for agent in plan.tree.agents():
-            forged: dict[str, object] = {"id": session_id(plan.secret, agent)}
-            yield agent, replace(settings, further=forged), ("peer",)
-            if attacker.folder == "plan":
-                proof = {
-                    "transport/auth/usrpwd/user": agent,
-                    "transport/auth/usrpwd/password": password(plan.secret, agent),
-                }
-                yield agent, replace(settings, further=forged | proof), ("peer",)
-
-    configs = []
-    for name, identity, modes in identities():
-        for port, mode in product(ports, modes):
-            config = replace(identity, connect=[f"{host}:{port}"]).config()
-            config.insert_json5("mode", f'"{mode}"')
-            config.insert_json5("connect/timeout_ms", "500")
-            configs.append((name, config))
-    found: dict[str, list[zenoh.Session]] = {}
-
-    def link(name: str, config: zenoh.Config) -> None:
+    def link(port: int, mode: str) -> None:
+        config = replace(settings, connect=[f"{host}:{port}"]).config()
+        config.insert_json5("mode", f'"{mode}"')
+        config.insert_json5("connect/timeout_ms", "500")
         with suppress(zenoh.ZError):  # A client has no session where it has no link.
-            found.setdefault(name, []).append(zenoh.open(config))
+            sessions.append(zenoh.open(config))
 
     with ThreadPoolExecutor(64) as pool:  # Who is not admitted waits for the time-out.
-        for name, config in configs:
-            pool.submit(link, name, config)
+        for port, mode in product(ports, ("peer", "client")):
+            pool.submit(link, port, mode)
     try:
-        yield lambda agent: found.get("" if "" in found else agent, ())
+        yield sessions
     finally:
-        for session in chain.from_iterable(found.values()):
+        for session in sessions:
             session.close()
 
 
-def perform(plan: RunPlan, sessions: Sessions, start_ns: int, alive: Callable[[], bool]) -> None:
+def perform(
+    plan: RunPlan, sessions: list[zenoh.Session], start_ns: int, alive: Callable[[], bool]
+) -> None:
     """Perform all attacks, each in its own cycles."""
     for number, attack in enumerate(ATTACKS):
         first = FIRST + 2 * ATTACK * number
         while alive():
-            cycle = (time.monotonic_ns() - start_ns) // plan.cycle_wall_ns
+            cycle = (time.monotonic_ns() - start_ns) // plan.timing.cycle_wall_ns
             if cycle >= first + ATTACK:
                 break
             if cycle >= first:
                 for port in ports_of(plan, attack):
                     payloads = attack.payloads(plan, port, cycle)
-                    for session, payload in product(sessions(port.publisher), payloads):
+                    for session, payload in product(sessions, payloads):
                         session.put(plan.wiring.key(port), payload)
             if not attack.payload:
                 time.sleep(0.02)
@@ -236,12 +212,12 @@ def attacked(attacker: Attacker, options: argparse.Namespace, folder: Path) -> l
         start_ns = start_of(out, process)
         plan = load_plan(out / "plan.json")
         with sessions_of(attacker, plan, options.keys) as sessions:
-            if time.monotonic_ns() > start_ns + FIRST * plan.cycle_wall_ns:
+            if time.monotonic_ns() > start_ns + FIRST * plan.timing.cycle_wall_ns:
                 raise SystemExit(f"{attacker.name}: linked too late for the first attack")
             perform(plan, sessions, start_ns, lambda: process.poll() is None)
         status = process.wait(60.0)
-    told = msgspec.json.decode(summary.read_bytes()) if summary.exists() else None
-    return column(plan, out, status, told, options.undisturbed_kw)
+    document = msgspec.json.decode(summary.read_bytes()) if summary.exists() else None
+    return column(plan, out, status, document, options.undisturbed_kw)
 
 
 def started(command: list[str], folder: Path, stack: ExitStack) -> subprocess.Popen[bytes]:
@@ -265,11 +241,11 @@ def start_of(out: Path, process: subprocess.Popen[bytes]) -> int:
 
 
 def column(
-    plan: RunPlan, out: Path, status: int, told: Any, undisturbed_kw: NDArray[np.float64]
+    plan: RunPlan, out: Path, status: int, document: Any, undisturbed_kw: NDArray[np.float64]
 ) -> list[str]:
     power_kw = read_plant_series(out / RECORDING_NAME).delivered_kw
     beyond_kw = power_kw - undisturbed_kw[: len(power_kw)]
-    wrong = {entry["key"] for entry in told["wrong"]} if told else set()
+    wrong = {entry["key"] for entry in document["wrong"]} if document else set()
     cells = []
     for number, attack in enumerate(ATTACKS):
         first = FIRST + 2 * ATTACK * number
@@ -278,10 +254,15 @@ def column(
         most = f"{max(part, key=abs):+,.0f}" if len(part) else "no cycle"
         named = wrong.intersection(str(port) for port in ports_of(plan, attack))
         cells.append(f"{most}, named" if named else most)
-    if told is None:
+    if document is None:
         return [*cells, str(status), "-", "-"]
-    memory = {each["kind"]: each["resident_median_mb"] for each in told["memory"]}
-    return [*cells, str(status), str(told["missing_inputs"]), f"{memory.get('recorder', 0.0):.0f}"]
+    memory = {each["kind"]: each["resident_median_mb"] for each in document["memory"]}
+    return [
+        *cells,
+        str(status),
+        str(document["missing_inputs"]),
+        f"{memory.get('recorder', 0.0):.0f}",
+    ]
 
 
 def main() -> None:

@@ -37,8 +37,9 @@ from typing import Any, Final
 import msgspec
 import psutil
 import zenoh
-from harness import die_with_parent
 from mcap.writer import CompressionType, Writer
+
+from agents.process.machine import die_with_parent
 
 RECORDER: Final = "recorder"
 WARM_UP: Final = 50
@@ -170,7 +171,7 @@ class Player:
     def __call__(self) -> tuple[float, float]:
         """Begin, if this is the process that begins each cycle; return when all began and ended."""
         with self._lock:
-            self._go_on()
+            self._advance()
         self._is_over.wait()
         return self._began, self._ended
 
@@ -179,7 +180,7 @@ class Player:
             self._surplus[key] += 1
             if self._surplus[key] == 0:
                 self._missing -= 1
-                self._go_on()
+                self._advance()
 
     def _claim(self) -> int:
         """Take what the open stage awaits; return how much of it has yet to come."""
@@ -188,7 +189,7 @@ class Player:
             self._surplus[key] -= 1
         return sum(self._surplus[key] < 0 for key in awaits)
 
-    def _go_on(self) -> None:
+    def _advance(self) -> None:
         while not self._missing and self._cycle < self._cycles:
             for put, payload in self._stages[self._place][1]:
                 put(payload)

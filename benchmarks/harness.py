@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import resource
 import signal
@@ -10,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from math import nan
 from pathlib import Path
 from typing import Any, Final
@@ -21,19 +20,13 @@ import psutil
 OURS: Final = Path(sys.executable).parent / "heliarch"
 SAMPLE_S: Final = 0.2
 LIMIT_S: Final = 300.0
-_PR_SET_PDEATHSIG: Final = 1
-_prctl: Final = ctypes.CDLL(None).prctl
 
 
 class Sample(msgspec.Struct, frozen=True):
-    """Processor time [s] so far, at one moment of the monotonic clock [s].
-
-    That of all processes, and of the live page's process alone, 0 without one.
-    """
+    """Processor time of all processes so far [s], at one moment of the monotonic clock [s]."""
 
     at: float
     processor_s: float
-    page_s: float
 
 
 class Figures(msgspec.Struct, frozen=True, kw_only=True):
@@ -75,7 +68,7 @@ class Watched(msgspec.Struct, frozen=True):
             lost=lost,
         )
 
-    def busy(self, began: float, ended: float, field: str = "processor_s") -> float:
+    def busy(self, began: float, ended: float) -> float:
         """Return the processor time of all its processes for each second of a time.
 
         The middle 60 % of that time is used: start-up and end do not count. User and system time
@@ -86,17 +79,11 @@ class Watched(msgspec.Struct, frozen=True):
         if len(inside) < 2:
             return nan
         first, last = inside[0], inside[-1]
-        used_s: float = getattr(last, field) - getattr(first, field)
-        return used_s / (last.at - first.at)
+        return (last.processor_s - first.processor_s) / (last.at - first.at)
 
 
-def die_with_parent() -> None:
-    """Have the kernel kill this process when its parent ends (Linux)."""
-    _prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None) -> Watched:
-    """Run a program to its end; `look` is called with its output a few times a second.
+def run(command: Sequence[str]) -> Watched:
+    """Run a program to its end.
 
     It gets SIGTERM if this process ends before it, and is killed with its descendants if it takes
     too long.
@@ -115,7 +102,6 @@ def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None)
                 if time.monotonic() > started + LIMIT_S:
                     raise SystemExit(f"{command[1:3]} took over {LIMIT_S:g} s")
                 samples += _sample(process.pid)
-                look(Path(output.name).read_text(encoding="utf-8"))
                 time.sleep(SAMPLE_S)
         finally:
             if process.poll() is None:
@@ -141,45 +127,28 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 def _sample(pid: int) -> Iterable[Sample]:
     """Yield what the processes have used so far; nothing if one has just ended."""
-    processor_s = page_s = 0.0
     try:
         root = psutil.Process(pid)
-        for process in [root, *root.children(recursive=True)]:
-            used_s = sum(process.cpu_times()[:2])
-            processor_s += used_s
-            if "live_page" in process.cmdline():
-                page_s = used_s
+        processes = [root, *root.children(recursive=True)]
+        processor_s = sum(sum(process.cpu_times()[:2]) for process in processes)
     except psutil.Error:
         return
-    yield Sample(time.monotonic(), processor_s, page_s)
+    yield Sample(time.monotonic(), processor_s)
 
 
 class Launch(Figures, frozen=True, kw_only=True):
-    """One launch: memory of the median direct controller, and time of the page for each second.
+    """One launch; `own_mb` is the memory of the median direct controller, NaN in a short run."""
 
-    The memory is NaN if the run was too short for the launcher to look at it.
-    """
-
-    missed_inputs: int
     own_mb: float
-    page_ms: float
 
 
-def launch(
-    heliarch: Path,
-    scenario: str,
-    cycles: int,
-    *words: str,
-    pace: str = "max",
-    keep: Path | None = None,
-    look: Callable[[str], None] = lambda text: None,
-) -> Launch:
-    """Launch a scenario with cycles of one second, recorded; `words` are further options."""
+def launch(heliarch: Path, scenario: str, cycles: int, keep: Path | None = None) -> Launch:
+    """Launch a scenario with cycles of one second in lockstep, recorded."""
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         summary = Path(folder) / "summary.json"
         out = str(keep or Path(folder) / "run")
-        command = [str(heliarch), "launch", scenario, "--pace", pace, "--duration", f"{cycles}s"]
-        watched = run([*command, *words, "--out", out, "--json", str(summary)], look)
+        command = [str(heliarch), "launch", scenario, "--pace", "max", "--duration", f"{cycles}s"]
+        watched = run([*command, "--out", out, "--json", str(summary)])
         return _read(msgspec.json.decode(summary.read_bytes()), watched)
 
 
@@ -193,9 +162,7 @@ def _read(summary: dict[str, Any], watched: Watched) -> Launch:
     seen = watched.figures(began, ended, summary["cycles"], messages, summary["messages_lost"])
     return Launch(
         **msgspec.structs.asdict(seen),
-        missed_inputs=summary["missing_inputs"],
         own_mb=memory.get("own_median_mb") or nan,
-        page_ms=1e3 * watched.busy(began, ended, "page_s"),
     )
 
 

@@ -28,7 +28,8 @@ from typing import Any, Final
 
 import helics as h
 import peer_graph
-from harness import die_with_parent
+
+from agents.process.machine import die_with_parent
 
 HOPS: Final = 6
 TIMES: Final = {"plant": (6,), "direct": (1, 5), "supervisor": (2, 4), "central": (3,)}

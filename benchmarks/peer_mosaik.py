@@ -31,9 +31,10 @@ from typing import Any, Final
 import mosaik
 import mosaik_api_v3
 import peer_graph
-from harness import die_with_parent
 from loguru import logger
 from mosaik.starters import CmdStarter
+
+from agents.process.machine import die_with_parent
 
 STEPS: Final = 3
 TIMES: Final = {"plant": (0,), "direct": (0, 2), "supervisor": (0, 1), "central": (0,)}

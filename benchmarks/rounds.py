@@ -17,7 +17,7 @@ import psutil
 from harness import Figures
 from rich.console import Console
 
-from studies.tables import Column, Table, key_column, print_table
+from results.tables import Column, Table, key_column, print_table
 
 COLUMNS: Final = (
     Column("cycles/s", "", 1, name="cycles_per_s"),
@@ -25,11 +25,6 @@ COLUMNS: Final = (
     Column("switches", "per message", 1, name="switches_per_message"),
     Column("start-up", "s", 2, name="startup_s"),
     Column("direct controller", "MB, its own", 1, name="own_mb"),
-    Column("loop p50", "ms", 1, name="loop_p50_ms"),
-    Column("loop p99", "ms", 1, name="loop_p99_ms"),
-    Column("missed inputs", "", 0, name="missed_inputs"),
-    Column("page, lockstep", "ms/s", 1, name="page_ms"),
-    Column("page, real time", "ms/s", 1, name="page_real_ms"),
 )
 """What each figure is called."""
 

@@ -13,15 +13,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import get_args
 
-from msgspec.structs import replace
-
 from agents.settings import Scheme
-from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario
-from studies.arrays.control_arrays import is_corrected
+from results.metrics import run_metrics
+from scenarios.preparation import Preparation, RunOptions, prepare
+from scenarios.scenario import load_scenario
 from studies.arrays.schemes import SCHEMES, ReferenceGroups, run_scheme
-from studies.delays.study import run_in_memory
-from studies.metrics import run_metrics
+from studies.compare.by_agents import run_by_agents
 
 PAPER_S = 14.144
 """Julien, Sajadi and Hodge, section III: one simulated day, on a machine they do not name."""
@@ -46,7 +43,7 @@ def line(name: str, times: tuple[float, float]) -> None:
 
 
 def of_arrays(name: str, day: Preparation, groups: ReferenceGroups) -> None:
-    run_scheme(name, day.plan, day.profile, day.plan.actuator, groups)
+    run_scheme(name, day.plan, day.profile, day.plan.control.actuator, groups)
 
 
 def main() -> None:
@@ -56,12 +53,12 @@ def main() -> None:
     one_group = ReferenceGroups((4,), 1)
     for name in SCHEMES:  # Compiled, or the compiled code loaded, before the clock runs.
         of_arrays(name, day, one_group)
-    sys.stdout.write(f"{day.plan.cycles:,} cycles, {len(day.plan.tree.leaves)} inverters; ")
+    sys.stdout.write(f"{day.plan.timing.cycles:,} cycles, {len(day.plan.tree.leaves)} inverters; ")
     sys.stdout.write(f"sky, market and clusters worked out in {prepared_s:.1f} s\n")
     sys.stdout.write(f"{f'median of {ROUNDS}':44}{'wall':>11}{'processor':>11}\n")
     for scheme in get_args(Scheme):
-        plan = replace(day.plan, scheme=scheme, correction=is_corrected(day.plan, scheme))
-        line(f"agents, {scheme}", timed(partial(run_in_memory, plan, day.profile)))
+        run = partial(run_by_agents, day.plan, day.profile, scheme, day.plan.control.actuator)
+        line(f"agents, {scheme}", timed(run))
     sys.stdout.write(f"{'the paper, its own simulation':44}{PAPER_S:9.2f} s\n")
     for name in SCHEMES:
         times = timed(partial(of_arrays, name, day, one_group))

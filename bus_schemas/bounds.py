@@ -24,6 +24,12 @@ class Bound(NamedTuple):
     low: float
     high: float
 
+    def __str__(self) -> str:
+        if self.high >= LARGEST:
+            return "a finite number"
+        low = "above 0" if self.low == _ABOVE_ZERO else f"{self.low:.10g}"
+        return f"{low} to {self.high:.10g}"
+
 
 BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
     Impp: (Bound("power_kw", 0.0, _ROUNDING),),

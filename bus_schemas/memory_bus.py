@@ -20,7 +20,7 @@ from bus_schemas.wiring import Wiring
 
 
 class VirtualClock:
-    """A clock that stands still until somebody sets it."""
+    """A clock that stands still until it is set."""
 
     def __init__(self) -> None:
         self.now_ns = 0
@@ -30,7 +30,7 @@ class VirtualClock:
 
 
 class MemoryBus:
-    """All agents' places on the bus in one, with one queue.
+    """One bus for all agents, with one queue.
 
     on_publish: Called with every message that is published, as a recorder would hear it.
     clock: Set to the time of each arrival. None: lockstep, where nothing waits for a time.
@@ -60,7 +60,7 @@ class MemoryBus:
         """Bring an agent nothing from now on; keep what comes for it, or lose it."""
         self._held[agent] = [] if keep else None
 
-    def go_on(self, agent: str) -> None:
+    def release(self, agent: str) -> None:
         """Bring an agent messages again, those first that were kept."""
         self._arrived.extendleft(reversed(self._held.pop(agent) or []))
 

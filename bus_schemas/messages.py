@@ -7,17 +7,19 @@ reader without this package can take it apart.
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, TypeAlias
+import re
+from collections.abc import Iterable
+from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
 
 from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 
-Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...]]
-"""The first fields of a message, known before an agent decides: cycle, time, source, missing."""
+Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...], int, int, int, int]
+"""The head of a message, in the order of its fields. The bus sets publish time and sequence."""
 
 
-PROTOCOL: Final = 1
+PROTOCOL: Final = 2
 """Version of all that docs/wire.md says. Plan and `run` state it."""
 
 # The largest plant needs less of each.
@@ -25,6 +27,8 @@ LARGEST_PAYLOAD: Final = 1 << 20
 LONGEST_TEXT: Final = 1_000
 MOST_MISSING: Final = 4_096
 LONGEST_MISSING: Final = 256
+
+_CYCLE: Final = re.compile(r"0|[1-9][0-9]{0,17}")
 
 # Numbers and texts are bounded, so that whatever comes from elsewhere can be counted with and kept:
 # a message with one beyond does not decode.
@@ -45,7 +49,7 @@ Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_M
 class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     """The head that every message carries.
 
-    The driver fills in the last four fields as the message goes out. Nobody changes a message
+    The bus sets `publish_time_ns` and `sequence` as the message goes out. Nobody changes a message
     after that.
 
     cycle: The control cycle that the message belongs to. Negative in arming rounds.
@@ -93,7 +97,7 @@ class Dispatch(Message, kw_only=True):
     """The power that the operator wants from the plant in the coming interval.
 
     `power_kw` is the paper's P_desired: the commitment plus the regulation asked for. Every
-    controller hears it and works out its own request (eq. 3): its share of `plant_rating_kw`.
+    controller hears it and works out its share (eq. 3) of `plant_rating_kw`.
     """
 
     power_kw: float
@@ -120,7 +124,7 @@ class Impp(Message, kw_only=True):
 
 
 class Residual(Message, kw_only=True):
-    """IMPP less request (eq. 4). Negative: the node calls for help."""
+    """IMPP less share (eq. 4). Negative: the node calls for help."""
 
     power_kw: float
 
@@ -158,7 +162,7 @@ class Command(Message, kw_only=True):
     true maximum, `limit` inverters hold `power_kw`.
 
     An inverter that hears nothing more for its revert time goes to the limit `revert_kw` if it is
-    set to its request and that is given, else to what is set in it.
+    set to its share and that is given, else to what is set in it.
     """
 
     alpha: float
@@ -172,8 +176,8 @@ class Production(Message, kw_only=True):
     `inverter_mpp_kw` and `inverter_power_kw` list the inverters in the order of the control tree.
     """
 
-    desired_kw: float
-    possible_kw: float
+    dispatch_kw: float
+    available_kw: float
     delivered_kw: float
     inverter_mpp_kw: Powers
     inverter_power_kw: Powers
@@ -184,13 +188,14 @@ class Run(Message, kw_only=True):
 
     At `start`, cycle 0 begins at `start_time_ns` of the host's monotonic clock and a cycle lasts
     `cycle_wall_ns` (0: lockstep, no deadlines). At `stop`, `cycle` is the first cycle that does
-    not take place. `protocol` is the version of the wire that the plant speaks.
+    not take place. `protocol` is the version of the wire that the plant speaks, 1 if it
+    does not say.
     """
 
     state: Literal["start", "stop"]
     start_time_ns: Nanoseconds
     cycle_wall_ns: Nanoseconds
-    protocol: Count = PROTOCOL
+    protocol: Count = 1
 
 
 class Ready(Message, kw_only=True):
@@ -232,3 +237,27 @@ class Clock(Message, kw_only=True):
 
     rate: float
     paused: bool
+
+
+class Missing(NamedTuple):
+    """An entry of `missing`. `cycle` is that of the message used; None if there was none."""
+
+    key: str
+    cycle: int | None
+
+    def __str__(self) -> str:
+        return self.key if self.cycle is None else f"{self.key}@{self.cycle}"
+
+
+def parse_missing(entry: str) -> Missing:
+    """Take an entry apart. An entry without a valid cycle is a key as a whole."""
+    key, at, cycle = entry.rpartition("@")
+    return Missing(key, int(cycle)) if at and _CYCLE.fullmatch(cycle) else Missing(entry, None)
+
+
+def in_words(missing: Iterable[str]) -> str:
+    """Say what a decision was based on: `without c1/impp, used c2/impp of cycle 41`."""
+    return ", ".join(
+        f"without {key}" if used is None else f"used {key} of cycle {used:,}"
+        for key, used in map(parse_missing, missing)
+    )

@@ -8,19 +8,20 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
+from collections.abc import Mapping
 from hashlib import blake2b
 from math import cos, log, pi, sqrt
 from typing import Final
 
 import msgspec
 
-from bus_schemas.faults import FaultRule, links
+from bus_schemas.faults import Disturbance, LinkFault, acts_on, is_active, links
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import ControlTree
 
 UNHARMED: Final[tuple[int, ...]] = (0,)
-"""Fate of a message that one copy of arrives at once."""
+"""Fate of a message that arrives once and without delay."""
 
 
 class FaultTally(Counter[str]):
@@ -33,9 +34,8 @@ class FaultTally(Counter[str]):
 
 
 class FaultAct(msgspec.Struct):
-    """How many messages a rule acted on, once for each listener, and in which cycles."""
+    """How many messages a fault acted on, once for each listener, and in which cycles."""
 
-    rule: FaultRule
     messages: int = 0
     first_cycle: int | None = None
     last_cycle: int | None = None
@@ -47,27 +47,29 @@ class FaultAct(msgspec.Struct):
 
 
 class NetworkFaults:
-    """The rules of a run, at work on its links.
+    """The faults of a run's links, at work.
 
-    Several rules on one link act one after the other: their delays add, and each may lose or double
-    whatever has come through those before it.
+    Several faults on one link act one after the other: their delays add, and each may lose or
+    double whatever has come through those before it.
 
+    faults: By their numbers among all faults of the run, on which the draws depend.
     cycle_ns: Length of a cycle in simulated time [ns].
-    acts: What each rule has done so far.
+    acts: What each fault has done so far, by its number.
     """
 
     def __init__(
-        self, rules: tuple[FaultRule, ...], seed: int, tree: ControlTree, cycle_ns: int
+        self, faults: Mapping[int, LinkFault], seed: int, tree: ControlTree, cycle_ns: int
     ) -> None:
-        self.acts = tuple(map(FaultAct, rules))
+        self.acts = {number: FaultAct() for number in faults}
         self._cycle_s = cycle_ns / 1e9
-        self._rules_on: dict[tuple[Port[Message], str], list[_RuleOnLink]] = {}
+        self._faults_on: dict[tuple[Port[Message], str], list[_FaultOnLink]] = {}
         for port, listener in links(tree):
-            for number, rule in enumerate(rules):
-                if rule.acts_on(port, listener):
-                    one = _RuleOnLink(self.acts[number], f"{seed} {number} {port} {listener}")
-                    self._rules_on.setdefault((port, listener), []).append(one)
-        self._listeners = {listener for _, listener in self._rules_on}
+            for number, fault in faults.items():
+                if acts_on(fault, port, listener):
+                    seed_text = f"{seed} {number} {port} {listener}"
+                    one = _FaultOnLink(fault, self.acts[number], seed_text)
+                    self._faults_on.setdefault((port, listener), []).append(one)
+        self._listeners = {listener for _, listener in self._faults_on}
 
     def concern(self, listener: str) -> bool:
         return listener in self._listeners
@@ -77,46 +79,49 @@ class NetworkFaults:
 
         Arming rounds and rare events, such as the beginning and the end of a run, always pass.
         """
-        rules, cycle = self._rules_on.get((port, listener)), message.cycle
-        if rules is None or cycle < 0:
+        faults, cycle = self._faults_on.get((port, listener)), message.cycle
+        if faults is None or cycle < 0:
             return UNHARMED
         time_s = cycle * self._cycle_s
-        silent = [each for each in rules if each.rule.is_silent(time_s)]
-        for each in silent:
-            each.act.add(cycle)
-        if silent:
+        active = [each for each in faults if is_active(each.fault, time_s)]
+        cuts = [each.act for each in active if not isinstance(each.fault, Disturbance)]
+        for act in cuts:
+            act.add(cycle)
+        if cuts:
             return ()
         delays_ms = [0.0]
-        for each in rules:
-            if each.rule.acts_outside_silence and each.rule.is_active(time_s):
-                before_ms = delays_ms
-                delays_ms = each.pass_on(cycle, before_ms)
-                if delays_ms != before_ms:
-                    each.act.add(cycle)
+        for each in active:
+            before_ms = delays_ms
+            delays_ms = each.pass_on(cycle, before_ms)
+            if delays_ms != before_ms:
+                each.act.add(cycle)
         return tuple(round(delay_ms * 1e6) for delay_ms in delays_ms)
 
 
-class _RuleOnLink:
-    """One rule on one link. Its draws are words of a hash, so they need no memory of each other."""
+class _FaultOnLink:
+    """One fault on one link. Its draws are words of a hash: none depends on those before it."""
 
-    def __init__(self, act: FaultAct, seed_text: str) -> None:
-        self.rule = act.rule
+    def __init__(self, fault: LinkFault, act: FaultAct, seed_text: str) -> None:
+        self.fault = fault
         self.act = act
         self._hash = blake2b(seed_text.encode())
 
     def pass_on(self, cycle: int, delays_ms: list[float]) -> list[float]:
         """Return the delays [ms] of the copies that come out, from those of the ones that go in."""
+        fault = self.fault
+        if not isinstance(fault, Disturbance):
+            return []
         going_in = list(delays_ms)
         coming_out: list[float] = []
         for copy, delay_ms in enumerate(going_in):  # It grows by the doubles.
             loss, duplicate, reorder, one, other = self._draw(cycle, copy)
-            if copy < len(delays_ms) and duplicate < self.rule.duplicate:
+            if copy < len(delays_ms) and duplicate < fault.duplicate:
                 going_in.append(delay_ms)
-            if loss < self.rule.loss:
+            if loss < fault.loss:
                 continue
-            own_ms = max(self.rule.delay_ms + self._jitter_ms(one, other), 0.0)
-            if reorder < self.rule.reorder:
-                own_ms += self.rule.held_back_ms
+            own_ms = max(fault.delay_ms + _jitter_ms(fault, one, other), 0.0)
+            if reorder < fault.reorder:
+                own_ms += fault.held_back_ms
             coming_out.append(delay_ms + own_ms)
         return coming_out
 
@@ -127,14 +132,15 @@ class _RuleOnLink:
         # Of each word the 53 bits that a float holds.
         return [(word >> 11) * 2.0**-53 for word in _WORDS.unpack(digest.digest())[:5]]
 
-    def _jitter_ms(self, one: float, other: float) -> float:
-        rule = self.rule
-        if rule.jitter_ms == 0.0 or rule.distribution == "fixed":
-            return 0.0
-        if rule.distribution == "uniform":
-            return rule.jitter_ms * (2.0 * one - 1.0)
-        # Box and Muller (1958), doi 10.1214/aoms/1177706645.
-        return rule.jitter_ms * sqrt(-2.0 * log(1.0 - one)) * cos(2.0 * pi * other)
+
+def _jitter_ms(fault: Disturbance, one: float, other: float) -> float:
+    """Return the jitter that two draws in [0, 1) stand for [ms]."""
+    if fault.jitter_ms == 0.0 or fault.distribution == "fixed":
+        return 0.0
+    if fault.distribution == "uniform":
+        return fault.jitter_ms * (2.0 * one - 1.0)
+    # Box and Muller (1958), doi 10.1214/aoms/1177706645.
+    return fault.jitter_ms * sqrt(-2.0 * log(1.0 - one)) * cos(2.0 * pi * other)
 
 
 _NUMBERS: Final = struct.Struct("<qq")

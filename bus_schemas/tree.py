@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -148,13 +148,6 @@ def depth(path: str) -> int:
 def parent_of(path: str) -> str:
     """Path of a node's parent; that of the root is the root."""
     return path.rpartition("/")[0]
-
-
-def some_of(names: Sequence[str], most: int = 12) -> str:
-    """List the first of many names, and count the others."""
-    rest = len(names) - most
-    listed = ", ".join(names[:most])
-    return f"{listed} and {rest} more" if rest > 0 else listed
 
 
 def check_name(name: str, where: str) -> None:

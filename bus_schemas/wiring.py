@@ -21,8 +21,8 @@ class Wiring:
 
     listeners, processes: Agents, and with them standbys, that hear each port.
     published, heard: Ports of each agent.
-    signs: Of an agent with a standby: its last port in each cycle, and in each of its turns. Its
-        two processes hear them from each other.
+    last_ports: Of an agent with a standby: its last port in each cycle, and in each of its turns.
+        Its two processes hear them from each other.
     """
 
     def __init__(self, plant: str, tree: ControlTree, standbys: Collection[str] = ()) -> None:
@@ -31,7 +31,7 @@ class Wiring:
         self.listeners = {port: listeners(port, tree) for port in self.ports}
         self.published: dict[str, list[Port[Message]]] = {}
         self.heard: dict[str, list[Port[Message]]] = {}
-        self.signs: dict[str, tuple[Port[Message], ...]] = {}
+        self.last_ports: dict[str, tuple[Port[Message], ...]] = {}
         for port, names in self.listeners.items():
             self.published.setdefault(port.publisher, []).append(port)
             for name in names:
@@ -39,10 +39,10 @@ class Wiring:
         self.processes = dict(self.listeners)
         for agent in standbys:
             last = {port.signal.occurrence: port for port in self.published[agent]}
-            self.signs[agent] = (last[Occurrence.CYCLE], last[Occurrence.TURN])
-            self.heard[agent] += self.signs[agent]
+            self.last_ports[agent] = (last[Occurrence.CYCLE], last[Occurrence.TURN])
+            self.heard[agent] += self.last_ports[agent]
             for port in self.heard[agent]:
-                own = (agent,) if port in self.signs[agent] else ()
+                own = (agent,) if port in self.last_ports[agent] else ()
                 self.processes[port] += (*own, standby_of(agent))
         self._port_of = {self.key(port): port for port in self.ports}
         self._processes = (*tree.agents(), *map(standby_of, standbys))
@@ -59,15 +59,15 @@ class Wiring:
 
     def links(self) -> Links:
         """Return a link for each pair of processes of which one publishes what the other hears."""
-        place = {process: place for place, process in enumerate(self._processes)}
+        rank = {process: number for number, process in enumerate(self._processes)}
         pairs = {(RECORDER, process) for process in self._processes if process != RECORDER}
         for port, hearers in self.processes.items():
-            for source in {port.publisher, standby_of(port.publisher)} & place.keys():
+            for source in {port.publisher, standby_of(port.publisher)} & rank.keys():
                 for sink in {*hearers} - {source}:
                     # A standby is as near to the top as its agent, and comes after it.
-                    top, below = sorted((source, sink), key=lambda one: (place[agent_of(one)], one))
+                    top, below = sorted((source, sink), key=lambda one: (rank[agent_of(one)], one))
                     pairs.add((top, below))
-        return Links(tuple(sorted(pairs, key=lambda pair: (place[pair[0]], place[pair[1]]))))
+        return Links(tuple(sorted(pairs, key=lambda pair: (rank[pair[0]], rank[pair[1]]))))
 
 
 @dataclass(frozen=True)

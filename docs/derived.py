@@ -2,8 +2,9 @@
 
     .venv/bin/python docs/derived.py
 
-rewrites `docs/scenarios.md`, `docs/own-device.md` and `docs/wire.md`. The prose is written there by
-hand; a test compares the parts between `<!-- table: NAME -->` and `<!-- end -->` with the code.
+rewrites `docs/commands.md`, `docs/scenarios.md`, `docs/own-device.md` and `docs/wire.md`. The
+prose is written there by hand; a test compares the parts between `<!-- table: NAME -->` and
+`<!-- end -->` with the code.
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from inspect import cleandoc
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, cast
 
 import msgpack
+from cyclopts.argument import Argument
 from msgspec import NODEFAULT, inspect
-from msgspec.structs import replace
 
 from agents.agent import Agent, Stage, Turn
-from agents.loop import AgentLoop
-from agents.plan import RunPlan
+from agents.loop import Loop
+from agents.plan import RunPlan, changed
 from agents.team import controller, controllers
 from bus_schemas import messages
 from bus_schemas.bounds import BOUNDS, LARGEST, Bound
@@ -30,12 +32,13 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Dispatch, Message, Telemetry
 from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SETPOINT, SIGNALS, TELEMETRY, Port
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
-from launch_scripts.scenarios.fields import members, takes
-from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenarios.scenario import Scenario, load_scenario
+from heliarch.cli.app import COMMANDS, app
+from scenarios.fields import members, takes
+from scenarios.preparation import Preparation, RunOptions, prepare
+from scenarios.scenario import Scenario, load_scenario
 from sim_plant.plant import Plant
 
-DOCUMENTS: Final = ("docs/scenarios.md", "docs/own-device.md", "docs/wire.md")
+DOCUMENTS: Final = ("docs/commands.md", "docs/scenarios.md", "docs/own-device.md", "docs/wire.md")
 INVERTER: Final = "c2/inv07"
 
 _MARKED: Final = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -59,6 +62,8 @@ def table(name: str) -> str:
 
 def _lines(what: str, which: str = "") -> Iterator[str]:
     match what:
+        case "commands":
+            return _commands(which)
         case "scenario":
             return _scenario_table(which)
         case "message":
@@ -67,7 +72,7 @@ def _lines(what: str, which: str = "") -> Iterator[str]:
             return _rows(("bytes (hex)", "what they are"), _parts(encode(_EXAMPLES[which])))
     writers: dict[str, Callable[[], Iterator[str]]] = {
         **{"signals": _signals, "stages": _stages, "bounds": _bounds},
-        **{"sizes": _sizes, "vector": _vector, "exchange": _exchange},
+        **{"options": _options, "sizes": _sizes, "vector": _vector, "exchange": _exchange},
     }
     return writers[what]()
 
@@ -78,6 +83,56 @@ def _rows(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterat
     for row in rows:
         cells = (str(cell).replace("|", r"\|") for cell in row)
         yield f"| {' | '.join(cells)} |"
+
+
+# Commands
+
+
+def _commands(heading: str) -> Iterator[str]:
+    return _rows(
+        ("command", "what it does"),
+        ((f"`heliarch {name}{_arguments(name)}`", _first_line(name)) for name in COMMANDS[heading]),
+    )
+
+
+def _first_line(command: str) -> str:
+    return app[command].help.partition("\n\n")[0]
+
+
+def _arguments(command: str) -> str:
+    """Return the arguments of a command, and the options that it needs."""
+    texts = []
+    for argument in _parameters(command):
+        name = argument.name
+        if name.startswith("--") and argument.required:
+            texts.append(f"{name} {argument.parameter.metavar or name[2:].upper()}")
+        elif not name.startswith("--"):
+            texts.append(name if argument.required else f"[{name}]")
+    return "".join(f" {text}" for text in texts)
+
+
+def _parameters(command: str) -> list[Argument]:
+    collection = app[command].assemble_argument_collection(parse_docstring=True)
+    return [argument for argument in collection if argument.show]
+
+
+def _options() -> Iterator[str]:
+    """Describe the options that several commands have, each text once."""
+    commands: dict[tuple[str, str], list[str]] = {}
+    for command in chain.from_iterable(COMMANDS.values()):
+        for argument in _parameters(command):
+            if argument.name.startswith("--"):
+                shown = f"{argument.name} {argument.parameter.metavar or ''}".rstrip()
+                words = " ".join(str(argument.parameter.help).split())
+                commands.setdefault((shown, words), []).append(command)
+    return _rows(
+        ("option", "what it does", "commands"),
+        (
+            (f"`{option}`", words, ", ".join(having))
+            for (option, words), having in commands.items()
+            if len(having) > 1
+        ),
+    )
 
 
 # Scenarios
@@ -214,7 +269,7 @@ def _stages() -> Iterator[str]:
 
 def _deadline_share(agent: Agent[Any], stage: Stage) -> float:
     plan = _example().plan
-    return plan.deadlines.deadline_ns(agent.name, stage.name) / plan.cycle_wall_ns
+    return plan.deadlines.deadline_ns(agent.name, stage.name) / plan.timing.cycle_wall_ns
 
 
 def _team() -> Iterator[tuple[str, Agent[Any]]]:
@@ -303,6 +358,7 @@ _EXAMPLES: Final[dict[str, Message]] = {
         state="start",
         start_time_ns=3_000_000_000,
         cycle_wall_ns=1_000_000_000,
+        protocol=messages.PROTOCOL,
     ),
 }
 
@@ -363,8 +419,13 @@ _VECTOR: Final[tuple[tuple[dict[str, float] | None, ...], ...]] = (
 @cache
 def _cycles() -> list[list[tuple[Port[Message], Message]]]:
     """Return what a direct controller hears and says in each cycle of the test vector."""
-    plan = replace(_example().plan, scheme="paper", hold_cycles=2, revert=None, cycles=len(_VECTOR))
-    ours = AgentLoop(controller(plan, INVERTER), plan)
+    plan = changed(
+        _example().plan,
+        control={"scheme": "paper", "hold_cycles": 2},
+        site={"revert": None},
+        timing={"cycles": len(_VECTOR)},
+    )
+    ours = Loop(controller(plan, INVERTER), plan)
     ours.begin(0, 0)
     found = []
     for cycle, of_inputs in enumerate(_VECTOR):
@@ -394,7 +455,7 @@ def _heard(
     }
     for port, fields in zip(_INPUTS, of_inputs, strict=True):
         if fields is not None:
-            head = (cycle, plan.sim_time_ns(cycle), port.publisher, (), 0, 0, cycle)
+            head = (cycle, plan.timing.sim_time_ns(cycle), port.publisher, (), 0, 0, cycle)
             yield port, port.signal.type(*head, **(rest[port.signal.name] | fields))
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import msgpack
 import zenoh
 
-PROTOCOL = 1  # Version of docs/wire.md that it was written from.
+PROTOCOL = 2  # Version of docs/wire.md that it was written from.
 METER_TOLERANCE = 0.05  # Share of the rating by which a meter may read above the rating.
 ROUNDING = 1e-9
 BEFORE_ALL = -(2**31)  # No cycle has begun: each message takes it further.
@@ -39,7 +39,7 @@ class DirectController:
     def __init__(self, plan: dict[str, Any], node: str, session: zenoh.Session) -> None:
         self.plan, self.node, self.session = plan, node, session
         self.rating_kw: float = dict(plan["inverters"])[node]
-        self.parent_period: int = plan["period_cycles"][node.count("/")]
+        self.parent_period: int = plan["control"]["period_cycles"][node.count("/")]
         self.parent = node.rpartition("/")[0] or "central"
         self.prefix = f"{plan['plant']}/{node}"
         self.deadlines_s = deadlines_s(plan, node)
@@ -68,7 +68,7 @@ class DirectController:
     def hear(self, signal: str, message: dict[str, Any]) -> None:
         """Take in one message, and answer if it was the last that a stage awaited."""
         cycle, incarnation = message["cycle"], message.get("incarnation", 0)
-        if cycle >= self.plan["cycles"]:
+        if cycle >= self.plan["timing"]["cycles"]:
             return
         if signal == "setpoint" and cycle > self.cycle:
             return  # Only the plant begins a cycle.
@@ -132,13 +132,13 @@ class DirectController:
 
         So it is in lockstep, in arming rounds, and between command and telemetry.
         """
-        if not self.plan["cycle_wall_ns"] or self.cycle < 0 or not self.stage:
+        if not self.plan["timing"]["cycle_wall_ns"] or self.cycle < 0 or not self.stage:
             return None
         close_at = self.entered_at + EARLIER * self.deadlines_s[self.stage]
         return max(close_at - time.monotonic(), 0.0)
 
     def inputs(self, *signals: str) -> list[dict[str, Any] | None]:
-        """Return the newest message of each input, None if it is silent. Say so in `missing`."""
+        """Return the newest message of each input, None if it has expired. Say so in `missing`."""
         self.missing, self.ready_ns = [], time.monotonic_ns()
         found = []
         for signal in signals:
@@ -147,7 +147,7 @@ class DirectController:
             message = self.newest.get(signal)
             if message is not None:
                 age = self.cycle - message["cycle"] - period + 1  # Up to 0: no newer one was due.
-                if age > self.plan["hold_cycles"]:
+                if age > self.plan["control"]["hold_cycles"]:
                     message = None
                 elif age > 0:
                     self.missing.append(f"{key}@{message['cycle']}")
@@ -157,13 +157,13 @@ class DirectController:
         return found
 
     def estimate(self) -> None:
-        """Say what the inverter could give (eq. 1), and how far that is from its request."""
+        """Say what the inverter could give (eq. 1), and how far that is from its share."""
         telemetry, dispatch = self.inputs("telemetry", "dispatch")
         last = -1 if self.measured_cycle is None else self.measured_cycle
         if telemetry is not None and 0 <= telemetry["cycle"] <= last:
             telemetry = None  # The estimate rests on it already.
         self.measure(telemetry)
-        residual_kw = self.impp_kw - (self.request_kw(dispatch) or 0.0)
+        residual_kw = self.impp_kw - (self.share_kw(dispatch) or 0.0)
         self.publish("impp", power_kw=self.impp_kw, stale_cycles=self.stale_cycles)
         self.publish("residual", power_kw=residual_kw)
         if residual_kw < 0.0:
@@ -184,7 +184,7 @@ class DirectController:
                 maximum_kw = available_kw
             self.impp_kw, self.stale_cycles = min(maximum_kw, self.rating_kw), 0
 
-    def request_kw(self, dispatch: dict[str, Any] | None) -> float | None:
+    def share_kw(self, dispatch: dict[str, Any] | None) -> float | None:
         """Return the inverter's share of the dispatch by rating (eq. 3); None if none is heard."""
         if dispatch is None:
             return None
@@ -201,16 +201,16 @@ class DirectController:
         if self.measured_cycle is None:
             return
         setpoint, dispatch = self.inputs("setpoint", "dispatch")
-        request_kw = self.request_kw(dispatch)
-        target_kw = request_kw if setpoint is None else setpoint["power_kw"]
+        share_kw = self.share_kw(dispatch)
+        target_kw = share_kw if setpoint is None else setpoint["power_kw"]
         if target_kw is None:
             return
         alpha = 1.0
         if target_kw < self.impp_kw * (1.0 - ROUNDING):
-            alpha = min(max(target_kw / self.impp_kw, self.plan["alpha_min"]), 1.0)
+            alpha = min(max(target_kw / self.impp_kw, self.plan["control"]["alpha_min"]), 1.0)
         power_kw = alpha * self.impp_kw if alpha < 1.0 else self.rating_kw
         # Where to an inverter goes that hears no more of us.
-        revert_kw = request_kw if self.plan.get("revert") is not None else None
+        revert_kw = share_kw if self.plan["site"].get("revert") is not None else None
         self.publish("command", alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
 
     # The bus -------------------------------------------------------------------------------------
@@ -223,7 +223,8 @@ class DirectController:
             self.sequences[signal] = sequence + 1
         message = {
             "cycle": self.cycle,
-            "sim_time_ns": self.plan["start_time_ns"] + self.cycle * self.plan["cycle_ns"],
+            "sim_time_ns": self.plan["timing"]["start_time_ns"]
+            + self.cycle * self.plan["timing"]["cycle_ns"],
             "source": self.node,
             "missing": self.missing,
             "ready_time_ns": self.ready_ns,
@@ -243,9 +244,9 @@ class DirectController:
 def deadlines_s(plan: dict[str, Any], node: str) -> dict[str, float]:
     """Return by when after the tick each stage closes [s]."""
     tiers = 1 + max(path.count("/") for path, _ in plan["inverters"])
-    if stated_ns := plan["tier_deadlines_ns"]:
+    if stated_ns := plan["timing"]["tier_deadlines_ns"]:
         return {"estimate": stated_ns[0] * 3 / (tiers + 3) / 1e9, "actuate": stated_ns[-1] / 1e9}
-    part_s = 0.9 * plan["cycle_wall_ns"] / (2 * tiers + 4) / 1e9
+    part_s = 0.9 * plan["timing"]["cycle_wall_ns"] / (2 * tiers + 4) / 1e9
     return {"estimate": 3 * part_s, "actuate": (tiers + node.count("/") + 4) * part_s}
 
 
@@ -275,20 +276,21 @@ def read_message(signal: str, payload: bytes, source: str) -> dict[str, Any] | N
 
 def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zenoh.Config:
     """Zenoh as a peer that neither searches nor listens: it connects to the agents it talks to."""
-    ports, keys_folder = plan["tcp_ports"], plan.get("keys_folder")
+    ports, keys_folder = plan["access"]["tcp_ports"], plan["access"].get("keys_folder")
     if not endpoints:
         parent = node.rpartition("/")[0] or "central"
         talks_to = ["recorder", "plant", parent]
         if f"{parent}+standby" in ports:  # From one of the two it hears setpoints.
             talks_to.append(f"{parent}+standby")
-        link, addresses = "tls" if keys_folder else "tcp", plan.get("addresses", {})
+        link, addresses = "tls" if keys_folder else "tcp", plan["access"].get("addresses", {})
         endpoints = [
-            f"{link}/{addresses.get(agent, plan['address'])}:{ports[agent]}" for agent in talks_to
+            f"{link}/{addresses.get(agent, plan['access']['address'])}:{ports[agent]}"
+            for agent in talks_to
         ]
     config = zenoh.Config()
     settings: dict[str, object] = {
         "mode": "peer",
-        "namespace": plan["namespace"] or plan["run_id"],
+        "namespace": plan["access"]["namespace"] or plan["run_id"],
         "listen/endpoints": [],  # Without it Zenoh listens on a port of its own choice.
         "connect/endpoints": endpoints,
         "connect/timeout_ms": -1,
@@ -296,7 +298,7 @@ def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zen
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
     }
-    if not plan["cycle_wall_ns"]:
+    if not plan["timing"]["cycle_wall_ns"]:
         # In lockstep all agents wait for one that stands still; by default Zenoh closes its links.
         block = "transport/link/tx/queue/congestion_control/block"
         settings[f"{block}/wait_before_close"] = 60_000_000  # Microseconds.

@@ -24,6 +24,7 @@ import zenoh
 FIRST_ROUND = -1_000_000  # Arming rounds count upwards from here.
 ROUND_S, LONGEST_ROUND_S = 0.3, 3.0  # How long a round may take: each one 0.1 s more, up to ...
 LEAD_S = 0.2  # In real time: how long before cycle 0 everybody is told when it begins.
+PROTOCOL = 2  # Version of docs/wire.md that it was written from.
 ADVANCE_AT = 0.9  # Share of the cycle by whose end the plant has its commands, or does without.
 
 
@@ -33,7 +34,7 @@ class Plant:
     def __init__(self, plan: dict[str, Any], session: zenoh.Session) -> None:
         self.plan, self.session, self.name = plan, session, plan["plant"]
         self.ratings_kw: dict[str, float] = dict(plan["inverters"])
-        self.wall_s = plan["cycle_wall_ns"] / 1e9  # 0 is lockstep.
+        self.wall_s = plan["timing"]["cycle_wall_ns"] / 1e9  # 0 is lockstep.
         self.sequences: dict[str, int] = {}
         self.arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
         self.cycle, self.missing, self.ready_ns = FIRST_ROUND, [""], 0
@@ -49,13 +50,13 @@ class Plant:
 
     def sky_kw(self, cycle: int) -> dict[str, float]:
         """Return what each inverter could give, while clouds go by from the first to the last."""
-        time_s = max(cycle, 0) * self.plan["cycle_ns"] / 1e9
+        time_s = max(cycle, 0) * self.plan["timing"]["cycle_ns"] / 1e9
         return {
             node: rating_kw * (0.6 + 0.4 * math.cos(time_s / 20.0 - place))
             for place, (node, rating_kw) in enumerate(self.ratings_kw.items())
         }
 
-    def desired_kw(self) -> float:
+    def dispatch_kw(self) -> float:
         """Return the power that the operator wants from the plant."""
         return 0.5 * sum(self.ratings_kw.values())
 
@@ -64,12 +65,12 @@ class Plant:
     def run_cycle(self, cycle: int, until: float) -> bool:
         """Tick: dispatch and telemetry out, commands in, production out. Whether all answered."""
         self.cycle, self.missing, self.ready_ns = cycle, [], time.monotonic_ns()
-        desired_kw, rating_kw = self.desired_kw(), sum(self.ratings_kw.values())
+        dispatch_kw, rating_kw = self.dispatch_kw(), sum(self.ratings_kw.values())
         self.publish(
             "dispatch",
-            power_kw=desired_kw,
+            power_kw=dispatch_kw,
             plant_rating_kw=rating_kw,
-            commitment_kw=desired_kw,
+            commitment_kw=dispatch_kw,
             regulation_kw=0.0,
         )
         self.publish("meter", power_kw=sum(self.power_kw.values()))
@@ -91,7 +92,7 @@ class Plant:
     def instead(self, node: str) -> str:
         """Return the entry of `missing` for an inverter that got no command in this cycle."""
         cycle = self.obeyed.get(node)
-        is_old = cycle is None or self.cycle - cycle > self.plan["hold_cycles"]
+        is_old = cycle is None or self.cycle - cycle > self.plan["control"]["hold_cycles"]
         return f"{node}/command" if is_old else f"{node}/command@{cycle}"
 
     def await_commands(self, until: float) -> set[str]:
@@ -106,7 +107,7 @@ class Plant:
             cycle, last = message["cycle"], self.obeyed.get(node, FIRST_ROUND)
             if node in silent and last < cycle <= self.cycle and 0.0 < alpha <= 1.0:
                 self.alpha[node], self.obeyed[node] = alpha, cycle
-                if self.plan["actuator"] == "limit" and limit_kw >= 0.0:
+                if self.plan["control"]["actuator"] == "limit" and limit_kw >= 0.0:
                     self.limit_kw[node] = min(limit_kw, self.ratings_kw[node])
                 if cycle == self.cycle:
                     silent.discard(node)
@@ -115,14 +116,14 @@ class Plant:
     def advance(self) -> None:
         """Let the interval of this cycle pass, and say what really happened in it."""
         sky_kw = self.sky_kw(self.cycle)
-        fraction = self.plan["actuator"] == "fraction"
+        fraction = self.plan["control"]["actuator"] == "fraction"
         for node, most_kw in sky_kw.items():
             share = self.alpha[node] if fraction else 1.0
             self.power_kw[node] = min(share * most_kw, self.limit_kw[node])
         self.publish(
             "production",
-            desired_kw=self.desired_kw(),
-            possible_kw=sum(sky_kw.values()),
+            dispatch_kw=self.dispatch_kw(),
+            available_kw=sum(sky_kw.values()),
             delivered_kw=sum(self.power_kw.values()),
             inverter_mpp_kw=list(sky_kw.values()),
             inverter_power_kw=list(self.power_kw.values()),
@@ -157,7 +158,7 @@ class Plant:
         self.stand_still()
         start_ns = time.monotonic_ns() + round(LEAD_S * 1e9 if self.wall_s else 0.0)
         self.say_run("start", 0, start_ns)
-        for cycle in range(self.plan["cycles"]):
+        for cycle in range(self.plan["timing"]["cycles"]):
             until = math.inf
             if self.wall_s:  # Ticks are absolute: a late one does not shift those after it.
                 tick_at = start_ns / 1e9 + cycle * self.wall_s
@@ -165,13 +166,14 @@ class Plant:
                 until = tick_at + ADVANCE_AT * self.wall_s
             if not self.run_cycle(cycle, until):
                 print(f"cycle {cycle}: without {', '.join(self.missing)}", flush=True)
-        self.say_run("stop", self.plan["cycles"], start_ns)
+        self.say_run("stop", self.plan["timing"]["cycles"], start_ns)
 
     def say_run(self, state: str, cycle: int, start_ns: int) -> None:
         """Tell everybody that the run begins at a cycle, or ends before it."""
         self.cycle, self.missing, self.ready_ns = cycle, [], time.monotonic_ns()
-        wall_ns = self.plan["cycle_wall_ns"]
-        self.publish("run", state=state, start_time_ns=start_ns, cycle_wall_ns=wall_ns)
+        wall_ns = self.plan["timing"]["cycle_wall_ns"]
+        times = {"start_time_ns": start_ns, "cycle_wall_ns": wall_ns}
+        self.publish("run", state=state, protocol=PROTOCOL, **times)
 
     # The bus -------------------------------------------------------------------------------------
 
@@ -195,7 +197,8 @@ class Plant:
             self.sequences[key] = sequence + 1
         message = {
             "cycle": self.cycle,
-            "sim_time_ns": self.plan["start_time_ns"] + self.cycle * self.plan["cycle_ns"],
+            "sim_time_ns": self.plan["timing"]["start_time_ns"]
+            + self.cycle * self.plan["timing"]["cycle_ns"],
             "source": "plant",
             "missing": self.missing,
             "ready_time_ns": self.ready_ns,
@@ -229,12 +232,12 @@ def read_plan(path: Path) -> dict[str, Any]:
 
 def session_config(plan: dict[str, Any]) -> zenoh.Config:
     """Zenoh as a peer that listens for the controllers and connects to the recorder alone."""
-    ports, keys_folder = plan["tcp_ports"], plan.get("keys_folder")
-    host = f"tls/{plan['address']}" if keys_folder else "tcp/127.0.0.1"
+    ports, keys_folder = plan["access"]["tcp_ports"], plan["access"].get("keys_folder")
+    host = f"tls/{plan['access']['address']}" if keys_folder else "tcp/127.0.0.1"
     config = zenoh.Config()
     settings: dict[str, object] = {
         "mode": "peer",
-        "namespace": plan["namespace"] or plan["run_id"],
+        "namespace": plan["access"]["namespace"] or plan["run_id"],
         "listen/endpoints": [f"{host}:{ports['plant']}"],
         "connect/endpoints": [f"{host}:{ports['recorder']}"],
         "connect/timeout_ms": -1,
@@ -242,7 +245,7 @@ def session_config(plan: dict[str, Any]) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
     }
-    if not plan["cycle_wall_ns"]:
+    if not plan["timing"]["cycle_wall_ns"]:
         # In lockstep all agents wait for one that stands still; by default Zenoh closes its links.
         block = "transport/link/tx/queue/congestion_control/block"
         settings[f"{block}/wait_before_close"] = 60_000_000  # Microseconds.
@@ -276,7 +279,7 @@ def main() -> None:
         plant.await_everybody()
         print(f"armed after {plant.arm()} rounds", flush=True)
         plant.run()
-        print(f"{plan['cycles']} cycles are over", flush=True)
+        print(f"{plan['timing']['cycles']} cycles are over", flush=True)
         del declared
 
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from heliarch.runs import ComparedRuns, SimulatedRun, compare, compare_runs, simulate
-    from launch_scripts.scenarios.scenario import load_scenario
     from recordings import open_run
+    from scenarios.scenario import load_scenario
 
 __all__ = [
     "ComparedRuns",
@@ -31,7 +31,7 @@ __all__ = [
     "simulate",
 ]
 
-_ELSEWHERE = {"load_scenario": "launch_scripts.scenarios.scenario", "open_run": "recordings"}
+_ELSEWHERE = {"load_scenario": "scenarios.scenario", "open_run": "recordings"}
 """Modules of what is not in `heliarch.runs`."""
 
 

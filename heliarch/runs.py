@@ -11,23 +11,24 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple, get_args
 
+import numpy as np
 import pandas as pd
 from rich.console import Console
 
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
-from launch_scripts.commands.run import run
-from launch_scripts.launcher.run_folder import RunRequest
-from launch_scripts.launcher.summary import RunSummary
-from launch_scripts.scenarios.run_options import RunOptions
-from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
-from launch_scripts.scenarios.toml_text import toml_value
+from heliarch.cli.run import run
+from launch_scripts.run_folder import RunRequest
+from results.run_summary import RunSummary
+from results.tables import json_rows as table_rows
+from results.two_runs import read_two_runs, two_runs_tables
+from scenarios.run_options import RunOptions
+from scenarios.scenario import ScenarioFile, load_scenario
+from scenarios.settings import Setting, with_settings
 from studies.arrays.schemes import SCHEMES
-from studies.compare.cases import cases, parse_setting, with_settings
-from studies.compare.results import json_rows
-from studies.compare.runs import read_two_runs, two_runs_tables
-from studies.compare.study import Comparison, run_case
-from studies.tables import json_rows as table_rows
+from studies.compare.cases import cases
+from studies.compare.results import result_rows
+from studies.compare.study import SchemeChoice, run_case
 from studies.workers import share_work
 
 
@@ -77,8 +78,8 @@ def simulate(
     _check_names("scheme", () if scheme is None else (scheme,), get_args(Scheme))
     _check_names("actuator", () if actuator is None else (actuator,), get_args(Actuator))
     options = RunOptions(start, duration, end, seed, scheme, actuator, list(faults))
-    single = {field: [value] for field, value in (settings or {}).items()}
-    scenario_file = with_settings(_loaded(scenario), _texts(single))
+    chosen = [(field, _plain(value)) for field, value in (settings or {}).items()]
+    scenario_file = with_settings(_loaded(scenario), chosen)
     request = RunRequest(scenario_file, options, None if out is None else Path(out))
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         summary, folder = run(request, Console(file=nowhere), time.monotonic())
@@ -94,6 +95,7 @@ def compare(
     start: str | None = None,
     end: str | None = None,
     duration: str | None = None,
+    faults: Iterable[str] = (),
     days: Iterable[date] = (),
     seeds: Iterable[int] = (),
     settings: Mapping[str, object | Sequence[object]] | None = None,
@@ -109,6 +111,9 @@ def compare(
         Control schemes; see `heliarch compare --help`.
     actuators
         Each scheme is run with all of these; by default with that of the scenario.
+    faults
+        Rules as for `--fault`, each a case: one, several that act together (`delay=1s;loss=5%`),
+        or `none`.
     days, seeds
         Run every day, and every seed of the clouds.
     settings
@@ -121,20 +126,21 @@ def compare(
     Returns
     -------
     DataFrame
-        A row for each case, scheme and actuator, a column for each figure of merit.
+        A row for each case, scheme and actuator. Its columns are what cases differ in (fields of
+        `settings` by name, `fault`, `day`, `seed`), scheme, actuator and each figure of merit.
     """
-    comparison = Comparison(tuple(schemes), actuators=tuple(actuators))
-    _check_names("schemes", comparison.schemes, tuple(SCHEMES))
-    _check_names("actuators", comparison.actuators, get_args(Actuator))
-    found = cases(
+    choice = SchemeChoice(tuple(schemes), actuators=tuple(actuators))
+    _check_names("schemes", choice.schemes, tuple(SCHEMES))
+    _check_names("actuators", choice.actuators, get_args(Actuator))
+    listed = cases(
         _loaded(scenario),
         RunOptions(start, duration, end),
-        [parse_setting(text) for text in _texts(settings)],
+        [_setting(field, value) for field, value in (settings or {}).items()],
+        tuple(faults),
         tuple(days),
         tuple(seeds),
     )
-    table = pd.DataFrame(json_rows(share_work(partial(run_case, comparison), found, workers)))
-    return table.drop(columns=["metrics", "remarks"])
+    return pd.DataFrame(result_rows(share_work(partial(run_case, choice), listed, workers)))
 
 
 class ComparedRuns(NamedTuple):
@@ -174,9 +180,11 @@ def _loaded(scenario: str | ScenarioFile) -> ScenarioFile:
     return load_scenario(scenario) if isinstance(scenario, str) else scenario
 
 
-def _texts(settings: Mapping[str, object] | None) -> list[str]:
-    """Return settings as the command line has them."""
-    return [
-        f"{field}={','.join(map(toml_value, value if isinstance(value, list) else [value]))}"
-        for field, value in (settings or {}).items()
-    ]
+def _setting(field: str, value: object) -> Setting:
+    values = value if isinstance(value, list) else [value]
+    return Setting(field, tuple(map(_plain, values)))
+
+
+def _plain(value: object) -> object:
+    """Return a number of NumPy as Python's."""
+    return value.item() if isinstance(value, np.generic) else value

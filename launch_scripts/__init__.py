@@ -1,1 +1,1 @@
-"""How it starts: the command line, scenarios, the launcher of processes, the run in memory."""
+"""Starts the processes of a run, watches them and ends them."""

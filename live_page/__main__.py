@@ -10,8 +10,7 @@ from typing import Final
 
 import msgspec
 
-from live_page.place import Place
-from live_page.process import PageSettings, get_behind_others
+from live_page.process import PageAddress, PageSettings, get_behind_others
 from live_page.server import PageServer
 
 _LAST_NEWS_S: Final = 0.5
@@ -29,8 +28,8 @@ async def _serve() -> None:
     if not first:
         return
     settings = msgspec.json.decode(first, type=PageSettings)
-    place = Place(socket.socket(fileno=settings.socket), settings.token)
-    server = PageServer(Path(settings.path), place, several=settings.several)
+    address = PageAddress(socket.socket(fileno=settings.socket), settings.token)
+    server = PageServer(Path(settings.path), address, several=settings.several)
     serving = asyncio.create_task(server.serve())
     if await over.readline():
         gone = asyncio.create_task(over.read())

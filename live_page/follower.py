@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import time
 from bisect import bisect_left, bisect_right
-from collections import Counter, defaultdict
 from contextlib import suppress
 from math import ceil
 from pathlib import Path
@@ -20,22 +19,20 @@ import numpy as np
 
 from bus_schemas.codec import decode
 from bus_schemas.messages import Dispatch, Message, Notice, Production, Run
-from bus_schemas.signals import DISPATCH, IMPP, NOTICE, PRODUCTION, RUN, TELEMETRY, Port
-from bus_schemas.tree import PLANT, RECORDER, agent_name
-from live_page.event_log import EventLog
+from bus_schemas.signals import DISPATCH, NOTICE, PRODUCTION, RUN, Port
+from bus_schemas.tree import PLANT, RECORDER
+from live_page.run_events import RunEvents
 from recordings.inspect.health import FAILURE_NAME
-from recordings.read.chunks import ChunkPlace
-from recordings.read.gaps import PortGaps
-from recordings.read.outline import walk_on
-from recordings.read.reader import Head, RunReader, head_of
+from recordings.read.mcap_file import Chunk, walk_on
+from recordings.read.reader import CycleHead, RunReader, head_of
 from recordings.read.series import RunSeries
-from studies.metrics import RunMetrics, run_metrics
-from studies.report.decimation import extremes
+from results.metrics import RunMetrics, run_metrics
+from results.report.decimation import extremes
 
-State: TypeAlias = Literal["waiting", "running", "silent", "over", "failed"]
+State: TypeAlias = Literal["waiting", "running", "stalled", "over", "failed"]
 """Before the first cycle; going on; nothing new for a while; ended; given up by its launcher."""
 
-_SILENT_S: Final = 5.0
+_STALLED_S: Final = 5.0
 """Nothing new in the file for this long, or for three cycles, is worth saying."""
 
 MOST_CHUNKS: Final = 20
@@ -49,42 +46,31 @@ of the next cycle."""
 class RunFollower:
     """A recording, as far as it has been read.
 
-    `cycles` are those that the plant has completed, `restarts` says how often each agent began
-    again. `start_time_ns` is that of the run on its own clock, None until it is recorded.
+    `cycles` are those that the plant has completed. `start_time_ns` is that of the run on its own
+    clock, None until it is recorded.
     """
 
     def __init__(self, path: Path) -> None:
-        self.run = RunReader(path, skip_damaged=True)
+        self.run = RunReader(path)
         self.plan = self.run.plan
         self.cycles = 0
-        self.events = EventLog()
-        self.restarts: Counter[str] = Counter()
+        self.events = RunEvents(self.plan)
         self.start_time_ns: int | None = None
         self._stop_cycle = -1
         self._failed = False
-        wall_s = self.plan.cycle_wall_ns / 1e9
+        wall_s = self.plan.timing.cycle_wall_ns / 1e9
         self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
         self._firsts: list[int] = []
-        self._gaps: defaultdict[Port[Message], PortGaps] = defaultdict(PortGaps)
-        # Each node states its IMPP in each cycle; a real inverter that is gone has no telemetry.
-        self._names: dict[Port[Message], str] = {
-            **{IMPP.of(node): agent_name(node) for node in self.plan.tree.nodes},
-            **{TELEMETRY.of(node): f"device {node}" for node, _ in self.plan.devices},
-        }
-        self._heard = dict.fromkeys(self._names, -1)
-        self._silent_from: dict[Port[Message], int] = {}
         # One column stands for all inverters: figures of merit need no more.
-        shape = (self.plan.cycles, 1)
+        shape = (self.plan.timing.cycles, 1)
         self._series = RunSeries.of(
             self.plan,
             self.plan.run_id,
-            commitment_kw=np.full(self.plan.cycles, np.nan),
-            regulation_kw=np.full(self.plan.cycles, np.nan),
+            commitment_kw=np.full(self.plan.timing.cycles, np.nan),
+            regulation_kw=np.full(self.plan.timing.cycles, np.nan),
             mpp_kw=np.full(shape, np.nan),
             power_kw=np.full(shape, np.nan),
         )
-        for rule in self.plan.faults:
-            self.events.add("fault", 0, "network", f"fault rule: {rule}")
 
     def advance(self, budget_s: float) -> bool:
         """Read on for a while; return whether all that is in the file has been read."""
@@ -93,8 +79,8 @@ class RunFollower:
             self.run.join()
             walk_on(outline, self.run.files[-1])
         until = time.monotonic() + budget_s
-        while (place := self._next_chunk()) is not None:
-            self._read(place)
+        while (chunk := self._next_chunk()) is not None:
+            self._read(chunk)
             if time.monotonic() >= until:
                 break
         self._look_for_failure()
@@ -108,9 +94,9 @@ class RunFollower:
             return "over"  # Unless the plant has gone on: then another program said so.
         if not self.cycles:
             return "waiting"
-        longest_s = max(_SILENT_S, 3.0 * self.plan.cycle_wall_ns / 1e9)
+        longest_s = max(_STALLED_S, 3.0 * self.plan.timing.cycle_wall_ns / 1e9)
         age_s = time.time() - os.fstat(self.run.files[-1].fileno()).st_mtime
-        return "silent" if age_s > longest_s else "running"
+        return "stalled" if age_s > longest_s else "running"
 
     @property
     def read_share(self) -> float | None:
@@ -119,7 +105,7 @@ class RunFollower:
             return None
         return round(len(self._firsts) / len(self.run.outline.chunks), 3)
 
-    def chunks_with(self, cycle: int, before: int = 1) -> list[ChunkPlace]:
+    def chunks_with(self, cycle: int, before: int = 1) -> list[Chunk]:
         """Return the chunks that can hold messages of a cycle and of some cycles before it."""
         begin = bisect_left(self._firsts, cycle - before - self._disorder) - 1
         end = bisect_right(self._firsts, cycle + self._disorder)
@@ -129,17 +115,17 @@ class RunFollower:
         """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
         begin, end = max(cycles.start, 0), min(cycles.stop, self.cycles)
         part = self._series.between(begin, end)
-        unavoidable = np.maximum(part.desired_kw - part.possible_kw, 0.0)
+        unavoidable = np.maximum(part.dispatch_kw - part.available_kw, 0.0)
         columns = {
-            "desired": part.desired_kw,
-            "possible": part.possible_kw,
+            "dispatch": part.dispatch_kw,
+            "available": part.available_kw,
             "delivered": part.delivered_kw,
             "unavoidable": unavoidable,
-            "control_caused": np.maximum(part.support_kw - unavoidable, 0.0),
+            "control_caused": np.maximum(part.shortfall_kw - unavoidable, 0.0),
         }
         rows = np.arange(part.cycles)
         if len(rows) > points:
-            drawn = ("desired", "possible", "delivered")
+            drawn = ("dispatch", "available", "delivered")
             kept = [extremes(columns[name], max(points // 6, 1)) for name in drawn]
             rows = np.unique(np.concatenate(kept))
         thinned = {name: values[rows].round(2).tolist() for name, values in columns.items()}
@@ -150,41 +136,37 @@ class RunFollower:
         series = self._series.between(0, self.cycles)
         return run_metrics(series) if series.known.any() else None
 
-    def _next_chunk(self) -> ChunkPlace | None:
+    def _next_chunk(self) -> Chunk | None:
         """Return the next chunk that is there as a whole."""
         outline, number = self.run.outline, len(self._firsts)
         return outline.chunks[number] if number < len(outline.chunks) else None
 
-    def _read(self, place: ChunkPlace) -> None:
+    def _read(self, chunk: Chunk) -> None:
         ports = self.run.channels
-        begin: Head | None = None
-        for channel, sequence, _, _, payload in self.run.messages_of(place, ports):
+        begin: CycleHead | None = None
+        for channel, sequence, _, _, payload in self.run.messages_of(chunk, ports):
             port = ports[channel]
             with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
                 head = head_of(payload)
                 begin = begin or head
-                self._count(port, sequence, head)
-                if port in self._names:
-                    self._hear(port, head.cycle)
-                elif port.signal in _FOLLOWED:
+                self.events.see(port, sequence, head)
+                if port.signal in _FOLLOWED:
                     self._see(port, payload)
-        if place in self.run.damage:
+        if chunk in self.run.damage:
             self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
         first = min(begin.cycle, head.cycle) if begin else self.cycles - 1
         self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
-        for port, cycle in self._heard.items():
-            if self.cycles - 1 > cycle + self.plan.hold_cycles:
-                self._note_silence(port)
+        self.events.note_unresponsive(self.cycles - 1)
 
     def _see(self, port: Port[Message], payload: bytes) -> None:
         message = decode(port.signal, payload)
         cycle = message.cycle
         match message:
-            case Dispatch() if 0 <= cycle < self.plan.cycles:
+            case Dispatch() if 0 <= cycle < self.plan.timing.cycles:
                 self._series.commitment_kw[cycle] = message.commitment_kw
                 self._series.regulation_kw[cycle] = message.regulation_kw
-            case Production() if 0 <= cycle < self.plan.cycles:
-                self._series.mpp_kw[cycle] = message.possible_kw
+            case Production() if 0 <= cycle < self.plan.timing.cycles:
+                self._series.mpp_kw[cycle] = message.available_kw
                 self._series.power_kw[cycle] = message.delivered_kw
                 self.cycles = max(self.cycles, cycle + 1)
             case Notice():
@@ -195,31 +177,6 @@ class RunFollower:
             case Run(state="stop"):
                 self._stop_cycle = cycle
                 self.events.add("run", cycle, PLANT, "the run is over")
-
-    def _hear(self, port: Port[Message], cycle: int) -> None:
-        """Note a message that comes in each cycle."""
-        before, name = self._heard[port], self._names[port]
-        if cycle > before + 1 + self.plan.hold_cycles and before >= 0:
-            self._note_silence(port)
-            self.events.add("back", cycle, name, "heard again")
-        self._heard[port] = max(cycle, before)
-
-    def _note_silence(self, port: Port[Message]) -> None:
-        begin = self._heard[port] + 1
-        if self._silent_from.get(port) != begin:
-            self._silent_from[port] = begin
-            self.events.add("silent", begin, self._names[port], "silent")
-
-    def _count(self, port: Port[Message], sequence: int, head: Head) -> None:
-        """Count lost messages and restarts by a message's number on its key."""
-        gaps, agent = self._gaps[port], port.publisher
-        lost, restarts = gaps.lost, gaps.restarts
-        gaps.see(head.cycle, sequence, head.incarnation)
-        if gaps.restarts > restarts and port.signal is IMPP:
-            self.restarts[agent] += 1
-            self.events.add("restart", head.cycle, agent, "restarted")
-        if gaps.lost > lost:
-            self.events.add("lost", head.cycle, agent, "messages lost", gaps.lost - lost)
 
     def _look_for_failure(self) -> None:
         failure = self.run.path.parent / FAILURE_NAME

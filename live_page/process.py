@@ -1,4 +1,4 @@
-"""The page as a process of its own beside a run, and the launcher's hold on it.
+"""The page as a process of its own beside a run: where it is served, the launcher's hold on it.
 
 The launcher writes the settings to the process's standard input, and `over` when the run is. The
 process then ends as soon as nobody looks on; when the launcher is gone, at once.
@@ -6,20 +6,66 @@ process then ends as soon as nobody looks on; when the launcher is gone, at once
 
 from __future__ import annotations
 
+import ipaddress
 import os
+import secrets
+import socket
 import subprocess
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
-from agents.side_process import SideProcess
-from live_page.place import open_place
+from agents.process.side_process import SideProcess
+from bus_schemas.errors import InputError
 
 _CLOSING_S: Final = 3.0
 _NICE: Final = 10
+
+
+@dataclass(frozen=True)
+class PageAddress:
+    """Where the page is served.
+
+    The socket listens already, so that a browser may come before the server is up. A browser must
+    know the token, which is empty on the loopback address: nobody else can reach that.
+    """
+
+    socket: socket.socket
+    token: str
+
+    def url(self, path: str = "") -> str:
+        host, port = self.socket.getsockname()[:2]
+        if ipaddress.ip_address(host).is_unspecified:
+            host = socket.gethostname()
+        host = f"[{host}]" if ":" in host else host
+        return f"http://{host}:{port}/{path}" + (f"?token={self.token}" if self.token else "")
+
+
+def open_address(address: str | None, port: int | None) -> PageAddress:
+    """Take an address and a port for a page: by default the loopback address, and any free port."""
+    try:
+        ip = ipaddress.ip_address("127.0.0.1" if address in {None, "localhost"} else address)
+    except ValueError:
+        raise InputError(
+            f"--page-address: expected an IP address such as 127.0.0.1 or 0.0.0.0, got {address}"
+        ) from None
+    family = socket.AF_INET6 if ip.version == 6 else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((str(ip), port or 0))
+        listener.listen(100)
+    except OSError as error:
+        listener.close()
+        raise InputError(
+            f"--page-address, --page-port: expected a free port of this machine, got {ip} port "
+            f"{port or 'any'}: {error.strerror}"
+        ) from None
+    return PageAddress(listener, "" if ip.is_loopback else secrets.token_urlsafe(16))
 
 
 class PageSettings(msgspec.Struct):
@@ -35,16 +81,16 @@ class PageProcess(SideProcess):
     """The page's process, as its launcher sees it. It ends with the context."""
 
     def __init__(self, address: str | None, port: int | None) -> None:
-        self._place = open_place(address, port)
+        self._address = open_address(address, port)
         super().__init__(
             "live_page",
             stdout=subprocess.DEVNULL,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            pass_fds=(self._place.socket.fileno(),),
+            pass_fds=(self._address.socket.fileno(),),
         )
 
     def __exit__(self, *error: object) -> None:
-        self._place.socket.close()
+        self._address.socket.close()
         super().__exit__()
 
     def show(self, path: Path, *, several: bool = False) -> str:
@@ -52,10 +98,10 @@ class PageProcess(SideProcess):
 
         The folder may be made later.
         """
-        number, token = self._place.socket.fileno(), self._place.token
+        number, token = self._address.socket.fileno(), self._address.token
         settings = PageSettings(str(path.absolute()), several, number, token)
         self.tell(msgspec.json.encode(settings))
-        return self._place.address()
+        return self._address.url()
 
     def let_end(self, say: Callable[[str], None]) -> None:
         """Wait until nobody looks at the page any more, or until Ctrl-C."""

@@ -1,4 +1,4 @@
-"""One run as a page asks for it: its plan, its state in a cycle, its powers over a while."""
+"""What a page asks for: the runs in a folder, and of one run its plan, states and powers."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ import msgspec
 from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from live_page.follower import RunFollower
-from live_page.nodes import NodeStates, columns
+from live_page.plant_state import PlantState, columns
 from recordings.export.viewer_layout import viewer_layout
+from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
-from studies.metrics import RunMetrics
-from studies.metrics.figures_of_merit import shown_in
+from results.metrics import RunMetrics
+from results.metrics.figures_of_merit import COMMITMENT, Shown, shown_in
 from sunspec.process import read_accounts
 
 _UPDATE_S: Final = 0.1
@@ -42,6 +43,56 @@ _NODE_MESSAGES: Final = 300_000
 """Messages to read at most for the history of a node."""
 
 
+class _Summary(msgspec.Struct):
+    """What the list shows of a run's summary."""
+
+    sim_start: str = ""
+    cycles: int = 0
+    cycle_s: float = 0.0
+    figures: dict[str, float | None] = {}
+
+
+def recordings_in(folder: Path) -> dict[str, Path]:
+    """Return the recordings in a folder and the folders in it, by the names of their runs.
+
+    A name is a path in the folder, with ~ in place of /.
+    """
+    patterns = (f"*/{RECORDING_NAME}", f"*/*/{RECORDING_NAME}")
+    paths = [path for pattern in patterns for path in folder.glob(pattern)]
+    paths.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+    return {path.parent.relative_to(folder).as_posix().replace("/", "~"): path for path in paths}
+
+
+def run_list(folder: Path) -> dict[str, Any]:
+    """Return the runs in a folder, the newest first, and the figures that are shown of them."""
+    figures = shown_in(Shown.COMPARE, COMMITMENT)
+    return {
+        "folder": str(folder),
+        "figures": [{"heading": one.heading, "decimals": one.decimals} for one in figures],
+        "runs": [
+            _row(name, recording, [figure.name for figure in figures])
+            for name, recording in recordings_in(folder).items()
+        ],
+    }
+
+
+def _row(name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
+    folder, written = recording.parent, recording.stat()
+    summary, state = _Summary(), "failed" if (folder / FAILURE_NAME).exists() else ""
+    with suppress(OSError, msgspec.DecodeError):
+        document = (folder / SUMMARY_NAME).read_bytes()
+        summary, state = msgspec.json.decode(document, type=_Summary), "over"
+    return {
+        "name": name,
+        "state": state,
+        "recorded_ms": written.st_mtime * 1e3,
+        "size_mb": written.st_size / 1e6,
+        "start": summary.sim_start,
+        "simulated_s": summary.cycles * summary.cycle_s,
+        "figures": [summary.figures.get(figure) for figure in figures],
+    }
+
+
 class RunView:
     """A run that pages look at. Nothing is read while nobody does.
 
@@ -50,73 +101,74 @@ class RunView:
 
     def __init__(self, path: Path) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
-        self._states: NodeStates | None = None
+        self._opened: tuple[RunFollower, PlantState] | None = None
 
-    def open(self) -> NodeStates | None:
+    def open(self) -> RunFollower | None:
         """Return the recording; None while it has not begun."""
-        if self._states is None and self.path.exists():
+        if self._opened is None and self.path.exists():
             with suppress(NothingRecordedError):
-                self._states = NodeStates(RunFollower(self.path))
-        return self._states
+                follower = RunFollower(self.path)
+                self._opened = follower, PlantState(follower)
+        return self._opened[0] if self._opened else None
 
-    def _begun(self) -> NodeStates:
-        states = self.open()
-        if states is None:
+    def _begun(self) -> tuple[RunFollower, PlantState]:
+        self.open()
+        if self._opened is None:
             raise InputError(f"{self.path}: the run has not begun")
-        return states
+        return self._opened
 
     def plan(self) -> dict[str, Any] | None:
         """Return what stays the same throughout the run; None while it has not begun."""
-        states = self.open()
-        if states is None:
+        follower = self.open()
+        if follower is None:
             return None
-        plan, tree = states.follower.plan, states.follower.plan.tree
-        place = {node: number for number, node in enumerate(tree.nodes)}
-        devices = dict(plan.devices)
+        plan, tree = follower.plan, follower.plan.tree
+        number = {node: number for number, node in enumerate(tree.nodes)}
+        devices = dict(plan.site.devices)
         return {
             "run": plan.run_id,
             "plant": plan.plant,
-            "scheme": plan.scheme,
+            "scheme": plan.control.scheme,
             "nodes": [
                 {
                     "path": node,
-                    "parent": place[parent_of(node)] if node else None,
+                    "parent": number[parent_of(node)] if node else None,
                     "rating_kw": tree.rating_kw(node),
                     "inverter": tree.is_leaf(node),
-                    "external": node in plan.external,
+                    "external": node in plan.access.external,
                     "device": devices.get(node),
                 }
                 for node in tree.nodes
             ],
-            "positions_m": plan.positions_m,
-            "cycles": plan.cycles,
-            "cycle_s": plan.cycle_ns / 1e9,
-            "cycle_wall_s": plan.cycle_wall_ns / 1e9,
-            "hold_cycles": plan.hold_cycles,
-            "start_ms": plan.start_time_ns / 1e6,
-            "timezone": plan.timezone,
+            "positions_m": plan.site.positions_m,
+            "cycles": plan.timing.cycles,
+            "cycle_s": plan.timing.cycle_ns / 1e9,
+            "cycle_wall_s": plan.timing.cycle_wall_ns / 1e9,
+            "hold_cycles": plan.control.hold_cycles,
+            "start_ms": plan.timing.start_time_ns / 1e6,
+            "timezone": plan.timing.timezone,
         }
 
     def layout(self) -> dict[str, object]:
         """Return a layout of the run for Foxglove and Lichtblick."""
-        return viewer_layout(self._begun().follower.plan)
+        return viewer_layout(self._begun()[0].plan)
 
     def window(self, cycles: range, points: int) -> dict[str, Any]:
         """Return the plant's powers over some cycles."""
-        return self._begun().follower.powers(cycles, min(points, _MOST_POINTS))
+        return self._begun()[0].powers(cycles, min(points, _MOST_POINTS))
 
     async def node(self, node: str, cycles: range) -> dict[str, list[float | None]]:
         """Return the powers of a node over some cycles, at most so many that it takes a second."""
-        states = self._begun()
-        nodes = states.follower.plan.tree.nodes
+        follower, state = self._begun()
+        nodes = follower.plan.tree.nodes
         if node not in nodes:
             raise InputError(f"{node}: the run has no such node")
-        cycles = range(max(cycles.start, 0), min(cycles.stop, states.follower.cycles))
+        cycles = range(max(cycles.start, 0), min(cycles.stop, follower.cycles))
         most = max(_NODE_MESSAGES // (8 * len(nodes)), 20)
         step = max(ceil(len(cycles) / min(_NODE_POINTS, most)), 1)
         rows: list[dict[str, float | None]] = []
         for cycle in cycles[::step]:
-            rows.append({"cycle": cycle, **states.series(node, cycle)})
+            rows.append({"cycle": cycle, **state.powers(node, cycle)})
             await asyncio.sleep(0)  # Other pages have their turn.
         return columns(rows) if rows else {"cycle": []}
 
@@ -132,8 +184,7 @@ class RunView:
             if cycle is None:
                 yield b'{"state":"waiting"}'
                 continue
-            states = self._begun()
-            follower = states.follower
+            follower, state = self._begun()
             news: dict[str, Any] = {
                 "state": follower.state,
                 "cycles": follower.cycles,
@@ -144,7 +195,7 @@ class RunView:
             revision = follower.events.revision
             if cycle >= 0 and cycle != shown:
                 begin = shown + 1 if 0 <= shown < cycle else cycle
-                news["frame"] = states.frame(cycle)
+                news["frame"] = state.frame(cycle)
                 news["plant"] = follower.powers(range(begin, cycle + 1), _UPDATE_POINTS)
                 shown = cycle
             if is_slow_due := time.monotonic() > slow_at + _SLOW_S:
@@ -167,12 +218,11 @@ class RunView:
         shown = position
         now = time.monotonic()
         while True:
-            states = self.open()
-            if states is None:
+            follower = self.open()
+            if follower is None:
                 yield None
                 await asyncio.sleep(_WAITING_S)
                 continue
-            follower = states.follower
             up_to_date = follower.advance(_READING_S)
             before, now = now, time.monotonic()
             newest = follower.cycles - 1
@@ -181,7 +231,9 @@ class RunView:
             elif position is None:
                 shown += ceil((newest - shown) / _CATCH_UP)
             elif shown < newest:
-                shown = min(shown + speed * (now - before) * 1e9 / follower.plan.cycle_ns, newest)
+                shown = min(
+                    shown + speed * (now - before) * 1e9 / follower.plan.timing.cycle_ns, newest
+                )
             yield min(int(shown), newest)
             await asyncio.sleep(_UPDATE_S if up_to_date else _READING_S / 3)
 
@@ -192,6 +244,6 @@ def _figures(metrics: RunMetrics | None) -> list[dict[str, str]]:
         return []
     return [
         {"title": figure.title, "unit": figure.unit, "value": f"{value:,.{figure.decimals}f}"}
-        for figure in shown_in("summary")
+        for figure in shown_in(Shown.SUMMARY)
         if (value := figure.read(metrics)) is not None
     ]

@@ -27,9 +27,8 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from bus_schemas.errors import InputError
-from live_page.place import Place
-from live_page.run_list import recordings_in, run_list
-from live_page.run_view import RunView
+from live_page.process import PageAddress
+from live_page.run_view import RunView, recordings_in, run_list
 
 _STATIC: Final = Path(__file__).with_name("static")
 _MOST_CONNECTIONS: Final = 100
@@ -75,10 +74,10 @@ class PageServer:
     `streams` counts the browsers that look on; `left_at` is when the last one left.
     """
 
-    def __init__(self, path: Path, place: Place, *, several: bool) -> None:
+    def __init__(self, path: Path, address: PageAddress, *, several: bool) -> None:
         self.streams = 0
         self.left_at = float("-inf")
-        self._place = place
+        self._address = address
         self._path = path
         self._several = several
         self._opened = lru_cache(_OPEN_RUNS)(RunView)
@@ -98,8 +97,8 @@ class PageServer:
         )
 
     async def serve(self) -> None:
-        """Serve until told to end."""
-        await self._server.serve(sockets=[self._place.socket])
+        """Serve until `end` is called."""
+        await self._server.serve(sockets=[self._address.socket])
 
     def end(self) -> None:
         self._server.should_exit = True
@@ -122,8 +121,8 @@ class PageServer:
                 Route("/runs", self._runs),
                 Mount("/run/{run}", routes=of_run),
             ]
-        middleware = [Middleware(_Guard, token=self._place.token)]
-        if not self._place.token:
+        middleware = [Middleware(_Guard, token=self._address.token)]
+        if not self._address.token:
             # Another site's page must not reach this one under a name of its own.
             hosts = ["127.0.0.1", "localhost", "::1", "[::1]"]
             middleware.insert(0, Middleware(TrustedHostMiddleware, allowed_hosts=hosts))
@@ -132,7 +131,7 @@ class PageServer:
 
     def _file(self, name: str) -> Callable[[Request], Awaitable[Response]]:
         async def answer(request: Request) -> Response:
-            page, token = FileResponse(_STATIC / name), self._place.token
+            page, token = FileResponse(_STATIC / name), self._address.token
             if token:
                 page.set_cookie(_COOKIE, token, httponly=True, samesite="strict")
             return page

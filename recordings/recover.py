@@ -9,11 +9,11 @@ import msgspec
 from mcap.writer import CompressionType, Writer
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import PRODUCTION, RUN, Port
+from bus_schemas.signals import PRODUCTION, RUN, Port, ports
 from bus_schemas.tree import ROOT
+from bus_schemas.whole_file import new_path
 from recordings.read.gaps import RunGaps
 from recordings.read.reader import RunReader
-from recordings.read.whole_file import new_path
 from recordings.record.writer import declare
 
 RECOVERY_METADATA: Final = "recovery"
@@ -46,23 +46,22 @@ class Recovery(msgspec.Struct, kw_only=True):
 
 def is_sound(run: RunReader) -> bool:
     """Whether a recording was closed in order and all of it can be read."""
-    for place in run.followed_chunks():
-        run.messages_of(place, ())
+    run.check_chunks()
     return run.whole and not run.damage_text()
 
 
 def recover_run(run: RunReader, out: Path) -> Recovery:
-    """Copy all of a recording that can be read into a new one; `run` skips damaged chunks.
+    """Copy all of a recording that can be read into a new one.
 
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
     with their times, sequence numbers and order. Metadata named `recovery` is added.
     """
     outline, gaps = run.outline, RunGaps(run.plan)
-    found = Recovery(
+    recovery = Recovery(
         source=str(run.path),
         out=str(out),
         closed=outline.closed,
-        planned_cycles=run.plan.cycles,
+        planned_cycles=run.plan.timing.cycles,
         cut_bytes=0 if outline.closed else max(outline.size - outline.readable_end, 0),
     )
     with new_path(out) as beside, beside.open("xb") as file:
@@ -77,20 +76,20 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
                 one.sequence,
             )
             gaps.see(one.port, one.cycle, one.sequence, one.incarnation)
-            found.messages += 1
+            recovery.messages += 1
             if one.port.signal is not RUN:
-                found.last_cycle = max(found.last_cycle, one.cycle)
-        found.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].messages
-        found.lost, found.damage = gaps.lost, run.damage_text()
+                recovery.last_cycle = max(recovery.last_cycle, one.cycle)
+        recovery.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].messages
+        recovery.lost, recovery.damage = gaps.lost, run.damage_text()
         metadata = {
             "recovered_from": run.path.name,
-            "lossless": str(found.lossless).lower(),
-            "cut_bytes": str(found.cut_bytes),
-            "damage": found.damage,  # In the new file the checksums of attachments are right.
+            "lossless": str(recovery.lossless).lower(),
+            "cut_bytes": str(recovery.cut_bytes),
+            "damage": recovery.damage,  # In the new file the checksums of attachments are right.
         }
         writer.add_metadata(RECOVERY_METADATA, metadata)
         writer.finish()
-    return found
+    return recovery
 
 
 def _begin(writer: Writer, run: RunReader) -> dict[Port[Message], int]:
@@ -103,4 +102,4 @@ def _begin(writer: Writer, run: RunReader) -> dict[Port[Message], int]:
         )
     for name, entries in outline.metadata.items():
         writer.add_metadata(name, entries)
-    return declare(writer, run.plan)
+    return declare(writer, run.plan, ports(run.plan.tree))

@@ -60,7 +60,7 @@ from pvlib.location import Location
 from scipy import fft, ndimage, special
 
 from sim_plant import Floats
-from sim_plant.positions import east_north_m
+from sim_plant.sites import east_north_m
 
 # Constants of steps 1 and 2.
 _OUTER_SCALE = 14.0

@@ -12,7 +12,7 @@ from msgspec import Meta
 from bus_schemas.errors import InputError
 from sim_plant import Floats
 from sim_plant.csv_tables import read_csv
-from sim_plant.time_steps import step_ns, utc_text
+from sim_plant.time_steps import check_coverage, step_ns
 
 _LARGEST_KW = 1e8
 _COLUMN = "commitment_kw"
@@ -34,7 +34,7 @@ class ConstantCommitment(_Rule, frozen=True, tag="constant"):
 
 
 class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
-    """A share of the plant's median possible power in the run, the same at every time step.
+    """A share of the plant's median available power in the run, the same at every time step.
 
     This is hindsight: the median is known only after the run. It serves to compare control
     schemes at a like difficulty on different days.
@@ -54,17 +54,17 @@ class ShareOfClearSky(_Rule, frozen=True, tag="share-of-clear-sky"):
     share: Share
 
 
-class BelowPossible(_Rule, frozen=True, tag="below-possible"):
-    r"""A smooth profile below the possible power, as in the paper's case study.
+class BelowAvailable(_Rule, frozen=True, tag="below-available"):
+    r"""A smooth profile below the available power, as in the paper's case study.
 
     .. math:: P_{com}(t) = \lambda \, \overline{P_{MPP}}(t)
 
-    where the mean of the plant's possible power is taken over a window centred on t, cut off at
+    where the mean of the plant's available power is taken over a window centred on t, cut off at
     both ends of the run, and :math:`\lambda` is the share. The paper draws such a profile and gives
-    no rule for it: rule and parameters are ours. Under a passing cloud the possible power may be
+    no rule for it: rule and parameters are ours. Under a passing cloud the available power may be
     less than the commitment. This is hindsight: a centred mean knows what the clouds will do.
 
-    share: Share of the mean possible power around each moment.
+    share: Share of the mean available power around each moment.
     window_s: Length of the window of that mean [s].
     """
 
@@ -82,42 +82,42 @@ class ScheduledCommitment(_Rule, frozen=True, tag="file"):
 
 
 CommitmentSettings: TypeAlias = (
-    ConstantCommitment | ShareOfMedian | ShareOfClearSky | BelowPossible | ScheduledCommitment
+    ConstantCommitment | ShareOfMedian | ShareOfClearSky | BelowAvailable | ScheduledCommitment
 )
 
 
 def commitment_kw(
     settings: CommitmentSettings,
     times: pd.DatetimeIndex,
-    possible_kw: Floats,
+    available_kw: Floats,
     clear_sky_kw: Callable[[pd.DatetimeIndex], Floats],
     data_path: Callable[[str], Path],
 ) -> Floats:
     """Return the committed power of the plant at every time step [kW], shape (T,).
 
-    `possible_kw` is the maximum AC power of the whole plant, shape (T,). `clear_sky_kw` returns
+    `available_kw` is the maximum AC power of the whole plant, shape (T,). `clear_sky_kw` returns
     what that would be under a clear sky; it is called only where the rule asks for it. `data_path`
     returns the path of a file that the settings name.
     """
     match settings:
         case ConstantCommitment(power_kw=power_kw):
-            return np.full(possible_kw.shape, power_kw)
+            return np.full(available_kw.shape, power_kw)
         case ShareOfMedian(share=share):
-            median_kw = float(np.median(possible_kw))
+            median_kw = float(np.median(available_kw))
             if median_kw <= 0.0:
                 raise InputError("commitment: expected a run with daylight for most of its time")
-            return np.full(possible_kw.shape, share * median_kw)
+            return np.full(available_kw.shape, share * median_kw)
         case ShareOfClearSky(share=share):
             return share * clear_sky_kw(times)
-        case BelowPossible(share=share, window_s=window_s):
-            return share * _centred_mean(possible_kw, window_s / (step_ns(times) / 1e9))
+        case BelowAvailable(share=share, window_s=window_s):
+            return share * _centred_mean(available_kw, window_s / (step_ns(times) / 1e9))
         case ScheduledCommitment(path=path):
             return read_schedule_kw(data_path(path), times)
 
 
 def is_hindsight(settings: CommitmentSettings) -> bool:
     """Tell whether a commitment knows what a plant could not."""
-    return isinstance(settings, ShareOfMedian | BelowPossible)
+    return isinstance(settings, ShareOfMedian | BelowAvailable)
 
 
 def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
@@ -135,13 +135,8 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
     back = np.flatnonzero(np.diff(begins.asi8) <= 0)
     if back.size:
         raise table.error(int(back[0]) + 1, stamp, "a time after that of the line before")
-    ends = begins[-1] + (begins[-1] - begins[-2])
-    run_ends = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
-    if times[0] < begins[0] or run_ends > ends:
-        raise InputError(
-            f"{path.name}: expected a schedule of the run, {utc_text(times[0])} to "
-            f"{utc_text(run_ends)}, got {utc_text(begins[0])} to {utc_text(ends)}"
-        )
+    last_ns = (begins[-1] - begins[-2]).value
+    check_coverage(f"{path.name}: expected a schedule", begins, last_ns, times)
     held: Floats = power_kw[begins.searchsorted(times, side="right") - 1]
     return held
 

@@ -13,12 +13,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from bus_schemas.errors import InputError
-from bus_schemas.tree import check_name, some_of
+from bus_schemas.errors import InputError, listed
+from bus_schemas.tree import check_name
 from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
-from sim_plant.positions import placed_on_the_equator
-from sim_plant.sites import Sites, equal_ratings_kw, inverter_name
+from sim_plant.sites import Sites, equal_ratings_kw, inverter_name, placed_on_the_equator
 from sim_plant.sources import MeasuredPlant
 
 # Sensors at rest read a little off zero; the brightest edge of a cloud does not double the sun.
@@ -55,7 +54,7 @@ def read_currents(
     if unknown := [name for name in columns if name not in combiners.index]:
         raise InputError(
             f"{positions_csv.name}: expected a line for each combiner of {table.name}, got none "
-            f"for {some_of(unknown)}"
+            f"for {listed(unknown)}"
         )
     current = _currents(table, columns, full_power_current)
     # Combiners of the positions file that the currents lack are missing throughout.
@@ -117,10 +116,10 @@ def _means(
                 f"{shares.shape[1]} combiners missing: {done}"
             )
     means = pd.DataFrame(found)
-    silent = list(means.columns[means.isna().any()])
-    if means.empty or silent:
+    incomplete = list(means.columns[means.isna().any()])
+    if means.empty or incomplete:
         raise InputError(
             f"{name}: expected currents of an inverter in every line or in none, got lines without "
-            f"for {some_of(silent) or 'all'}"
+            f"for {listed(incomplete) or 'all'}"
         )
     return means, report

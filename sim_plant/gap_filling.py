@@ -29,7 +29,7 @@ import pandas as pd
 from bus_schemas.errors import InputError
 from sim_plant import Floats
 from sim_plant.irradiance import Irradiance
-from sim_plant.positions import east_north_m
+from sim_plant.sites import east_north_m
 
 _NEAREST: Final = 3
 _LONGEST_LINE: Final = 60
@@ -42,14 +42,14 @@ def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
     """Fill missing values (NaN), and report for each sensor what was filled."""
     ghi_wm2 = irradiance.ghi_wm2
     missing = np.isnan(ghi_wm2)
-    nobody = np.asarray(missing.all(axis=1), dtype=np.bool_)
+    all_missing = np.asarray(missing.all(axis=1), dtype=np.bool_)
     east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
     distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
     distance_m = np.maximum(distance_m, _SAME_PLACE_M)
     filled = ghi_wm2.copy()
     report = list(irradiance.report)
-    for sensor in np.flatnonzero((missing & ~nobody[:, None]).any(axis=0)):
-        gaps = missing[:, sensor] & ~nobody
+    for sensor in np.flatnonzero((missing & ~all_missing[:, None]).any(axis=0)):
+        gaps = missing[:, sensor] & ~all_missing
         order = np.argsort(distance_m[sensor], kind="stable")
         order = order[order != sensor]
         mean_wm2 = _weighted_mean(ghi_wm2[:, order], distance_m[sensor, order])
@@ -59,7 +59,7 @@ def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
             f"{irradiance.sensors[sensor]}: {int(gaps.sum()):,} of {len(gaps):,} values missing,"
             f" filled from the nearest sensors times {level:.3f}"
         )
-    if nobody.any():
+    if all_missing.any():
         lines = pd.DataFrame(filled).interpolate(limit=_LONGEST_LINE, limit_area="inside")
         filled = lines.to_numpy()
         left = np.isnan(filled).any(axis=1)
@@ -69,8 +69,8 @@ def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
                 "lines without any value, between lines with values"
             )
         report.append(
-            f"all sensors: {int(nobody.sum()):,} of {len(nobody):,} values missing at the same"
-            " time, interpolated from the values before and after"
+            f"all sensors: {int(all_missing.sum()):,} of {len(all_missing):,} values missing at the"
+            " same time, interpolated from the values before and after"
         )
     return replace(irradiance, ghi_wm2=filled, report=tuple(report))
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bus_schemas.errors import InputError
-from bus_schemas.tree import some_of
+from bus_schemas.errors import InputError, listed
 from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
 
@@ -59,7 +58,7 @@ def read_measured_ghi(
         if missing := [name for name in positions.names("station") if name not in known]:
             raise InputError(
                 f"{ghi_csv.name}: line 1: expected a column for each station of "
-                f"{positions_csv.name}, or irradiance.stations, got none for {some_of(missing)}"
+                f"{positions_csv.name}, or irradiance.stations, got none for {listed(missing)}"
             )
     wanted = tuple(known if stations is None else stations)
     check_stations(wanted, known, f"{table.name}: line 1: stations")
@@ -73,10 +72,7 @@ def read_measured_ghi(
 
 def read_positions(path: Path, stations: Sequence[str]) -> tuple[Floats, Floats]:
     """Return latitudes and longitudes of stations [degree], from a CSV `station, lat, lon`."""
-    table = read_csv(path)
-    table.check_header(("station", "lat", "lon"))
-    lat_deg, lon_deg = table.coordinates()
-    names = table.unique_names("station")
+    names, lat_deg, lon_deg = read_csv(path).places("station")
     if missing := [name for name in stations if name not in names]:
         raise InputError(f"{path.name}: expected a line for each station, got none for {missing}")
     rows = [names.index(name) for name in stations]
@@ -102,4 +98,4 @@ def check_stations(stations: Sequence[str], known: Sequence[str], where: str) ->
     """Refuse stations that are not known or come twice, and none at all."""
     if not stations or len(set(stations)) < len(stations) or not set(stations) <= set(known):
         got = ", ".join(stations) or "none"
-        raise InputError(f"{where}: expected {some_of(known)}, each at most once, got {got}")
+        raise InputError(f"{where}: expected {listed(known)}, each at most once, got {got}")

@@ -71,7 +71,7 @@ def read_day(
     found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg, str(path))
     if most_missing is None:
         return found
-    complete = fill_from_neighbours(_without_silent(found, most_missing))
+    complete = fill_from_neighbours(_without_sparse(found, most_missing))
     return replace(complete, report=tuple(f"{path.name}: {line}" for line in complete.report))
 
 
@@ -101,7 +101,7 @@ def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:
     return times
 
 
-def _without_silent(found: Irradiance, most_missing: float) -> Irradiance:
+def _without_sparse(found: Irradiance, most_missing: float) -> Irradiance:
     """Leave out the sensors of which too much is missing."""
     missing = np.isnan(found.ghi_wm2).sum(axis=0)
     total = len(found.times)

@@ -1,26 +1,24 @@
 """Begins and ends a run: the barrier before cycle 0, the start, the stop.
 
 Messages that are put on the bus right after a session opens can get lost before all declarations
-have travelled. So nothing counts until everybody's liveliness token is seen and one arming round,
-a whole cycle with a number below 0, has come back to the plant and past the recorder.
+have travelled. So nothing counts until the liveliness token of every agent is seen and one arming
+round, a whole cycle with a number below 0, has come back to the plant and past the recorder.
 """
 
 from __future__ import annotations
 
 import time
-from pathlib import Path
+from collections.abc import Callable
 from typing import Final
 
-from agents.events import Armed
-from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
-from agents.process import AgentProcess, run_guarded
-from bus_schemas.errors import FailureError
+from agents.process.agent_process import AgentProcess, run_guarded
+from agents.process.events import Armed
+from agents.process.launcher_link import LauncherLink
+from bus_schemas.errors import FailureError, listed
 from bus_schemas.signals import READY, RUN
-from bus_schemas.tree import PLANT, ROOT, some_of
-from sim_plant.devices import Devices
+from bus_schemas.tree import PLANT, ROOT
 from sim_plant.plant import Plant
-from sim_plant.profile import Profile
 
 FIRST_ROUND: Final = -1_000_000
 """Cycle of the first arming round; the next ones count upwards."""
@@ -29,10 +27,10 @@ _ROUND_PER_AGENT_S: Final = 0.005
 """How much longer an arming round may take for each agent."""
 
 _ARMING_S: Final = 30.0
-"""How long the arming rounds may take, once everybody is there."""
+"""How long the arming rounds may take, once all agents are there."""
 
 _LEAD_S: Final = 0.2
-"""In real time: how long before cycle 0 everybody is told when it begins."""
+"""In real time: how long before cycle 0 the plant announces when it begins."""
 
 
 def longest_round_s(number: int) -> float:
@@ -45,13 +43,12 @@ def longest_round_s(number: int) -> float:
 
 
 def run_plant(
-    plan: RunPlan, profile: Profile, link: LauncherLink, patience_s: float, folder: Path
+    plan: RunPlan, make_plant: Callable[[], Plant], link: LauncherLink, patience_s: float
 ) -> int:
-    """Join the bus and lead the run in a folder; all agents must appear within the patience."""
+    """Join the bus and lead the run; all agents must appear within the patience."""
 
     def run() -> None:
-        devices = Devices(plan, folder) if plan.devices else None
-        with AgentProcess(plan, Plant(plan, profile, devices), link) as process:
+        with AgentProcess(plan, make_plant(), link) as process:
             _lead(process, patience_s)
 
     return run_guarded(PLANT, link, run)
@@ -60,10 +57,10 @@ def run_plant(
 def _lead(process: AgentProcess, patience_s: float) -> None:
     """Arm, start, run, stop."""
     plan, loop = process.plan, process.loop
-    _await_everybody(process, time.monotonic() + patience_s)
+    _await_all(process, time.monotonic() + patience_s)
     # Agents that have appeared answer soon; only waiting for them to appear may take longer.
     _arm(process, time.monotonic() + min(patience_s, _ARMING_S))
-    lead_s = 0.0 if plan.lockstep else _LEAD_S
+    lead_s = 0.0 if plan.timing.lockstep else _LEAD_S
     start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
     process.driver.publish(RUN.of(ROOT), plan.run_message("start", 0, start_time_ns))
     process.link.tell(Armed(start_time_ns))
@@ -75,14 +72,14 @@ def _lead(process: AgentProcess, patience_s: float) -> None:
     process.report()
 
 
-def _await_everybody(process: AgentProcess, give_up_at: float) -> None:
+def _await_all(process: AgentProcess, give_up_at: float) -> None:
     alive_key = process.plan.wiring.alive_key
     others = {alive_key(agent): agent for agent in process.plan.processes if agent != PLANT}
     tokens = process.watch_tokens()
     while not others.keys() <= tokens.alive():
         if time.monotonic() > give_up_at:
             absent = [agent for key, agent in others.items() if key not in tokens.alive()]
-            raise FailureError(f"no sign of life from {some_of(absent)}")
+            raise FailureError(f"no sign of life from {listed(absent)}")
         time.sleep(0.005)
 
 
@@ -91,14 +88,14 @@ def _arm(process: AgentProcess, give_up_at: float) -> None:
     plan, loop = process.plan, process.loop
     for number in range(1, -FIRST_ROUND):
         loop.enter(FIRST_ROUND + number, time.monotonic_ns())
-        process.driver.go_on(loop)
+        process.driver.advance(loop)
         longest_s = longest_round_s(number) + _ROUND_PER_AGENT_S * len(plan.tree.nodes)
         if _round_closes(process, FIRST_ROUND + number, time.monotonic() + longest_s):
             return
         if time.monotonic() > give_up_at:
             break
     # One agent that does not answer delays all others.
-    needs = some_of(sorted(map(str, loop.waiting)), most=3)
+    needs = listed(sorted(map(str, loop.waiting)), most=3)
     raise FailureError(f"no arming round closed; the plant waits for {needs or 'the recorder'}")
 
 

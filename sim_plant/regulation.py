@@ -105,25 +105,8 @@ def _of_day_ns(clock: time | None) -> int:
 def _held(path: Path, time_ns: NDArray[np.int64]) -> Floats:
     """Return the signal of a file at some times: each value holds until the next one.
 
-    The last value holds for one step.
-    """
-    sent_ns, value = read_signal(path)
-    first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
-    begins_ns, ends_ns = int(sent_ns[0]), int(2 * sent_ns[-1] - sent_ns[-2])
-    if first_ns < begins_ns or last_ns >= ends_ns:
-        raise InputError(
-            f"{path.name}: expected a signal of the run's regulation, seconds "
-            f"{first_ns / _NS:.15g} to {last_ns / _NS:.15g}, got {begins_ns / _NS:.15g} to "
-            f"{ends_ns / _NS:.15g}; regulation.signal_midnight_s shifts the signal"
-        )
-    return value[np.searchsorted(sent_ns, time_ns, side="right") - 1]
-
-
-def read_signal(path: Path) -> tuple[NDArray[np.int64], Floats]:
-    """Read a regulation signal from a CSV of two columns with a header line.
-
-    The first column is the time on the signal's own clock [s], the second one the signal [per
-    unit]. Returns the times [ns], with a constant step, and the values, at least two.
+    The first column is the time on the signal's own clock [s], in constant steps, the second one
+    the signal [per unit]. The last value holds for one step.
     """
     table = read_csv(path)
     if len(table.header) != 2:
@@ -133,4 +116,13 @@ def read_signal(path: Path) -> tuple[NDArray[np.int64], Floats]:
         )
     seconds, signal = table.header
     value = table.numbers((signal,), "a number from -1 to 1", -1.0, 1.0)[:, 0]
-    return table.seconds_ns(seconds), value
+    sent_ns = table.seconds_ns(seconds)
+    first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
+    begins_ns, ends_ns = int(sent_ns[0]), int(2 * sent_ns[-1] - sent_ns[-2])
+    if first_ns < begins_ns or last_ns >= ends_ns:
+        raise InputError(
+            f"{path.name}: expected a signal of the run's regulation, seconds "
+            f"{first_ns / _NS:.15g} to {last_ns / _NS:.15g}, got {begins_ns / _NS:.15g} to "
+            f"{ends_ns / _NS:.15g}; regulation.signal_midnight_s shifts the signal"
+        )
+    return value[np.searchsorted(sent_ns, time_ns, side="right") - 1]

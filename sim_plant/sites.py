@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isclose
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import MOST_INVERTERS, check_name
 from sim_plant import Floats
 from sim_plant.csv_tables import read_csv
+
+_METRES_PER_DEGREE: Final = np.deg2rad(1.0) * 6_371_000.0
+"""Of latitude anywhere, and of longitude on the equator."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,8 +34,7 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
     Without that column the rating of the plant is split equally. Further columns are left alone.
     """
     table = read_csv(path)
-    table.check_header(("inverter", "lat", "lon"))
-    names = table.unique_names("inverter")
+    names, lat_deg, lon_deg = table.places("inverter")
     if not 0 < len(names) <= MOST_INVERTERS:
         raise InputError(f"{path.name}: expected 1 to {MOST_INVERTERS:,} lines, got {len(names):,}")
     for name in names:
@@ -47,7 +50,7 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
             )
     else:
         rating_kw = equal_ratings_kw(plant_rating_kw, len(names), path.name)
-    return Sites(names, *table.coordinates(), rating_kw)
+    return Sites(names, lat_deg, lon_deg, rating_kw)
 
 
 def inverter_name(station: str) -> str:
@@ -59,3 +62,21 @@ def equal_ratings_kw(plant_rating_kw: float | None, inverters: int, where: str) 
     if plant_rating_kw is None:
         raise InputError(f"{where}: expected plant.rating_kw or a column rating_kw, got neither")
     return np.full(inverters, plant_rating_kw / inverters)
+
+
+def east_north_m(lat_deg: Floats, lon_deg: Floats) -> tuple[Floats, Floats]:
+    """Return metres east and north of the middle of all places, on a flat Earth."""
+    shrink = np.cos(np.deg2rad(lat_deg.mean()))
+    east_m = (lon_deg - lon_deg.mean()) * _METRES_PER_DEGREE * shrink
+    return east_m, (lat_deg - lat_deg.mean()) * _METRES_PER_DEGREE
+
+
+def placed_on_the_equator(east_m: Floats, north_m: Floats) -> tuple[Floats, Floats]:
+    """Return latitudes and longitudes for a plant whose place on Earth is unknown.
+
+    On the equator a degree of longitude is as long as one of latitude.
+    """
+    return (
+        (north_m - north_m.mean()) / _METRES_PER_DEGREE,
+        (east_m - east_m.mean()) / _METRES_PER_DEGREE,
+    )

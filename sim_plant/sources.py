@@ -1,4 +1,4 @@
-"""Where a plant's possible power comes from: a sky of clouds, or something that was measured."""
+"""Where a plant's available power comes from: a sky of clouds, or something that was measured."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class CloudySky(PlantUnderSky):
     measured_times: ClassVar[None] = None  # Any time can be asked for.
     remarks: ClassVar[tuple[str, ...]] = ()
 
-    def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
+    def available_kw(self, times: pd.DatetimeIndex) -> Floats:
         return self._drawn_kw(times, self.seed)
 
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
@@ -92,15 +92,15 @@ class MeasuredPlant:
     earlier: MeasuredPlant | None = None
     earlier_by: timedelta = timedelta(0)
 
-    def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
+    def available_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return the maximum AC power of each inverter in the cycles that begin at `times`."""
         return on_cycles(self.measured_times, self.power_kw, times, self.source)
 
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return what `possible_kw` was at the same times of an earlier day, shape (T, n)."""
+        """Return what `available_kw` was at the same times of an earlier day, shape (T, n)."""
         if self.earlier is None:
             raise InputError("neighbours.history: expected 'hindsight' with data of one day")
-        return self.earlier.possible_kw(times - self.earlier_by)
+        return self.earlier.available_kw(times - self.earlier_by)
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
         if self.sky is None:

@@ -44,13 +44,7 @@ def on_cycles(
             f"{source}: expected a time.cycle_s that is a multiple of its step, {step / _NS:g} s, "
             f"or shorter, got {cycle / _NS:g} s"
         )
-    start, end = cycles[0], cycles[-1] + pd.Timedelta(cycle, unit="ns")
-    covered_until = times[-1] + pd.Timedelta(step, unit="ns")
-    if start < times[0] or end > covered_until:
-        raise InputError(
-            f"{source}: expected measurements of {utc_text(start)} to {utc_text(end)}, got "
-            f"{utc_text(times[0])} to {utc_text(covered_until)}"
-        )
+    check_coverage(f"{source}: expected measurements", times, step, cycles)
     if cycle < step:
         return _on_lines(times, values, cycles)
     first = times.searchsorted(cycles, side="right") - 1
@@ -68,5 +62,17 @@ def _on_lines(times: pd.DatetimeIndex, values: Floats, cycles: pd.DatetimeIndex)
     return np.column_stack([np.interp(wanted_s, known_s, column) for column in values.T])
 
 
-def utc_text(time: pd.Timestamp) -> str:
+def check_coverage(
+    expected: str, times: pd.DatetimeIndex, last_ns: int, cycles: pd.DatetimeIndex
+) -> None:
+    """Refuse times that do not cover the cycles of a run; the last one holds for `last_ns`."""
+    begin, end = cycles[0], cycles[-1] + pd.Timedelta(step_ns(cycles), unit="ns")
+    until = times[-1] + pd.Timedelta(last_ns, unit="ns")
+    if begin < times[0] or end > until:
+        wanted = f"{_utc(begin)} to {_utc(end)}"
+        got = f"{_utc(times[0])} to {_utc(until)}"
+        raise InputError(f"{expected} of {wanted}, got {got}")
+
+
+def _utc(time: pd.Timestamp) -> str:
     return time.tz_convert("UTC").isoformat().replace("+00:00", "Z")

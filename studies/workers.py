@@ -13,7 +13,7 @@ from importlib import import_module
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any, Final, TypeVar
 
-from agents.process import die_with_parent
+from agents.process.machine import die_with_parent
 from bus_schemas.errors import FailureError, InputError
 
 Item = TypeVar("Item")

@@ -39,7 +39,7 @@ def main() -> None:
         with log_in(folder).open("ab") as log:
             os.dup2(log.fileno(), 2)
         logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
-        logging.info("connected: %s", ", ".join(node for node, _ in plan.devices))
+        logging.info("connected: %s", ", ".join(node for node, _ in plan.site.devices))
         gateway.serve(folder, sys.stdin.fileno())
 
 

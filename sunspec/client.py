@@ -17,7 +17,8 @@ from sunspec2.modbus.client import SunSpecModbusClientModel as Model
 from sunspec2.modbus.client import SunSpecModbusClientPoint as Point
 from sunspec2.modbus.modbus import ModbusClientException
 
-from sim_plant.devices import Reading, parse_address
+from sim_plant.real_inverters import Reading
+from sunspec.addresses import parse_address
 from sunspec.limited_inverter import LIMIT_POINTS, LONGEST_REVERT_S
 
 _MEASUREMENTS: Final = (701, 103, 102, 101)
@@ -55,7 +56,7 @@ class SunSpecInverter:
     def connect(self) -> None:
         """Connect and find out which models the inverter has.
 
-        Raises DeviceError: Nobody listens, there is no such unit, or it lacks a model or a point.
+        Raises DeviceError: Nothing listens, there is no such unit, or it lacks a model or a point.
         """
         with self._errors():
             self._device.connect()
@@ -109,16 +110,16 @@ class SunSpecInverter:
 
         Raises DeviceError: It does not answer, or refuses.
         """
-        told: dict[str, float] = {"enabled": 1, "percent": self._percent(kw)}
+        settings: dict[str, float] = {"enabled": 1, "percent": self._percent(kw)}
         if self._needs_revert:
-            told["revert_s"] = min(max(round(revert_s), 1), LONGEST_REVERT_S)
-            told["revert_enabled"] = int(revert_kw is not None)
-            told["revert_percent"] = 100.0 if revert_kw is None else self._percent(revert_kw)
+            settings["revert_s"] = min(max(round(revert_s), 1), LONGEST_REVERT_S)
+            settings["revert_enabled"] = int(revert_kw is not None)
+            settings["revert_percent"] = 100.0 if revert_kw is None else self._percent(revert_kw)
         elif self._points["revert_s"].value:
-            told["revert_s"] = 0
+            settings["revert_s"] = 0
         with self._errors():
-            for field in told.keys() & self._points.keys():
-                self._points[field].cvalue = told[field]
+            for field in settings.keys() & self._points.keys():
+                self._points[field].cvalue = settings[field]
             self._limited.write()
 
     def _percent(self, kw: float) -> float:

@@ -39,7 +39,7 @@ _STEP_S: Final = 1.0
 
 
 class LimitSettings(msgspec.Struct, frozen=True):
-    """What an inverter is told: a limit in per cent of its rating, one in watts, and to disconnect.
+    """A limit in per cent of the rating, one in watts, and whether the inverter is connected.
 
     After `revert_s` without another limit in per cent (0: never) that goes to `revert_percent` if
     `revert_enabled`, and is released otherwise.
@@ -68,7 +68,7 @@ class LimitedInverter:
     delay_s: Time from a limit until the inverter begins to follow it.
     ramp_percent_per_s: How fast it follows; infinite: at once.
 
-    settings: What it was told last.
+    settings: Those written last.
     energy_kwh: Delivered up to the last `advance`.
     """
 
@@ -90,7 +90,7 @@ class LimitedInverter:
         self._began_at, self._from, self._to = -inf, 100.0, 100.0
         self._at: float | None = None
 
-    def told(self, settings: LimitSettings, at: float, *, renews: bool = True) -> None:
+    def apply(self, settings: LimitSettings, at: float, *, renews: bool = True) -> None:
         """Take new settings at a time [s]; `renews`: the revert time begins anew."""
         self.advance(at)
         self.settings = settings
@@ -99,7 +99,7 @@ class LimitedInverter:
             reverts = settings.enabled and settings.revert_s > 0
             self._revert_at = at + settings.revert_s if reverts else inf
 
-    def possible_kw(self, at: float) -> float:
+    def available_kw(self, at: float) -> float:
         """Return what it could give at a time: nothing while it is disconnected."""
         return self._sun_kw(at) if self.settings.connected else 0.0
 
@@ -108,7 +108,7 @@ class LimitedInverter:
         return self._revert_at - at if self._revert_at < inf else 0.0
 
     def power_kw(self, at: float) -> float:
-        return min(self.possible_kw(at), self._limit(at) / 100.0 * self.rating_kw)
+        return min(self.available_kw(at), self._limit(at) / 100.0 * self.rating_kw)
 
     def advance(self, until: float) -> None:
         while True:
@@ -144,7 +144,7 @@ class LimitedInverter:
         return self._from + copysign(moved, distance)
 
     def _integrate(self, until: float) -> None:
-        """Count the energy in steps, since the sky changes also while nobody asks."""
+        """Count the energy in steps, since the sky changes between two requests."""
         at = until if self._at is None else self._at
         while at < until:
             step_s = min(until - at, _STEP_S)

@@ -18,8 +18,9 @@ from typing import Final
 import msgspec
 
 from agents.plan import RunPlan
-from agents.side_process import SideProcess
+from agents.process.side_process import SideProcess
 from bus_schemas.errors import FailureError, InputError
+from bus_schemas.whole_file import whole_file
 
 _ACCOUNTS: Final = "devices.json"
 
@@ -55,9 +56,8 @@ class DeviceAccount(msgspec.Struct, frozen=True):
 
 def write_accounts(folder: Path, accounts: tuple[DeviceAccount, ...]) -> None:
     """Leave the accounts so far in a run's folder."""
-    part = folder / ".devices.part"
-    part.write_bytes(msgspec.json.encode(accounts))
-    part.replace(folder / _ACCOUNTS)
+    with whole_file(folder / _ACCOUNTS) as file:
+        file.write(msgspec.json.encode(accounts))
 
 
 def read_accounts(folder: Path) -> tuple[DeviceAccount, ...]:

@@ -1,7 +1,7 @@
 """SunSpec registers of a simulated inverter, and of the meter of a plant.
 
 A unit is a list of models from address 40000 on. Measurements are worked out when they are read;
-what is written to the points of a limit, or to `Conn`, is what the inverter is told.
+what is written to the points of a limit, or to `Conn`, is applied to the inverter.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ class Registers:
     """The registers of one Modbus unit.
 
     points: Returns its present points; the first model is the common one, 1.
-    tell: Called with a model's number and the fields of `LimitSettings` that were written to it.
-        Not used for units without a model of `LIMIT_POINTS`.
+    write_limit: Called with a model's number and the fields of `LimitSettings` that were written
+        to it. Not used for units without a model of `LIMIT_POINTS`.
     """
 
     def __init__(
         self,
         unit: int,
         points: Callable[[], Points],
-        tell: Callable[[int, dict[str, Any]], None] | None = None,
+        write_limit: Callable[[int, dict[str, Any]], None] | None = None,
     ) -> None:
-        self._points, self._tell = points, tell
+        self._points, self._write_limit = points, write_limit
         self._models: dict[int, Model] = {}
         image = bytearray(_SUNS)
         for number, values in points().items():
@@ -87,18 +87,18 @@ class Registers:
         """Take points of a limit, all of them or none."""
         known = LIMIT_POINTS.get(model.model_id, {})
         data = struct.pack(f">{len(values)}H", *values)
-        told: dict[str, Any] = {}
+        written: dict[str, Any] = {}
         for name, point in model.points.items():
-            place = point.offset - first
-            if place + point.len <= 0 or place >= len(values):
+            register = point.offset - first
+            if register + point.len <= 0 or register >= len(values):
                 continue
-            if name not in known or place < 0 or place + point.len > len(values):
+            if name not in known or register < 0 or register + point.len > len(values):
                 return ExcCodes.ILLEGAL_ADDRESS
-            point.set_mb(data[2 * place : 2 * (place + point.len)])
-            told[known[name]] = point.cvalue
-        assert self._tell is not None
+            point.set_mb(data[2 * register : 2 * (register + point.len)])
+            written[known[name]] = point.cvalue
+        assert self._write_limit is not None
         try:
-            self._tell(model.model_id, told)
+            self._write_limit(model.model_id, written)
         except msgspec.ValidationError:
             return ExcCodes.ILLEGAL_VALUE
         return None
@@ -133,18 +133,18 @@ def inverter_device(
         inverter.advance(at)
         return _common("simulated inverter", name, unit) | points(inverter, at)
 
-    def tell(model: int, told: dict[str, Any]) -> None:
-        renews = not told.keys() <= {"connected", "set_enabled", "set_in_w", "set_w"}
+    def write(model: int, written: dict[str, Any]) -> None:
+        renews = not written.keys() <= {"connected", "set_enabled", "set_in_w", "set_w"}
         if renews and model == 123:
-            told |= _NO_REVERT
+            written |= _NO_REVERT
         at = now()
         inverter.advance(at)  # It may have reverted meanwhile.
         present = msgspec.structs.asdict(inverter.settings)
-        settings = msgspec.convert(present | told, LimitSettings, strict=False)
+        settings = msgspec.convert(present | written, LimitSettings, strict=False)
         on_limit()
-        inverter.told(settings, at, renews=renews)
+        inverter.apply(settings, at, renews=renews)
 
-    return Registers(unit, current, tell).device
+    return Registers(unit, current, write).device
 
 
 def meter_device(
@@ -174,16 +174,16 @@ def meter_device(
 def inverter_points(inverter: LimitedInverter, at: float) -> Points:
     """Return the points of all models of an inverter, except the common one."""
     rating_kw, ramp = inverter.rating_kw, inverter.ramp_percent_per_s
-    power_kw, possible_kw = inverter.power_kw(at), inverter.possible_kw(at)
+    power_kw, available_kw = inverter.power_kw(at), inverter.available_kw(at)
     connected = inverter.settings.connected
     rating, watts, energy = 1e3 * rating_kw, 1e3 * power_kw, 1e3 * inverter.energy_kwh
     signed, unsigned = _scale(rating), _scale(rating, _UNSIGNED)
     amperes, phase_volts = _amperes(watts), _VOLTS / sqrt(3.0)
-    held_kw = possible_kw - power_kw
+    held_kw = available_kw - power_kw
     throttled = 100.0 * held_kw / rating_kw if held_kw > 1e-6 * rating_kw else 0.0
     if not connected:
         state = _OFF
-    elif possible_kw <= 0.0:
+    elif available_kw <= 0.0:
         state = _SLEEPING
     else:
         state = _THROTTLED if throttled else _RUNNING
@@ -210,7 +210,7 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
         },
         122: {
             "WAval_SF": unsigned, "PVConn": 7, "StorConn": 0, "ECPConn": 2 if connected else 1,
-            "ActWh": round(energy), "WAval": 1e3 * possible_kw,
+            "ActWh": round(energy), "WAval": 1e3 * available_kw,
             "StActCtl": inverter.settings.enabled,
         },
         123: {

@@ -41,8 +41,8 @@ class Sky:
     def is_over(self, at: float) -> bool:
         return self._cycle(at) >= len(self._mpp_kw)
 
-    def possible_kw(self, place: int) -> Callable[[float], float]:
-        return lambda at: float(self._mpp_kw[min(self._cycle(at), len(self._mpp_kw) - 1), place])
+    def available_kw(self, position: int) -> Callable[[float], float]:
+        return lambda at: float(self._mpp_kw[min(self._cycle(at), len(self._mpp_kw) - 1), position])
 
     def _cycle(self, at: float) -> int:
         return 0 if self.began_at is None else max(int((at - self.began_at) / self._cycle_s), 0)

@@ -6,17 +6,42 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
 from running import REPOSITORY
-from typer.testing import CliRunner, Result
 
-from launch_scripts.app import app
+from heliarch.cli.app import run_command
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command printed, and its exit status."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+
+    @property
+    def output(self) -> str:
+        return self.stdout + self.stderr
 
 
 def heliarch(*words: str | Path) -> Result:
     """Run a command in this process."""
-    return CliRunner().invoke(app, [str(word) for word in words])
+    out, errors = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    status: object = 0
+    with redirect_stdout(out), redirect_stderr(errors):
+        try:
+            run_command([str(word) for word in words])
+        except SystemExit as end:
+            status = end.code
+    assert isinstance(status, int)
+    for stream in (out, errors):
+        stream.seek(0)
+    return Result(status, out.read(), errors.read())
 
 
 def done(*words: str | Path) -> str:
@@ -39,7 +64,7 @@ def refusal(*words: str | Path, status: int = 2) -> str:
 def process(*words: str | Path, cwd: Path) -> subprocess.Popen[str]:
     """Start a command as a process."""
     return subprocess.Popen(
-        [sys.executable, "-m", "launch_scripts", *map(str, words)],
+        [sys.executable, "-m", "heliarch", *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

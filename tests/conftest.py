@@ -5,14 +5,14 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from running import Start, commands_in, small_plant
-
-REPOSITORY = Path(__file__).parent.parent
+from running import REPOSITORY, Device, Start, commands_in, small_plant
 
 # How long an example takes to make or to check is the machine's affair. The same examples are
 # tried each time, so that a change fails for what it changes; `make soak` tries others.
@@ -61,3 +61,18 @@ def heliarch(tmp_path: Path) -> Iterator[Start]:
 def plant(tmp_path: Path) -> str:
     """A scenario of four inverters in two clusters."""
     return small_plant(tmp_path / "plant")
+
+
+@pytest.fixture
+def device() -> Iterator[Device]:
+    """Start programs; none outlives the test."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(program: Path, *words: object) -> subprocess.Popen[bytes]:
+        started.append(subprocess.Popen([sys.executable, str(program), *map(str, words)]))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()

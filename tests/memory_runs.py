@@ -9,15 +9,16 @@ from typing import Any
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from plans_by_hand import with_changes
 
+from agents.faults import Fault
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Message, Production
 from bus_schemas.signals import Port
-from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
-from launch_scripts.scenarios.fault_rules import parse_fault
-from launch_scripts.scenarios.preparation import Preparation
+from launch_scripts.simulation import MemoryRun, on_the_clock
+from scenarios.fault_rules import parse_fault
+from scenarios.preparation import Preparation
 from sim_plant.profile import Profile
 
 
@@ -56,17 +57,17 @@ def run_in_memory(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, Sent]:
     """Run a plan through under a profile, and hear all that is sent."""
     sent = Sent()
     run = MemoryRun(plan, profile, sent)
-    assert list(run.cycles()) == list(range(plan.cycles))
+    assert list(run.cycles()) == list(range(plan.timing.cycles))
     run.close()
     return run, sent
 
 
 def run_with(
     prepared: Preparation,
-    rules: Sequence[FaultRule | str] = (),
+    rules: Sequence[Fault | str] = (),
     **changes: object,
 ) -> tuple[MemoryRun, Sent]:
     """Run through by a virtual clock if there are fault rules, also as `--fault` has them."""
     faults = tuple(parse_fault(rule) if isinstance(rule, str) else rule for rule in rules)
-    plan = msgspec.structs.replace(prepared.plan, faults=faults, **changes)
+    plan = with_changes(prepared.plan, faults=faults, **changes)
     return run_in_memory(on_the_clock(plan) if faults else plan, prepared.profile)

@@ -11,9 +11,10 @@ from memory_runs import run_in_memory
 from plans_by_hand import plan_at_noon
 from recordings_by_hand import write_messages
 
+from agents.faults import Fault
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.faults import FaultRule
+from bus_schemas.faults import Disturbance
 from bus_schemas.signals import RUN
 from bus_schemas.tree import PLANT
 from recordings.read.run_file import RECORDING_NAME, further_file
@@ -38,14 +39,14 @@ def plan_of(
 
 
 def faulty_plan(
-    *rules: FaultRule,
+    *rules: Fault,
     ratings_kw: dict[str, float] = TWO_TIERS,
     seed: int = 1,
     cycles: int = 25,
     **fields: object,
 ) -> RunPlan:
     """Plan of a run in real time over an imperfect network; by default a bad one."""
-    faults = rules or (FaultRule(loss=0.05, duplicate=0.05, delay_ms=12.0, jitter_ms=12.0),)
+    faults = rules or (Disturbance(loss=0.05, duplicate=0.05, delay_ms=12.0, jitter_ms=12.0),)
     return plan_of(
         ratings_kw,
         cycles=cycles,
@@ -60,9 +61,9 @@ def cloudy_profile(plan: RunPlan, seed: int = 1) -> Profile:
     """Each inverter between nothing and its rating, changing fast, so that many ask for help."""
     generator = np.random.default_rng(seed)
     ratings_kw = np.array([rating_kw for _, rating_kw in plan.inverters])
-    mpp_kw = ratings_kw * generator.uniform(0.0, 1.0, (plan.cycles, len(ratings_kw)))
+    mpp_kw = ratings_kw * generator.uniform(0.0, 1.0, (plan.timing.cycles, len(ratings_kw)))
     # Now and then more than the plant's rating is dispatched: the central controller gives notice.
-    dispatch_kw = ratings_kw.sum() * generator.uniform(0.2, 1.1, plan.cycles)
+    dispatch_kw = ratings_kw.sum() * generator.uniform(0.2, 1.1, plan.timing.cycles)
     return Profile(mpp_kw, dispatch_kw)
 
 
@@ -89,7 +90,7 @@ def record_on(folder: Path, plan: RunPlan, messages: Iterable[Delivery], number:
 
 
 def _write(path: Path, plan: RunPlan, messages: Iterable[Delivery]) -> None:
-    driver = "simulate" if plan.lockstep else "launch"
+    driver = "simulate" if plan.timing.lockstep else "launch"
     write_messages(path, messages, plan=plan, scenario='name = "oahu"\n', driver=driver)
 
 

@@ -15,7 +15,7 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
-from recordings.read.chunks import ChunkPlace
+from recordings.read.mcap_file import Chunk
 from recordings.read.reader import open_run
 from recordings.record.writer import ClockAnchor, RunWriter
 
@@ -26,7 +26,7 @@ SCENARIO = 'name = "field"\ntitle = "Four inverters"\n'
 def cycle_of_the_plant(cycle: int) -> Iterator[Delivery]:
     """All messages of one cycle. `c1/a` lacks 20 kW of its share, `c1/b` gives them."""
     tree, central_acts = PLAN.tree, cycle % 2 == 0
-    sim_time_ns = PLAN.sim_time_ns(cycle)
+    sim_time_ns = PLAN.timing.sim_time_ns(cycle)
 
     def stamp(source: str) -> tuple[int, int, str, tuple[str, ...]]:
         return cycle, sim_time_ns, source, ()
@@ -78,8 +78,8 @@ def cycle_of_the_plant(cycle: int) -> Iterator[Delivery]:
         yield signals.COMMAND.of(leaf), messages.Command(*stamp(leaf), alpha=0.8, power_kw=60.0)
     production = messages.Production(
         *stamp(PLANT),
-        desired_kw=240.0,
-        possible_kw=280.0,
+        dispatch_kw=240.0,
+        available_kw=280.0,
         delivered_kw=239.0,
         inverter_mpp_kw=(40.0, 90.0, 75.0, 75.0),
         inverter_power_kw=(40.0, 80.0, 60.0, 59.0),
@@ -159,11 +159,11 @@ def cut(recording: Path, to: Path | None = None, share: float = 0.5) -> None:
     (to or recording).write_bytes(content[: round(share * len(content))])
 
 
-def zero_chunk(recording: Path, number: int, to: Path | None = None) -> ChunkPlace:
+def zero_chunk(recording: Path, number: int, to: Path | None = None) -> Chunk:
     """Zero the head of a chunk of a recording, by default in its place; return where it is."""
     with open_run(recording) as run:
-        place = run.outline.chunks[number]
+        chunk = run.outline.chunks[number]
     content = bytearray(recording.read_bytes())
-    content[place.offset : place.offset + 60] = bytes(60)
+    content[chunk.offset : chunk.offset + 60] = bytes(60)
     (to or recording).write_bytes(content)
-    return place
+    return chunk

@@ -29,7 +29,7 @@ PLAN = plan_of(
     stall_timeout_s=0.5,
     correction=False,
 )
-CYCLE_NS = PLAN.cycle_ns
+CYCLE_NS = PLAN.timing.cycle_ns
 
 
 class Said(NamedTuple):
@@ -43,8 +43,10 @@ class Said(NamedTuple):
 def run_in_memory(plan: RunPlan = PLAN) -> list[Said]:
     """All that is said in a run under passing clouds, a message every 0.1 ms."""
     generator = np.random.default_rng(7)
-    mpp_kw = 60.0 + 35.0 * np.cumsum(generator.standard_normal((plan.cycles, 4)), axis=0) / 8.0
-    profile = Profile(np.clip(mpp_kw, 5.0, 100.0), np.full(plan.cycles, 220.0))
+    mpp_kw = (
+        60.0 + 35.0 * np.cumsum(generator.standard_normal((plan.timing.cycles, 4)), axis=0) / 8.0
+    )
+    profile = Profile(np.clip(mpp_kw, 5.0, 100.0), np.full(plan.timing.cycles, 220.0))
     return [
         Said(port, replace(message, publish_time_ns=place * STEP_NS), place * STEP_NS + 1_000)
         for place, (port, message) in enumerate(published(plan, profile), start=1)

@@ -11,8 +11,8 @@ from timed_recordings import PLAN, TIMES_MS, cycle, recorded
 from agents.cycle import kind_of
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from launch_scripts.launcher.summary import MessageCount, ProcessAccount, RunSummary
-from studies.timing.report import TimingReport, report_on
+from results.run_summary import MessageCount, ProcessAccount, RunSummary
+from results.timing.report import TimingReport, report_on
 
 LOAD = (0.5, 0.75)
 
@@ -38,7 +38,7 @@ def summary_of(
             cpu_s=1.0,
         )
         for agent in plan.tree.agents()
-        if agent not in plan.external
+        if agent not in plan.access.external
     ]
     return RunSummary(
         run_id=plan.run_id,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -17,12 +18,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-import launch_scripts.app
-import launch_scripts.commands.run
-import launch_scripts.launcher.launch  # noqa: F401
+import launch_scripts.launch  # noqa: F401
 from bus_schemas.errors import InputError
 from bus_schemas.signals import IMPP, PRODUCTION
-from launch_scripts.cli import main
+from heliarch.cli.main import main
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
 
@@ -182,7 +181,7 @@ class Heliarch:
 
     def until_running(self) -> None:
         """Wait until cycles go by."""
-        self.until_shown("desired")
+        self.until_shown("delivered")
 
     def recorded_cycles(self) -> int:
         """Cycles that can be read from the recording: none before its first flush."""
@@ -223,6 +222,9 @@ class Heliarch:
 
 Start = Callable[..., Heliarch]
 """Starts a command from its words."""
+
+Device = Callable[..., subprocess.Popen[bytes]]
+"""Starts a program in the place of agents, from its path and its words."""
 
 
 @contextmanager

@@ -87,7 +87,7 @@ def cycle(
             replace(
                 message,
                 cycle=number,
-                sim_time_ns=plan.sim_time_ns(number),
+                sim_time_ns=plan.timing.sim_time_ns(number),
                 missing=missing.get(key, ()),
                 ready_time_ns=round(tick_ns + ready_ms * MS),
                 publish_time_ns=round(tick_ns + publish_ms * MS),

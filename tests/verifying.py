@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from running import Heliarch
 
-from recordings.verify.comparison import Comparison
-from recordings.verify.verification import Verification, verify
+from recordings.verify.verification import Verification
 
 
-def verified(folder: Path) -> Verification:
-    return verify(folder, (), Comparison())
-
-
-def findings(found: Verification) -> dict[str, object]:
+def first_differences(found: Verification) -> dict[str, object]:
     """The first difference of each agent that has one."""
     return {name: entry.first for name, entry in found.agents.items() if entry.first}
 
@@ -27,8 +20,8 @@ def assert_equal_as_far_as_recorded(run: Heliarch, found: Verification) -> None:
     """
     if "messages were lost" not in run.error_text():
         assert run.process.returncode in {0, 130}, run.error_text()
-        assert findings(found) == {}
+        assert first_differences(found) == {}
         return
     assert run.process.returncode == 1
-    kinds = {kind for findings in found.agents.values() for kind in findings.differences}
+    kinds = {kind for result in found.agents.values() for kind in result.differences}
     assert kinds <= {"only new", "not recorded", "input not recorded"}

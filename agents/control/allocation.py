@@ -1,4 +1,4 @@
-"""Step 4: give each child the power it must produce, and find help for those that lack some."""
+"""Steps 3 and 4: the order in which children in need ask their siblings, and who gives what."""
 
 from __future__ import annotations
 
@@ -11,6 +11,23 @@ if TYPE_CHECKING:
 
     Numbers: TypeAlias = Sequence[float] | NDArray[np.float64]
     Orders: TypeAlias = Sequence[Sequence[int]] | NDArray[np.int64]
+
+
+def help_order(correlation: Sequence[Sequence[float]]) -> tuple[tuple[int, ...], ...]:
+    """Order each child's siblings by ascending correlation with it (eq. 5).
+
+    Equal correlations keep the order of the children, so that the result is one and the same
+    everywhere.
+
+    Parameters
+    ----------
+    correlation
+        Pearson correlation between the children's power, shape (n, n).
+    """
+    return tuple(
+        tuple(sorted((other for other in range(len(row)) if other != child), key=row.__getitem__))
+        for child, row in enumerate(correlation)
+    )
 
 
 def allocate(

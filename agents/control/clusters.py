@@ -7,7 +7,6 @@ clusters: it swaps members between clusters for as long as a swap helps.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,32 +20,11 @@ _STARTS = 20
 """Random starts of a search, of which the best result is kept."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClusterSearch:
-    """The clusters that a search found, and what each of its starts found.
-
-    Attributes
-    ----------
-    clusters : tuple of tuple of int
-        The best of all starts: the members of each cluster, ascending, in the order of the sizes
-        asked for. Clusters of the same size are in the order of their first members.
-    correlation_of_starts : tuple of float
-        Mean correlation over all pairs that share a cluster, for each start; NaN if none do.
-    """
-
-    clusters: Clusters
-    correlation_of_starts: tuple[float, ...]
-
-    @property
-    def starts_at_best(self) -> int:
-        """How many starts found clusters as good as the best, apart from rounding."""
-        best = min(self.correlation_of_starts)
-        # Written so that NaN, of clusters of one, is as good as NaN.
-        return sum(not value > best + _LEAST_GAIN for value in self.correlation_of_starts)
-
-
-def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> ClusterSearch:
+def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> Clusters:
     """Partition the inverters so that the correlation inside the clusters is least.
+
+    The members of each cluster are ascending. Clusters of the same size are in the order of their
+    first members.
 
     Parameters
     ----------
@@ -54,23 +32,24 @@ def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> C
         Symmetric correlation of the inverters (paper, eq. 5). The diagonal is not used.
     sizes : sequence of int
         How many inverters each cluster takes; the sum must be N.
+
+    Returns
+    -------
+    tuple of tuple of int
+        The best of all starts: the members of each cluster, ascending, in the order of the sizes
+        asked for. Clusters of the same size are in the order of their first members.
     """
     cost = np.array(correlation, dtype=np.float64)
     np.fill_diagonal(cost, 0.0)
     rng = np.random.default_rng(0)
     start = np.repeat(np.arange(len(sizes)), sizes)
     best, best_cost = start, np.inf
-    costs = []
     for _ in range(_STARTS):
         label = _descend(cost, rng.permutation(start), len(sizes))
         label_cost = float(cost[label[:, None] == label[None, :]].sum())
-        costs.append(label_cost)
         if label_cost < best_cost - _LEAST_GAIN:
             best, best_cost = label, label_cost
-    # The matrix holds each pair twice, and so does its sum.
-    pairs_twice = sum(size * (size - 1) for size in sizes)
-    mean = tuple(value / pairs_twice if pairs_twice else float("nan") for value in costs)
-    return ClusterSearch(_ordered(best, sizes), mean)
+    return _ordered(best, sizes)
 
 
 def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
@@ -98,29 +77,7 @@ def geographic_clusters(
     squared = np.sum(difference**2, axis=2)
     # In units of the largest distance, so that the least gain means the same as for correlations.
     largest = float(squared.max(initial=0.0))
-    return search_clusters(squared / largest if largest > 0.0 else squared, sizes).clusters
-
-
-def within_cluster_correlation(
-    correlation: NDArray[np.float64], clusters: Sequence[Sequence[int]]
-) -> float:
-    """Mean correlation over all pairs of inverters that share a cluster.
-
-    Each pair counts once; NaN if no cluster has two members.
-
-    Parameters
-    ----------
-    correlation : numpy.ndarray, shape (N, N)
-        Symmetric correlation of the inverters.
-    clusters : sequence of sequence of int
-        The members of each cluster, as indices into `correlation`.
-    """
-    pairs = [
-        correlation[np.ix_(list(cluster), list(cluster))][np.triu_indices(len(cluster), k=1)]
-        for cluster in clusters
-        if len(cluster) > 1
-    ]
-    return float(np.mean(np.concatenate(pairs))) if pairs else float("nan")
+    return search_clusters(squared / largest if largest > 0.0 else squared, sizes)
 
 
 def _descend(cost: NDArray[np.float64], label: NDArray[np.intp], count: int) -> NDArray[np.intp]:

@@ -22,7 +22,7 @@ HIGHEST_CORRECTION: Final = 0.1
 
 def corrected(
     correction_kw: float,
-    desired_kw: float,
+    dispatch_kw: float,
     metered_kw: float,
     is_free: bool,
     rating_kw: float,
@@ -35,8 +35,8 @@ def corrected(
     ----------
     correction_kw
         The last correction.
-    desired_kw, metered_kw
-        Desired power of the plant, without the correction, and its meter reading, both for the
+    dispatch_kw, metered_kw
+        Dispatch, without the correction, and its meter reading, both for the
         interval that ended.
     is_free
         Whether no inverter is curtailed. Then nothing can be added.
@@ -53,5 +53,5 @@ def corrected(
         return 0.0
     gain = min(GAIN_PER_S * cycle_s, HIGHEST_GAIN / (1.0 + delay_s / cycle_s) ** 2)
     return min(
-        max(correction_kw + gain * (desired_kw - metered_kw), 0.0), HIGHEST_CORRECTION * rating_kw
+        max(correction_kw + gain * (dispatch_kw - metered_kw), 0.0), HIGHEST_CORRECTION * rating_kw
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 def grouping_levels(
     reference_kw: NDArray[np.float64],
-    desired_kw: NDArray[np.float64],
+    dispatch_kw: NDArray[np.float64],
     rating_kw: NDArray[np.float64],
     reference: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
@@ -24,14 +24,14 @@ def grouping_levels(
     With PHL the potential high limit, R the reference group and c the AC ratings::
 
         PHL = (sum of all c / sum of c over R) x sum of P over R
-        alpha = (P_desired - sum of P over R) / (PHL - sum of P over R), within [0, 1]
+        alpha = (dispatch - sum of P over R) / (PHL - sum of P over R), within [0, 1]
 
     Parameters
     ----------
     reference_kw
         Measured power of the reference group in the interval before, shape (T,).
-    desired_kw
-        Power wanted from the plant, shape (T,).
+    dispatch_kw
+        Dispatch of the plant, shape (T,).
     rating_kw
         AC rating of each inverter, shape (n,).
     reference
@@ -44,13 +44,13 @@ def grouping_levels(
     """
     others_kw = reference_kw * (rating_kw[~reference].sum() / rating_kw[reference].sum())
     level = np.ones_like(others_kw)
-    np.divide(desired_kw - reference_kw, others_kw, out=level, where=others_kw > 0.0)
+    np.divide(dispatch_kw - reference_kw, others_kw, out=level, where=others_kw > 0.0)
     return np.where(reference, 1.0, level.clip(0.0, 1.0)[:, None])
 
 
 def grouping_limits_kw(
     reference_kw: NDArray[np.float64],
-    desired_kw: NDArray[np.float64],
+    dispatch_kw: NDArray[np.float64],
     rating_kw: NDArray[np.float64],
     reference: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
@@ -58,6 +58,6 @@ def grouping_limits_kw(
 
     It is alpha times the power that the reference group promises for the inverter's rating.
     """
-    levels = grouping_levels(reference_kw, desired_kw, rating_kw, reference)
+    levels = grouping_levels(reference_kw, dispatch_kw, rating_kw, reference)
     promised_kw = np.outer(reference_kw / rating_kw[reference].sum(), rating_kw)
     return np.where(reference, np.inf, levels * promised_kw)

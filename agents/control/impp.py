@@ -1,4 +1,4 @@
-"""Step 1: estimate the maximum power that an inverter could give (IMPP)."""
+"""Step 1: from an inverter's power to its maximum (IMPP); the last step: from it to alpha."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from bus_schemas.bounds import METER_TOLERANCE
 
 FIRST_METER_ERROR: Final = 0.002
 """Assumed error of an inverter's meter before anything is known of it, as a share."""
+
+ROUNDING: Final = 1e-9
+"""An inverter that is asked for all it has but this share of it is asked for all."""
 
 
 class Estimate(NamedTuple):
@@ -126,3 +129,25 @@ def stale(last: Estimate) -> Estimate:
         below_limit=last.below_limit,
         reads_low=last.reads_low,
     )
+
+
+def curtailment_level(setpoint_kw: float, impp_kw: float, alpha_min: float) -> float:
+    """Return alpha = setpoint / IMPP (eq. 6), within [alpha_min, 1].
+
+    Alpha never reaches zero because the next IMPP is measured through it: P / alpha. An inverter
+    without power (IMPP = 0) is free, alpha = 1, so that its first kilowatt is seen. An alpha within
+    `ROUNDING` of 1 is 1: a free inverter gives all it has, and whether one is free must not depend
+    on the last bit of a sum.
+
+    Parameters
+    ----------
+    setpoint_kw
+        Power that the inverter must give, not negative.
+    impp_kw
+        Its estimated maximum power, not negative.
+    alpha_min
+        Lowest alpha that keeps the IMPP observable, in (0, 1].
+    """
+    if setpoint_kw >= impp_kw * (1.0 - ROUNDING):
+        return 1.0
+    return min(max(setpoint_kw / impp_kw, alpha_min), 1.0)

@@ -18,7 +18,7 @@ enum { TELEMETRY, DISPATCH, SETPOINT, RUN, INPUTS };
 enum { IMPP, RESIDUAL, HELP, COMMAND, OUTPUTS };
 enum { CYCLE, INCARNATION, PUBLISHED, POWER, ALPHA, RATING, AVAILABLE, FIELDS };
 enum { IDLE, ESTIMATE, ACTUATE };
-enum { PROTOCOL = 1, LONGEST = 4096, MOST_WAITING = 64, KEY = 1024 };
+enum { PROTOCOL = 2, LONGEST = 4096, MOST_WAITING = 64, KEY = 1024 };
 static const char *const HEARD[] = {"telemetry", "dispatch", "setpoint", "run"};
 static const char *const SAID[] = {"impp", "residual", "help", "command"};
 static const char *const NAMES[] = {"cycle", "incarnation",     "publish_time_ns", "power_kw",
@@ -207,12 +207,12 @@ static void put(const mp_writer *out, int signal, int to) {
 
 /* The cycle -------------------------------------------------------------------------------------- */
 
-static const message *input(int signal) { /* The newest message; NULL if it is silent. */
+static const message *input(int signal) { /* The newest message; NULL if it has expired. */
     int64_t due = self.cycle - (signal == SETPOINT ? plan.parent_period - 1 : 0);
     return due - self.newest[signal].integer[CYCLE] <= plan.hold ? &self.newest[signal] : NULL;
 }
 
-static double request_kw(void) { /* The inverter's share of the dispatch (eq. 3); NAN if that is silent. */
+static double share_kw(void) { /* The inverter's share of the dispatch (eq. 3); NAN if that has expired. */
     const message *dispatch = input(DISPATCH);
     if (!dispatch) return NAN;
     double plant_kw = dispatch->number[RATING];
@@ -234,7 +234,7 @@ static void measure(void) { /* Its maximum (eq. 1); without a new usable measure
 
 static void estimate(void) {
     measure();
-    double wanted_kw = request_kw(), residual_kw = self.impp_kw - (isnan(wanted_kw) ? 0.0 : wanted_kw);
+    double wanted_kw = share_kw(), residual_kw = self.impp_kw - (isnan(wanted_kw) ? 0.0 : wanted_kw);
     mp_writer impp = begin(IMPP, 2), residual = begin(RESIDUAL, 1);
     mp_number(&impp, "power_kw", self.impp_kw);
     mp_integer(&impp, "stale_cycles", self.stale_cycles);
@@ -248,11 +248,11 @@ static void estimate(void) {
     put(&help, HELP, RECORDER);
 }
 
-/* Command the setpoint (eq. 6), else the own request; without either, and before the first
+/* Command the setpoint (eq. 6), else the own share; without either, and before the first
    telemetry, the inverter decides. */
 static void actuate(void) {
     const message *setpoint = input(SETPOINT);
-    double wanted_kw = request_kw(), target_kw = setpoint ? setpoint->number[POWER] : wanted_kw, alpha = 1.0;
+    double wanted_kw = share_kw(), target_kw = setpoint ? setpoint->number[POWER] : wanted_kw, alpha = 1.0;
     if (isnan(target_kw) || self.measured_cycle == BEFORE_ALL) return;
     if (target_kw < self.impp_kw * (1.0 - ROUNDING))
         alpha = fmin(fmax(target_kw / self.impp_kw, plan.alpha_min), 1.0);

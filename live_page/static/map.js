@@ -1,4 +1,4 @@
-// The inverters where they stand: filled by possible power, ringed by delivered power, with help.
+// The inverters where they stand: filled by available power, ringed by delivered power, with help.
 
 import {kw} from "./chart.js";
 
@@ -10,9 +10,9 @@ const MOST_LINES = 60;
 // Cividis: it rises evenly in brightness, also for the colour-blind.
 function ramp(share) {
   const at = Math.min(Math.max(share, 0), 1) * (RAMP.length - 1), low = Math.floor(at), rest = at - low;
-  const part = (colour, place) => parseInt(colour.slice(1 + 2 * place, 3 + 2 * place), 16);
+  const part = (colour, channel) => parseInt(colour.slice(1 + 2 * channel, 3 + 2 * channel), 16);
   const next = RAMP[Math.min(low + 1, RAMP.length - 1)];
-  return `rgb(${[0, 1, 2].map(place => Math.round(part(RAMP[low], place) * (1 - rest) + part(next, place) * rest)).join()})`;
+  return `rgb(${[0, 1, 2].map(channel => Math.round(part(RAMP[low], channel) * (1 - rest) + part(next, channel) * rest)).join()})`;
 }
 
 export function make(name, attributes, parent) {
@@ -43,13 +43,13 @@ function joined(points) {
 function inRows(nodes) {
   const clusters = new Map();
   nodes.forEach(node => node.inverter && clusters.set(node.parent, [...clusters.get(node.parent) ?? [], node]));
-  const places = new Map();
-  [...clusters.values()].forEach((row, y) => row.forEach((node, x) => places.set(node, [x * 10, -y * 12])));
-  return nodes.filter(node => node.inverter).map(node => places.get(node));
+  const points = new Map();
+  [...clusters.values()].forEach((row, y) => row.forEach((node, x) => points.set(node, [x * 10, -y * 12])));
+  return nodes.filter(node => node.inverter).map(node => points.get(node));
 }
 
 export function plantMap(svg, note, plan, select) {
-  const inverters = plan.nodes.map((node, place) => ({...node, place})).filter(node => node.inverter);
+  const inverters = plan.nodes.map((node, number) => ({...node, number})).filter(node => node.inverter);
   const known = plan.positions_m.length === inverters.length;
   const metres = known ? plan.positions_m : inRows(plan.nodes);
   const [xs, ys] = [0, 1].map(axis => metres.map(point => point[axis]));
@@ -71,25 +71,25 @@ export function plantMap(svg, note, plan, select) {
   const arrow = make("marker", {id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: head, markerHeight: head, markerUnits: "userSpaceOnUse", orient: "auto"}, make("defs", {}, svg));
   make("path", {d: "M0 0L8 4L0 8z"}, arrow);
 
-  const centre = new Map(inverters.map((node, i) => [node.place, at[i]]));
+  const centre = new Map(inverters.map((node, i) => [node.number, at[i]]));
   const members = new Map();
   inverters.forEach((node, i) => {
     for (let parent = node.parent; parent !== null; parent = plan.nodes[parent].parent) {
       members.set(parent, [...members.get(parent) ?? [], at[i]]);
     }
   });
-  for (const [place, points] of members) centre.set(place, [0, 1].map(axis => points.reduce((sum, p) => sum + p[axis], 0) / points.length));
+  for (const [number, points] of members) centre.set(number, [0, 1].map(axis => points.reduce((sum, p) => sum + p[axis], 0) / points.length));
 
-  const shapes = new Map();  // What is drawn for each node, by its place.
+  const shapes = new Map();  // What is drawn for each node, by its number.
   const back = make("g", {}, svg), helpLayer = make("g", {}, svg), front = make("g", {}, svg), labels = make("g", {class: "labels"}, svg);
-  const clusters = [...members.keys()].filter(place => inverters.some(node => node.parent === place) && place !== 0);
+  const clusters = [...members.keys()].filter(number => inverters.some(node => node.parent === number) && number !== 0);
   back.classList.toggle("many", clusters.length > CLUSTERS.length);
-  clusters.forEach((place, number) => {
+  clusters.forEach((number, colour) => {
     const outline = make("g", {class: "cluster"}, back);
-    make("path", {d: joined(members.get(place)), stroke: CLUSTERS[number % CLUSTERS.length], "stroke-width": Math.max(size * (clusters.length > CLUSTERS.length ? 0.4 : 0.7), 3)}, outline);
-    outline.addEventListener("click", () => select(place));
-    shapes.set(place, outline);
-    make("title", {}, outline).textContent = plan.nodes[place].path;
+    make("path", {d: joined(members.get(number)), stroke: CLUSTERS[colour % CLUSTERS.length], "stroke-width": Math.max(size * (clusters.length > CLUSTERS.length ? 0.4 : 0.7), 3)}, outline);
+    outline.addEventListener("click", () => select(number));
+    shapes.set(number, outline);
+    make("title", {}, outline).textContent = plan.nodes[number].path;
   });
 
   const roomy = typical >= 38;
@@ -103,27 +103,27 @@ export function plantMap(svg, note, plan, select) {
     const ring = make("circle", {class: "ring", r: around, "stroke-width": thick, pathLength: 100, transform: "rotate(-90)"}, group);
     if (roomy) make("text", {x, y: y + r + 13, "font-size": 12.5}, labels).textContent = node.path.split("/").pop();
     const title = make("title", {}, group);
-    group.addEventListener("click", () => select(node.place));
-    shapes.set(node.place, group);
+    group.addEventListener("click", () => select(node.number));
+    shapes.set(node.number, group);
     return {node, body, ring, title};
   });
   if (known) drawScale(svg, width, height, scale);
   note.textContent = known ? "" : "The recording does not say where the inverters stand: a row for each cluster.";
 
   return {
-    select(place) {
+    select(number) {
       for (const chosen of svg.querySelectorAll(".selected")) chosen.classList.remove("selected");
-      for (const chosen of [place, plan.nodes[place].parent]) shapes.get(chosen)?.classList.add("selected");
+      for (const chosen of [number, plan.nodes[number].parent]) shapes.get(chosen)?.classList.add("selected");
     },
     show(frame) {
       const {mpp, power} = frame.nodes;
       for (const {node, body, ring, title} of drawn) {
-        const possible = mpp[node.place], made = power[node.place];
-        body.classList.toggle("missing", possible === null);
-        body.setAttribute("fill", possible === null ? "none" : ramp(possible / node.rating_kw));
+        const available = mpp[node.number], made = power[node.number];
+        body.classList.toggle("missing", available === null);
+        body.setAttribute("fill", available === null ? "none" : ramp(available / node.rating_kw));
         const share = made === null ? 0 : Math.min(Math.max(made / node.rating_kw, 0), 1) * 100;
         ring.setAttribute("stroke-dasharray", `${share} 200`);
-        title.textContent = `${node.path}: possible ${kw(possible)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW`;
+        title.textContent = `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW`;
       }
       const shown = [...frame.help].sort((a, b) => b[2] - a[2]).slice(0, MOST_LINES);
       while (helpLayer.childElementCount < shown.length) make("path", {class: "help"}, helpLayer);

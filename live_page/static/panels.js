@@ -76,12 +76,12 @@ export function timingStrip(svg, note, plan) {
     svg.replaceChildren();
     svg.setAttribute("viewBox", `0 0 ${width} ${seen.stages * high + 4}`);
     svg.style.height = `${seen.stages * high + 4}px`;
-    rows.forEach((row, place) => {
-      const y = place * high + 2, late = row.deadline_ms !== null && row.last_ms > row.deadline_ms;
+    rows.forEach((row, index) => {
+      const y = index * high + 2, late = row.deadline_ms !== null && row.last_ms > row.deadline_ms;
       make("text", {x: 0, y: y + 15}, svg).textContent = row.stage;
       make("rect", {class: "lane", x: label, y: y + 2, width: width - label - right, height: high - 6, rx: 3}, svg);
       make("rect", {class: late ? "span late" : "span", x: x(row.first_ms), y: y + 4, width: Math.max(x(row.last_ms) - x(row.first_ms), 3), height: high - 10, rx: 2}, svg);
-      make("path", {class: "longest", d: `M${x(longest[place])} ${y + 4}v${high - 10}`}, svg);
+      make("path", {class: "longest", d: `M${x(longest[index])} ${y + 4}v${high - 10}`}, svg);
       if (row.deadline_ms !== null) make("path", {class: "deadline", d: `M${x(row.deadline_ms)} ${y}v${high - 2}`}, svg);
       make("text", {x: width, y: y + 15, "text-anchor": "end", class: late ? "" : "soft"}, svg).textContent = `${row.last_ms.toFixed(row.last_ms < 100 ? 2 : 0)} ms${late ? " late" : ""}`;
     });

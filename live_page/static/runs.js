@@ -25,8 +25,8 @@ async function refresh() {
     cell(row, run.start || null);
     cell(row, run.simulated_s ? `${Math.round(run.simulated_s).toLocaleString("en")} s` : null, true);
     cell(row, run.size_mb.toFixed(1), true);
-    run.figures.forEach((value, place) => {
-      const digits = list.figures[place].decimals;
+    run.figures.forEach((value, index) => {
+      const digits = list.figures[index].decimals;
       cell(row, value?.toLocaleString("en", {minimumFractionDigits: digits, maximumFractionDigits: digits}), true);
     });
     return row;

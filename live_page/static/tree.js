@@ -3,15 +3,15 @@
 const FOLDED_ABOVE = 30;
 
 export function controlTree(body, plan, select) {
-  const plant = {path: "plant", parent: null, place: null, depth: 0, children: []};
-  const rows = plan.nodes.map((node, place) => ({...node, place, children: []}));
+  const plant = {path: "plant", parent: null, number: null, depth: 0, children: []};
+  const rows = plan.nodes.map((node, number) => ({...node, number, children: []}));
   for (const row of rows) if (row.parent !== null) rows[row.parent].children.push(row);
   const order = [plant];
   const visit = (row, depth) => { row.depth = depth; order.push(row); row.children.forEach(child => visit(child, depth + 1)); };
   visit(rows[0], 0);
   const many = rows.filter(row => row.inverter).length > FOLDED_ABOVE;
   for (const row of order) {
-    row.agent = row.place === null ? 0 : row.place + 1;  // The frame lists the plant first.
+    row.agent = row.number === null ? 0 : row.number + 1;  // The frame lists the plant first.
     row.folded = many && row.children.some(child => child.inverter) && row.depth > 0;
     const line = row.line = document.createElement("tr");
     const name = line.insertCell();
@@ -24,7 +24,7 @@ export function controlTree(body, plan, select) {
     name.append(row.path === "plant" ? "plant" : row.path.split("/").pop() || "central");
     if (row.external || row.device) name.append(row.device ? " (Modbus)" : " (device)");
     row.cells = Array.from({length: 6}, (_, column) => { const cell = line.insertCell(); if (column) cell.className = "n"; return cell; });
-    if (row.place !== null) line.addEventListener("click", () => select(row.place));
+    if (row.number !== null) line.addEventListener("click", () => select(row.number));
   }
   body.replaceChildren(...order.map(row => row.line));
 
@@ -45,11 +45,11 @@ export function controlTree(body, plan, select) {
     for (const row of order) {
       if (row.line.hidden) continue;
       const own = row.agent, age = agents.age[own], lost = isLost(row);
-      const unread = frame.unread.includes(row.place);
+      const unread = frame.unread.includes(row.number);
       const dead = row.folded ? below(row).slice(1).filter(isLost).length : 0;
       const [state, ages, inputs, oldest, loop, restarts] = row.cells;
       state.className = lost || dead || unread ? "dead" : "alive";
-      state.textContent = lost ? "✕ silent" : unread ? "✕ no reading" : dead ? `✕ ${dead} below silent` : "● alive";
+      state.textContent = lost ? "✕ unresponsive" : unread ? "✕ no reading" : dead ? `✕ ${dead} below unresponsive` : "● alive";
       ages.textContent = age ?? "–";
       const missed = agents.missed[own];
       inputs.innerHTML = lost ? "–" : missed ? `<span class="late">${missed} missed</span>` : "all";
@@ -61,14 +61,14 @@ export function controlTree(body, plan, select) {
   arrange();
   return {
     show,
-    select(place) {
-      order.find(row => row.place === selected)?.line.classList.remove("selected");
-      selected = place;
-      const row = order.find(row => row.place === place);
+    select(number) {
+      order.find(row => row.number === selected)?.line.classList.remove("selected");
+      selected = number;
+      const row = order.find(row => row.number === number);
       for (let parent = row?.parent; parent != null; parent = rows[parent].parent) rows[parent].folded = false;
       arrange();
       row?.line.classList.add("selected");
     },
-    order: order.filter(row => row.place !== null).map(row => row.place),
+    order: order.filter(row => row.number !== null).map(row => row.number),
   };
 }

@@ -11,10 +11,10 @@ import msgspec
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
+from bus_schemas.whole_file import new_path
 from recordings.export.tables import TableFolder
 from recordings.export.viewer_file import Clock, ViewerFile
 from recordings.read.reader import RunReader
-from recordings.read.whole_file import new_path
 from recordings.record.writer import ClockAnchor
 
 Form: TypeAlias = Literal["json-mcap", "parquet", "csv"]

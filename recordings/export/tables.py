@@ -7,7 +7,7 @@ pyarrow, a batch of rows at a time, so memory does not grow with the recording.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
@@ -19,17 +19,16 @@ from pyarrow.csv import CSVWriter
 from pyarrow.parquet import ParquetWriter
 
 from agents.plan import RunPlan
-from bus_schemas.errors import InputError
-from bus_schemas.messages import Message, Production, Setpoint
-from bus_schemas.missing import parse_missing
-from bus_schemas.signals import PRODUCTION, SETPOINT, Signal
+from bus_schemas.messages import Message
+from bus_schemas.signals import Signal
 from bus_schemas.tree import agent_name
-from recordings.export.json_messages import not_nil
+from recordings.export.viewer_file import not_nil
+from recordings.read.frames import HEAD_FIELDS, LISTS, Cell, list_rows
 from recordings.read.reader import RecordedMessage
 from recordings.record.writer import ClockAnchor
 
 TableForm: TypeAlias = Literal["csv", "parquet"]
-Row: TypeAlias = tuple[int | float | str | None, ...]
+Row: TypeAlias = tuple[Cell, ...]
 Columns: TypeAlias = tuple[tuple[str, pa.DataType], ...]
 """Names, with the unit in them, and types. `time` [ns since 1970-01-01 UTC] and `cycle` come before
 them in every table."""
@@ -46,7 +45,7 @@ _TYPE_OF: Final = {
     inspect.StrType: _TEXT,
     inspect.LiteralType: _TEXT,
 }
-_HEAD: Final = frozenset(Message.__struct_fields__)
+_OF_TYPE: Final = {int: _INT, float: _NUMBER, str: _TEXT}
 
 _OF_MESSAGES: Final[Columns] = (
     ("source", _TEXT),
@@ -58,41 +57,18 @@ _OF_MESSAGES: Final[Columns] = (
 )
 """Last columns of the table of every signal."""
 
-_DETAILS: Final[dict[str, tuple[Signal[Message] | None, Columns]]] = {
-    "help_given": (
-        SETPOINT,
-        (("donor", _TEXT), ("needy", _TEXT), ("power_kw", _NUMBER), ("sequence", _INT)),
-    ),
-    "production_inverters": (
-        PRODUCTION,
-        (("inverter", _TEXT), ("mpp_kw", _NUMBER), ("power_kw", _NUMBER), ("sequence", _INT)),
-    ),
-    # `used_cycle` is that of the older message that the sender used; empty if it used none.
-    "missing_inputs": (
-        None,
-        (
-            ("node", _TEXT),
-            ("signal", _TEXT),
-            ("sequence", _INT),
-            ("input", _TEXT),
-            ("used_cycle", _INT),
-        ),
-    ),
-}
-"""Tables for lists inside messages: of which signal (None: of all), and their columns."""
-
 
 def _own_columns(signal: Signal[Message]) -> Columns:
     """Columns for the fields of a signal's own kind, those that hold a list left out.
 
     A field that may be nil leaves its cell empty.
     """
-    found = inspect.type_info(signal.type)
-    assert isinstance(found, inspect.StructType)
+    info = inspect.type_info(signal.type)
+    assert isinstance(info, inspect.StructType)
     return tuple(
         (field.name, _TYPE_OF[type(not_nil(field.type))])
-        for field in found.fields
-        if field.name not in _HEAD and not isinstance(field.type, inspect.VarTupleType)
+        for field in info.fields
+        if field.name not in HEAD_FIELDS and not isinstance(field.type, inspect.VarTupleType)
     )
 
 
@@ -100,9 +76,8 @@ class TableFile:
     """A table that is being written."""
 
     def __init__(self, path: Path, columns: Columns, plan: RunPlan, batch_rows: int) -> None:
-        self.path = path
         self.rows = 0
-        time_and_cycle = (("time", pa.timestamp("ns", tz=plan.timezone)), ("cycle", _INT))
+        time_and_cycle = (("time", pa.timestamp("ns", tz=plan.timing.timezone)), ("cycle", _INT))
         metadata = {"heliarch.run_id": plan.run_id, "heliarch.plant": plan.plant}
         self._schema = pa.schema([*time_and_cycle, *columns], metadata=metadata)
         self._waiting: list[Row] = []
@@ -177,7 +152,9 @@ class TableFolder:
             name: (("node", _TEXT), *entries) for name, entries in columns.items()
         }
         tables |= {
-            name: entries for name, (of, entries) in _DETAILS.items() if of is None or of in signals
+            name: tuple((column, _OF_TYPE[kind]) for column, kind in table.columns)
+            for name, table in LISTS.items()
+            if table.signal is None or table.signal in signals
         }
         self.files = {
             name: TableFile(folder / f"{name}.{form}", entries, plan, batch_rows)
@@ -186,29 +163,12 @@ class TableFolder:
 
     def add(self, record: RecordedMessage, message: Message) -> None:
         """Add the rows of a message to the table of its signal, and to those of its lists."""
-        signal, files, sequence = record.port.signal.name, self.files, message.sequence
+        signal, files = record.port.signal.name, self.files
         node, when = agent_name(record.port.node), (message.sim_time_ns, message.cycle)
         logged_ns = record.log_time_ns + self._monotonic_less_wall_ns
         files[signal].add((*when, node, *self._cells[signal](message), logged_ns))
-        if isinstance(message, Setpoint):
-            for line in message.help_given:
-                needy = agent_name(line.needy)
-                files["help_given"].add((*when, node, needy, line.power_kw, sequence))
-        elif isinstance(message, Production):
-            for powers in self._powers(message):
-                files["production_inverters"].add((*when, *powers, sequence))
-        for entry in message.missing:
-            files["missing_inputs"].add((*when, node, signal, sequence, *parse_missing(entry)))
-
-    def _powers(self, message: Production) -> Iterator[tuple[str, float, float]]:
-        """Return what each inverter could produce and did."""
-        mpp_kw, power_kw = message.inverter_mpp_kw, message.inverter_power_kw
-        if not len(mpp_kw) == len(power_kw) == len(self._leaves):
-            raise InputError(
-                f"production of cycle {message.cycle}: expected {len(self._leaves)} inverters, got "
-                f"{len(mpp_kw)} maxima and {len(power_kw)} powers"
-            )
-        return zip(self._leaves, mpp_kw, power_kw, strict=True)
+        for name, row in list_rows(record.port, message, self._leaves):
+            files[name].add((*when, *row))
 
     def __enter__(self) -> TableFolder:
         return self

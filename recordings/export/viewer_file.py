@@ -1,20 +1,30 @@
-"""A recording as an MCAP file for Foxglove and Lichtblick: JSON messages with JSON Schemas."""
+"""A recording as an MCAP file for Foxglove and Lichtblick: JSON messages with JSON Schemas.
+
+Foxglove and Lichtblick do not read JSON Schema as a whole. Each property must have one `type`: a
+string, a number, an integer, a boolean, an object with `properties`, or an array whose `items` are
+one of these. So there are no references here, no tuples and no nulls; what is an array on the wire
+to save bytes, such as a line of `help_given`, is an object with named fields.
+"""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from importlib.metadata import version
+from inspect import getdoc
+from math import isfinite
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
+import msgspec
 from mcap.writer import CompressionType, Writer
+from msgspec import inspect
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import SIGNALS, Port
-from recordings.export.json_messages import json_bytes, object_schema
+from bus_schemas.signals import Port, Signal
 from recordings.read.reader import RecordedMessage, RunReader
+from recordings.record.writer import declare
 
+JsonObject: TypeAlias = dict[str, object]
 Clock: TypeAlias = Literal["wall", "sim"]
 """Which time a viewer shows: the wall clock, or the simulated time of the cycle."""
 
@@ -36,22 +46,8 @@ class ViewerFile:
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"heliarch {version('heliarch')}")
         self._write_origin(reader, clock)
-        schemas = {
-            signal: self._writer.register_schema(
-                signal.type.__name__, "jsonschema", json.dumps(object_schema(signal)).encode()
-            )
-            for signal in SIGNALS
-            if signal.logged
-        }
-        self._channels = {
-            port: self._writer.register_channel(
-                reader.plan.wiring.key(port),
-                "json",
-                schemas[port.signal],
-                {"signal": port.signal.name, "node": port.node},
-            )
-            for port in sorted(ports, key=str)
-        }
+        in_order = sorted(ports, key=str)
+        self._channels = declare(self._writer, reader.plan, in_order, object_schema, "json")
 
     def add(self, record: RecordedMessage, message: Message) -> None:
         self._writer.add_message(
@@ -81,3 +77,80 @@ class ViewerFile:
             for key, value in entries.items()
         }
         self._writer.add_metadata(EXPORT_METADATA, {"clock": clock, **origin})
+
+
+def object_schema(signal: Signal[Message]) -> JsonObject:
+    """JSON Schema of a signal's messages as `json_bytes` writes them."""
+    return _schema(inspect.type_info(signal.type))
+
+
+def json_bytes(message: Message) -> bytes:
+    """Return a message as a JSON object.
+
+    JSON has neither NaN nor infinity: a field that holds one is left out. No schema requires a
+    field that could.
+    """
+    return msgspec.json.encode(_object(message))
+
+
+def _object(value: msgspec.Struct) -> JsonObject:
+    """Return a struct as a dictionary, those in its lists too, without what JSON cannot say."""
+    fields: JsonObject = {}
+    for name, entry in msgspec.structs.asdict(value).items():
+        if isinstance(entry, tuple) and entry and isinstance(entry[0], msgspec.Struct):
+            fields[name] = [_object(item) for item in entry]
+        elif entry is not None and _is_finite(entry):
+            fields[name] = entry
+    return fields
+
+
+def _is_finite(value: object) -> bool:
+    if isinstance(value, tuple):
+        return all(map(_is_finite, value))
+    return not isinstance(value, float) or isfinite(value)
+
+
+def _schema(kind: inspect.Type) -> JsonObject:
+    kind = not_nil(kind)
+    match kind:
+        case inspect.StructType():
+            return _struct_schema(kind)
+        case inspect.VarTupleType():
+            return {"type": "array", "items": _schema(kind.item_type)}
+        case inspect.FloatType():
+            return {"type": "number"}
+        case inspect.IntType():
+            bounds = {"minimum": kind.ge, "exclusiveMaximum": kind.lt}
+            given = {name: bound for name, bound in bounds.items() if bound is not None}
+            return {"type": "integer", **given}
+        case inspect.StrType():
+            return {"type": "string"}
+        case inspect.LiteralType():
+            # Viewers refuse a property without a type, which JSON Schema does not ask for here.
+            return {"type": "string", "enum": list(kind.values)}
+        case _:
+            raise TypeError(f"a field of type {kind} has no form that viewers understand")
+
+
+def _struct_schema(kind: inspect.StructType) -> JsonObject:
+    return {
+        "title": kind.cls.__name__,
+        "description": getdoc(kind.cls) or "",
+        "type": "object",
+        "properties": {field.encode_name: _schema(field.type) for field in kind.fields},
+        "required": [field.encode_name for field in kind.fields if not _may_be_left_out(field)],
+        "additionalProperties": False,
+    }
+
+
+def _may_be_left_out(field: inspect.Field) -> bool:
+    kind = field.type.item_type if isinstance(field.type, inspect.VarTupleType) else field.type
+    return isinstance(kind, inspect.FloatType | inspect.UnionType)
+
+
+def not_nil(kind: inspect.Type) -> inspect.Type:
+    """Return the type of a field when it is there: one that is nil is left out."""
+    if not isinstance(kind, inspect.UnionType):
+        return kind
+    (member_kind,) = (member for member in kind.types if not isinstance(member, inspect.NoneType))
+    return member_kind

@@ -25,8 +25,8 @@ def viewer_layout(plan: RunPlan) -> dict[str, object]:
 
     panels = {
         "Plant power [kW]": {
-            "possible": value(PRODUCTION.of(ROOT), "possible_kw"),
-            "desired": value(DISPATCH.of(ROOT)),
+            "available": value(PRODUCTION.of(ROOT), "available_kw"),
+            "dispatch": value(DISPATCH.of(ROOT)),
             "delivered": value(PRODUCTION.of(ROOT), "delivered_kw"),
         },
         "IMPP of the clusters [kW]": {node: value(IMPP.of(node)) for node in clusters},

@@ -13,43 +13,32 @@ from typing import Final, TypeVar
 
 import msgspec
 
+from agents.faults import Fault, Freeze, Kill
 from agents.plan import RunPlan
-from bus_schemas.faults import UNHEARD, FaultRule
+from bus_schemas.errors import listed
+from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.messages import Message
-from bus_schemas.network_faults import FaultAct, FaultTally, NetworkFaults
+from bus_schemas.network_faults import FaultTally
 from bus_schemas.signals import TELEMETRY, Port
-from bus_schemas.tree import RECORDER, some_of
-from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
-from recordings.read.missed_inputs import MissedInputs
+from bus_schemas.tree import RECORDER
+from recordings.read.gaps import LISTED_GAPS, MissedInputs, RunGaps, due_step
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
-from sunspec.process import DeviceAccount, read_accounts
+from scenarios.fault_rules import fault_text
 
 SUMMARY_NAME: Final = "summary.json"
 FAILURE_NAME: Final = "failure.txt"
 _NAMED: Final = 5
-"""So many of each kind are named in the text, the rest is counted."""
+"""How many of each kind the text names; the others are counted."""
 
 
-class Absence(msgspec.Struct, frozen=True):
-    """An agent of which nothing came in some cycles; in 0 of them if it only restarted.
+class FaultEffect(msgspec.Struct, frozen=True):
+    """How many messages a fault acted on, once for each listener, and in which cycles."""
 
-    It was heard again, or its other process joined, in the cycle `back_in`; None: it was not. If
-    it restarted it then was of another process, maybe its standby. A real inverter is named
-    `device c2/inv07`: it has no telemetry while it is gone.
-    """
-
-    agent: str
-    first_cycle: int
-    cycles: int
-    back_in: int | None
-    restarted: bool
-    by_standby: bool = False
-
-    @property
-    def weight(self) -> tuple[bool, int]:
-        """What it is sorted by: the agent did not come back as it was, or for how long."""
-        return self.restarted or self.back_in is None, self.cycles
+    fault: Fault
+    messages: int = 0
+    first_cycle: int | None = None
+    last_cycle: int | None = None
 
 
 class Misses(msgspec.Struct, frozen=True):
@@ -94,6 +83,27 @@ class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
 Account = TypeVar("Account", bound=LauncherAccount)
 
 
+class Absence(msgspec.Struct, frozen=True):
+    """An agent of which nothing came in some cycles; in 0 of them if it only restarted.
+
+    It was heard again, or its other process joined, in the cycle `back_in`; None: it was not. If
+    it restarted it then was of another process, maybe its standby. A real inverter is named
+    `device c2/inv07`: it has no telemetry while it is gone.
+    """
+
+    agent: str
+    first_cycle: int
+    cycles: int
+    back_in: int | None
+    restarted: bool
+    by_standby: bool = False
+
+    @property
+    def weight(self) -> tuple[bool, int]:
+        """What it is sorted by: whether the agent came back as it was, and for how long."""
+        return self.restarted or self.back_in is None, self.cycles
+
+
 class Health(msgspec.Struct, frozen=True):
     """How a run fared.
 
@@ -103,7 +113,7 @@ class Health(msgspec.Struct, frozen=True):
     without a summary beside the recording.
     """
 
-    fault_acts: tuple[FaultAct, ...]
+    fault_effects: tuple[FaultEffect, ...]
     faults: dict[str, int]
     lost: dict[str, int]
     repeated: int
@@ -113,7 +123,6 @@ class Health(msgspec.Struct, frozen=True):
     failure: str
     launcher: LauncherAccount | None
     more_absences: int = 0
-    devices: tuple[DeviceAccount, ...] = ()
 
     @property
     def messages_lost(self) -> int:
@@ -122,105 +131,64 @@ class Health(msgspec.Struct, frozen=True):
     @property
     def missing_inputs(self) -> int:
         """Number of inputs that agents missed at their deadlines, without external agents."""
-        return sum(found.inputs for found in self.misses if not found.external)
+        return sum(misses.inputs for misses in self.misses if not misses.external)
 
     @property
     def old_inputs(self) -> int:
         """Number of older messages that they used instead."""
-        return sum(found.old for found in self.misses if not found.external)
+        return sum(misses.old for misses in self.misses if not misses.external)
 
 
-class HealthWatch:
-    """Follows a recording message by message."""
+class Absences:
+    """Follows a recording from a cycle on.
 
-    def __init__(self, plan: RunPlan, cycles: range) -> None:
-        self.gaps = RunGaps(plan, cycles.start)
-        self._plan = plan
-        # What became of a message follows from its link and cycle: it is worked out once more here.
-        self._faults = NetworkFaults(plan.faults, plan.faults_seed, plan.tree, plan.cycle_ns)
-        self._tally = FaultTally()
+    `longest` are those that are listed; `more` others were shorter.
+    """
+
+    def __init__(self, plan: RunPlan, first_cycle: int) -> None:
+        self.longest: list[Absence] = []
+        self.more = 0
+        self._standbys = plan.standbys
+        self._devices: dict[Port[Message], str] = {
+            TELEMETRY.of(node): f"device {node}" for node, _ in plan.site.devices
+        }
         # The agents that publish in every turn, and after how many cycles.
         steps: dict[str, int] = {}
-        for port in self.gaps.ports:
-            if step := due_step(plan, port):
+        for port in plan.wiring.ports:
+            if port.signal.logged and (step := due_step(plan, port)):
                 steps[port.publisher] = min(step, steps.get(port.publisher, step))
-        self._devices: dict[Port[Message], str] = {
-            TELEMETRY.of(node): f"device {node}" for node, _ in plan.devices
-        }
         steps |= dict.fromkeys(self._devices.values(), 1)
         self._step = steps
-        self._last_cycle = dict.fromkeys(steps, cycles.start - 1)
+        self._last_cycle = dict.fromkeys(steps, first_cycle - 1)
         # The cycle in which the process that speaks for each agent joined.
-        self._joined = dict.fromkeys(steps, max(cycles.start - 1, 0))
-        self._absences: list[Absence] = []
-        self._more_absences = 0
-        self._missed = MissedInputs(plan)
+        self._joined = dict.fromkeys(steps, max(first_cycle - 1, 0))
 
-    def see(self, record: RecordedMessage) -> None:
-        port, cycle = record.port, record.cycle
-        found = self.gaps.ports[port]
-        lost = found.lost
-        self.gaps.see(port, cycle, record.sequence, record.incarnation)
-        agent, joined = port.publisher, None
-        if agent in self._last_cycle:
-            if found.lost > lost:  # It was there: its messages are not.
+    def see(self, port: Port[Message], cycle: int, incarnation: int, *, has_lost: bool) -> None:
+        """Take in a message; `has_lost`: messages of its port before it were not recorded."""
+        agent = port.publisher
+        if agent in self._step:
+            if has_lost:  # The agent was present, only its messages were lost.
                 self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
-            if record.incarnation > self._joined[agent]:
-                joined = self._joined[agent] = record.incarnation
-            self._see_agent(agent, cycle, joined)
+            is_new = incarnation > self._joined[agent]
+            if is_new:
+                self._joined[agent] = incarnation
+            self._note_until(agent, cycle, incarnation if is_new else None)
         if port in self._devices:
-            self._see_agent(self._devices[port], cycle, None)
-        if self._plan.faults and port.signal.is_cyclic:
-            self._see_faults(port, record.message())
-        self._missed.see(record)
+            self._note_until(self._devices[port], cycle, None)
 
-    def health(self, run: RunReader, cycle: int) -> Health:
-        """Return the health of the run, which ended before `cycle`, with what its folder tells."""
-        self.gaps.end(cycle)
+    def end(self, cycle: int) -> None:
+        """Note the agents that were not back when the run ended before a cycle."""
         for agent, last in self._last_cycle.items():
             # A run that broke off has not completed its last cycle.
             if cycle > last + self._step[agent] + 1:
                 self._note(Absence(agent, last + 1, cycle - last - 1, None, False))
-        ports, missed, external = self.gaps.ports, self._missed, self._plan.external
-        misses = [
-            Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
-            for agent, at in missed.cycles.items()
-        ]
-        lost = Counter({str(port): found.lost for port, found in ports.items() if found.lost})
-        return Health(
-            fault_acts=tuple(
-                self._stop_act(act.rule, run) if act.rule.stops else act
-                for act in self._faults.acts
-            ),
-            faults=dict(+self._tally),
-            lost=dict(lost.most_common()),
-            repeated=sum(found.repeated for found in ports.values()),
-            misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
-            absences=tuple(self._absences),
-            ended=run.stop_cycle is not None,
-            failure=_failure(run.path.parent),
-            launcher=summary_in(run.path.parent, run.plan, LauncherAccount),
-            more_absences=self._more_absences,
-            devices=read_accounts(run.path.parent),
-        )
 
-    def _stop_act(self, rule: FaultRule, run: RunReader) -> FaultAct:
-        """Return in which cycle a rule killed or froze controllers, if the run came to that."""
-        cycle = int(rule.at[0] * 1e9 / self._plan.cycle_ns)
-        return FaultAct(rule) if cycle > run.last_cycle else FaultAct(rule, 0, cycle, cycle)
-
-    def _see_faults(self, port: Port[Message], message: Message) -> None:
-        """Work out what became of a message on the way to each listener whose end is ours."""
-        for listener in self._plan.wiring.listeners[port]:
-            if listener not in self._plan.external:
-                self._tally.count(self._faults.fates(port, listener, message))
-
-    def _see_agent(self, agent: str, cycle: int, joined: int | None) -> None:
-        """Note that an agent was absent, or that a new process of it joined."""
+    def _note_until(self, agent: str, cycle: int, joined: int | None) -> None:
+        """Note that an agent was absent up to a cycle, or that a new process of it joined."""
         last = self._last_cycle[agent]
         self._last_cycle[agent] = max(cycle, last)
-        # A process that was started again stands by where there is a standby.
-        by_standby = joined is not None and agent in self._plan.standbys
+        # Where there is a standby, a restarted process becomes the new standby.
+        by_standby = joined is not None and agent in self._standbys
         if cycle > last + self._step[agent]:
             gone, is_new = cycle - last - 1, joined is not None
             self._note(Absence(agent, last + 1, gone, cycle, is_new, by_standby))
@@ -229,19 +197,83 @@ class HealthWatch:
 
     def _note(self, absence: Absence) -> None:
         """Keep an absence; beyond `LISTED_GAPS` the shortest are only counted."""
-        self._absences.append(absence)
-        if len(self._absences) > LISTED_GAPS:
-            self._absences.remove(min(self._absences, key=lambda one: one.weight))
-            self._more_absences += 1
+        self.longest.append(absence)
+        if len(self.longest) > LISTED_GAPS:
+            self.longest.remove(min(self.longest, key=lambda one: one.weight))
+            self.more += 1
+
+
+class HealthWatch:
+    """Follows a recording message by message."""
+
+    def __init__(self, plan: RunPlan, cycles: range) -> None:
+        self.gaps = RunGaps(plan, cycles.start)
+        self._plan = plan
+        # The fate of a message follows from its link and cycle, so it can be worked out again here.
+        self._faults = plan.network_faults()
+        self._tally = FaultTally()
+        self._absences = Absences(plan, cycles.start)
+        self._missed = MissedInputs(plan)
+
+    def see(self, record: RecordedMessage) -> None:
+        port, cycle = record.port, record.cycle
+        gaps = self.gaps.ports[port]
+        lost_before = gaps.lost
+        self.gaps.see(port, cycle, record.sequence, record.incarnation)
+        self._absences.see(port, cycle, record.incarnation, has_lost=gaps.lost > lost_before)
+        if self._plan.faults.rules and port.signal.is_cyclic:
+            self._see_faults(port, record.message())
+        self._missed.see(record)
+
+    def health(self, run: RunReader, cycle: int) -> Health:
+        """Return the health of the run, which ended before `cycle`, with what its folder tells."""
+        self.gaps.end(cycle)
+        self._absences.end(cycle)
+        ports, missed, external = self.gaps.ports, self._missed, self._plan.access.external
+        misses = [
+            Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
+            for agent, at in missed.cycles.items()
+        ]
+        lost = Counter({str(port): gaps.lost for port, gaps in ports.items() if gaps.lost})
+        return Health(
+            fault_effects=tuple(self._effects(run.last_cycle)),
+            faults=dict(+self._tally),
+            lost=dict(lost.most_common()),
+            repeated=sum(gaps.repeated for gaps in ports.values()),
+            misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
+            absences=tuple(self._absences.longest),
+            ended=run.stop_cycle is not None,
+            failure=_failure(run.path.parent),
+            launcher=summary_in(run.path.parent, run.plan, LauncherAccount),
+            more_absences=self._absences.more,
+        )
+
+    def _effects(self, last_cycle: int) -> Iterator[FaultEffect]:
+        """Yield what each fault did in a run of so many cycles."""
+        for number, fault in enumerate(self._plan.faults.rules):
+            if isinstance(fault, Kill | Freeze):
+                begin_s = fault.at if isinstance(fault, Kill) else fault.at[0]
+                cycle = int(begin_s * 1e9 / self._plan.timing.cycle_ns)
+                came = cycle <= last_cycle
+                yield FaultEffect(fault, 0, cycle, cycle) if came else FaultEffect(fault)
+            else:
+                act = self._faults.acts[number]
+                yield FaultEffect(fault, act.messages, act.first_cycle, act.last_cycle)
+
+    def _see_faults(self, port: Port[Message], message: Message) -> None:
+        """Work out the fate of a message on its way to each listener that is not external."""
+        for listener in self._plan.wiring.listeners[port]:
+            if listener not in self._plan.access.external:
+                self._tally.count(self._faults.fates(port, listener, message))
 
 
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
-    """Yield the health of a run as text: what is looked at, and what was found."""
+    """Yield the health of a run as text: pairs of a name and a value."""
     launcher = health.launcher
     touched = f"messages: {counts_text(health.faults) or 'none touched'}"
-    yield "faults", touched if health.fault_acts else "none injected"
-    for act in health.fault_acts:
-        yield "fault", f"{act.rule}: {_act_text(act, clock)}"
+    yield "faults", touched if health.fault_effects else "none injected"
+    for effect in health.fault_effects:
+        yield "fault", f"{fault_text(effect.fault)}: {_effect_text(effect, clock)}"
     yield "missing", f"{health.messages_lost:,} messages not recorded{_named(health.lost)}"
     if health.repeated:
         yield "repeated", f"{health.repeated:,} messages came again"
@@ -257,20 +289,20 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "absent", f"{RECORDER}: restarted ({recorder:,})"
     elif not by_weight:
         yield "absent", "none"
-    yield from (("devices", text) for text in _devices_texts(health.devices))
     end = "ended in order" if health.ended else "the recording stops before the run's end"
     if health.failure:
         end = f"failed: {health.failure}"
     yield "run", launcher.recording_ended if launcher and launcher.recording_ended else end
 
 
-def _act_text(act: FaultAct, clock: RunClock) -> str:
-    if act.rule.signal in UNHEARD:
-        return f"changed nothing: no agent acts on {act.rule.signal}"
-    if act.first_cycle is None or act.last_cycle is None:
+def _effect_text(effect: FaultEffect, clock: RunClock) -> str:
+    fault = effect.fault
+    if isinstance(fault, Disturbance | Blackout) and fault.signal in UNHEARD:
+        return f"changed nothing: no agent acts on {fault.signal}"
+    if effect.first_cycle is None or effect.last_cycle is None:
         return "never acted"
-    on = "" if act.rule.stops else f"on {act.messages:,} messages "
-    return f"acted {on}{clock.span_text(act.first_cycle, act.last_cycle)}"
+    on = "" if isinstance(fault, Kill | Freeze) else f"on {effect.messages:,} messages "
+    return f"acted {on}{clock.span_text(effect.first_cycle, effect.last_cycle)}"
 
 
 def _dropped(launcher: LauncherAccount | None) -> str:
@@ -280,7 +312,7 @@ def _dropped(launcher: LauncherAccount | None) -> str:
     wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in launcher.wrong]
     parts = [f"{sum(dropped.values()):,} messages that agents could not use{_named(dropped)}"]
     parts += [f"{skipped:,} cycles skipped"] if skipped else []
-    parts += [f"wrong: {some_of(wrong, _NAMED)}"] if wrong else []
+    parts += [f"wrong: {listed(wrong, _NAMED)}"] if wrong else []
     return "; ".join(parts)
 
 
@@ -290,17 +322,17 @@ def counts_text(counts: dict[str, int]) -> str:
 
 def _named(counts: Mapping[str, int]) -> str:
     """List the first counts with their names, after a colon; empty if there are none."""
-    listed = some_of([f"{name} {count:,}" for name, count in counts.items()], _NAMED)
-    return f": {listed}" if listed else ""
+    named = listed([f"{name} {count:,}" for name, count in counts.items()], _NAMED)
+    return f": {named}" if named else ""
 
 
 def _missed_text(health: Health, clock: RunClock) -> str:
     misses = health.misses
     if not misses:
         return "none missed at a deadline"
-    first = min(found.first_cycle for found in misses)
-    last = max(found.last_cycle for found in misses)
-    worst = _named({found.agent: found.inputs for found in misses})
+    first = min(one.first_cycle for one in misses)
+    last = max(one.last_cycle for one in misses)
+    worst = _named({one.agent: one.inputs for one in misses})
     used = f"{health.missing_inputs:,} missed and {health.old_inputs:,} older ones used"
     return f"{used} {clock.span_text(first, last)}, most at{worst}"
 
@@ -315,20 +347,13 @@ def _absence_text(absence: Absence, clock: RunClock) -> str:
     return f"{absence.agent}: {gone}{how} in cycle {absence.back_in:,}"
 
 
-def _devices_texts(devices: tuple[DeviceAccount, ...]) -> Iterator[str]:
-    fields = {"breaks": "lost connections", "late": "late readings", "refused": "refused requests"}
-    for field, what in fields.items():
-        if counts := +Counter({device.node: getattr(device, field) for device in devices}):
-            yield f"{counts.total():,} {what}, most at{_named(dict(counts.most_common()))}"
-
-
 def summary_in(folder: Path, plan: RunPlan, kind: type[Account]) -> Account | None:
     """Return the summary in a folder, or a part of it; None if there is none of this run."""
     try:
-        found = msgspec.json.decode((folder / SUMMARY_NAME).read_bytes(), type=kind)
+        summary = msgspec.json.decode((folder / SUMMARY_NAME).read_bytes(), type=kind)
     except (OSError, msgspec.DecodeError):
         return None
-    return found if found.run_id == plan.run_id else None
+    return summary if summary.run_id == plan.run_id else None
 
 
 def _failure(folder: Path) -> str:

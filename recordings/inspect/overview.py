@@ -72,7 +72,7 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         first_cycle=wanted.start,
         last_cycle=wanted.stop - 1,
         complete_cycles=production.messages,
-        planned_cycles=run.plan.cycles,
+        planned_cycles=run.plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
             _count(signal, watch.gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
@@ -84,17 +84,17 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
 
 def _count(signal: Signal[Message], gaps: RunGaps, cycles: int, wall_s: float) -> SignalCount:
     """Add up what there is of one signal."""
-    own = [found for port, found in gaps.ports.items() if port.signal is signal]
-    messages = sum(found.messages for found in own)
+    own = [one for port, one in gaps.ports.items() if port.signal is signal]
+    messages = sum(one.messages for one in own)
     return SignalCount(
         signal=signal.name,
-        nodes=sum(1 for found in own if found.messages),
+        nodes=sum(1 for one in own if one.messages),
         messages=messages,
         per_cycle=messages / cycles if cycles else 0.0,
         per_s=messages / wall_s if wall_s else 0.0,
-        lost=sum(found.lost for found in own),
-        repeated=sum(found.repeated for found in own),
-        missing_cycles=sum(found.missing for found in own),
+        lost=sum(one.lost for one in own),
+        repeated=sum(one.repeated for one in own),
+        missing_cycles=sum(one.missing for one in own),
     )
 
 
@@ -104,15 +104,16 @@ def facts(run: RunReader, overview: Overview) -> Iterator[tuple[str, str]]:
     size_mb = sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6
     size = f"{size_mb:,.1f} MB, files: {len(run.files)}, chunks: {len(run.outline.chunks):,}"
     yield "recording", f"{overview.path} ({size})"
-    pace = "lockstep" if plan.lockstep else f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}"
-    scheme = f"scheme {plan.scheme}, actuator {plan.actuator}"
+    timing = plan.timing
+    pace = "lockstep" if timing.lockstep else f"pace {timing.cycle_ns / timing.cycle_wall_ns:g}"
+    scheme = f"scheme {plan.control.scheme}, actuator {plan.control.actuator}"
     yield "run", f"heliarch {origin.get('driver')}, plant {plan.plant}, {scheme}, {pace}"
     first, last = overview.first_cycle, max(overview.last_cycle, overview.first_cycle)
     begin, end = (f"{run.clock.local(cycle):%F %T}" for cycle in (first, last))
-    yield "time", f"{begin} to {end}, {plan.timezone}, recorded in {overview.wall_s:,.1f} s"
+    yield "time", f"{begin} to {end}, {plan.timing.timezone}, recorded in {overview.wall_s:,.1f} s"
     yield (
         "cycles",
-        f"{first:,} to {overview.last_cycle:,} of {plan.cycle_ns / 1e9:g} s, "
+        f"{first:,} to {overview.last_cycle:,} of {plan.timing.cycle_ns / 1e9:g} s, "
         f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
     )
     versions = [

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from typing import Final, NamedTuple
+from collections.abc import Collection, Iterator
+from typing import Any, Final
 
 import msgspec
-from msgspec.structs import replace
 
-from agents.dispatch import own_request_kw
+from agents.dispatch import own_share_kw
 from bus_schemas import messages
 from bus_schemas.messages import Dispatch, Help, Message, Notice, Setpoint
-from bus_schemas.missing import in_words
 from bus_schemas.signals import DISPATCH, HELP, SETPOINT, Port
 from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name, parent_of
 from recordings.read.reader import RunReader
@@ -27,9 +25,9 @@ _FIELDS: Final[dict[type[Message], dict[str, str]]] = {
     messages.Setpoint: {"power_kw": "setpoint_kw"},
     messages.Command: {"alpha": "alpha"},
     messages.Dispatch: {"power_kw": "dispatch_kw", "commitment_kw": "commitment_kw"},
-    messages.Production: {"possible_kw": "possible_kw", "delivered_kw": "delivered_kw"},
+    messages.Production: {"available_kw": "available_kw", "delivered_kw": "delivered_kw"},
 }
-"""Which field of a message is which of the `NodeCycle` of its node."""
+"""Which field of a message is which value of the `NodeCycle` of its node."""
 
 
 class HelpLine(msgspec.Struct, frozen=True):
@@ -39,36 +37,33 @@ class HelpLine(msgspec.Struct, frozen=True):
     power_kw: float
 
 
-class NodeCycle(msgspec.Struct, omit_defaults=True):
-    """One node in one cycle, at its local time. None, or nothing: no message said it.
+class NodeCycle(msgspec.Struct):
+    """One node in one cycle, at its local time.
 
-    `power_kw` is telemetry of the interval before, `stale_cycles` for how many cycles there was no
-    usable measurement, `request_kw` the share of the dispatch by rating. Siblings produced more
-    than their share for it (`help_from`), or it did so for them. Of parents: the children that
-    called for help, and the power that they produced for each other.
+    `values` has what messages say of the node, by the names in `_FIELDS`, and `share_kw`, its
+    share of the dispatch by rating. `power_kw` is telemetry of the interval before, `stale_cycles`
+    for how many cycles there was no usable measurement. Siblings produced more than their share for
+    it (`help_from`), or it did so for them. Of parents: the children that called for help, and the
+    power that they produced for each other.
     """
 
     cycle: int
     time: str
     node: str
-    power_kw: float | None = None
-    impp_kw: float | None = None
-    stale_cycles: int = 0
-    request_kw: float | None = None
-    residual_kw: float | None = None
-    help_asked_kw: float | None = None
+    values: dict[str, float | None] = {}
     help_from: list[HelpLine] = []
     help_for: list[HelpLine] = []
-    setpoint_kw: float | None = None
-    alpha: float | None = None
-    dispatch_kw: float | None = None
-    commitment_kw: float | None = None
-    possible_kw: float | None = None
-    delivered_kw: float | None = None
     needy: list[str] = []
     moved_kw: float | None = None
     missing: list[str] = []
     notices: list[str] = []
+
+    def document(self) -> dict[str, Any]:
+        """Return what is known of the node as one level of names and values, for JSON."""
+        always = {"cycle": self.cycle, "time": self.time, "node": self.node, **self.values}
+        document = msgspec.to_builtins(self)
+        more = ("help_from", "help_for", "needy", "moved_kw", "missing", "notices")
+        return always | {name: document[name] for name in more if document[name]}
 
 
 def timeline(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[list[NodeCycle]]:
@@ -89,14 +84,14 @@ def timeline(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[
 
 
 def _ports_about(run: RunReader, nodes: Collection[str]) -> frozenset[Port[Message]]:
-    """Return the ports that say something of some nodes, also those of siblings and children."""
+    """Return the ports with messages about some nodes, including those of siblings and children."""
     parents = {parent_of(node) for node in nodes if node != ROOT}
 
     def is_about(port: Port[Message]) -> bool:
-        if port.node in nodes or port.signal is DISPATCH:  # Every node's request follows from it.
+        if port.node in nodes or port.signal is DISPATCH:  # Every node's share follows from it.
             return True
         parent = parent_of(port.node) if port.node != ROOT else None
-        if port.signal is SETPOINT:  # Its `help_given` says for whom its power is.
+        if port.signal is SETPOINT:  # Its `help_given` names the siblings that get its power.
             return parent in nodes or parent in parents
         return port.signal is HELP and parent in nodes
 
@@ -112,13 +107,13 @@ def _add(
     sender = cycle.get(ROOT if message.source == CENTRAL else message.source)
     if own is not None:
         for field, name in _FIELDS.get(type(message), {}).items():
-            setattr(own, name, getattr(message, field))
+            own.values[name] = getattr(message, field)
     if sender is not None:
         sender.missing = list(dict.fromkeys([*sender.missing, *message.missing]))
     match message:
         case Dispatch():
             for path, node in cycle.items():
-                node.request_kw = own_request_kw(message, tree.rating_kw(path))
+                node.values["share_kw"] = own_share_kw(message, tree.rating_kw(path))
         case Help() if parent is not None:
             parent.needy.append(port.node)
         case Notice() if own is not None:
@@ -141,106 +136,6 @@ def _add_help(cycle: dict[str, NodeCycle], node: str, setpoint: Setpoint) -> Non
 
 
 def _pop_before(cycle: int, opened: dict[int, dict[str, NodeCycle]]) -> Iterator[list[NodeCycle]]:
-    """Yield the cycles before one of which no message is expected any more."""
+    """Yield the opened cycles before one: no message of them will follow."""
     for number in sorted(number for number in opened if number < cycle):
         yield list(opened.pop(number).values())
-
-
-# As text, in columns of fixed width ---------------------------------------------------------------
-
-
-class Column(NamedTuple):
-    """One column: its heading, the field that it shows, its width and format."""
-
-    name: str
-    field: str
-    width: int = 8
-    form: str = ".2f"
-
-    def text(self, node: NodeCycle) -> str:
-        value = getattr(node, self.field)
-        return ("-" if value is None else format(value, self.form)).rjust(self.width)
-
-
-_IMPP: Final = Column("IMPP", "impp_kw")
-_RESIDUAL: Final = Column("residual", "residual_kw")
-_REQUEST: Final = Column("request", "request_kw")
-_ASKED: Final = Column("asked", "help_asked_kw")
-_SETPOINT: Final = Column("setpoint", "setpoint_kw")
-
-_DIRECT: Final = (
-    Column("power", "power_kw"),
-    *(_IMPP, _REQUEST, _RESIDUAL, _ASKED, _SETPOINT),
-    Column("alpha", "alpha", 6, ".4f"),
-)
-_SUPERVISOR: Final = (_IMPP, _REQUEST, _RESIDUAL, _ASKED, _SETPOINT, Column("moved", "moved_kw"))
-_CENTRAL: Final = (
-    Column("dispatch", "dispatch_kw"),
-    *(_IMPP, _RESIDUAL, _ASKED),
-    Column("possible", "possible_kw"),
-    Column("produced", "delivered_kw"),
-)
-
-
-def node_columns(tree: ControlTree, node: str, time_width: int) -> tuple[Column, ...]:
-    """Return the columns of one node's timeline."""
-    powers = _CENTRAL if node == ROOT else _DIRECT if tree.is_leaf(node) else _SUPERVISOR
-    return (Column("cycle", "cycle", 6, "d"), Column("time", "time", time_width, ""), *powers)
-
-
-def heading(columns: Sequence[Column]) -> str:
-    """Return the line above the columns."""
-    names = " ".join(column.name.rjust(column.width) for column in columns)
-    return f"{names}  help, remarks [kW]"
-
-
-def row_text(columns: Sequence[Column], node: NodeCycle) -> str:
-    """Return a node in one cycle: its columns, and its remarks, however long they are."""
-    cells = " ".join(column.text(node) for column in columns)
-    return f"{cells}  {_remarks(node)}".rstrip()
-
-
-def plant_lines(tree: ControlTree, nodes: Sequence[NodeCycle]) -> Iterator[str]:
-    """Yield the plant in one cycle: a heading, and its nodes as a tree."""
-    branches = dict(_branches(tree, ROOT, ""))
-    longest = max(map(len, branches.values()))
-    columns = (Column("node".ljust(longest), "node", longest, f"<{longest}"), *_DIRECT)
-    yield heading(columns)
-    by_path = dict(zip(tree.nodes, nodes, strict=True))
-    for path, branch in branches.items():
-        yield row_text(columns, replace(by_path[path], node=branch))
-
-
-def _branches(tree: ControlTree, node: str, indent: str) -> Iterator[tuple[str, str]]:
-    """Yield each node with the branch that it is drawn at."""
-    if node == ROOT:
-        yield node, agent_name(node)
-    children = tree.children(node)
-    for child in children:
-        last = child == children[-1]
-        yield child, f"{indent}{'└─' if last else '├─'} {child.rpartition('/')[2]}"
-        yield from _branches(tree, child, indent + ("   " if last else "│  "))
-
-
-def _remarks(node: NodeCycle) -> str:
-    """Return what has no column: who gave help to whom, missing inputs, notices."""
-    said = [
-        _help_text("from", node.help_from),
-        _help_text("for", node.help_for),
-        f"moved {node.moved_kw:.2f}" if node.node == CENTRAL and node.moved_kw else "",
-        "need: " + ", ".join(map(_short, node.needy)) if node.needy else "",
-        f"stale for {node.stale_cycles}" if node.stale_cycles else "",
-        in_words(node.missing),
-        *node.notices,
-    ]
-    return "; ".join(part for part in said if part)
-
-
-def _help_text(word: str, lines: Sequence[HelpLine]) -> str:
-    given = ", ".join(f"{_short(line.node)} {line.power_kw:.2f}" for line in lines)
-    return f"{word} {given}" if given else ""
-
-
-def _short(path: str) -> str:
-    """Return the last part of a path: help is given among siblings."""
-    return path.rpartition("/")[2]

@@ -1,25 +1,31 @@
-"""What is missing in a recording: messages, by gaps in their numbers, and cycles without a message.
+"""What is missing in a recording: messages, cycles without a message, inputs at deadlines.
 
-Every message has a number on its key, from 0 on. This is the one place that counts what the
-numbers leave out: `inspect`, `recover`, `verify`, the recorder and the page all use it.
+Every message has a number on its key, from 0 on, and names the inputs that its sender missed.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 import msgspec
 
+from agents.cycle import stage_of
 from agents.plan import RunPlan
-from bus_schemas.messages import Message
+from agents.team import stages_of_agents
+from bus_schemas.messages import Message, parse_missing
 from bus_schemas.signals import Occurrence, Port
 
 if TYPE_CHECKING:
-    from recordings.read.reader import RunReader
+    from recordings.read.reader import RecordedMessage, RunReader
 
 LISTED_GAPS: Final = 100
-"""So many gaps are kept with their place."""
+"""So many gaps are kept with their cycles."""
+
+
+_NOTHING_MISSED = b"missing\x90"
+"""In a payload: an empty list."""
 
 
 class Gap(msgspec.Struct, frozen=True):
@@ -34,7 +40,7 @@ class Gap(msgspec.Struct, frozen=True):
 def due_step(plan: RunPlan, port: Port[Message]) -> int:
     """Return the cycles from one due message to the next; 0: it comes when it is needed."""
     comes_regularly = port.signal.occurrence in {Occurrence.CYCLE, Occurrence.TURN}
-    return plan.period(port) if comes_regularly else 0
+    return plan.control.period(port) if comes_regularly else 0
 
 
 class PortGaps:
@@ -98,39 +104,87 @@ class RunGaps:
 
     def end(self, cycle: int) -> None:
         """Note what was due before the cycle that the run ended with."""
-        for port, found in self.ports.items():
-            if gap := found.end(cycle):
+        for port, gaps in self.ports.items():
+            if gap := gaps.end(cycle):
                 self._note(port, gap)
 
     @property
     def lost(self) -> int:
         """Messages that the numbers leave out."""
-        return sum(found.lost for found in self.ports.values())
+        return sum(gaps.lost for gaps in self.ports.values())
 
     def _note(self, port: Port[Message], gap: range) -> None:
         if len(self.gaps) < LISTED_GAPS:
             self.gaps.append(Gap(str(port), gap[0], gap[-1], len(gap)))
 
 
-def recorder_absences(run: RunReader) -> Iterator[tuple[str, range]]:
-    """Yield for each publisher the cycles that the recorder may have missed: between two files.
+class MissedInputs:
+    """Counts the missed inputs of each agent, each once in a stage.
+
+    `missing`: inputs that had not come at a deadline, by agent and key. `old`: older messages that
+    were used instead. `cycles`: the first and the last cycle with either.
+    """
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.missing: dict[str, Counter[str]] = {agent: Counter() for agent in plan.tree.agents()}
+        self.old: Counter[str] = Counter()
+        self.cycles: dict[str, tuple[int, int]] = {}
+        self._tree = plan.tree
+        self._awaited = {
+            (agent, stage.name, turn): {str(port) for port in stage.awaits}
+            for agent, turns in stages_of_agents(plan).items()
+            for turn, stages in enumerate(turns)
+            for stage in stages
+        }
+        self._turns = plan.control.periods.longest
+        self._counted: dict[tuple[str, str], int] = {}
+
+    def see(self, record: RecordedMessage) -> None:
+        if _NOTHING_MISSED not in record.payload:
+            self.count(record.port, record.message())
+
+    def count(self, port: Port[Message], message: Message) -> None:
+        if not message.missing or not port.signal.is_cyclic:
+            return  # A takeover tells of cycles whose own messages are counted.
+        agent, cycle, stage = port.publisher, message.cycle, stage_of(port, self._tree)
+        if cycle <= self._counted.get((agent, stage), -1):
+            return  # All messages of a stage say the same.
+        self._counted[agent, stage] = cycle
+        awaited = self._awaited.get((agent, stage, cycle % self._turns), ())
+        entries = list(map(parse_missing, message.missing))
+        missing = [entry.key for entry in entries if entry.key in awaited]
+        old = sum(entry.cycle is not None for entry in entries)
+        if missing or old:
+            self.missing[agent].update(missing)
+            self.old[agent] += old
+            first, _ = self.cycles.get(agent, (cycle, cycle))
+            self.cycles[agent] = first, cycle
+
+
+def unrecorded_spans(run: RunReader) -> Iterator[tuple[str, range]]:
+    """Yield for each publisher cycles that may be missing, in damaged chunks or between two files.
 
     The first and the last of them may be recorded in part, or as a whole.
     """
-    if len(run.files) == 1:
+    run.check_chunks()
+    if len(run.files) == 1 and not run.damage:
         return
+    regular = {number: port for number, port in run.channels.items() if due_step(run.plan, port)}
     newest: dict[Port[Message], int] = {}
     seen_in: dict[Port[Message], int] = {}
-    absences: dict[tuple[str, int], range] = {}
-    regular = [port for port in run.ports() if due_step(run.plan, port)]
-    for port, cycle, *_ in run.records(regular):
-        file = run.file_number
-        if seen_in.get(port, 0) < file:
-            key = port.publisher, file
-            before = absences.get(key, range(cycle, cycle))
-            first = min(newest.get(port, 0), before.start)
-            absences[key] = range(first, max(cycle + 1, before.stop))
-        seen_in[port] = file
-        newest[port] = max(cycle, newest.get(port, 0))
-    for (publisher, _), absence in absences.items():
-        yield publisher, absence
+    spans: dict[tuple[str, int], range] = {}
+    part = file = 0  # The part of the recording between two losses.
+    for chunk in run.followed_chunks():
+        if chunk.file != file or chunk in run.damage:
+            file, part = chunk.file, part + 1
+        for raw in run.messages_of(chunk, regular):
+            port, cycle = regular[raw[0]], run.head(raw).cycle
+            if seen_in.get(port, 0) < part:
+                key = port.publisher, part
+                before = spans.get(key, range(cycle, cycle))
+                first = min(newest.get(port, 0), before.start)
+                spans[key] = range(first, max(cycle + 1, before.stop))
+            seen_in[port] = part
+            newest[port] = max(cycle, newest.get(port, 0))
+    for (publisher, _), span in spans.items():
+        yield publisher, span

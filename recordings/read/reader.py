@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from contextlib import suppress
@@ -14,27 +15,26 @@ import msgspec
 
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode
-from bus_schemas.errors import InputError
+from bus_schemas.errors import InputError, InputWarning, listed
 from bus_schemas.messages import Message, Run
+from bus_schemas.selection import find_nodes, find_signals
 from bus_schemas.signals import RUN, SIGNALS, Port, Signal, ports
-from bus_schemas.tree import ROOT, agent_name, some_of
-from recordings.read.chunks import (
-    ChunkPlace,
+from bus_schemas.tree import ROOT
+from recordings.read.frames import LISTS, list_frame, signal_frame
+from recordings.read.mcap_file import (
+    Chunk,
     DamagedChunkError,
     RawMessage,
     check_codec,
     messages_in,
+    read_outline,
     unpack_chunk,
 )
-from recordings.read.outline import read_outline
 from recordings.read.run_clock import RunClock
 from recordings.read.run_file import RECORDING_NAME, further_file, read_origin
-from recordings.read.selection import find_nodes, find_signals
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_HEAD_FIELDS: Final = frozenset(Message.__struct_fields__)
 
 _LATEST_S: Final = 30.0
 """How much later than its cycle's turn a message may come and still be found by its cycle."""
@@ -46,17 +46,17 @@ _MOST_CYCLES: Final = 1 << 40
 """No run has as many."""
 
 
-class Head(msgspec.Struct, gc=False):
+class CycleHead(msgspec.Struct, gc=False):
     """What a reader needs to choose a message; the rest is skipped."""
 
     cycle: Annotated[int, msgspec.Meta(ge=0, lt=_MOST_CYCLES)]
     incarnation: Annotated[int, msgspec.Meta(ge=0)] = 0
 
 
-_head = msgspec.msgpack.Decoder(Head).decode
+_head = msgspec.msgpack.Decoder(CycleHead).decode
 
 
-def head_of(payload: bytes) -> Head:
+def head_of(payload: bytes) -> CycleHead:
     """Return what a reader needs of a payload to choose it; DecodeError if it is not there."""
     try:
         return _head(payload)
@@ -92,14 +92,16 @@ def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
 
 
 class RunReader:
-    """A recording of a run, with its further files; if it was cut, everything up to the cut.
+    """A recording of a run, with its further files.
+
+    A file that was cut is read up to the cut. A damaged chunk is skipped, and an `InputWarning`
+    names it as the reader is closed. A file without its plan is refused.
 
     `whole`: each file was closed in order and has its index. `damage`: the damaged chunks skipped
-    so far. `follow` is called now and then with the share read so far, 0 to 1. `file_number`: the
-    file that is being read.
+    so far. `follow` is called now and then with the share read so far, 0 to 1.
     """
 
-    def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
         try:
             self.files = [self.path.open("rb")]
@@ -107,20 +109,18 @@ class RunReader:
             raise InputError(
                 f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
             ) from None
-        self.damage: set[ChunkPlace] = set()
-        self.file_number = 0
+        self.damage: set[Chunk] = set()
         self.follow: Callable[[float], None] = lambda share: None
-        self._skip_damaged = skip_damaged
-        self._first_cycles: dict[ChunkPlace, int | None] = {}
+        self._first_cycles: dict[Chunk, int | None] = {}
         try:
             self.outline = read_outline(self.files[0])
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
-            for place in self.outline.chunks[:1]:
-                check_codec(self.files[place.file], place)
+            for chunk in self.outline.chunks[:1]:
+                check_codec(self.files[chunk.file], chunk)
         except BaseException:
-            self.close()
+            self._close_files()
             raise
         self.whole = self.outline.indexed
 
@@ -135,7 +135,7 @@ class RunReader:
             if not is_next:
                 file.close()
                 break
-            self.outline.go_on(outline)
+            self.outline.append(outline)
             self.files.append(file)
 
     def messages(
@@ -148,8 +148,8 @@ class RunReader:
         """Yield messages with their ports, in the order in which they were recorded.
 
         signals, nodes: Which signals and which nodes, see `find_nodes`; by default all.
-        start, end: The first and the last cycle: local time (`13:49:00`), time since the start
-            (`90s`) or number.
+        start, end: The first cycle, and the one before which to end: local time (`13:49:00`),
+            time since the start (`90s`) or number.
         """
         ports = self.ports(*signals, nodes=nodes)
         if start is None and end is None:
@@ -189,7 +189,7 @@ class RunReader:
         port_of = self._channels_of(self.ports() if ports is None else ports)
         for raw in self._raw(port_of, cycles):
             channel, sequence, logged_ns, published_ns, payload = raw
-            head = self._head_of(raw)
+            head = self.head(raw)
             port, cycle = port_of[channel], head.cycle
             if cycles is None or cycles.start <= cycle < cycles.stop:
                 yield RecordedMessage(
@@ -207,19 +207,17 @@ class RunReader:
         """Return the messages of one signal as a table, one row each; for the rest see `messages`.
 
         It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
-        `node` and the signal's own fields, with units in their names.
+        `node` and the signal's own fields, with units in their names. The lists inside messages
+        have tables too: `help_given`, `production_inverters` and `missing_inputs`.
         """
-        import pandas as pd  # noqa: PLC0415 - it loads slowly
-
-        (found,) = find_signals([signal])
-        own = [name for name in found.type.__struct_fields__ if name not in _HEAD_FIELDS]
-        rows = [
-            (m.sim_time_ns, m.cycle, agent_name(port.node), *(getattr(m, name) for name in own))
-            for port, m in self.messages(found, nodes=nodes, start=start, end=end)
-        ]
-        frame = pd.DataFrame(rows, columns=["time", "cycle", "node", *own]).set_index("time")
-        utc = pd.to_datetime(frame.index, unit="ns", utc=True)
-        return frame.set_index(utc.tz_convert(self.plan.timezone))
+        if isinstance(signal, str) and signal in LISTS:
+            source = LISTS[signal].signal
+            signals = () if source is None else (source,)
+            messages = self.messages(*signals, nodes=nodes, start=start, end=end)
+            return list_frame(self.plan, signal, messages)
+        (wanted,) = find_signals([signal])
+        messages = self.messages(wanted, nodes=nodes, start=start, end=end)
+        return signal_frame(self.plan, wanted, messages)
 
     @cached_property
     def channels(self) -> dict[int, Port[Message]]:
@@ -228,8 +226,8 @@ class RunReader:
             logged = (port for port in ports(self.plan.tree) if port.signal.logged)
             return dict(enumerate(logged, start=1))  # As the writer numbers them.
         port_at = self.plan.wiring.port
-        found = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
-        return {number: port for number, port in found.items() if port is not None}
+        port_of = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
+        return {number: port for number, port in port_of.items() if port is not None}
 
     @cached_property
     def clock(self) -> RunClock:
@@ -242,8 +240,8 @@ class RunReader:
         # The plant's message that the run is over carries the cycle after the last one.
         ports = {port for port in self.ports() if port.signal.name != "run"}
         port_of = self._channels_of(ports)
-        for place in reversed(self.outline.chunks):
-            cycles = [self._head_of(raw).cycle for raw in self.messages_of(place, port_of)]
+        for chunk in reversed(self.outline.chunks):
+            cycles = [self.head(raw).cycle for raw in self.messages_of(chunk, port_of)]
             if cycles:
                 return max(cycles)
         return -1
@@ -258,86 +256,27 @@ class RunReader:
         later = [cycle for cycle in stops if cycle > self.last_cycle]
         return min(later, default=self.last_cycle if self.last_cycle in stops else None)
 
-    def followed_chunks(self, begin: int = 0) -> Iterator[ChunkPlace]:
+    def followed_chunks(self, begin: int = 0) -> Iterator[Chunk]:
         """Yield the chunks from one on, and tell `follow` now and then how far the reading is."""
         count = len(self.outline.chunks)
-        for number, place in enumerate(self.outline.chunks[begin:], start=begin):
+        for number, chunk in enumerate(self.outline.chunks[begin:], start=begin):
             if number % (count // 100 + 1) == 0:
                 self.follow(number / count)
-            yield place
+            yield chunk
 
-    def unpack(self, place: ChunkPlace) -> bytes:
-        return unpack_chunk(self.files[place.file], place)
+    def unpack(self, chunk: Chunk) -> bytes:
+        return unpack_chunk(self.files[chunk.file], chunk)
 
-    def messages_of(self, place: ChunkPlace, channels: Container[int]) -> Iterator[RawMessage]:
-        """Return the messages of some channels in a chunk, none if it is damaged and skipped."""
-        self.file_number = place.file
+    def messages_of(self, chunk: Chunk, channels: Container[int]) -> Iterator[RawMessage]:
+        """Return the messages of some channels in a chunk, none if it is damaged."""
         try:
-            return messages_in(self.unpack(place), channels)
-        except DamagedChunkError as error:
-            if self._skip_damaged:
-                self.damage.add(place)
-                return iter(())
-            raise InputError(
-                f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
-                "what is sound"
-            ) from None
+            return messages_in(self.unpack(chunk), channels)
+        except DamagedChunkError:
+            self.damage.add(chunk)
+            return iter(())
 
-    def damage_text(self) -> str:
-        """Say what is missing: the damaged chunks that were skipped, and damaged attachments."""
-        parts = [f"chunk at byte {place.offset:,}" for place in sorted(self.damage)]
-        parts += [f"attachment {name}" for name in self.outline.damaged_attachments]
-        what = f"a part of the file is damaged ({some_of(parts)}): see heliarch recover"
-        return f"{self.path}: {what}" if parts else ""
-
-    def close(self) -> None:
-        for file in self.files:
-            file.close()
-
-    def __enter__(self) -> RunReader:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-    def _channels_of(self, ports: Collection[Port[Message]]) -> dict[int, Port[Message]]:
-        return {number: port for number, port in self.channels.items() if port in ports}
-
-    def _raw(
-        self, channels: Mapping[int, Port[Message]], cycles: range | None
-    ) -> Iterator[RawMessage]:
-        """Yield the messages of the chunks that can hold some cycles."""
-        begin = 0 if cycles is None else self._search(cycles.start)
-        for place in self.followed_chunks(begin):
-            if cycles is not None:
-                first = self._first_cycle(place)
-                if first is not None and first >= cycles.stop + self._slack:
-                    return
-            yield from self.messages_of(place, channels)
-
-    def _search(self, cycle: int) -> int:
-        """Return the number of a chunk before which there is no message of a cycle.
-
-        Where a chunk begins more than `_slack` cycles before the cycle, it has not begun.
-        """
-        before = cycle - self._slack
-
-        def first(place: ChunkPlace) -> int:
-            found = self._first_cycle(place)
-            return before if found is None else found
-
-        return max(bisect_left(self.outline.chunks, before, key=first) - 1, 0)
-
-    def _first_cycle(self, place: ChunkPlace) -> int | None:
-        """Return the cycle of a chunk's first message; None: nothing can be read of it."""
-        if place not in self._first_cycles:
-            self._first_cycles[place] = None
-            with suppress(DamagedChunkError):
-                for raw in islice(messages_in(self.unpack(place), self.channels), 1):
-                    self._first_cycles[place] = self._head_of(raw).cycle
-        return self._first_cycles[place]
-
-    def _head_of(self, raw: RawMessage) -> Head:
+    def head(self, raw: RawMessage) -> CycleHead:
+        """Return the head of a message; InputError if it has none."""
         try:
             return head_of(raw[4])
         except msgspec.DecodeError as error:
@@ -347,14 +286,87 @@ class RunReader:
                 f"{error}"
             ) from None
 
+    def damage_text(self) -> str:
+        """Name the damaged chunks that were skipped and damaged attachments; empty: none."""
+        parts = [f"chunk at byte {chunk.offset:,}" for chunk in sorted(self.damage)]
+        parts += [f"attachment {name}" for name in self.outline.damaged_attachments]
+        what = f"a part of the file is damaged ({listed(parts)}): see heliarch recover"
+        return f"{self.path}: {what}" if parts else ""
+
+    def check_chunks(self) -> None:
+        """Unpack every chunk, so that `damage` holds all that are damaged."""
+        for chunk in self.followed_chunks():
+            self.messages_of(chunk, ())
+
+    def close(self) -> None:
+        self._close_files()
+        if damage := self.damage_text():
+            warnings.warn(damage, InputWarning, stacklevel=1)
+
+    def __enter__(self) -> RunReader:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if kind is None:
+            self.close()
+        else:  # The error is what the user must read.
+            self._close_files()
+
+    def _close_files(self) -> None:
+        for file in self.files:
+            file.close()
+
+    def _channels_of(self, ports: Collection[Port[Message]]) -> dict[int, Port[Message]]:
+        return {number: port for number, port in self.channels.items() if port in ports}
+
+    def _raw(
+        self, channels: Mapping[int, Port[Message]], cycles: range | None
+    ) -> Iterator[RawMessage]:
+        """Yield the messages of the chunks that can hold some cycles."""
+        begin = 0 if cycles is None else self._search(cycles.start)
+        for chunk in self.followed_chunks(begin):
+            if cycles is not None:
+                first = self._first_cycle(chunk)
+                if first is not None and first >= cycles.stop + self._slack:
+                    return
+            yield from self.messages_of(chunk, channels)
+
+    def _search(self, cycle: int) -> int:
+        """Return the number of a chunk before which there is no message of a cycle.
+
+        Where a chunk begins more than `_slack` cycles before the cycle, it has not begun.
+        """
+        before = cycle - self._slack
+
+        def first(chunk: Chunk) -> int:
+            cycle_there = self._first_cycle(chunk)
+            return before if cycle_there is None else cycle_there
+
+        return max(bisect_left(self.outline.chunks, before, key=first) - 1, 0)
+
+    def _first_cycle(self, chunk: Chunk) -> int | None:
+        """Return the cycle of a chunk's first message; None: nothing can be read of it."""
+        if chunk not in self._first_cycles:
+            self._first_cycles[chunk] = None
+            with suppress(DamagedChunkError):
+                for raw in islice(messages_in(self.unpack(chunk), self.channels), 1):
+                    self._first_cycles[chunk] = self.head(raw).cycle
+        return self._first_cycles[chunk]
+
     @cached_property
     def _slack(self) -> int:
         """How many cycles behind the newest one a message can be in the file."""
         if self.metadata["run"].get("driver") == "simulate":
-            return self.plan.periods.longest + 1
-        if self.plan.lockstep:
+            return self.plan.control.periods.longest + 1
+        if self.plan.timing.lockstep:
             return _FURTHEST_CYCLES
-        return max(round(_LATEST_S * 1e9 / self.plan.cycle_wall_ns), self.plan.periods.longest) + 1
+        return (
+            max(
+                round(_LATEST_S * 1e9 / self.plan.timing.cycle_wall_ns),
+                self.plan.control.periods.longest,
+            )
+            + 1
+        )
 
 
 def open_run(path: Path | str) -> RunReader:

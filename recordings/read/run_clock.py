@@ -1,8 +1,8 @@
 """Times of a run as a user writes them: local time, time since the start, or a cycle's number.
 
 Cycles are numbered from 0, and cycle k begins at `start + k * cycle length`: a time belongs to the
-cycle that has begun by then. A time of day is the first one in the run. Every command uses this
-rule.
+cycle that has begun by then. A time of day is the first one in the run. The end of a span is not
+part of it. Every command uses these rules.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.times import LONGEST_S, duration_s, read_time
+from scenarios.times import LONGEST_S, duration_s, on_day, read_time
 
 _FORMS: Final = (
     "a local time (13:49:00, 2010-04-01T13:49:00), a time since the start (90s, 1h30m) or the "
@@ -28,18 +28,18 @@ class RunClock:
 
     def __init__(self, plan: RunPlan, last_cycle: int) -> None:
         self._plan = plan
-        self._zone = ZoneInfo(plan.timezone)
-        self._last_cycle = last_cycle
+        self._zone = ZoneInfo(plan.timing.timezone)
+        self._end = last_cycle + 1
 
-    def cycle(self, when: str | int, where: str) -> int:
+    def cycle(self, when: str | int, where: str, *, is_end: bool = False) -> int:
         """Return the cycle of a time: `13:49:00`, `2010-04-01T13:49:00`, `90s` or a number.
 
-        An error begins with `where`, such as `--from`.
+        The end of a span may be the end of the run. An error begins with `where`, such as `--from`.
         """
         text = str(when).strip()
         try:
             cycle = int(text) if re.fullmatch(r"-?\d{1,18}", text) else self._cycle_at(text)
-            if not 0 <= cycle <= self._last_cycle:
+            if not 0 <= cycle < self._end + is_end:
                 raise InputError(f"a time of the run, {self.extent()}")
         except InputError as expected:
             raise InputError(f"{where}: expected {expected}, got {text[:40]}") from None
@@ -51,16 +51,17 @@ class RunClock:
         end: str | int | None,
         names: tuple[str, str] = ("--from", "--to"),
     ) -> range:
-        """Return the cycles from one time to another, both included; None: from or to the end."""
+        """Return the cycles from one time to before another; None: from or to the run's end."""
         first = 0 if start is None else self.cycle(start, names[0])
-        last = self._last_cycle if end is None else self.cycle(end, names[1])
-        if start is not None and end is not None and last < first:
-            raise InputError(f"{names[1]}: expected a time from {start} on, got {end}")
-        return range(first, last + 1)
+        stop = self._end if end is None else self.cycle(end, names[1], is_end=True)
+        if end is not None and stop <= first:
+            begin = "the beginning" if start is None else start
+            raise InputError(f"{names[1]}: expected a time after {begin}, got {end}")
+        return range(first, stop)
 
     def local(self, cycle: int) -> datetime:
         """Return the local time at the beginning of a cycle."""
-        seconds, rest_ns = divmod(self._plan.sim_time_ns(cycle), _SECOND_NS)
+        seconds, rest_ns = divmod(self._plan.timing.sim_time_ns(cycle), _SECOND_NS)
         try:
             # Adding to a local time would be ambiguous where clocks are put back.
             local = datetime.fromtimestamp(seconds, self._zone)
@@ -70,7 +71,11 @@ class RunClock:
 
     def text(self, cycle: int) -> str:
         """Return the local time of day of a cycle, as exact as the cycles need."""
-        whole = self._plan.cycle_ns % _SECOND_NS == 0 == self._plan.start_time_ns % _SECOND_NS
+        whole = (
+            self._plan.timing.cycle_ns % _SECOND_NS
+            == 0
+            == self._plan.timing.start_time_ns % _SECOND_NS
+        )
         return self.local(cycle).strftime("%H:%M:%S" if whole else "%H:%M:%S.%f")[:12]
 
     def span_text(self, first: int, last: int) -> str:
@@ -81,24 +86,25 @@ class RunClock:
 
     def extent(self) -> str:
         """Say when the run begins and ends."""
-        first, last = self.local(0), self.local(self._last_cycle)
-        return f"which goes from {first:%F %T} to {last:%F %T %Z} (cycles 0 to {self._last_cycle})"
+        last_cycle = self._end - 1
+        first, last = self.local(0), self.local(last_cycle)
+        return f"which goes from {first:%F %T} to {last:%F %T %Z} (cycles 0 to {last_cycle})"
 
     def _cycle_at(self, text: str) -> int:
         """Return the cycle of a time that is not a cycle's number."""
         since_start_s = duration_s(text)
         if since_start_s is not None:
-            return round(min(since_start_s, 2 * LONGEST_S) * _SECOND_NS) // self._plan.cycle_ns
-        found = read_time(text)
-        if found is None:
+            return (
+                round(min(since_start_s, 2 * LONGEST_S) * _SECOND_NS) // self._plan.timing.cycle_ns
+            )
+        moment = read_time(text)
+        if moment is None:
             raise InputError(_FORMS)
-        if isinstance(found, time):
-            found = datetime.combine(self.local(0).date(), found)
-            if self._cycle_of(found) < 0:
-                found += timedelta(days=1)
-        return self._cycle_of(found)
+        local = on_day(moment, self.local(0))
+        if isinstance(moment, time) and self._cycle_of(local) < 0:
+            local += timedelta(days=1)
+        return self._cycle_of(local)
 
-    def _cycle_of(self, moment: datetime) -> int:
-        local = moment if moment.tzinfo else moment.replace(tzinfo=self._zone)
+    def _cycle_of(self, local: datetime) -> int:
         moment_ns = round(local.timestamp() * 1e6) * 1000
-        return (moment_ns - self._plan.start_time_ns) // self._plan.cycle_ns
+        return (moment_ns - self._plan.timing.start_time_ns) // self._plan.timing.cycle_ns

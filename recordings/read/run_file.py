@@ -10,9 +10,9 @@ import msgspec
 
 from agents.plan import RunPlan, check_plan
 from bus_schemas.errors import InputError
-from bus_schemas.times import FIRST_YEAR, LAST_YEAR
-from recordings.read.outline import Outline
+from recordings.read.mcap_file import Outline
 from recordings.read.run_clock import RunClock
+from scenarios.times import FIRST_YEAR, LAST_YEAR
 
 RECORDING_NAME: Final = "run.mcap"
 
@@ -22,7 +22,7 @@ def further_file(recording: Path, number: int) -> Path:
     return recording.with_stem(f"{recording.stem}-{number}")
 
 
-SCHEMA_VERSION: Final = "3"
+SCHEMA_VERSION: Final = "4"
 """Version of the message types. A reader refuses what it does not know."""
 
 
@@ -38,14 +38,14 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
     """Return the scenario and the plan of the recording at a path."""
     _check_version(outline, path)
     attachments = {entry.name: entry.data for entry in outline.attachments}
-    found = attachments.get("plan.json")
-    if found is None or "plan.json" in outline.damaged_attachments:
+    document = attachments.get("plan.json")
+    if document is None or "plan.json" in outline.damaged_attachments:
         raise InputError(
-            f"{path}: its attachment plan.json is {'missing' if found is None else 'damaged'}; "
+            f"{path}: its attachment plan.json is {'missing' if document is None else 'damaged'}; "
             "nothing can be read without it"
         )
     try:
-        plan = msgspec.json.decode(found, type=RunPlan)
+        plan = msgspec.json.decode(document, type=RunPlan)
         check_plan(plan)
         _check_times(plan)
     except (InputError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -55,14 +55,14 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
 
 
 def _check_version(outline: Outline, path: Path) -> None:
-    found = outline.metadata.get("run", {}).get("schema_version")
-    if found is None and outline.cut_early:
+    version = outline.metadata.get("run", {}).get("schema_version")
+    if version is None and outline.cut_early:
         raise NothingRecordedError(f"{path}: cut before the plan of its run")
-    if found is None:
+    if version is None:
         raise InputError(f"{path}: an MCAP file, but no recording of a heliarch run")
-    if found != SCHEMA_VERSION:
+    if version != SCHEMA_VERSION:
         raise InputError(
-            f"{path}: recorded with schema version {found}, this Heliarch reads version "
+            f"{path}: recorded with schema version {version}, this Heliarch reads version "
             f"{SCHEMA_VERSION}; read it with the Heliarch that wrote it"
         )
 
@@ -70,12 +70,12 @@ def _check_version(outline: Outline, path: Path) -> None:
 def _check_times(plan: RunPlan) -> None:
     """Refuse a plan whose cycles have no time."""
     try:
-        ZoneInfo(plan.timezone)
+        ZoneInfo(plan.timing.timezone)
     except (KeyError, ValueError, OSError):
         raise InputError(
-            f"timezone: expected a name such as Pacific/Honolulu, got {plan.timezone[:40]!r}"
+            f"timezone: expected a name such as Pacific/Honolulu, got {plan.timing.timezone[:40]!r}"
         ) from None
-    years = [RunClock(plan, 0).local(cycle).year for cycle in (0, plan.cycles)]
+    years = [RunClock(plan, 0).local(cycle).year for cycle in (0, plan.timing.cycles)]
     if years[0] < FIRST_YEAR or years[1] > LAST_YEAR:
         raise InputError(
             f"start_time_ns: expected a run in the years {FIRST_YEAR} to {LAST_YEAR}, got "

@@ -46,10 +46,13 @@ class RunSeries:
     regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0 if there is no
         regulation.
     mpp_kw, power_kw, impp_kw, residual_kw, alpha: Of each inverter, shape (T, n): true maximum
-        power, power that it delivered, IMPP, IMPP less request, and the curtailment level in [0, 1]
+        power, power that it delivered, IMPP, IMPP less share, and the curtailment level in [0, 1]
         that it applied.
     ramp_limit_percent_per_min: Ramp limit in % of the plant's rating per minute, if a grid code
         sets one.
+    missed_inputs: How many inputs had not come at a deadline; None: not counted.
+    reverted_percent: Share of the inverters' cycles without a command for the revert time; None:
+        not counted.
     """
 
     label: str
@@ -67,6 +70,8 @@ class RunSeries:
     residual_kw: NDArray[np.float64]
     alpha: NDArray[np.float64]
     ramp_limit_percent_per_min: float | None = None
+    missed_inputs: int | None = None
+    reverted_percent: float | None = None
 
     @classmethod
     def of(cls, plan: RunPlan, label: str, **values: NDArray[np.float64]) -> RunSeries:
@@ -80,11 +85,13 @@ class RunSeries:
             label=label,
             inverters=leaves,
             rating_kw=np.array([plan.tree.rating_kw(leaf) for leaf in leaves]),
-            timezone=plan.timezone,
-            start_time_ns=plan.start_time_ns,
-            cycle_s=plan.cycle_ns / 1e9,
-            regulation_capacity_kw=plan.regulation_capacity_kw,
-            ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
+            timezone=plan.timing.timezone,
+            start_time_ns=plan.timing.start_time_ns,
+            cycle_s=plan.timing.cycle_ns / 1e9,
+            regulation_capacity_kw=plan.site.regulation_capacity_kw,
+            ramp_limit_percent_per_min=plan.site.ramp_limit_percent_per_min,
+            missed_inputs=None,
+            reverted_percent=None,
             **(unknown | values),
         )
 
@@ -93,12 +100,12 @@ class RunSeries:
         return len(self.mpp_kw)
 
     @property
-    def desired_kw(self) -> NDArray[np.float64]:
+    def dispatch_kw(self) -> NDArray[np.float64]:
         """Commitment plus regulation, the paper's P_desired, shape (T,)."""
         return self.commitment_kw + self.regulation_kw
 
     @property
-    def possible_kw(self) -> NDArray[np.float64]:
+    def available_kw(self) -> NDArray[np.float64]:
         """True maximum power of the plant, shape (T,)."""
         return np.asarray(self.mpp_kw.sum(axis=1))
 
@@ -108,14 +115,14 @@ class RunSeries:
         return np.asarray(self.power_kw.sum(axis=1))
 
     @property
-    def support_kw(self) -> NDArray[np.float64]:
+    def shortfall_kw(self) -> NDArray[np.float64]:
         """Power that others had to give, max(0, P_desired - P), shape (T,)."""
-        return np.maximum(self.desired_kw - self.delivered_kw, 0.0)
+        return np.maximum(self.dispatch_kw - self.delivered_kw, 0.0)
 
     @property
     def known(self) -> NDArray[np.bool_]:
         """Whether the recording has dispatch and production of each cycle, shape (T,)."""
-        return np.isfinite(self.desired_kw) & np.isfinite(self.possible_kw + self.delivered_kw)
+        return np.isfinite(self.dispatch_kw) & np.isfinite(self.available_kw + self.delivered_kw)
 
     @property
     def times(self) -> pd.DatetimeIndex:
@@ -136,16 +143,16 @@ class SeriesCollector:
     def __init__(self, plan: RunPlan) -> None:
         self._plan = plan
         self._column = {leaf: column for column, leaf in enumerate(plan.tree.leaves)}
-        self._of_plant = {name: np.full(plan.cycles, nan) for name in _OF_PLANT}
+        self._of_plant = {name: np.full(plan.timing.cycles, nan) for name in _OF_PLANT}
         self._of_inverters = defaultdict[str, NDArray[np.float64]](
-            lambda: np.full((plan.cycles, len(self._column)), nan)
+            lambda: np.full((plan.timing.cycles, len(self._column)), nan)
         )
         self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message; those that the series does not need are ignored."""
         cycle = message.cycle
-        if not 0 <= cycle < self._plan.cycles:
+        if not 0 <= cycle < self._plan.timing.cycles:
             return
         match message:
             case Dispatch():
@@ -172,8 +179,8 @@ class SeriesCollector:
         """Return the cycles up to the last one that the plant completed."""
         if not self._cycles:
             raise InputError("expected a run with at least one complete cycle, got none")
-        found = self._of_plant | self._of_inverters
-        values = {name: column[: self._cycles] for name, column in found.items()}
+        columns = self._of_plant | self._of_inverters
+        values = {name: column[: self._cycles] for name, column in columns.items()}
         series = RunSeries.of(self._plan, label, **values)
         known = int(series.known.sum())
         if known * _MOST_APART <= series.cycles:
@@ -184,10 +191,10 @@ class SeriesCollector:
         return series
 
 
-def _enter(values: NDArray[np.float64], place: int | tuple[int, int], value: float) -> None:
+def _enter(values: NDArray[np.float64], index: int | tuple[int, int], value: float) -> None:
     """Enter a number, unless an earlier message gave one."""
-    if isnan(values[place]):
-        values[place] = value
+    if isnan(values[index]):
+        values[index] = value
 
 
 def read_series(path: Path) -> RunSeries:

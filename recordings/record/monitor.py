@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from agents.events import Status
+from agents.plan import RunPlan
+from agents.process.events import Status
 from bus_schemas.messages import Message, Production
 from bus_schemas.signals import HELP, Port
 
@@ -30,9 +31,14 @@ class RunMonitor:
         return Status(
             cycle=last.cycle,
             sim_time_ns=last.sim_time_ns,
-            desired_kw=last.desired_kw,
-            possible_kw=last.possible_kw,
+            dispatch_kw=last.dispatch_kw,
+            available_kw=last.available_kw,
             delivered_kw=last.delivered_kw,
             needy=sorted(node for node, cycle in self._needy.items() if cycle >= last.cycle),
             recorded=recorded,
         )
+
+
+def longest_pause_s(plan: RunPlan) -> float:
+    """Return how long a controller may say nothing in real time [s]."""
+    return max(1.0, 2.0 * plan.timing.cycle_wall_ns / 1e9)

@@ -11,7 +11,7 @@ import os
 import platform
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -24,7 +24,7 @@ from agents.plan import RunPlan
 from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import SIGNALS, Port, ports
+from bus_schemas.signals import SIGNALS, Port, Signal, ports
 from recordings.read.reader import RunReader
 from recordings.read.run_file import SCHEMA_VERSION
 
@@ -45,13 +45,13 @@ class ClockAnchor:
     @classmethod
     def of(cls, metadata: Mapping[str, Mapping[str, str]], path: Path) -> ClockAnchor:
         """Return that of the recording at a path, from its metadata."""
-        found = metadata.get("clock_anchor", {})
+        anchor = metadata.get("clock_anchor", {})
         try:
-            return cls(int(found["monotonic_ns"]), int(found["wall_ns"]))
+            return cls(int(anchor["monotonic_ns"]), int(anchor["wall_ns"]))
         except (KeyError, ValueError):
             raise InputError(
                 f"{path}: metadata clock_anchor: expected monotonic_ns and wall_ns, got "
-                f"{dict(found)}"
+                f"{dict(anchor)}"
             ) from None
 
     def wall(self, monotonic_ns: int) -> int:
@@ -70,7 +70,7 @@ class RunWriter:
     """A recording that is being written.
 
     A full disk ends the recording, not the run: later messages are counted and not kept. Then
-    `trouble` says why, and `on_end` is called with it (None: the error is raised instead).
+    `ended_early` says why, and `on_end` is called with it (None: the error is raised instead).
 
     `driver` is `launch` or `simulate`; the anchor turns times of the messages' clock into wall
     clock. `heard` counts the messages that should have been written, `recorded` those in the file,
@@ -89,7 +89,7 @@ class RunWriter:
         self.path = path
         self.heard = 0
         self.recorded: Counter[str] = Counter()
-        self.trouble = ""
+        self.ended_early = ""
         self._on_end = on_end
         self._cycle = 0
         self._anchor = anchor or ClockAnchor.now()
@@ -97,12 +97,12 @@ class RunWriter:
         self._writer = Writer(self._file, compression=CompressionType.LZ4)
         self._writer.start(profile="heliarch", library=f"heliarch {version('heliarch')}")
         self._write_origin(plan, scenario, driver)
-        self._channels = declare(self._writer, plan)
+        self._channels = declare(self._writer, plan, ports(plan.tree))
 
     def add(self, port: Port[Message], head: Numbered, payload: bytes, logged_ns: int) -> None:
         self.heard += 1
         self._cycle = head.cycle
-        if self.trouble:
+        if self.ended_early:
             return
         try:
             self._writer.add_message(
@@ -124,7 +124,7 @@ class RunWriter:
     def close(self) -> None:
         self._unless_ended(self._writer.finish)
         self._unless_ended(self._file.close)
-        if self.trouble:
+        if self.ended_early:
             self.recorded = _count(self.path)
 
     def abandon(self) -> None:
@@ -133,7 +133,7 @@ class RunWriter:
             self._file.close()
 
     def _unless_ended(self, act: Callable[[], None]) -> None:
-        if not self.trouble:
+        if not self.ended_early:
             try:
                 act()
             except OSError as error:
@@ -143,10 +143,10 @@ class RunWriter:
         self.abandon()
         if self._on_end is None:
             raise error
-        self.trouble = (
+        self.ended_early = (
             f"the recording ended in cycle {self._cycle:,}: {self.path}: {error.strerror}"
         )
-        self._on_end(self.trouble)
+        self._on_end(self.ended_early)
 
     def _write_origin(self, plan: RunPlan, scenario: str, driver: str) -> None:
         anchor, add = self._anchor, self._writer.add_attachment
@@ -169,11 +169,17 @@ class RunWriter:
         self._writer.add_metadata("clock_anchor", clocks)
 
 
-def declare(writer: Writer, plan: RunPlan) -> dict[Port[Message], int]:
+def declare(
+    writer: Writer,
+    plan: RunPlan,
+    ports: Iterable[Port[Message]],
+    schema: Callable[[Signal[Message]], object] = json_schema,
+    encoding: str = "msgpack",
+) -> dict[Port[Message], int]:
     """Declare the schema of each signal and the channel of each port; return the channels."""
     schema_of = {
         signal: writer.register_schema(
-            signal.type.__name__, "jsonschema", json.dumps(json_schema(signal)).encode()
+            signal.type.__name__, "jsonschema", json.dumps(schema(signal)).encode()
         )
         for signal in SIGNALS
         if signal.logged
@@ -181,11 +187,11 @@ def declare(writer: Writer, plan: RunPlan) -> dict[Port[Message], int]:
     return {
         port: writer.register_channel(
             plan.wiring.key(port),
-            "msgpack",
+            encoding,
             schema_of[port.signal],
             {"signal": port.signal.name, "node": port.node},
         )
-        for port in ports(plan.tree)
+        for port in ports
         if port.signal.logged
     }
 

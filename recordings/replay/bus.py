@@ -10,17 +10,17 @@ from typing import Any, Self, TextIO
 import zenoh
 
 from agents.plan import RunPlan
+from agents.process.interruption import Interruption
 from bus_schemas.bus import Outbox
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Clock, Message
+from bus_schemas.selection import find_signals
 from bus_schemas.signals import CLOCK, Port
+from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import REPLAYER, ROOT
-from bus_schemas.zenoh_bus import ENCODING, SessionSettings, open_session
-from launch_scripts.launcher.interruption import Interruption
-from launch_scripts.launcher.tcp_ports import reserved_ports
+from bus_schemas.zenoh_session import ENCODING, SessionSettings, open_session
 from recordings.read.reader import RunReader
-from recordings.read.selection import find_signals
 
 
 class ReplayBus:
@@ -59,7 +59,7 @@ class ReplayBus:
 
     def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
         """Publish where the replay stands."""
-        sim_time_ns = self._plan.sim_time_ns(cycle)
+        sim_time_ns = self._plan.timing.sim_time_ns(cycle)
         message = Clock(cycle, sim_time_ns, REPLAYER, (), rate=rate, paused=paused)
         self._outbox.stamp(CLOCK.of(ROOT), message, time.monotonic_ns())
         self.put(CLOCK.of(ROOT), encode(message))
@@ -87,7 +87,7 @@ def selected_ports(
 ) -> list[Port[Message]]:
     """Return the ports that are replayed: by default the recorded ones, and the replay's clock."""
     excluded = [name.strip() for name in (exclude or "").split(",") if name.strip()]
-    left_out = find_signals(name for name in excluded if name != CLOCK.name)
+    left_out = find_signals((name for name in excluded if name != CLOCK.name), "--exclude")
     recorded = reader.ports(*find_signals(signals or ""), nodes=nodes or "")
     ports = [port for port in recorded if port.signal not in left_out]
     if not ports:

@@ -22,7 +22,7 @@ UP, DOWN, RIGHT, LEFT = "A", "B", "C", "D"
 _KEYS: Final = re.compile(rb"\x1b[\[O]([A-D])|([ s+=q-])")
 
 Keyboard: TypeAlias = Callable[[float], str]
-"""Returns the next key that was pressed, at once if there is one; none after a time [s]: empty."""
+"""Returns the next key that is pressed within a time [s], or an empty string."""
 
 
 def no_keyboard(seconds: float) -> str:
@@ -41,10 +41,10 @@ class TerminalKeyboard:
     def wait(self, seconds: float) -> str:
         if not _KEYS.search(self._typed) and select.select([self._descriptor], [], [], seconds)[0]:
             self._typed += os.read(self._descriptor, 1024)
-        if (found := _KEYS.search(self._typed)) is None:
+        if (key := _KEYS.search(self._typed)) is None:
             return ""
-        self._typed = self._typed[found.end() :]
-        return (found[1] or found[2]).decode()
+        self._typed = self._typed[key.end() :]
+        return (key[1] or key[2]).decode()
 
 
 def has_keyboard() -> bool:
@@ -55,7 +55,7 @@ def has_keyboard() -> bool:
         # In the background a read would stop the program.
         return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except OSError:
-        return True  # It is not the controlling terminal, so nobody stops us there.
+        return True  # It is not the controlling terminal, so a read does not stop the program.
 
 
 @contextmanager

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
-from typing import Any, Final, TextIO
+from dataclasses import dataclass, field
+from typing import Any, Final, Protocol, TextIO
 
-from hdrh.histogram import HdrHistogram
-
-from agents.machine import wake_precisely
+from agents.process.interruption import Interruption, interruptible
+from agents.process.machine import wake_precisely
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from launch_scripts.launcher.interruption import Interruption, interruptible
-from launch_scripts.launcher.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
-from recordings.replay.clock import ClockKind, PlaybackClock, positions
 from recordings.replay.keyboard import (
     DOWN,
     KEYS_IN_WORDS,
@@ -27,7 +23,7 @@ from recordings.replay.keyboard import (
     has_keyboard,
     keyboard,
 )
-from recordings.replay.publish_order import in_publish_order
+from recordings.replay.schedule import ClockKind, PlaybackClock, UpcomingMessages
 
 _LOOK_S: Final = 0.02
 """How often the keyboard is read."""
@@ -35,185 +31,182 @@ _LOOK_S: Final = 0.02
 _SEEK_S: Final = {LEFT: -10.0, RIGHT: 10.0, DOWN: -60.0, UP: 60.0}
 """How far a key seeks, in simulated time."""
 
-_LATEST_NS: Final = 3_600_000_000_000
-"""Greater lateness counts as this."""
+
+class StatusLine(Protocol):
+    """Where the user reads how far a replay has come."""
+
+    def is_due(self) -> bool:
+        """Whether the shown text is old enough to be replaced."""
+
+    def show(self, text: str) -> None: ...
+
+    def end(self) -> None:
+        """Leave the text as it is: the replay is over."""
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """The options of the command. `rate` 0: as fast as possible."""
+
+    start: str | None = None
+    end: str | None = None
+    rate: float = 1.0
+    clock: ClockKind | None = None
+    start_paused: bool = False
+    loop: bool = False
+    wait: bool = False
+    listen: str | None = None
 
 
 def replay_recording(
     reader: RunReader,
     out: TextIO,
+    line: StatusLine,
     ports: Collection[Port[Message]],
-    *,
-    start: str | None,
-    end: str | None,
-    rate: float,
-    clock: ClockKind | None,
-    start_paused: bool,
-    loop: bool,
-    wait: bool,
-    listen: str | None,
+    options: ReplayOptions,
 ) -> dict[str, Any]:
-    """Replay a recording; print the result, and return it for JSON.
-
-    The arguments are the options of the command; `rate` 0: as fast as possible.
-    """
-    span = reader.clock.span(start, end)
-    if end is None:  # The message that ends the run names the cycle after the last one.
+    """Replay a recording; print the result, and return it for JSON."""
+    span = reader.clock.span(options.start, options.end)
+    if options.end is None:  # The message that ends the run names the cycle after the last one.
         span = range(span.start, span.stop + 1)
     # A lockstep cycle has no length of its own, so only simulated time shows the plant's run.
-    kind: ClockKind = clock or ("sim" if reader.plan.lockstep else "wall")
+    kind: ClockKind = options.clock or ("sim" if reader.plan.timing.lockstep else "wall")
     with (
         interruptible() as interruption,
-        replay_bus(reader, ports, listen, out) as bus,
+        replay_bus(reader, ports, options.listen, out) as bus,
         keyboard() as keys,
     ):
         say(out, f"clock {kind}")
         if has_keyboard():
             say(out, KEYS_IN_WORDS)
-        playing = PlaybackClock(rate, paused=start_paused)
-        playback = Playback(reader, span, ports, bus, playing, kind, keys, interruption, out)
-        if wait:
+        clock = PlaybackClock(options.rate, paused=options.start_paused)
+        upcoming = UpcomingMessages(reader, ports, span, kind)
+        playback = Playback(upcoming, bus, clock, keys, interruption, line)
+        if options.wait:
             await_subscriber(bus, interruption, out)
         began_at = time.monotonic()
-        playback.play(loop=loop)
+        playback.play(loop=options.loop)
         wall_s = time.monotonic() - began_at
-    messages, cycles = playback.messages, playback.cycles
-    say(out, f"replayed {messages:,} messages of {cycles:,} cycles in {wall_s:.1f} s")
+    sent = playback.sent
+    say(out, f"replayed {sent.messages:,} messages of {sent.cycles:,} cycles in {wall_s:.1f} s")
+    if sent.latest_us is not None:
+        say(out, f"sent at most {sent.latest_us:,.0f} µs later than due")
     return {
         "run_id": reader.plan.run_id,
         "recording": str(reader.path),
-        "messages": messages,
-        "cycles": cycles,
+        "messages": sent.messages,
+        "cycles": sent.cycles,
         "wall_s": wall_s,
-        "pace": rate or "max",
+        "pace": options.rate or "max",
         "clock": kind,
-        "timing_error": playback.timing_error(),
+        "latest_us": sent.latest_us,
         "interrupted": bool(interruption),
     }
 
 
+@dataclass
+class Sent:
+    """How much was sent, and at most how late [µs]; None if nothing had a due time."""
+
+    messages: int = 0
+    cycles: int = 0
+    latest_us: float | None = None
+
+
 @dataclass(eq=False)
 class Playback:
-    """Publishes some cycles, and counts messages and cycles.
+    """Sends messages when they are due. Steps and rate 0 have no due time."""
 
-    Keeps how late messages were sent, except in steps and at rate 0.
-    """
-
-    reader: RunReader
-    span: range
-    ports: Collection[Port[Message]]
+    upcoming: UpcomingMessages
     bus: ReplayBus
     clock: PlaybackClock
-    kind: ClockKind
     keyboard: Keyboard
     interruption: Interruption
-    out: TextIO
+    line: StatusLine
     sleep: Callable[[float], None] = time.sleep
+    sent: Sent = field(default_factory=Sent)
 
     def __post_init__(self) -> None:
-        self.messages = self.cycles = 0
-        self._line = StatusLine(self.out, in_place=self.out.isatty())
-        self._late = HdrHistogram(1, _LATEST_NS, 3)
+        self._cycle = self._step_to = -1
         self._quit = False
-        self._look_at_ns = self._position_ns = 0
-        self._seek(self.span.start)
+        self._look_at_ns = 0
 
     def play(self, *, loop: bool = False) -> None:
+        """Send all messages; begin again at the end if it is a loop."""
         wake_precisely()
-        self.clock.move_to(self._position_ns)  # A wait for subscribers does not count.
+        self.clock.move_to(self.upcoming.position_ns)  # A wait for subscribers does not count.
         if self.clock.paused:
             self._announce()
         while not (self._quit or self.interruption):
-            if self._next is None and not self.clock.paused:
+            record = self.upcoming.next
+            if record is None and not self.clock.paused:
                 if not loop or self._cycle < 0:
                     break
-                self._seek(self.span.start)
-            elif self._next is not None and self._is_due(self._next):
-                self._send(self._next)
-                self._turn_to_next()
+                self._seek(self.upcoming.span.start)
+            elif record is not None and self._is_due(record):
+                self._send(record)
+                self.upcoming.advance()
             self._obey_keys()
         self._show(self._cycle)
-        self._line.end()
-
-    def timing_error(self) -> dict[str, float] | None:
-        """Print how late messages were sent; return it for JSON, None if it is not known."""
-        count = self._late.get_total_count()
-        if not count:
-            return None
-        shares = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
-        late_us = {
-            name: self._late.get_value_at_percentile(share) / 1e3 for name, share in shares.items()
-        }
-        texts = [f"{name} {value:,.0f} µs" for name, value in late_us.items()]
-        say(self.out, f"sent later than due: {', '.join(texts)}")
-        return {
-            "count": count,
-            **{f"{name.replace('.', '_')}_us": value for name, value in late_us.items()},
-        }
+        self.line.end()
 
     @property
     def _here(self) -> int:
         """The cycle of the next message; at the end, that of the last one."""
-        return self._cycle if self._next is None else self._next.cycle
+        return self._cycle if self.upcoming.next is None else self.upcoming.next.cycle
 
     def _is_due(self, record: RecordedMessage) -> bool:
         """Whether the next message is due; if not, wait a little."""
         if self.clock.paused:
             return record.cycle <= self._step_to
-        left_s = (self.clock.due_ns(self._position_ns) - self.clock.now_ns()) / 1e9
+        left_s = (self.clock.due_ns(self.upcoming.position_ns) - self.clock.now_ns()) / 1e9
         if left_s > 0.0:
             self.sleep(min(left_s, _LOOK_S))
         return left_s <= 0.0
 
     def _seek(self, cycle: int) -> None:
         """Let the first message of a cycle be the next one, and be due now."""
-        records = in_publish_order(self.reader, self.ports, range(cycle, self.span.stop))
-        self._messages = positions(records, self.reader.plan, self.kind)
+        self.upcoming.seek(cycle)
         self._cycle = self._step_to = -1
-        self._turn_to_next()
-        self.clock.move_to(self._position_ns)
-
-    def _turn_to_next(self) -> None:
-        self._next: RecordedMessage | None
-        self._position_ns, self._next = next(self._messages, (self._position_ns, None))
+        self.clock.move_to(self.upcoming.position_ns)
 
     def _send(self, record: RecordedMessage) -> None:
         if record.cycle > self._cycle:
             self._cycle = record.cycle
-            self.cycles += record.cycle <= self.reader.last_cycle
+            self.sent.cycles += record.cycle <= self.upcoming.reader.last_cycle
             self._announce()
         was_sent = self.bus.put(record.port, record.payload)
-        self.messages += was_sent
+        self.sent.messages += was_sent
         if self.clock.paused:
-            self.clock.move_to(self._position_ns)
+            self.clock.move_to(self.upcoming.position_ns)
         elif self.clock.rate and was_sent:
-            late_ns = self.clock.now_ns() - self.clock.due_ns(self._position_ns)
-            self._late.record_value(min(max(late_ns, 1), _LATEST_NS))
+            late_ns = self.clock.now_ns() - self.clock.due_ns(self.upcoming.position_ns)
+            self.sent.latest_us = max(late_ns / 1e3, self.sent.latest_us or 0.0)
 
     def _announce(self) -> None:
-        if self._next is not None:
+        if self.upcoming.next is not None:
             clock = self.clock
-            self.bus.announce(self._next.cycle, rate=clock.rate, paused=clock.paused)
+            self.bus.announce(self.upcoming.next.cycle, rate=clock.rate, paused=clock.paused)
 
     def _obey_keys(self) -> None:
         """Read the keyboard if it is time to, and do what a key asks for."""
         clock, key = self.clock, ""
         # A step ends at the first message of a later cycle.
-        if self._next is not None and self._next.cycle <= self._step_to:
+        if self.upcoming.next is not None and self.upcoming.next.cycle <= self._step_to:
             return
         if clock.paused:
             key = self.keyboard(_LOOK_S)
         elif clock.now_ns() >= self._look_at_ns:
             self._look_at_ns = clock.now_ns() + round(_LOOK_S * 1e9)
             key = self.keyboard(0.0)
-            if self._line.is_due():
+            if self.line.is_due():
                 self._show(self._cycle)
         if key:
-            self._do(key)
+            self._obey(key)
             self._announce()
             self._show(self._here)
 
-    def _do(self, key: str) -> None:
+    def _obey(self, key: str) -> None:
         match key:
             case "s" if self.clock.paused:
                 self._step_to = self._here
@@ -230,16 +223,17 @@ class Playback:
 
     def _seek_by(self, seconds: float) -> None:
         """Go forward or back by a simulated time, at least a cycle, within the span."""
-        cycles = round(seconds * 1e9 / self.reader.plan.cycle_ns)
+        reader, span = self.upcoming.reader, self.upcoming.span
+        cycles = round(seconds * 1e9 / reader.plan.timing.cycle_ns)
         cycles = cycles or (1 if seconds > 0.0 else -1)
-        last = min(self.span.stop - 1, self.reader.last_cycle)
-        self._seek(min(max(self._here + cycles, self.span.start), last))
+        last = min(span.stop - 1, reader.last_cycle)
+        self._seek(min(max(self._here + cycles, span.start), last))
 
     def _show(self, cycle: int) -> None:
         if cycle >= 0:
             rate = f"pace {self.clock.rate:g}" if self.clock.rate else "as fast as possible"
             paused = " paused" if self.clock.paused else ""
-            last = self.reader.last_cycle
-            cycle = min(cycle, last)
-            place = f"{self.reader.clock.text(cycle)} cycle {cycle} of 0 to {last}"
-            self._line.show(f"{place}, {rate}{paused}")
+            reader = self.upcoming.reader
+            cycle = min(cycle, reader.last_cycle)
+            at = f"{reader.clock.text(cycle)} cycle {cycle} of 0 to {reader.last_cycle}"
+            self.line.show(f"{at}, {rate}{paused}")

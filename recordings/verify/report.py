@@ -7,105 +7,110 @@ from typing import Any, Final
 
 import msgspec
 
-from bus_schemas.messages import Message
-from bus_schemas.missing import in_words
+from bus_schemas.messages import Message, in_words
 from recordings.read.run_clock import RunClock
-from recordings.verify.comparison import NOT_COMPARED, Comparison, Value
-from recordings.verify.findings import KINDS, Difference, Findings
+from recordings.verify.agent_result import KINDS, AgentResult, Difference
+from recordings.verify.equality import NOT_COMPARED, Equality, Value
 from recordings.verify.verification import Verification
 
 _HEAD: Final = frozenset(Message.__struct_fields__)
 
 
-def verification_lines(found: Verification, comparison: Comparison, wall_s: float) -> Iterator[str]:
+def verification_lines(
+    verification: Verification, equality: Equality, wall_s: float
+) -> Iterator[str]:
     """Yield the result line by line."""
-    speed = found.cycles * found.plan.cycle_ns / 1e9 / max(wall_s, 1e-9)
+    plan, agents = verification.plan, verification.agents
+    speed = verification.cycles * plan.timing.cycle_ns / 1e9 / max(wall_s, 1e-9)
     yield (
-        f"{found.cycles:,} cycles, {len(found.agents)} agents run again, "
-        f"{found.total('compared'):,} of {found.recorded:,} messages compared"
+        f"{verification.cycles:,} cycles, {len(agents)} agents run again, "
+        f"{verification.total('compared'):,} of {verification.messages.recorded:,} messages "
+        "compared"
     )
     yield f"{wall_s:.1f} s, {speed:,.0f} x simulated time"
-    yield from _remarks(found)
-    yield from finding_lines(found.agents, RunClock(found.plan, found.plan.cycles - 1))
-    if found.first is not None:
+    yield from _remarks(verification)
+    yield from difference_lines(agents, RunClock(plan, plan.timing.cycles - 1))
+    if verification.first is not None:
         yield ""
-    yield _verdict(found, comparison)
+    yield _verdict(verification, equality)
 
 
-def finding_lines(found: Mapping[str, Findings], clock: RunClock) -> Iterator[str]:
-    """Yield what was found of each agent: its differences by kind, and the first of them."""
-    for agent, findings in found.items():
-        first, failure = findings.first, findings.failure
+def difference_lines(agents: Mapping[str, AgentResult], clock: RunClock) -> Iterator[str]:
+    """Yield the differences of each agent by kind, and the first of them."""
+    for agent, result in agents.items():
+        first, failure = result.first, result.failure
         if first is None:
             continue
-        counts = ", ".join(f"{kind} ({count:,})" for kind, count in findings.differences.items())
+        counts = ", ".join(f"{kind} ({count:,})" for kind, count in result.differences.items())
         yield ""
-        yield f"{agent}: {counts}, {clock.span_text(first.cycle, findings.last_cycle)}"
-        yield from _difference_lines(agent, first)
+        yield f"{agent}: {counts}, {clock.span_text(first.cycle, result.last_cycle)}"
+        yield from _lines_of(agent, first)
         if failure is not None and failure is not first:
             yield f"  fails in cycle {failure.cycle:,}: {failure.text}"
-        if findings.not_compared:
-            begin = findings.not_compared_from
-            yield f"{agent}: {findings.not_compared:,} messages not compared, from cycle {begin} on"
+        if result.not_compared:
+            begin = result.not_compared_from
+            yield f"{agent}: {result.not_compared:,} messages not compared, from cycle {begin} on"
 
 
-def verification_data(found: Verification, wall_s: float) -> dict[str, Any]:
+def verification_data(verification: Verification, wall_s: float) -> dict[str, Any]:
     """Return the result as plain data."""
-    names = (
-        *("equal", "stop_cycle", "cycles", "recorded", "not_decided", "differences", "misplaced"),
-        *("cut_off", "unrecorded_cycles", "left_out"),
-    )
+    names = ("equal", "stop_cycle", "cycles", "differences", "unrecorded_cycles", "left_out")
+    first = verification.first
     return {
-        "recording": str(found.recording),
-        "run_id": found.plan.run_id,
-        **{name: getattr(found, name) for name in names},
-        **{name: found.total(name) for name in ("compared", "not_compared")},
-        "first_agent": found.first[0] if found.first is not None else None,
+        "recording": str(verification.recording),
+        "run_id": verification.plan.run_id,
+        **{name: getattr(verification, name) for name in names},
+        **msgspec.to_builtins(verification.messages),
+        **{name: verification.total(name) for name in ("compared", "not_compared")},
+        "first_agent": None if first is None else first[0],
         "wall_s": wall_s,
-        "agents": finding_data(found.agents),
+        "agents": agents_data(verification.agents),
     }
 
 
-def finding_data(found: Mapping[str, Findings]) -> list[dict[str, Any]]:
-    """Return the findings of agents as plain data."""
-    return [{"agent": name, **msgspec.to_builtins(findings)} for name, findings in found.items()]
+def agents_data(agents: Mapping[str, AgentResult]) -> list[dict[str, Any]]:
+    """Return the results of agents as plain data."""
+    return [{"agent": name, **msgspec.to_builtins(result)} for name, result in agents.items()]
 
 
-def _remarks(found: Verification) -> Iterator[str]:
-    for name, why in found.left_out.items():
+def _remarks(verification: Verification) -> Iterator[str]:
+    for name, why in verification.left_out.items():
         yield f"{name}: left out, {why}"
-    if found.stop_cycle is None:
+    if verification.stop_cycle is None:
         yield (
-            f"the run or its recording broke off: {found.cut_off:,} messages of incomplete cycles "
-            "left out"
+            f"the run or its recording broke off: {verification.messages.cut_off:,} messages of "
+            "incomplete cycles left out"
         )
-    if found.unrecorded_cycles is not None:
-        yield f"the recorder was started again: {found.unrecorded_cycles:,} cycles not recorded"
-    later = sum(one.not_compared for one in found.agents.values() if one.first is None)
+    if verification.unrecorded_cycles is not None:
+        yield (
+            "the recorder was started again, or the file is damaged: "
+            f"{verification.unrecorded_cycles:,} cycles not recorded"
+        )
+    later = sum(one.not_compared for one in verification.agents.values() if one.first is None)
     if later:
         yield (
-            f"{later:,} messages not compared: they follow from messages that the recorder did not "
-            "hear, as it was restarted or their sender was killed"
+            f"{later:,} messages not compared: they follow from messages that are not in the "
+            "recording"
         )
-    if found.misplaced:
-        yield f"{found.misplaced:,} messages belong to no cycle of the run, or come long after it"
+    if misplaced := verification.messages.misplaced:
+        yield f"{misplaced:,} messages belong to no cycle of the run, or come long after it"
 
 
-def _verdict(found: Verification, comparison: Comparison) -> str:
-    if found.first is not None:
-        name, first = found.first
+def _verdict(verification: Verification, equality: Equality) -> str:
+    if verification.first is not None:
+        name, first = verification.first
         return (
-            f"NOT equal: {found.differences:,} differences, the first: {name} in cycle "
+            f"NOT equal: {verification.differences:,} differences, the first: {name} in cycle "
             f"{first.cycle}, {first.message or first.text} ({first.kind})"
         )
-    if not found.equal:
+    if not verification.equal:
         return "NOT equal"
-    left_out = ", ".join([*sorted(comparison.ignored), *NOT_COMPARED])
-    within = f"within {comparison.tolerance:g}" if comparison.tolerance else "bit for bit"
+    left_out = ", ".join([*sorted(equality.ignored), *NOT_COMPARED])
+    within = f"within {equality.tolerance:g}" if equality.tolerance else "bit for bit"
     return f"equal {within}; left out: {left_out}"
 
 
-def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
+def _lines_of(agent: str, difference: Difference) -> Iterator[str]:
     stage = f" (stage {difference.stage})" if difference.stage else ""
     message, content = difference.content, difference.text
     if message is not None and difference.kind != "differs":

@@ -12,293 +12,313 @@ heard first are not compared.
 
 Messages that are missing because the recorder was restarted are no difference, nor are those that a
 killed process sent to others but not to the recorder. An agent that remembers earlier cycles is not
-compared after that, until another process takes its place.
+compared after that, until another process replaces it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 from agents.agent import Agent, Stage
 from agents.cycle import stage_of
-from agents.loop import AgentLoop
+from agents.driver import Driver
+from agents.loop import Loop
 from agents.plan import RunPlan
-from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message
-from bus_schemas.missing import parse_missing
+from bus_schemas.bus import Arrival, Delivery
+from bus_schemas.memory_bus import VirtualClock
+from bus_schemas.messages import Message, parse_missing
 from bus_schemas.signals import Port
-from recordings.verify.comparison import Comparison
-from recordings.verify.findings import Difference, Findings, by_key
-from recordings.verify.process import Messages, Process
+from recordings.verify.agent_result import AgentResult, Difference, by_key
+from recordings.verify.equality import Equality
 from recordings.verify.recorded_cycles import RecordedCycles
+
+Messages: TypeAlias = dict[Port[Message], Message]
+
+
+@dataclass
+class Process:
+    """A process of an agent, that is, one incarnation; and its bus, which has recorded inputs only.
+
+    stage_of: The stage in which it publishes on each port.
+    joined_in: Cycle in which it took over as standby, maybe after the first stage; -1: no standby.
+    is_uncertain: Whether its state is unknown from now on, so that nothing more is compared.
+    newest_used: Newest cycle of each input.
+    sequences: Number of the next message of each port, and the cycle of the last recorded one.
+    """
+
+    loop: Loop[Any]
+    stage_of: Mapping[Port[Message], str]
+    joined_in: int = -1
+    is_uncertain: bool = False
+    newest_used: dict[Port[Message], int] = field(default_factory=dict)
+    sequences: dict[Port[Message], tuple[int, int]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._remembers = self.loop.agent.initial_state() is not None
+        self._clock = VirtualClock()
+        self._driver = Driver([self.loop], self, self._clock)
+        self._inputs: list[Arrival] = []
+        self._sent: dict[tuple[int, str], list[Delivery]] = {}
+
+    def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
+        self._sent.setdefault((message.cycle, self.stage_of[port]), []).append((port, message))
+
+    def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
+        arrivals, self._inputs = self._inputs, []
+        return arrivals
+
+    def lose_track(self) -> None:
+        """Note that it used or sent a message that is not known."""
+        self.is_uncertain = self._remembers
+
+    def go_to(self, begin_ns: int) -> None:
+        """Go to the cycle that begins at a time, unless it is under way."""
+        self._clock.now_ns = max(self._clock.now_ns, begin_ns)
+        self._driver.join(self.loop)
+
+    def close(self, cycle: int, stage: str, inputs: Messages) -> None:
+        """Close a stage of a cycle on its inputs, and the following ones that await nothing."""
+        loop, open_stage = self.loop, (cycle, stage)
+        if (loop.cycle, loop.stage) == open_stage:
+            # What the stage awaits comes last, since that closes it.
+            ports = sorted(inputs, key=loop.waiting.__contains__)
+            self._inputs = [Arrival(loop.name, port, inputs[port], 0) for port in ports]
+            self._driver.turn()
+        if (loop.cycle, loop.stage) == open_stage:  # Nothing else will come: its deadline is now.
+            self._clock.now_ns += 1
+            loop.deadline_ns = self._clock.now_ns
+            self._driver.advance(loop)
+            self._driver.turn()
+
+    def sent(self, cycle: int, stage: str) -> list[Delivery]:
+        """Return what the agent has published in a stage of a cycle, and forget it."""
+        return self._sent.pop((cycle, stage), [])
+
+
+@dataclass
+class CycleUnderWay:
+    """One cycle of one process.
+
+    incarnation: The process.
+    recorded: What it published, by stage; what has been compared is removed.
+    is_last: Whether no newer process published anything in this cycle.
+    inputs: The messages that the agent has used so far.
+    has_doubtful_inputs: Whether it may have used a message other than the recorded one.
+    stage: The stage under way.
+    """
+
+    cycle: int
+    incarnation: int
+    recorded: dict[str, Messages]
+    is_last: bool
+    inputs: Messages = field(default_factory=dict)
+    has_doubtful_inputs: bool = False
+    stage: str = ""
 
 
 @dataclass(eq=False)
 class AgentRerun:
-    """One agent on its way through a recording. It is made from the present code.
-
-    absences: Of the recorder, see `recorder_absences`.
-    """
+    """Takes one agent, made from the present code, through a recording."""
 
     name: str
     make: Callable[[], Agent[Any]]
     plan: RunPlan
     recorded: RecordedCycles
-    absences: Sequence[tuple[str, range]]
-    comparison: Comparison
-    from_cycle: int
+    equality: Equality
+    result: AgentResult
 
     def __post_init__(self) -> None:
         plan, name = self.plan, self.name
-        self.findings = Findings(from_cycle=self.from_cycle)
         self._stage_of = {
             port: stage_of(port, plan.tree)
             for port in plan.wiring.published[name]
             if port.signal.logged and port.signal.decided
         }
-        self._period = {port: plan.period(port) for port in plan.wiring.heard.get(name, ())}
+        self._period = {port: plan.control.period(port) for port in plan.wiring.heard.get(name, ())}
         self._processes: dict[int, Process] = {}
-        self._incarnation = 0
-        # Of the cycle under way, and of the process that is run in it:
-        self._rivals: dict[Port[Message], list[Message]] = {}
-        self._inputs: Messages = {}
-        self._has_doubtful_inputs = False
-        self._stage = ""
+        self._newest_incarnation = 0
 
     def take(self, cycle: int) -> None:
         """Run a cycle again and compare what the agent publishes in it."""
         outputs = self._outputs(cycle)
-        if self.findings.failure is None:
+        for incarnation, recorded in sorted(outputs.items()):
+            if self.result.failure is not None:
+                break
+            self._newest_incarnation = incarnation
+            now = CycleUnderWay(cycle, incarnation, recorded, incarnation == max(outputs))
             try:
-                for self._incarnation, of_stages in sorted(outputs.items()):
-                    self._inputs, self._has_doubtful_inputs, self._stage = {}, False, ""
-                    if self._incarnation not in self._processes:
-                        self._processes[self._incarnation] = self._begin(self._incarnation)
-                    self._run(cycle, of_stages, is_last=self._incarnation == max(outputs))
-            except (Exception, SystemExit) as error:  # Every error of the tested code is a finding.
+                self._run(now)
+            except (Exception, SystemExit) as error:  # Any error of the tested code is a result.
                 text = f"{type(error).__name__}: {error}"
-                inputs = by_key(self._inputs)
-                self.findings.add(Difference("fails", cycle, self._stage, inputs=inputs, text=text))
+                inputs = by_key(now.inputs)
+                self.result.add(Difference("fails", cycle, now.stage, inputs=inputs, text=text))
         left = sum(len(messages) for one in outputs.values() for messages in one.values())
-        self.findings.leave_out(cycle, left)
-
-    @property
-    def _process(self) -> Process:
-        return self._processes[self._incarnation]
+        self.result.leave_out(cycle, left)
 
     def _outputs(self, cycle: int) -> dict[int, dict[str, Messages]]:
         """Return what each process of the agent published in a cycle, by stage.
 
-        If none published anything, the one that published last is there.
+        If none published anything, the newest one is there.
         """
-        found: dict[int, dict[str, Messages]] = {}
-        self._rivals = {}
-        is_wanted = cycle >= self.from_cycle
+        outputs: dict[int, dict[str, Messages]] = {}
+        is_compared = cycle >= self.result.from_cycle
         for port, stage in self._stage_of.items():
             for message in self.recorded.on(port, cycle):
-                self.findings.recorded += is_wanted
-                messages = found.setdefault(message.incarnation, {}).setdefault(stage, {})
-                if messages.setdefault(port, message) is message:
-                    continue
-                kind = "recorded twice"
-                if self.recorded.has_two_senders(port, cycle):
-                    self._rivals.setdefault(port, []).append(message)
-                    kind = "two senders"
-                elif 0 < cycle == message.incarnation:
-                    continue  # Killed in the cycle in which it joined: its successor looks alike.
-                if is_wanted:
-                    self.findings.add(Difference(kind, cycle, stage, str(port), content=message))
-        return found or {self._incarnation: {}}
+                self.result.recorded += is_compared
+                messages = outputs.setdefault(message.incarnation, {}).setdefault(stage, {})
+                is_second = messages.setdefault(port, message) is not message
+                # A process killed in its first cycle has a successor of the same incarnation.
+                if is_second and is_compared and not 0 < cycle == message.incarnation:
+                    twice = Difference("sent twice", cycle, stage, str(port), content=message)
+                    self.result.add(twice)
+        return outputs or {self._newest_incarnation: {}}
 
     def _begin(self, cycle: int) -> Process:
         """Let a process of the agent join the run in a cycle."""
-        agent = self.make()
-        remembers = agent.initial_state() is not None
-        loop = AgentLoop(agent, self.plan)
+        loop = Loop(self.make(), self.plan)
         loop.begin(0, 0, cycle)
+        process = Process(loop, self._stage_of)
         takeover = self.recorded.takeovers.get((self.name, cycle))
         if takeover is not None:
             loop.resume(takeover)
-        began_in = -1 if takeover is None else cycle
-        # The takeover itself may not be recorded.
-        is_certain = takeover is not None or not cycle or not self._was_away(self.name, cycle)
-        is_over = remembers and not is_certain
-        return Process(
-            loop, self._stage_of, remembers, began_in, is_over, dict.fromkeys(self._period, -1)
-        )
+            process.joined_in = cycle
+        elif cycle and self.recorded.was_away(self.name, cycle):
+            process.lose_track()  # The recorder may have missed a takeover.
+        return process
 
-    def _run(self, cycle: int, recorded: dict[str, Messages], *, is_last: bool) -> None:
-        """Run a cycle of one process again; `is_last`: no newer process sent anything in it.
-
-        What has been compared is removed from `recorded`.
-        """
-        process = self._process
-        if recorded and not process.is_over:
-            self._find_lost_outputs(cycle, recorded)
-        if process.is_over:
+    def _run(self, now: CycleUnderWay) -> None:
+        """Run a cycle of one process again."""
+        if now.incarnation not in self._processes:
+            self._processes[now.incarnation] = self._begin(now.incarnation)
+        process = self._processes[now.incarnation]
+        if not self.plan.timing.lockstep and not process.is_uncertain:
+            self._find_lost_outputs(process, now)
+        if process.is_uncertain:
             return
-        stages = list(process.loop.agent.stages(cycle))
-        unknown = recorded.keys() - {stage.name for stage in stages}
-        if not (self.plan.lockstep and is_last):
-            while stages and stages[-1].name not in recorded:
+        stages = list(process.loop.agent.stages(now.cycle))
+        unknown = now.recorded.keys() - {stage.name for stage in stages}
+        if not (self.plan.timing.lockstep and now.is_last):
+            while stages and stages[-1].name not in now.recorded:
                 stages.pop()
         if stages:
-            process.go_to(cycle * self.plan.cycle_wall_ns)
+            process.go_to(now.cycle * self.plan.timing.cycle_wall_ns)
         for together in _closing_together(stages):
-            self._run_stages(cycle, together, recorded)
-            if process.is_over:
+            self._run_stages(process, now, together)
+            if process.is_uncertain:
                 return
         for name in unknown:
-            self._compare(name, recorded[name], [])
+            now.stage = name
+            self._compare(process, now, [])
 
-    def _run_stages(
-        self, cycle: int, stages: Sequence[Stage], recorded: dict[str, Messages]
-    ) -> None:
+    def _run_stages(self, process: Process, now: CycleUnderWay, stages: Sequence[Stage]) -> None:
         """Run again the stages that close together."""
-        process = self._process
-        self._stage = first = stages[0].name
-        if cycle == process.began_in:  # Before it took over, a standby published nothing.
-            stages = [stage for stage in stages if stage.name in recorded]
+        now.stage = first = stages[0].name
+        if now.cycle == process.joined_in:  # Before it took over, a standby published nothing.
+            stages = [stage for stage in stages if stage.name in now.recorded]
         inputs: Messages = {}
-        lost = {
-            stage.name: self._find_inputs(cycle, stage, recorded.get(stage.name, {}), inputs)
-            for stage in stages
-        }
-        self._inputs |= inputs
-        process.close(cycle, first, inputs)
+        certain = {stage.name for stage in stages if self._find_inputs(process, now, stage, inputs)}
+        now.inputs |= inputs
+        process.close(now.cycle, first, inputs)
         for stage in stages:
-            self._stage = stage.name
-            outputs = process.sent(cycle, stage.name)
-            of_stage = recorded.get(stage.name, {})
-            is_certain = not lost[stage.name] and (of_stage or self.plan.lockstep)
-            if not is_certain:
-                self._doubt(cycle, stage, lost[stage.name])
-            elif self._has_doubtful_inputs and not self._are_equal(of_stage, outputs):
-                process.is_over = process.remembers
+            now.stage = stage.name
+            outputs = process.sent(now.cycle, stage.name)
+            recorded = now.recorded.get(stage.name, {})
+            if stage.name not in certain:
+                process.lose_track()
+            elif not recorded and not self.plan.timing.lockstep:
+                if not self.recorded.was_away(self.name, now.cycle):
+                    self.result.add(Difference("not recorded", now.cycle, stage.name))
+                process.lose_track()
+            elif now.has_doubtful_inputs and not self._are_equal(recorded, outputs):
+                process.lose_track()
             else:
-                self._compare(stage.name, of_stage, outputs)
-            if process.is_over:
+                self._compare(process, now, outputs)
+            if process.is_uncertain:
                 return
 
     def _find_inputs(
-        self, cycle: int, stage: Stage, recorded: Messages, inputs: Messages
-    ) -> dict[Port[Message], str]:
-        """Add the messages that a stage used to `inputs`; return the ports of unknown ones.
-
-        Each port comes with what is wrong; empty: nothing, the recorder could not hear it.
-        """
-        process = self._process
-        lost: dict[Port[Message], str] = {}
-        if not recorded and not self.plan.lockstep:
-            return lost  # Nobody knows what it used.
-        missing = next(iter(recorded.values())).missing if recorded else ()
+        self, process: Process, now: CycleUnderWay, stage: Stage, inputs: Messages
+    ) -> bool:
+        """Add the messages that a stage used to `inputs`; return whether all are recorded."""
+        outputs = now.recorded.get(stage.name, {})
+        if not outputs and not self.plan.timing.lockstep:
+            return True  # It is unknown what it used.
+        missing = next(iter(outputs.values())).missing if outputs else ()
         used_of = dict(map(parse_missing, missing))
+        are_recorded = True
         for port in (*stage.awaits, *stage.uses):
-            due = cycle - cycle % self._period[port]
+            due = now.cycle - now.cycle % self._period[port]
             used = used_of.get(str(port), due)
-            if used is None or used <= process.heard[port]:
+            if used is None or used <= process.newest_used.get(port, -1):
                 continue
             messages = self.recorded.on(port, used)
             if not messages:
-                is_excused = self._was_away(port.publisher, used) or self.recorded.may_lack(
-                    port.publisher, used
-                )
-                lost[port] = "" if is_excused else "input not recorded"
+                if not self.recorded.may_lack(port.publisher, used):
+                    lost = Difference("input not recorded", now.cycle, stage.name, str(port))
+                    self.result.add(lost)
+                are_recorded = False
                 continue
-            if self._may_be_another(port, messages):
-                self._has_doubtful_inputs = True
-            if self.recorded.has_two_senders(port, used):
-                lost[port] = "input of two senders"
-            process.heard[port] = used
+            now.has_doubtful_inputs |= self._may_be_another(port, messages)
+            process.newest_used[port] = used
             inputs[port] = messages[0]
-        return lost
+        return are_recorded
 
     def _may_be_another(self, port: Port[Message], messages: Sequence[Message]) -> bool:
-        """Whether a process and its successor may both have published messages of one cycle.
+        """Whether the agent may have used another message of a port and cycle than the first one.
 
-        In real time, without a standby, they cannot, unless both are recorded: the successor joins
-        with a dispatch that was sent after the other one ended.
+        Several may be recorded. If not, a process and its successor may both have published one. In
+        real time, without a standby, they cannot: the successor joins with a dispatch that was sent
+        after the other one ended.
         """
         first, *others = messages
-        if any(other.incarnation != first.incarnation for other in others):
-            return True
         joined = 0 < first.cycle == first.incarnation
-        return joined and (self.plan.lockstep or port.publisher in self.plan.standbys)
+        may_overlap = self.plan.timing.lockstep or port.publisher in self.plan.standbys
+        return bool(others) or (joined and may_overlap)
 
     def _are_equal(self, recorded: Messages, outputs: Sequence[Delivery]) -> bool:
         new = dict(outputs)
         return recorded.keys() == new.keys() and not any(
-            self.comparison.differences(port, recorded[port], new[port]) for port in new
+            self.equality.differences(port, recorded[port], new[port]) for port in new
         )
 
-    def _doubt(self, cycle: int, stage: Stage, lost: dict[Port[Message], str]) -> None:
-        """Note that a stage used or sent a message that is not recorded.
-
-        From here on the agent's state is uncertain.
-        """
-        for port, kind in lost.items():
-            if kind:
-                self.findings.add(Difference(kind, cycle, stage.name, str(port)))
-        if not lost and not self._was_away(self.name, cycle):
-            self.findings.add(Difference("not recorded", cycle, stage.name))
-        self._process.is_over = self._process.remembers
-
-    def _compare(self, stage: str, recorded: Messages, outputs: Sequence[Delivery]) -> None:
-        """Compare the outputs of a stage, and remove from `recorded` what has been compared."""
-        process = self._process
+    def _compare(self, process: Process, now: CycleUnderWay, outputs: Sequence[Delivery]) -> None:
+        """Compare the outputs of the stage under way; remove what has been compared."""
+        recorded = now.recorded.get(now.stage, {})
         for port, new in outputs:
             old = recorded.pop(port, None)
-            for rival in self._rivals.get(port, ()):
-                if not self.comparison.differences(port, rival, new):
-                    old = rival
             if old is None:  # If the recording lost it, its number is known to be missing.
-                process.sequence[port] = process.sequence.get(port, 0) + 1
-                if self._was_away(self.name, new.cycle) or self.recorded.was_killed_in(
-                    self.name, self._incarnation, new.cycle
+                sequence, cycle = process.sequences.get(port, (0, now.incarnation))
+                process.sequences[port] = sequence + 1, cycle
+                if self.recorded.was_away(self.name, new.cycle) or self.recorded.was_killed_in(
+                    self.name, now.incarnation, new.cycle
                 ):
                     continue
-            self.findings.compare(self.comparison, port, old, new, stage, self._inputs)
+            self.result.compare(self.equality, port, old, new, now.stage, now.inputs)
         for port, old in recorded.items():
-            self.findings.compare(self.comparison, port, old, None, stage, self._inputs)
+            self.result.compare(self.equality, port, old, None, now.stage, now.inputs)
         recorded.clear()
 
-    def _find_lost_outputs(self, cycle: int, recorded: dict[str, Messages]) -> None:
-        """In real time, find gaps in the sequence numbers: the recording lost messages there."""
-        if self.plan.lockstep:
-            return
-        process = self._process
-        for stage, outputs in recorded.items():
+    def _find_lost_outputs(self, process: Process, now: CycleUnderWay) -> None:
+        """Find gaps in the sequence numbers: the recording lost messages there."""
+        for stage, outputs in now.recorded.items():
             for port, message in outputs.items():
-                sequence, expected = message.sequence, process.sequence.get(port, 0)
-                if any(rival.sequence == expected for rival in self._rivals.get(port, ())):
-                    sequence = expected
-                if sequence > expected:
-                    since = process.spoke.get(port, message.incarnation)
-                    if not self._was_away(self.name, since, cycle):
-                        lost = Difference("not recorded", cycle, stage, str(port), content=message)
-                        self.findings.add(lost)
-                    process.is_over = process.remembers
-                process.sequence[port] = sequence + 1
-                process.spoke[port] = cycle
-
-    def _was_away(self, publisher: str, first: int, last: int | None = None) -> bool:
-        """Whether the recorder may have missed a publisher in a cycle, or in one of several."""
-        last = first if last is None else last
-        return any(
-            name == publisher and first < absence.stop and last >= absence.start
-            for name, absence in self.absences
-        )
+                expected, since = process.sequences.get(port, (0, message.incarnation))
+                if message.sequence > expected:
+                    if not self.recorded.was_away(self.name, since, now.cycle):
+                        key = str(port)
+                        lost = Difference("not recorded", now.cycle, stage, key, content=message)
+                        self.result.add(lost)
+                    process.lose_track()
+                process.sequences[port] = message.sequence + 1, now.cycle
 
 
-def _closing_together(stages: Sequence[Stage]) -> Iterator[list[Stage]]:
-    """Yield the stages of a cycle in lists: one stage, and those after it that await nothing."""
-    together: list[Stage] = []
+def _closing_together(stages: Sequence[Stage]) -> list[list[Stage]]:
+    """Return the stages of a cycle in lists: one stage, and those after it that await nothing."""
+    closing: list[list[Stage]] = []
     for stage in stages:
-        if together and (stage.awaits or stage.timed):
-            yield together
-            together = []
-        together.append(stage)
-    if together:
-        yield together
+        if not closing or stage.awaits or stage.timed:
+            closing.append([])
+        closing[-1].append(stage)
+    return closing

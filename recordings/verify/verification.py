@@ -13,14 +13,14 @@ from agents.cycle import stage_place
 from agents.plan import RunPlan
 from agents.team import controller
 from bus_schemas.errors import InputError
+from bus_schemas.selection import find_agents
 from bus_schemas.signals import PRODUCTION
 from bus_schemas.tree import PLANT, ROOT, agent_name
-from recordings.read.gaps import recorder_absences
+from recordings.read.gaps import unrecorded_spans
 from recordings.read.reader import RunReader
-from recordings.read.selection import find_agents
-from recordings.verify.comparison import Comparison
-from recordings.verify.findings import Difference, Findings
-from recordings.verify.recorded_cycles import RecordedCycles
+from recordings.verify.agent_result import AgentResult, Difference
+from recordings.verify.equality import BIT_FOR_BIT, Equality
+from recordings.verify.recorded_cycles import MessageCounts, RecordedCycles
 from recordings.verify.rerun import AgentRerun
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile, load_profile
@@ -34,77 +34,74 @@ _Make: TypeAlias = Callable[[], Agent[Any]]
 class Verification:
     """The result of verifying a run.
 
-    `stop_cycle` is the first cycle that did not take place; None if the run broke off. The messages
-    that were not compared are those of `RecordedCycles`. In `unrecorded_cycles` the recorder was
-    away; None if it always was there. `agents` are the findings of each agent that was run again,
-    `left_out` the others and why.
+    `stop_cycle` is the first cycle that did not take place; None if the run broke off. In
+    `unrecorded_cycles` the recorder was away; None if it always was there. `agents` are the results
+    of the agents that were run again, `left_out` the others and why.
     """
 
     recording: Path
     plan: RunPlan
     stop_cycle: int | None
     cycles: int
-    recorded: int
-    not_decided: int
-    misplaced: int
-    cut_off: int
+    messages: MessageCounts
     unrecorded_cycles: int | None
-    agents: dict[str, Findings]
+    agents: dict[str, AgentResult]
     left_out: dict[str, str]
 
     def total(self, figure: str) -> int:
-        """Return the sum of a figure of the findings over all agents."""
-        return sum(getattr(findings, figure) for findings in self.agents.values())
+        """Return the sum of a figure over the results of all agents."""
+        return sum(getattr(result, figure) for result in self.agents.values())
 
     @property
     def differences(self) -> int:
         """Number of differences of all agents."""
-        return sum(findings.differences.total() for findings in self.agents.values())
+        return sum(result.differences.total() for result in self.agents.values())
 
     @property
     def first(self) -> tuple[str, Difference] | None:
         """The agent and the difference that come first in the order of cycles and stages."""
-        firsts = [(name, found.first) for name, found in self.agents.items() if found.first]
-        return min(firsts, key=lambda found: self._place(*found), default=None)
+        firsts = [(name, result.first) for name, result in self.agents.items() if result.first]
+        return min(firsts, key=lambda first: self._order(*first), default=None)
 
-    def _place(self, agent: str, difference: Difference) -> tuple[int, int]:
+    def _order(self, agent: str, difference: Difference) -> tuple[int, int]:
         stage = difference.stage
         return difference.cycle, stage_place(agent, stage, self.plan.tree) if stage else 0
 
     @property
     def equal(self) -> bool:
         """Whether every agent publishes what it published, as far as that was recorded."""
-        return not (self.differences or self.misplaced)
+        return not (self.differences or self.messages.misplaced)
 
 
 def verify(
     run: Path,
-    nodes: str | Sequence[str],
-    comparison: Comparison,
-    progress: Callable[[float], None] = lambda share: None,
+    nodes: str | Sequence[str] = (),
+    equality: Equality = BIT_FOR_BIT,
+    *,
     start: str | None = None,
     end: str | None = None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Verification:
     """Run agents again on the inputs of a recording and compare what they publish.
 
-    Agents remember earlier cycles, so they always run from cycle 0 on; only the cycles from `start`
-    to `end` are compared.
+    By default all but external agents are run again, see `find_agents`; a node that is named is
+    run again in any case. Its differences are `verify(run, node).agents[node]`.
 
-    By default all but external agents are run again, see `find_agents`. `progress` is called with
-    the share of the recording that has been read.
+    Agents remember earlier cycles, so they always run from cycle 0 on; only the cycles from `start`
+    to `end` are compared. `progress` is called with the share of the recording that has been read.
     """
     with RunReader(run) as reader:
         reader.follow = progress
         plan, stop_cycle = reader.plan, reader.stop_cycle
         wanted = reader.clock.span(start, end)
         team, left_out = _team(plan, nodes, reader.path)
-        recorded = RecordedCycles(reader.messages(), plan, stop_cycle)
-        absences = list(recorder_absences(reader))
+        absences = list(unrecorded_spans(reader))
+        recorded = RecordedCycles(reader.messages(), plan, stop_cycle, absences)
+        results = {name: AgentResult(from_cycle=wanted.start) for name in team}
         reruns = [
-            AgentRerun(name, make, plan, recorded, absences, comparison, wanted.start)
+            AgentRerun(name, make, plan, recorded, equality, results[name])
             for name, make in team.items()
         ]
-        away = {cycle for name, absence in absences if name == PLANT for cycle in absence}
         cycles = unrecorded = 0
         for cycle, messages in recorded:
             if cycle >= wanted.stop:
@@ -113,23 +110,21 @@ def verify(
                 rerun.take(cycle)
             if cycle >= wanted.start:
                 cycles += bool(messages)
-                unrecorded += cycle in away and PRODUCTION.of(ROOT) not in messages
-        found = Verification(
-            reader.path,
-            plan,
-            stop_cycle,
-            cycles,
-            recorded.read,
-            recorded.not_decided,
-            recorded.misplaced,
-            recorded.cut_off,
-            unrecorded if absences else None,
-            {rerun.name: rerun.findings for rerun in reruns},
-            left_out,
-        )
-    if not found.total("recorded") and found.equal:
-        raise InputError(f"{found.recording}: expected messages of {', '.join(team)}, got none")
-    return found
+                has_production = PRODUCTION.of(ROOT) in messages
+                unrecorded += not has_production and recorded.was_away(PLANT, cycle)
+    verification = Verification(
+        reader.path,
+        plan,
+        stop_cycle,
+        cycles,
+        recorded.counts,
+        unrecorded if absences else None,
+        results,
+        left_out,
+    )
+    if not verification.total("recorded") and verification.equal:
+        raise InputError(f"{reader.path}: expected messages of {', '.join(team)}, got none")
+    return verification
 
 
 def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
@@ -138,7 +133,7 @@ def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
     if not path.exists():
         return None
     profile = load_profile(path)
-    shape = (plan.cycles, len(plan.inverters))
+    shape = (plan.timing.cycles, len(plan.inverters))
     if profile.mpp_kw.shape != shape:
         raise InputError(
             f"{path}: expected {shape} cycles and inverters, as the recorded run has, "
@@ -160,11 +155,11 @@ def _team(
     for name in (PLANT, *map(agent_name, plan.tree.nodes)):
         if wanted and name not in wanted:
             continue
-        if name in plan.external and not nodes:
+        if name in plan.access.external and not nodes:
             left_out[name] = "it is external"
         elif name != PLANT:
             team[name] = partial(controller, plan, name)
-        elif plan.devices:
+        elif plan.site.devices:
             left_out[name] = "some of its inverters were devices"
         elif (profile := run_profile(plan, recording)) is not None:
             team[name] = partial(Plant, plan, profile)

@@ -7,7 +7,7 @@ copy of the control law, and gives the same bits as the agents.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple, TypeAlias
 
@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from agents.control.allocation import allocate, total
 from agents.control.correction import corrected
-from agents.control.curtailment import curtailment_level
 from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp
-from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
-from agents.control.request import request_kw, residual_kw, usable_dispatch_kw
+from agents.control.impp import NOTHING_KNOWN, Estimate, curtailment_level, estimate_impp
+from agents.control.share import residual_kw, share_kw, usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
@@ -30,7 +29,7 @@ from studies.arrays.control_arrays import ControlArrays, control_arrays, is_corr
 Floats: TypeAlias = NDArray[np.float64]
 
 
-class Settings(NamedTuple):
+class LoopSettings(NamedTuple):
     """The settings of a run besides its control tree.
 
     Whether the IMPP is a forecast or that of the last cycle; whether inverters hold a power limit
@@ -53,44 +52,34 @@ class LoopResult(NamedTuple):
     alpha: Floats
 
 
-def run_loop(
-    plan: RunPlan,
-    profile: Profile,
-    scheme: Scheme,
-    actuator: Actuator,
-    constants: Mapping[str, float] | None = None,
-) -> LoopResult:
-    """Run a plan's hierarchy on a profile with this scheme and actuator in place of the plan's own.
-
-    `constants` has other values of constants in `agents.control`, by name.
-    """
-    loop = _compiled_loop(tuple(sorted((constants or {}).items())))
-    return loop(*loop_inputs(plan, profile, scheme, actuator))
+def run_loop(plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Actuator) -> LoopResult:
+    """Run a plan's hierarchy on a profile with this scheme and actuator in place of its own."""
+    return _compiled_loop()(*loop_inputs(plan, profile, scheme, actuator))
 
 
 @cache
-def _compiled_loop(
-    constants: tuple[tuple[str, float], ...],
-) -> Callable[[ControlArrays, Settings, Floats, Floats, Floats, Floats], LoopResult]:
-    return compiled(closed_loop, dict(constants))
+def _compiled_loop() -> Callable[
+    [ControlArrays, LoopSettings, Floats, Floats, Floats, Floats], LoopResult
+]:
+    return compiled(closed_loop)
 
 
 def loop_inputs(
     plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Actuator
-) -> tuple[ControlArrays, Settings, Floats, Floats, Floats, Floats]:
+) -> tuple[ControlArrays, LoopSettings, Floats, Floats, Floats, Floats]:
     """Return the arguments of `closed_loop`; InputError where its inverters do not suffice."""
-    if any(plan.follows_within_s(leaf) for leaf in plan.tree.leaves):
+    if any(plan.site.follows_within_s(leaf) for leaf in plan.tree.leaves):
         raise InputError(
             "plant.ramp_percent_per_s, delay_s: expected neither, since a study over arrays has "
             "inverters that obey at once"
         )
     is_forecast, is_limited = scheme == "predictive", actuator == "limit"
-    settings = Settings(
+    settings = LoopSettings(
         is_forecast=is_forecast,
         is_limited=is_limited,
         is_corrected=is_corrected(plan, scheme),
-        alpha_min=HIDDEN_ALPHA_MIN if is_forecast and is_limited else plan.alpha_min,
-        cycle_s=plan.cycle_ns / 1e9,
+        alpha_min=HIDDEN_ALPHA_MIN if is_forecast and is_limited else plan.control.alpha_min,
+        cycle_s=plan.timing.cycle_ns / 1e9,
     )
     return (
         control_arrays(plan, profile.cycles),
@@ -104,7 +93,7 @@ def loop_inputs(
 
 def _available_kw(plan: RunPlan, profile: Profile) -> Floats:
     """Return the available power that each inverter states of the last interval, or NaN."""
-    bias = plan.available_bias
+    bias = plan.site.available_bias
     if bias is None:
         return np.full_like(profile.mpp_kw, np.nan)
     ended_kw = np.concatenate([profile.mpp_kw[:1], profile.mpp_kw[:-1]])
@@ -114,7 +103,7 @@ def _available_kw(plan: RunPlan, profile: Profile) -> Floats:
 
 def closed_loop(
     tree: ControlArrays,
-    settings: Settings,
+    settings: LoopSettings,
     mpp_kw: Floats,
     dispatch_kw: Floats,
     meter_error: Floats,
@@ -169,7 +158,7 @@ def closed_loop(
         solve_down(cycle, tree, settings, node_impp_kw, target_kw)
         for i in range(inverters):
             node = tree.inverters[i]
-            own_kw = request_kw(heard_kw, tree.rating_kw[node], plant_rating_kw)
+            own_kw = share_kw(heard_kw, tree.rating_kw[node], plant_rating_kw)
             residuals_kw[cycle, i] = residual_kw(node_impp_kw[node], own_kw)
             impp_kw[cycle, i] = node_impp_kw[node]
             level[i] = curtailment_level(target_kw[node], node_impp_kw[node], settings.alpha_min)
@@ -183,7 +172,7 @@ def closed_loop(
 
 
 def estimate(
-    settings: Settings,
+    settings: LoopSettings,
     power_kw: float,
     alpha: float,
     available_kw: float,
@@ -205,7 +194,7 @@ def report_up(tree: ControlArrays, impp_kw: Floats) -> None:
 
 
 def solve_down(
-    cycle: int, tree: ControlArrays, settings: Settings, impp_kw: Floats, target_kw: Floats
+    cycle: int, tree: ControlArrays, settings: LoopSettings, impp_kw: Floats, target_kw: Floats
 ) -> None:
     """Divide each parent's last target among its children in its turns, from the root down."""
     for row in range(len(tree.parents)):
@@ -219,5 +208,5 @@ def solve_down(
                 tree.order[tree.hour[cycle], row],
                 tree.rests[row] and settings.is_forecast,
             )
-            for place in range(end - first):
-                target_kw[first + place] = setpoints_kw[place]
+            for child in range(end - first):
+                target_kw[first + child] = setpoints_kw[child]

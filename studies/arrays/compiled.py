@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from hashlib import sha256
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -19,22 +19,19 @@ R = TypeVar("R")
 _PACKAGES: Final = ("agents.control.", "studies.arrays.")
 
 
-def compiled(
-    function: Callable[P, R], constants: Mapping[str, float] | None = None
-) -> Callable[P, R]:
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function compiled by Numba, as are all functions of ours that it calls.
 
     The function itself stays plain Python: a copy of it sees compiled functions where the original
-    sees plain ones, and values in place of the module constants of these names. Numba keeps the
-    compiled code on disk, under a name that changes with our sources and with the constants.
+    sees plain ones. Numba keeps the compiled code on disk, under a name that changes with our
+    sources.
     """
-    constants = constants or {}
-    digest = sha256(repr(sorted(constants.items())).encode())
+    digest = sha256()
     for package in (agents.control, studies.arrays):
         for file in sorted(Path(package.__path__[0]).glob("*.py")):
             digest.update(file.read_bytes())
     name = digest.hexdigest()[:16]
-    copy = _copy(cast(FunctionType, function), name, constants, {})
+    copy = _copy(cast(FunctionType, function), name, {})
     try:
         return cast(Callable[P, R], njit(cache=True)(copy))
     except RuntimeError:  # Nothing can be written, as in a container without a home.
@@ -45,17 +42,13 @@ def _is_ours(used: object) -> TypeGuard[FunctionType]:
     return isinstance(used, FunctionType) and used.__module__.startswith(_PACKAGES)
 
 
-def _copy(
-    function: FunctionType, name: str, constants: Mapping[str, float], known: dict[object, object]
-) -> FunctionType:
+def _copy(function: FunctionType, name: str, known: dict[object, object]) -> FunctionType:
     seen = dict(function.__globals__)
     for used in _names(function.__code__):
-        if used in constants and used in seen:
-            seen[used] = constants[used]
-        elif _is_ours(seen.get(used)):
-            callee = seen[used]
+        callee = seen.get(used)
+        if _is_ours(callee):
             if callee not in known:
-                known[callee] = njit(_copy(callee, name, constants, known))
+                known[callee] = njit(_copy(callee, name, known))
             seen[used] = known[callee]
     copy = FunctionType(function.__code__, seen, function.__name__)
     # Numba names machine code after this. Of two versions with one name, one would run as both.

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.control.neighbours import help_order
+from agents.control.allocation import help_order
 from agents.plan import RunPlan
 from agents.settings import Scheme
 from bus_schemas.tree import ROOT, depth
@@ -55,8 +55,12 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
             ends.append(len(number))
             waiting.extend(children_of)
     children = [len(tree.children(path)) for path in parents]
-    times_ns = sorted({hood.from_time_ns for entry in plan.neighbourhoods for hood in entry.hours})
-    sim_time_ns = plan.start_time_ns + plan.cycle_ns * np.arange(cycles, dtype=np.int64)
+    times_ns = sorted(
+        {hood.from_time_ns for entry in plan.control.neighbourhoods for hood in entry.hours}
+    )
+    sim_time_ns = plan.timing.start_time_ns + plan.timing.cycle_ns * np.arange(
+        cycles, dtype=np.int64
+    )
     hour = np.maximum(np.searchsorted(times_ns, sim_time_ns, side="right") - 1, 0)
     return ControlArrays(
         rating_kw=np.array([tree.rating_kw(path) for path in number]),
@@ -64,8 +68,10 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
         parents=np.array([number[path] for path in parents], dtype=np.int64),
         first=np.array(ends, dtype=np.int64) - np.array(children, dtype=np.int64),
         end=np.array(ends, dtype=np.int64),
-        period=np.array([plan.periods.cycles[depth(path)] for path in parents], dtype=np.int64),
-        rests=np.array([plan.periods.rests_between(path) for path in parents]),
+        period=np.array(
+            [plan.control.periods.cycles[depth(path)] for path in parents], dtype=np.int64
+        ),
+        rests=np.array([plan.control.periods.rests_between(path) for path in parents]),
         order=_orders(plan, parents, max(children), times_ns),
         hour=hour.astype(np.int64),
     )
@@ -76,7 +82,7 @@ def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:
 
     The plan decides for its own scheme; of the others, only `predictive` does.
     """
-    return plan.correction if scheme == plan.scheme else scheme == "predictive"
+    return plan.control.correction if scheme == plan.control.scheme else scheme == "predictive"
 
 
 def _orders(
@@ -86,7 +92,7 @@ def _orders(
     orders = np.full(shape, -1, dtype=np.int64)
     for row, path in enumerate(parent_paths):
         count = len(plan.tree.children(path))
-        hoods = plan.neighbourhoods_of(path)
+        hoods = plan.control.neighbourhoods_of(path)
         for hour in range(shape[0]):
             known = [hood for hood in hoods if not times_ns or hood.from_time_ns <= times_ns[hour]]
             correlation = (known or list(hoods[:1]))[-1].correlation if hoods else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, cast, get_args
@@ -23,7 +24,7 @@ SCHEMES: Final = {
     "grouping": "reference group at full power, the rest curtailed alike; see --reference",
     "paper": "hierarchical, IMPP of the last cycle (eq. 1)",
     "predictive": "hierarchical, IMPP forecast with a margin",
-    "physical-limit": "the least of dispatch and possible power: no controller does better",
+    "physical-limit": "the least of dispatch and available power: no controller does better",
 }
 """Name and one line of each scheme."""
 
@@ -83,17 +84,14 @@ def run_scheme(
     else:
         powers_kw = _powers_kw(name, plan, profile, actuator, groups)
         results = [{"power_kw": kw, "alpha": _share(kw, profile.mpp_kw)} for kw in powers_kw]
-    return [
-        RunSeries.of(
-            plan,
-            name,
-            commitment_kw=profile.commitment_kw,
-            regulation_kw=profile.regulation_kw,
-            mpp_kw=profile.mpp_kw,
-            **result,
-        )
-        for result in results
-    ]
+    of_plant = {
+        "commitment_kw": profile.commitment_kw,
+        "regulation_kw": profile.regulation_kw,
+        "mpp_kw": profile.mpp_kw,
+    }
+    series = [RunSeries.of(plan, name, **of_plant, **result) for result in results]
+    # Every message arrives here.
+    return [dataclasses.replace(one, missed_inputs=0, reverted_percent=0.0) for one in series]
 
 
 def _powers_kw(
@@ -107,9 +105,9 @@ def _powers_kw(
         case "grouping":
             yield from _grouping(plan, profile, actuator, groups)
         case "physical-limit":
-            possible_kw = profile.mpp_kw.sum(axis=1)
-            wanted_kw = np.clip(_desired_kw(profile), 0.0, possible_kw)
-            yield profile.mpp_kw * _share(wanted_kw, possible_kw)[:, None]
+            available_kw = profile.mpp_kw.sum(axis=1)
+            wanted_kw = np.clip(_dispatch_kw(profile), 0.0, available_kw)
+            yield profile.mpp_kw * _share(wanted_kw, available_kw)[:, None]
 
 
 def _grouping(
@@ -118,7 +116,7 @@ def _grouping(
     rating_kw = _rating_kw(plan)
     measured_kw = _measured_maximum_kw(profile)
     for mask in groups.groups([leaf.rpartition("/")[2] for leaf in plan.tree.leaves]):
-        seen = measured_kw[:, mask].sum(axis=1), _desired_kw(profile), rating_kw, mask
+        seen = measured_kw[:, mask].sum(axis=1), _dispatch_kw(profile), rating_kw, mask
         if actuator == "limit":
             yield np.minimum(profile.mpp_kw, grouping_limits_kw(*seen))
         else:
@@ -126,15 +124,15 @@ def _grouping(
 
 
 def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
-    """Each inverter gives its request; behind a fraction, of what it could give a cycle ago."""
+    """Each inverter gives its share; behind a fraction, of what it could give a cycle ago."""
     rating_kw = _rating_kw(plan)
-    dispatch_kw = np.clip(_desired_kw(profile), 0.0, rating_kw.sum())
-    request_kw = np.outer(dispatch_kw, rating_kw / rating_kw.sum())
+    dispatch_kw = np.clip(_dispatch_kw(profile), 0.0, rating_kw.sum())
+    share_kw = np.outer(dispatch_kw, rating_kw / rating_kw.sum())
     if actuator == "limit":
-        return np.minimum(profile.mpp_kw, request_kw)
+        return np.minimum(profile.mpp_kw, share_kw)
     impp_kw = np.minimum(_measured_maximum_kw(profile), rating_kw)
-    level = np.minimum(_share(request_kw, impp_kw), 1.0)
-    return np.asarray(profile.mpp_kw * np.maximum(level, plan.alpha_min))
+    level = np.minimum(_share(share_kw, impp_kw), 1.0)
+    return np.asarray(profile.mpp_kw * np.maximum(level, plan.control.alpha_min))
 
 
 def _share(power_kw: NDArray[np.float64], of_kw: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -142,7 +140,7 @@ def _share(power_kw: NDArray[np.float64], of_kw: NDArray[np.float64]) -> NDArray
     return np.divide(power_kw, of_kw, out=np.ones_like(power_kw), where=of_kw > 0.0)
 
 
-def _desired_kw(profile: Profile) -> NDArray[np.float64]:
+def _dispatch_kw(profile: Profile) -> NDArray[np.float64]:
     return profile.commitment_kw + profile.regulation_kw
 
 

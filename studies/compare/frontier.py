@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 import plotly.graph_objects as go
 
+from results.metrics.figures_of_merit import FIGURES_OF_MERIT
+from results.report.style import BLUE, GREY, VERMILLION, ReportFigure, curve, dress, plain
 from studies.compare.results import AXES
 from studies.compare.study import SchemeResult
-from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
-from studies.report.style import BLUE, GREY, VERMILLION, ReportFigure, curve, dress, plain
 
 _LEAST_PERCENT: Final = 1e-3
 """Where the logarithmic axes begin: less is drawn as this."""

@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+import random
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
 
 from msgspec.structs import replace
 
-from agents.plan import RunPlan
+from agents.plan import RunPlan, changed
 from bus_schemas.errors import FailureError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port
-from launch_scripts.launcher.external_watch import directions
-from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.simulation import MemoryRun
-from launch_scripts.launcher.tcp_ports import reserved_ports
-from launch_scripts.scenarios.preparation import Preparation
-from recordings.verify.comparison import Comparison
+from bus_schemas.tcp_ports import reserved_ports
+from launch_scripts.directions import directions
+from launch_scripts.run_folder import RunFolder
+from launch_scripts.simulation import MemoryRun
+from recordings.verify.equality import Equality
+from scenarios.preparation import Preparation
 from studies.conformance import situations
+from studies.conformance.answers import Answers
 from studies.conformance.device import Device
 from studies.conformance.neighbours import Neighbours
 from studies.conformance.requirements import REQUIREMENTS, Findings
+from studies.conformance.situations import Situation
 from studies.conformance.trial import Trial
 
 CYCLES: Final = 240
@@ -42,80 +45,80 @@ class Conformance:
     preparation: Preparation
     folder: RunFolder
     device: Device
-    comparison: Comparison
+    equality: Equality
     say: Callable[[str], None]
 
     def __post_init__(self) -> None:
-        (self._agent,) = self.preparation.plan.external
+        (self._agent,) = self.preparation.plan.access.external
         self.findings = Findings(REQUIREMENTS)
-        plan = replace(self.preparation.plan, faults=(), standby=())
+        plan = changed(self.preparation.plan, faults={"rules": ()}, supervision={"standby": ()})
         self.preparation = dataclasses.replace(self.preparation, plan=plan)
         self._inputs = self._undisturbed()
 
     def run(self, seed: int) -> Findings:
-        """Take the device through all trials; the first that cannot go on is the last."""
+        """Take the device through all situations; the first that cannot go on is the last."""
         plan = self.preparation.plan
+        lockstep = changed(plan, timing={"cycle_wall_ns": 0})
         try:
-            self._try("lockstep", replace(plan, cycle_wall_ns=0), situations.in_lockstep, seed)
-            if not plan.lockstep:
-                self._try("real-time", plan, situations.in_real_time, seed)
+            self._try("lockstep", lockstep, situations.IN_LOCKSTEP, seed)
+            if not plan.timing.lockstep:
+                self._try("real-time", plan, situations.IN_REAL_TIME, seed)
         except FailureError as failure:
             self.say(str(failure))
         return self.findings
 
-    def _try(
-        self, name: str, plan: RunPlan, situation: Callable[[Trial, int], None], seed: int
-    ) -> None:
+    def _try(self, name: str, plan: RunPlan, of_run: Sequence[Situation], seed: int) -> None:
         options = self.preparation.options
-        wait_s = options.external_timeout_s
+        draw = random.Random(seed)
         with reserved_ports(plan.links.listening, options.base_port) as tcp_ports:
             folder = RunFolder(self.folder.path / name)
             its_plan = replace(plan, run_id=f"{plan.run_id}-{name}")
             own_plan = folder.fill(dataclasses.replace(self.preparation, plan=its_plan), tcp_ports)
-            for line in directions(own_plan, folder.plan, wait_s):
+            for line in directions(own_plan, folder.plan, options.external_timeout_s):
                 self.say(line)
             with self._trial(own_plan, folder, "arming") as trial:
-                situation(trial, seed)
-                if not own_plan.lockstep:
+                for situation in of_run:
+                    trial.show(situation.requirement)
+                    situation.play(trial, draw)
+                if not own_plan.timing.lockstep:
                     if self.device.can_restart:
-                        self._restart(trial, folder)
+                        self._restart(trial, folder, draw)
                     trial.stop()
-            if own_plan.lockstep:
-                self._close_links(own_plan, folder)
+            if own_plan.timing.lockstep:
+                self._close_links(own_plan, folder, draw)
         self.device.end()
 
     @contextmanager
-    def _trial(self, plan: RunPlan, folder: RunFolder, of: str) -> Iterator[Trial]:
-        """Begin a run; `of` is the requirement that its beginning shows."""
-        findings, comparison = self.findings, self.comparison
+    def _trial(self, plan: RunPlan, folder: RunFolder, requirement: str) -> Iterator[Trial]:
+        """Begin a run; that shows a requirement."""
+        answers = Answers(plan, self._agent, self.findings, self.equality)
         with Neighbours(plan, self._agent) as neighbours:
             self.device.start(folder.plan)
-            trial = Trial(plan, self._agent, self._inputs, neighbours, findings, comparison)
-            trial.begin(self.device, self.preparation.options.external_timeout_s, of)
+            trial = Trial(plan, self._agent, self._inputs, neighbours, self.findings, answers)
+            trial.requirement = requirement
+            trial.begin(self.device, self.preparation.options.external_timeout_s)
             yield trial
 
-    def _close_links(self, plan: RunPlan, folder: RunFolder) -> None:
+    def _close_links(self, plan: RunPlan, folder: RunFolder, draw: random.Random) -> None:
         """Run once more, now that the links have closed."""
         try:
             with self._trial(plan, folder, "links closed") as trial:
-                for _ in range(situations.UNDISTURBED):
-                    trial.play("links closed")
+                situations.undisturbed(trial, draw)
                 trial.stop()
         except FailureError as failure:
             self.findings.fail("links closed", str(failure))
             self.device.kill()  # The next trial begins with a new process.
 
-    def _restart(self, trial: Trial, folder: RunFolder) -> None:
+    def _restart(self, trial: Trial, folder: RunFolder, draw: random.Random) -> None:
         self.device.kill()
         trial.skip()
         trial.skip()
         self.device.start(folder.plan)
-        self.findings.try_("restart")
+        trial.show("restart")
         if not any(trial.skip() for _ in range(_REJOIN_CYCLES)):
             self.findings.fail("restart", f"no answer in {_REJOIN_CYCLES} cycles")
             return
-        for _ in range(situations.UNDISTURBED):
-            trial.play("restart")
+        situations.undisturbed(trial, draw)
 
     def _undisturbed(self) -> dict[int, dict[Port[Message], Message]]:
         """Return what our own agent hears in the run, cycle by cycle."""

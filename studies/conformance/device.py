@@ -45,7 +45,9 @@ class Device:
     def _words(self, plan: Path) -> list[str]:
         """Return the command's words; none if it is no command."""
         try:
-            words = shlex.split((self._command or "").format(plan=plan, node=self._node))
+            words = [
+                word.format(plan=plan, node=self._node) for word in shlex.split(self._command or "")
+            ]
         except (ValueError, KeyError, IndexError):
             return []
         return words if words and shutil.which(words[0]) else []

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import zenoh
 
 from agents.plan import RunPlan
-from agents.session import session_settings
+from agents.process.session import session_settings
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
-from bus_schemas.zenoh_bus import ENCODING, open_session
+from bus_schemas.zenoh_session import ENCODING, open_session
 
 
 class Heard(NamedTuple):
@@ -49,7 +49,7 @@ class Neighbours:
         plan, keys, agent = self._plan, self._plan.wiring, self._agent
         settings = session_settings(plan, name).devices
         assert settings is not None  # The plan has no keys, and the device is external.
-        of_device, _ = plan.links.endpoints(agent, plan.tcp_ports)
+        of_device, _ = plan.links.endpoints(agent, plan.access.tcp_ports)
         connect = [endpoint for endpoint in settings.connect if endpoint in of_device]
         session = open_session(replace(settings, connect=connect))
         heard = [f"{keys.plant}/**"]

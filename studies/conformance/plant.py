@@ -7,16 +7,15 @@ from dataclasses import replace
 from typing import Final
 
 import msgspec
-from rich.console import Console
 
-from launch_scripts.launcher.launch import launch
-from launch_scripts.launcher.live_view import view_for
-from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.summary import RunSummary
-from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
-from launch_scripts.scenarios.preparation import Preparation
-from recordings.verify.comparison import Comparison
+from agents.plan import changed
+from launch_scripts.launch import launch
+from launch_scripts.run_folder import RunFolder
+from launch_scripts.supervision import ForkServerProcess, RunFailure
+from launch_scripts.view import ViewFor
 from recordings.verify.verification import verify
+from results.run_summary import RunSummary
+from scenarios.preparation import Preparation
 from studies.conformance.device import Device
 from studies.conformance.requirements import OF_PLANT, Findings
 
@@ -25,20 +24,25 @@ CYCLES: Final = 60
 FROZEN: Final = "freeze=c*,at=20s..23s"
 """What happens in the run in real time: commands come late, or not at all."""
 
-_OF_NUMBERS: Final = frozenset({"undecodable", "absurd"})
+_OF_NUMBERS: Final = frozenset({"undecodable", "out_of_range"})
 """Causes of messages that are wrong in what they say, not in when and where they come."""
 
 
 def try_plant(
-    preparation: Preparation, folder: RunFolder, device: Device, console: Console
+    preparation: Preparation, folder: RunFolder, device: Device, view_for: ViewFor
 ) -> Findings:
     """Let the device conduct a run in lockstep, and one in real time."""
     findings = Findings(OF_PLANT)
     plan = preparation.plan
-    walls_ns = {"lockstep": 0} | ({} if plan.lockstep else {"real-time": plan.cycle_wall_ns})
+    walls_ns = {"lockstep": 0} | (
+        {} if plan.timing.lockstep else {"real-time": plan.timing.cycle_wall_ns}
+    )
     for name, wall_ns in walls_ns.items():
-        run_id, faults = f"{plan.run_id}-{name}", plan.faults if wall_ns else ()
-        one = msgspec.structs.replace(plan, cycle_wall_ns=wall_ns, run_id=run_id, faults=faults)
+        run_id, faults = f"{plan.run_id}-{name}", plan.faults.rules if wall_ns else ()
+        one = msgspec.structs.replace(
+            changed(plan, timing={"cycle_wall_ns": wall_ns}, faults={"rules": faults}),
+            run_id=run_id,
+        )
         its_folder = RunFolder(folder.path / name)
         its_preparation = replace(preparation, plan=one)
         device.start(its_folder.plan)
@@ -46,7 +50,7 @@ def try_plant(
         try:
             with (
                 ForkServerProcess() as server,
-                view_for(console, one) as view,
+                view_for(one) as view,
             ):
                 summary = launch(its_preparation, its_folder, view, time.monotonic(), server)
         except RunFailure as failure:
@@ -72,7 +76,7 @@ def _look(summary: RunSummary, folder: RunFolder, findings: Findings) -> None:
     for wrong in summary.wrong:
         of = "bounds" if wrong.cause in _OF_NUMBERS else "cycles"
         findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
-    found = verify(folder.path, (), Comparison())
+    found = verify(folder.path)
     if found.first is not None:
         agent, difference = found.first
         text = f"cycle {difference.cycle}: {agent} decides otherwise on what was recorded"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from studies.tables import Table, key_column, word_column
+from results.tables import Table, key_column, word_column
 
 REQUIREMENTS: Final[dict[str, str]] = {
     "token": "declares its liveliness token on each link, after its subscriptions",
@@ -14,10 +14,10 @@ REQUIREMENTS: Final[dict[str, str]] = {
     "bounds": "each message is of its type, and its numbers are within their bounds",
     "links": "each message reaches each of its listeners, once in a cycle",
     "limits": "inputs at and beyond their limits are used, held within or not used",
-    "wrong messages": "drops messages that are undecodable, foreign, repeated, late or too early",
+    "wrong messages": "drops undecodable, duplicate and late messages, and those of wrong senders",
     "replaced": "uses nothing of a neighbour's process that has been replaced",
     "missing": "closes a stage at its deadline, with the newest messages",
-    "silent": "an input older than `hold_cycles` counts for nothing",
+    "expired": "an input older than `hold_cycles` counts for nothing",
     "late": "a late message is used in the next decision",
     "random faults": "all of this holds under random loss, delay, repetition and reordering",
     "links closed": "forgets a run whose links close without a stop, and joins the next one",

@@ -1,9 +1,10 @@
-"""What happens to a device in a trial: each situation is a few cycles with inputs of its own."""
+"""The situations that a device is put into, in their order."""
 
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from math import inf, nan
 from typing import Any, Final
 
@@ -21,10 +22,10 @@ from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT
 from studies.conformance.trial import Trial
 
-UNDISTURBED: Final = 5
-RANDOM: Final = 10
+_UNDISTURBED: Final = 5
+_RANDOM: Final = 10
 """Cycles of random inputs."""
-RANDOM_FAULTS: Final = 12
+_RANDOM_FAULTS: Final = 12
 """Cycles in real time in which inputs have random fates."""
 
 _FATES: Final = ("in time", "in time", "lost", "twice", "late", "held back")
@@ -40,52 +41,80 @@ _RANGES: Final[dict[type[Message], tuple[float, float]]] = {
 """Bounds of random powers, as shares of the rating."""
 
 
-def in_lockstep(trial: Trial, seed: int) -> None:
-    """Take a device through all that needs no clock."""
-    for _ in range(UNDISTURBED):
-        trial.play("decisions")
+@dataclass(frozen=True)
+class Situation:
+    """A few cycles with inputs of their own; the answers show a requirement."""
+
+    requirement: str
+    play: Callable[[Trial, random.Random], None]
+
+
+def undisturbed(trial: Trial, draw: random.Random) -> None:
+    for _ in range(_UNDISTURBED):
+        trial.play()
+
+
+def _at_limits(trial: Trial, draw: random.Random) -> None:
     for port in _one_of_each(trial):
         for values in _extremes(trial, port):
             if port in trial.ports():
-                trial.play("limits", {port: (encode(trial.message(port, **values)),)})
+                trial.play({port: (encode(trial.message(port, **values)),)})
+
+
+def _wrong_messages(trial: Trial, draw: random.Random) -> None:
     for kind in ("bytes", "fields", "source", "ahead", "again", "before"):
         for port in _one_of_each(trial):
             if port in trial.ports():
-                trial.play("wrong messages", {port: tuple(_wrong(trial, port, kind))})
-                trial.play("wrong messages")
-    _replace_neighbours(trial)
-    draw = random.Random(seed)
-    for _ in range(RANDOM):
-        edit = {port: (encode(_random(trial, port, draw)),) for port in trial.ports()}
-        trial.play("decisions", edit)
+                trial.play({port: tuple(_wrong(trial, port, kind))})
+                trial.play()
 
 
-def in_real_time(trial: Trial, seed: int) -> None:
-    """Take a device through what comes late or not at all."""
-    for _ in range(UNDISTURBED):
-        trial.play("decisions")
-    units = _units(trial)
+def _replaced_neighbours(trial: Trial, draw: random.Random) -> None:
+    """Let each controller among the publishers be replaced, and its predecessor speak again."""
+    for publisher in {port.publisher for port in _one_of_each(trial)} - {PLANT}:
+        trial.incarnations[publisher] = trial.cycle
+        trial.play()
+        edit = {}
+        for port in trial.ports():
+            if port.publisher == publisher:
+                other_kw = 0.25 * trial.plan.tree.rating_kw(port.node)
+                former = trial.message(port, incarnation=0, power_kw=other_kw)
+                edit[port] = (encode(former), encode(trial.message(port)))
+        trial.play(edit)
+
+
+def _random_inputs(trial: Trial, draw: random.Random) -> None:
+    for _ in range(_RANDOM):
+        trial.play({port: (encode(_random(trial, port, draw)),) for port in trial.ports()})
+
+
+def _missing_inputs(trial: Trial, draw: random.Random) -> None:
     of_plant = [port for port in trial.ports(0) if port.publisher == PLANT]
-    for ports in (*units, of_plant):
-        trial.play("missing", dict.fromkeys(ports, ()))
-        trial.play("missing")
+    for ports in (*_units(trial), of_plant):
+        trial.play(dict.fromkeys(ports, ()))
+        trial.play()
+
+
+def _expired_inputs(trial: Trial, draw: random.Random) -> None:
     of_setpoint = [port for port in trial.ports(0) if port.signal.type in (Dispatch, Setpoint)]
-    for ports in (*units, of_setpoint):
-        for _ in range(trial.plan.hold_cycles + 2):
-            trial.play("silent", dict.fromkeys(ports, ()))
-        trial.play("silent")
-    for ports in units:
+    for ports in (*_units(trial), of_setpoint):
+        for _ in range(trial.plan.control.hold_cycles + 2):
+            trial.play(dict.fromkeys(ports, ()))
+        trial.play()
+
+
+def _late_inputs(trial: Trial, draw: random.Random) -> None:
+    for ports in _units(trial):
         late = {port: (encode(trial.message(port)),) for port in ports if port in trial.ports()}
-        trial.play("late", dict.fromkeys(ports, ()), late=late)
-        trial.play("late", dict.fromkeys(ports, ()))
-        trial.play("late")
-    _random_faults(trial, random.Random(seed))
+        trial.play(dict.fromkeys(ports, ()), late=late)
+        trial.play(dict.fromkeys(ports, ()))
+        trial.play()
 
 
 def _random_faults(trial: Trial, draw: random.Random) -> None:
     """Lose, repeat, delay and reorder inputs; something of the plant comes in each cycle."""
     held: dict[Port[Message], tuple[bytes, ...]] = {}
-    for _ in range(RANDOM_FAULTS):
+    for _ in range(_RANDOM_FAULTS):
         edit, late = {}, {}
         of_plant = [port for port in trial.ports() if port.publisher == PLANT]
         unharmed = draw.choice(of_plant)
@@ -100,7 +129,26 @@ def _random_faults(trial: Trial, draw: random.Random) -> None:
                 late[port] = (message,)
             elif fate == "held back":
                 held[port] = (message,)
-        trial.play("random faults", edit, late=late)
+        trial.play(edit, late=late)
+
+
+IN_LOCKSTEP: Final = (
+    Situation("decisions", undisturbed),
+    Situation("limits", _at_limits),
+    Situation("wrong messages", _wrong_messages),
+    Situation("replaced", _replaced_neighbours),
+    Situation("decisions", _random_inputs),
+)
+"""Situations that need no clock."""
+
+IN_REAL_TIME: Final = (
+    Situation("decisions", undisturbed),
+    Situation("missing", _missing_inputs),
+    Situation("expired", _expired_inputs),
+    Situation("late", _late_inputs),
+    Situation("random faults", _random_faults),
+)
+"""Situations in which inputs come late or not at all."""
 
 
 def _units(trial: Trial) -> list[list[Port[Message]]]:
@@ -154,28 +202,14 @@ def _wrong(trial: Trial, port: Port[Message], kind: str) -> Iterator[bytes]:
         case "source":
             yield encode(trial.message(port, source="nobody", **other))
         case "ahead":
-            beyond = trial.plan.cycles if port.publisher == PLANT else cycle
-            beyond += trial.plan.periods.longest + 3
+            beyond = trial.plan.timing.cycles if port.publisher == PLANT else cycle
+            beyond += trial.plan.control.periods.longest + 3
             yield encode(trial.message(port, cycle=beyond, **other))
     yield right
     if kind == "again":
         yield encode(trial.message(port, **other))
     if kind == "before":
         yield encode(trial.message(port, cycle=max(cycle - 2, 0), **other))
-
-
-def _replace_neighbours(trial: Trial) -> None:
-    """Let each controller among the publishers be replaced, and its predecessor speak again."""
-    for publisher in {port.publisher for port in _one_of_each(trial)} - {PLANT}:
-        trial.incarnations[publisher] = trial.cycle
-        trial.play("replaced")
-        edit = {}
-        for port in trial.ports():
-            if port.publisher == publisher:
-                other_kw = 0.25 * trial.plan.tree.rating_kw(port.node)
-                former = trial.message(port, incarnation=0, power_kw=other_kw)
-                edit[port] = (encode(former), encode(trial.message(port)))
-        trial.play("replaced", edit)
 
 
 def _random(trial: Trial, port: Port[Message], draw: random.Random) -> Message:
@@ -185,7 +219,7 @@ def _random(trial: Trial, port: Port[Message], draw: random.Random) -> Message:
         return trial.message(port)
     changes = {"power_kw": draw.uniform(*_RANGES[kind]) * rating_kw}
     if kind is Telemetry:
-        changes["alpha"] = draw.choice((1.0, draw.uniform(trial.plan.alpha_min, 1.0)))
+        changes["alpha"] = draw.choice((1.0, draw.uniform(trial.plan.control.alpha_min, 1.0)))
         if draw.random() < 0.5:
             changes["available_kw"] = draw.uniform(0.0, 1.04) * rating_kw
     return trial.message(port, **changes)

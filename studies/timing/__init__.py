@@ -1,1 +1,1 @@
-"""`heliarch timing`: whether a plant of processes meets its deadlines, and by how much."""
+"""Timing measured on runs that it launches: one rate, or a sweep over rates."""

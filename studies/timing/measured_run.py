@@ -7,18 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import psutil
-from rich.console import Console
 
+from agents.process.interruption import interruptible
 from bus_schemas.errors import InputError
-from bus_schemas.times import parse_duration_s
-from launch_scripts.launcher.interruption import interruptible
-from launch_scripts.launcher.launch import check_processes, launch
-from launch_scripts.launcher.live_view import view_for
-from launch_scripts.launcher.run_folder import RunFolder, RunRequest, prepare_run
-from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
-from launch_scripts.scenarios.preparation import Preparation
-from studies.timing.report import TimingReport, report_on
-from studies.timing.tables import cycles_per_s
+from launch_scripts.launch import check_processes, launch
+from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
+from launch_scripts.supervision import ForkServerProcess, RunFailure
+from launch_scripts.view import ViewFor
+from results.timing.report import TimingReport, report_on
+from results.timing.tables import cycles_per_s
+from scenarios.preparation import Preparation
+from scenarios.times import parse_duration_s
 
 
 def run_length_s(request: RunRequest, default: str) -> float:
@@ -26,7 +25,7 @@ def run_length_s(request: RunRequest, default: str) -> float:
     if request.options.end is None:
         return parse_duration_s(request.options.duration or default, "--duration")
     plan = prepare_run(request)[0].plan
-    return plan.cycles * plan.cycle_ns / 1e9
+    return plan.timing.cycles * plan.timing.cycle_ns / 1e9
 
 
 def prepare_at(
@@ -47,18 +46,18 @@ def prepare_at(
 
 
 def measured_run(
-    preparation: Preparation, folder: RunFolder, console: Console, *, by_agent: bool = False
+    preparation: Preparation, folder: RunFolder, view_for: ViewFor, *, by_agent: bool = False
 ) -> TimingReport:
     """Run a plant that `prepare_at` has prepared, and report on it."""
     plan, scenario = preparation.plan, preparation.scenario.scenario
-    duration_s = plan.cycles * plan.cycle_wall_ns / 1e9
+    duration_s = plan.timing.cycles * plan.timing.cycle_wall_ns / 1e9
     began_at, load_before = time.monotonic(), psutil.getloadavg()[0]
     with (
         ForkServerProcess() as server,
-        view_for(console, plan) as view,
+        view_for(plan) as view,
     ):
         view.say(scenario.title)
-        view.say(f"{cycles_per_s(1e9 / plan.cycle_wall_ns)} for {round(duration_s, 2):g} s")
+        view.say(f"{cycles_per_s(1e9 / plan.timing.cycle_wall_ns)} for {round(duration_s, 2):g} s")
         summary = launch(preparation, folder, view, began_at, server)
         with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
             folder.write_summary(summary.as_json())

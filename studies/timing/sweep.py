@@ -9,17 +9,15 @@ from typing import Final, Literal, TypeAlias
 import msgspec
 
 from bus_schemas.errors import InputError
-from launch_scripts.launcher.supervision import RunFailure
-from studies.tables import Cell, Column, Table, key_column, word_column
-from studies.timing.report import Host, TimingReport
-from studies.timing.run_timing import WHOLE_LOOP
-from studies.timing.tables import cycles_per_s, host_lines
+from launch_scripts.supervision import RunFailure
+from results.timing.report import Host, TimingReport
+from results.timing.run_timing import WHOLE_LOOP
 
 HIGHEST_HZ: Final = 1000.0
 LOWEST_HZ: Final = 1.0 / 3600.0
 _AUTO_FROM_HZ: Final = 5.0
 
-Outcome: TypeAlias = Literal["clean", "not clean", "failed", "interrupted"]
+RateOutcome: TypeAlias = Literal["clean", "not clean", "failed", "interrupted"]
 """Of a rate that was interrupted nothing is proved."""
 
 _CLOSE_ENOUGH: Final = 1.1
@@ -42,11 +40,11 @@ class Rates:
 
 
 class RateRow(msgspec.Struct, frozen=True):
-    """The run at one rate; `trouble` says why it failed, or what was late or lost in which tier."""
+    """The run at one rate; `reason` says why it failed, or what was late or lost in which tier."""
 
     rate_hz: float
-    outcome: Outcome
-    trouble: str = ""
+    outcome: RateOutcome
+    reason: str = ""
     cycles: int = 0
     late_cycles: int = 0
     lost_messages: int = 0
@@ -127,10 +125,10 @@ def sweep(rates: Rates, timed: Callable[[float], TimingReport]) -> Sweep:
                 break
         if row.outcome == "interrupted":
             break
-    return _found(rows)
+    return _swept(rows)
 
 
-def _found(rows: dict[float, RateRow]) -> Sweep:
+def _swept(rows: dict[float, RateRow]) -> Sweep:
     in_order = tuple(rows[rate_hz] for rate_hz in sorted(rows))
     clean_hz = max((row.rate_hz for row in in_order if row.outcome == "clean"), default=None)
     return Sweep(in_order, clean_hz)
@@ -143,28 +141,28 @@ def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Itera
     while rows[rate_hz].outcome == "clean" and rate_hz < highest_hz:
         rate_hz = min(2.0 * rate_hz, highest_hz)
         yield rate_hz
-    while (found := _found(rows)).highest_clean_hz is not None and found.too_fast_hz is not None:
-        if found.too_fast_hz <= found.highest_clean_hz * _CLOSE_ENOUGH:
+    while (done := _swept(rows)).highest_clean_hz is not None and done.too_fast_hz is not None:
+        if done.too_fast_hz <= done.highest_clean_hz * _CLOSE_ENOUGH:
             return
-        rate_hz = float(f"{(found.highest_clean_hz * found.too_fast_hz) ** 0.5:.3g}")
+        rate_hz = float(f"{(done.highest_clean_hz * done.too_fast_hz) ** 0.5:.3g}")
         yield rate_hz
 
 
 def rate_row(report: TimingReport) -> RateRow:
     loop = next((row.times for row in report.times if row.of == WHOLE_LOOP), None)
-    outcome: Outcome = "clean" if report.clean else "not clean"
-    trouble = [
+    outcome: RateOutcome = "clean" if report.clean else "not clean"
+    reasons = [
         f"{tier.tier}: missed deadlines {tier.missed_deadlines}, overruns {tier.overruns}, "
         f"skipped cycles {tier.skipped_cycles}"
         for tier in report.tiers
         if tier.missed_deadlines or tier.overruns or tier.skipped_cycles
     ]
     if report.lost_messages:
-        trouble.append(f"messages not recorded: {report.lost_messages:,}")
+        reasons.append(f"messages not recorded: {report.lost_messages:,}")
     return RateRow(
         rate_hz=report.rate_hz,
         outcome="interrupted" if report.interrupted else outcome,
-        trouble=", ".join(trouble),
+        reason=", ".join(reasons),
         cycles=report.cycles,
         late_cycles=report.late_cycles,
         lost_messages=report.lost_messages or 0,
@@ -173,52 +171,3 @@ def rate_row(report: TimingReport) -> RateRow:
         loop_max_us=loop.max_us if loop else None,
         host=report.host,
     )
-
-
-def sweep_table(found: Sweep) -> Table:
-    columns = (
-        key_column("rate"),
-        Column("cycles"),
-        Column("cycle", "ms", 2),
-        Column("loop p50", "ms"),
-        Column("loop p99", "ms"),
-        Column("loop max", "ms"),
-        *map(Column, ("late cycles", "lost")),
-        word_column(""),
-    )
-    rows: list[tuple[Cell, ...]] = []
-    for row in found.rows:
-        loop_us = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
-        loop_ms = (None if value_us is None else value_us / 1e3 for value_us in loop_us)
-        rate, cycle_ms = f"{row.rate_hz:.4g}", 1e3 / row.rate_hz
-        counts = (row.late_cycles, row.lost_messages)
-        rows.append((rate, row.cycles, cycle_ms, *loop_ms, *counts, row.outcome))
-    return Table("Rates [cycles/s]", columns, tuple(rows))
-
-
-def machine_lines(found: Sweep) -> list[str]:
-    """Say on which machine, with its load at the highest rate."""
-    hosts = [row.host for row in found.rows if row.host is not None]
-    return host_lines(hosts[-1]) if hosts else []
-
-
-def trouble_lines(found: Sweep) -> list[str]:
-    """Say of each rate what went wrong, also of clean ones."""
-    return [
-        f"{cycles_per_s(row.rate_hz)} {row.outcome}: {row.trouble}"
-        for row in found.rows
-        if row.trouble
-    ]
-
-
-def conclusion(found: Sweep) -> str:
-    """Say how fast the plant can go."""
-    if found.highest_clean_hz is not None:
-        at_least = "at least " if found.too_fast_hz is None else ""
-        return (
-            f"highest clean rate: {at_least}{cycles_per_s(found.highest_clean_hz)} (at most 1 % of "
-            "the cycles late, no message lost)"
-        )
-    if found.interrupted:
-        return "interrupted before a rate was found to be clean"
-    return f"no rate was clean: {len(found.rows)} tried, try lower ones"

@@ -1,16 +1,14 @@
-"""Small plants made by hand: run in memory, or one agent of them, message by message."""
+"""One agent of a small plant, message by message."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
-import numpy as np
-from memory_runs import Sent, run_in_memory
 from plans_by_hand import CYCLE_NS
 
 from agents.agent import Agent
-from agents.loop import AgentLoop
+from agents.loop import Loop
 from agents.plan import RunPlan
 from agents.team import controller
 from bus_schemas.bus import Delivery
@@ -25,30 +23,19 @@ from bus_schemas.signals import (
     Port,
 )
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
-from sim_plant.profile import Profile
 
 M = TypeVar("M", bound=Message)
 
 
-def hear(plan: RunPlan, mpp_kw: Sequence[Sequence[float]], dispatch_kw: Sequence[float]) -> Sent:
-    """Run a plan in memory under what sun and operator do, and listen."""
-    return run_in_memory(plan, Profile(np.array(mpp_kw), np.array(dispatch_kw)))[1]
-
-
 class AtWork:
-    """An agent in its loop, in cycle 0. Stages close as soon as they are complete.
+    """An agent, or the controller of a name, in its loop, in cycle 0.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    agent
-        The agent, or the name of a controller.
+    Stages close as soon as they are complete.
     """
 
     def __init__(self, plan: RunPlan, agent: str | Agent[Any]) -> None:
         made = controller(plan, agent) if isinstance(agent, str) else agent
-        self.loop: AgentLoop[Any] = AgentLoop(made, plan)
+        self.loop: Loop[Any] = Loop(made, plan)
         self.loop.begin(0, 0)
         self._now_ns = 0
 

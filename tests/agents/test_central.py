@@ -4,28 +4,29 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import pytest
 from plans_by_hand import REAL_TIME, plan_of
 from plants_by_hand import AtWork, at, dispatch, meter, report
 
-from agents.plan import RunPlan
 from bus_schemas.messages import Notice, Setpoint
 from bus_schemas.signals import DISPATCH, NOTICE, RESIDUAL, SETPOINT
 from bus_schemas.tree import ROOT
 
+CORRECTING = plan_of({"a": 100.0, "b": 100.0}, cycles=300, correction=True, cycle_wall_ns=REAL_TIME)
+"""Two inverters below a central controller that corrects, by the clock."""
+
 
 @pytest.mark.parametrize("absurd_kw", [math.nan, math.inf, -math.inf, -100.0, 1e9])
 def test_an_absurd_meter_leaves_no_trace(absurd_kw: float) -> None:
-    central = AtWork(central_plan(), "central")
+    central = AtWork(CORRECTING, "central")
     for cycle, metered_kw in enumerate((50.0, absurd_kw)):
         cycle_with_meter(central, cycle, metered_kw)
     assert cycle_with_meter(central, 2, 50.0) == pytest.approx(50.0)
-    assert central.loop.dropped == {("meter", "absurd"): 1}
+    assert central.loop.inputs.dropped == {("meter", "out_of_range"): 1}
 
 
 def test_a_reading_counts_once_however_long_it_holds() -> None:
-    central = AtWork(central_plan(), "central")
+    central = AtWork(CORRECTING, "central")
     cycle_with_meter(central, 0, 50.0)
     once_kw = cycle_with_meter(central, 1, 40.0)
     assert once_kw == pytest.approx(50.0 + 0.5 * 10.0)
@@ -36,7 +37,7 @@ def test_a_reading_counts_once_however_long_it_holds() -> None:
 def test_a_late_reading_counts_for_less() -> None:
     set_kw = []
     for metered_in in (3, 2, 1):
-        central = AtWork(central_plan(), "central")
+        central = AtWork(CORRECTING, "central")
         for cycle in range(3):
             cycle_with_meter(central, cycle, None)
         central.hear(meter(metered_in, 40.0))
@@ -46,17 +47,11 @@ def test_a_late_reading_counts_for_less() -> None:
 
 
 def test_it_begins_anew_after_a_cycle_in_which_every_inverter_is_free() -> None:
-    central = AtWork(central_plan(), "central")
+    central = AtWork(CORRECTING, "central")
     cycle_with_meter(central, 0, 50.0)
     assert cycle_with_meter(central, 1, 40.0) == pytest.approx(55.0)
     cycle_with_meter(central, 2, 40.0, impp_kw=20.0)
     assert cycle_with_meter(central, 3, 50.0) == pytest.approx(50.0)
-
-
-def central_plan(**changes: object) -> RunPlan:
-    """Two inverters below a central controller that corrects, by the clock."""
-    plan = plan_of({"a": 100.0, "b": 100.0}, cycles=300, correction=True, cycle_wall_ns=REAL_TIME)
-    return msgspec.structs.replace(plan, **changes)
 
 
 def cycle_with_meter(
@@ -112,7 +107,7 @@ def test_a_dispatch_without_a_rating_to_share_by_is_not_used(rating_kw: float) -
     central.hear(dispatch(0, 200.0, rating_kw), meter(0, 0.0))
     central.hear(*report("a", 0, 100.0, 0.0))
     central.at_deadline("solve")
-    assert central.loop.dropped == {(str(DISPATCH.of(ROOT)), "absurd"): 1}
+    assert central.loop.inputs.dropped == {(str(DISPATCH.of(ROOT)), "out_of_range"): 1}
 
 
 def test_before_the_first_dispatch_nothing_is_set_and_nothing_is_lacking() -> None:

@@ -56,7 +56,7 @@ def test_whatever_telemetry_says_estimate_and_command_are_within_their_bounds(
         assert is_sound(at(sent, RESIDUAL.of(NODE)))
         command = at(work.hear(setpoint(NODE, cycle, wanted_kw)), COMMAND.of(NODE))
         assert is_sound(command)
-        assert command.alpha >= plan.alpha_floor
+        assert command.alpha >= plan.control.alpha_floor
 
 
 def test_where_an_inverter_states_its_available_power_nothing_is_hidden_behind_a_limit() -> None:
@@ -89,6 +89,6 @@ def test_after_cycles_that_it_skipped_a_change_is_no_trend() -> None:
             TELEMETRY.of(NODE): telemetry(NODE, cycle, power_kw)[1],
             DISPATCH.of(ROOT): asked,
         }
-        turn = Turn("estimate", cycle, 0, head(cycle, NODE), inputs)
+        turn = Turn("estimate", cycle, 0, (*head(cycle, NODE), 0, 0, 0, 0), inputs)
         state, sent = agent.step(state, turn)
     assert at(dict(sent), IMPP.of(NODE)).power_kw == pytest.approx(50.0, abs=1.0)

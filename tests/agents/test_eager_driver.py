@@ -14,15 +14,16 @@ from plans_by_hand import REAL_TIME, plan_of
 from plants_by_hand import dispatch, setpoint, telemetry
 
 from agents.eager_driver import EagerDriver
-from agents.loop import AgentLoop
+from agents.loop import Loop
 from agents.plan import RunPlan
 from agents.team import Controller, controller
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode, encode
 from bus_schemas.signals import RESIDUAL, RUN
+from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, ROOT
-from bus_schemas.zenoh_bus import SessionSettings, ZenohBus, open_session
-from launch_scripts.launcher.tcp_ports import reserved_ports
+from bus_schemas.zenoh_bus import ZenohBus
+from bus_schemas.zenoh_session import SessionSettings, open_session
 
 PLAN = plan_of({"a": 100.0})
 IN_REAL_TIME = plan_of({"a": 100.0}, cycle_wall_ns=REAL_TIME)
@@ -74,7 +75,7 @@ def linked(plan: RunPlan, agent: Controller | None = None) -> Iterator[Plant]:
         settings = SessionSettings("eager-by-hand", [], endpoint)
         bus = ZenohBus("a", plan.wiring, settings, patience_s=FOR_EVER_S)
         stack.enter_context(bus)
-        driver = EagerDriver(AgentLoop(agent or controller(plan, "a"), plan), bus)
+        driver = EagerDriver(Loop(agent or controller(plan, "a"), plan), bus)
         own_thread = stack.enter_context(ThreadPoolExecutor(1))
         yield Plant(session, driver, own_thread.submit(list, driver.run()))
 

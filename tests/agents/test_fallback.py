@@ -29,80 +29,69 @@ def setpoints_kw(sent: Sent) -> tuple[float, ...]:
     return tuple(message.power_kw for message in sent.values() if isinstance(message, Setpoint))
 
 
-# A direct controller without its parent -----------------------------------------------------------
+# A controller without its parent ------------------------------------------------------------------
 
 
-def direct() -> AtWork:
-    """An inverter of 100 kW that could give 80 kW."""
-    return AtWork(CLUSTER, "c1/a")
-
-
-def alpha_in(
+def outputs_in(
     work: AtWork, cycle: int, *, setpoint_kw: float | None = None, dispatch_kw: float | None = 100.0
-) -> float | None:
-    """Let a cycle go by, and return the alpha that is commanded, if any."""
-    work.hear(telemetry("c1/a", cycle, 80.0))
+) -> tuple[float, ...]:
+    """Let a cycle go by; return the alpha of c1/a, or the setpoints of c1.
+
+    c1/a measures 80 kW. To c1, its children report 20 and 90 kW.
+    """
+    name = work.loop.name
+    if name == "c1":
+        work.hear(*report("c1/a", cycle, 20.0, 0.0), *report("c1/b", cycle, 90.0, 0.0))
+    else:
+        work.hear(telemetry(name, cycle, 80.0))
     if dispatch_kw is None:
-        work.at_deadline("estimate")
+        work.at_deadline(work.loop.stage)
     else:
         work.hear(dispatch(cycle, dispatch_kw, 200.0))
     if setpoint_kw is None:
-        sent = work.at_deadline("actuate")
+        sent = work.at_deadline(work.loop.stage)
     else:
-        sent = work.hear(setpoint("c1/a", cycle, setpoint_kw))
-    command = COMMAND.of("c1/a")
-    return at(sent, command).alpha if command in sent else None
+        sent = work.hear(setpoint(name, cycle, setpoint_kw))
+    command = COMMAND.of(name)
+    return (at(sent, command).alpha,) if command in sent else setpoints_kw(sent)
 
 
-def test_a_direct_controller_goes_down_the_ladder_and_up_again() -> None:
-    work = direct()
-    assert alpha_in(work, 0, setpoint_kw=20.0) == 0.25
+@pytest.mark.parametrize(
+    ("name", "setpoint_kw", "by_setpoint", "by_dispatch", "by_50_kw"),
+    [
+        # Its share of 100 kW is 100 kW x 100 / 200 = 50 kW, which is 0.625 of 80 kW.
+        ("c1/a", 20.0, (0.25,), (0.625,), (0.3125,)),
+        # All of the dispatch is the cluster's.
+        ("c1", 60.0, (20.0, 40.0), (20.0, 80.0), (20.0, 30.0)),
+    ],
+)
+def test_a_controller_goes_down_the_ladder_and_up_again(
+    name: str,
+    setpoint_kw: float,
+    by_setpoint: tuple[float, ...],
+    by_dispatch: tuple[float, ...],
+    by_50_kw: tuple[float, ...],
+) -> None:
+    work = AtWork(CLUSTER, name)
+    assert outputs_in(work, 0, setpoint_kw=setpoint_kw) == by_setpoint
     # The newest setpoint holds,
-    assert [alpha_in(work, cycle) for cycle in (1, 2)] == [0.25] * HOLD
-    # then the inverter's own share of the dispatch: 100 of 200 kW x 100 kW,
-    assert [alpha_in(work, cycle) for cycle in (3, 4)] == [0.625] * 2
-    assert alpha_in(work, 5, dispatch_kw=60.0) == 0.375
-    # and where the dispatch is silent too, nothing is sent.
-    silent = [alpha_in(work, cycle, dispatch_kw=None) for cycle in (6, 7, 8, 9)]
-    assert silent == [0.375] * HOLD + [None] * 2
-    assert alpha_in(work, 10) == 0.625
-    assert alpha_in(work, 11, setpoint_kw=20.0) == 0.25
+    assert [outputs_in(work, cycle) for cycle in (1, 2)] == [by_setpoint] * HOLD
+    # then the controller's own share of the dispatch,
+    assert [outputs_in(work, cycle) for cycle in (3, 4)] == [by_dispatch] * 2
+    assert outputs_in(work, 5, dispatch_kw=50.0) == by_50_kw
+    # and where the dispatch has expired too, nothing is sent.
+    after_hold = [outputs_in(work, cycle, dispatch_kw=None) for cycle in (6, 7, 8, 9)]
+    assert after_hold == [by_50_kw] * HOLD + [()] * 2
+    assert outputs_in(work, 10) == by_dispatch
+    assert outputs_in(work, 11, setpoint_kw=setpoint_kw) == by_setpoint
 
 
 @pytest.mark.parametrize("most_kw", [100.0, 100.0 * (1.0 + 1e-12)])
 def test_a_setpoint_may_exceed_the_rating_by_a_rounding_error(most_kw: float) -> None:
-    assert alpha_in(direct(), 0, setpoint_kw=most_kw) == 1.0
+    assert outputs_in(AtWork(CLUSTER, "c1/a"), 0, setpoint_kw=most_kw) == (1.0,)
 
 
-# A supervisor without its parent ------------------------------------------------------------------
-
-
-def setpoints_in(
-    work: AtWork, cycle: int, *, setpoint_kw: float | None = None, dispatch_kw: float | None = 100.0
-) -> tuple[float, ...]:
-    """Let a cycle go by in which c1/a could give 20 and c1/b 90 kW; return their setpoints."""
-    work.hear(*report("c1/a", cycle, 20.0, 0.0), *report("c1/b", cycle, 90.0, 0.0))
-    if dispatch_kw is None:
-        work.at_deadline("report")
-    else:
-        work.hear(dispatch(cycle, dispatch_kw, 200.0))
-    if setpoint_kw is None:
-        return setpoints_kw(work.at_deadline("solve"))
-    return setpoints_kw(work.hear(setpoint("c1", cycle, setpoint_kw)))
-
-
-def test_a_supervisor_goes_down_the_same_ladder() -> None:
-    work = AtWork(CLUSTER, "c1")
-    assert setpoints_in(work, 0, setpoint_kw=60.0) == (20.0, 40.0)
-    assert [setpoints_in(work, cycle) for cycle in (1, 2)] == [(20.0, 40.0)] * HOLD
-    assert setpoints_in(work, 3) == (20.0, 80.0), "all of the dispatch is the cluster's"
-    assert setpoints_in(work, 4, dispatch_kw=50.0) == (20.0, 30.0)
-    silent = [setpoints_in(work, cycle, dispatch_kw=None) for cycle in (5, 6, 7)]
-    assert silent == [(20.0, 30.0)] * HOLD + [()]
-    assert setpoints_in(work, 8, setpoint_kw=60.0) == (20.0, 40.0)
-
-
-# A silent child -----------------------------------------------------------------------------------
+# A child that expired -----------------------------------------------------------------------------
 
 
 def central_after_one_cycle() -> AtWork:
@@ -126,7 +115,7 @@ Cycles = list[tuple[float, int, float, tuple[float, float]]]
 @pytest.mark.parametrize(
     ("of_b", "expected"),
     [
-        # The last report of b holds, then its request counts, without headroom or need of help.
+        # The last report of b holds, then its share counts, without headroom or need of help.
         # When b reports again, its reports count again.
         (
             [None, None, None, None, (90.0, 30.0), None],
@@ -136,7 +125,7 @@ Cycles = list[tuple[float, int, float, tuple[float, float]]]
                 *((170.0, age, 50.0, (60.0, 60.0)) for age in (0, 1)),
             ],
         ),
-        # While its last report counts, b gives 20 kW and a the rest; then b serves its own request.
+        # While its last report counts, b gives 20 kW and a the rest; then b serves its own share.
         (
             [(20.0, -40.0), None, None, None],
             [
@@ -146,7 +135,7 @@ Cycles = list[tuple[float, int, float, tuple[float, float]]]
         ),
     ],
 )
-def test_the_last_report_of_a_silent_child_holds_and_then_its_own_request_counts(
+def test_the_last_report_of_an_expired_child_holds_and_then_its_own_share_counts(
     of_b: list[tuple[float, float] | None], expected: Cycles
 ) -> None:
     central, found = central_after_one_cycle(), []
@@ -159,7 +148,7 @@ def test_the_last_report_of_a_silent_child_holds_and_then_its_own_request_counts
     assert found == expected
 
 
-def test_the_request_of_a_silent_child_is_by_its_rating() -> None:
+def test_the_share_of_an_expired_child_is_by_its_rating() -> None:
     plan = plan_of({"a": 100.0, "b": 300.0}, cycle_wall_ns=REAL_TIME)
     central = AtWork(plan, "central")
     central.hear(dispatch(0, 200.0, 400.0), *report("a", 0, 80.0, 30.0))
@@ -176,12 +165,12 @@ def test_without_its_residual_a_report_counts_and_the_residual_is_worked_out() -
         assert setpoints_kw(sent) == (80.0, 50.0)
 
 
-# A silent inverter --------------------------------------------------------------------------------
+# An inverter unheard ------------------------------------------------------------------------------
 
 
 def test_without_telemetry_the_last_impp_holds_and_its_age_is_counted() -> None:
-    work = direct()
-    alpha_in(work, 0, setpoint_kw=20.0)
+    work = AtWork(CLUSTER, "c1/a")
+    outputs_in(work, 0, setpoint_kw=20.0)
     found = []
     for cycle in (1, 2, 3):
         work.hear(dispatch(cycle, 100.0, 200.0))
@@ -191,7 +180,7 @@ def test_without_telemetry_the_last_impp_holds_and_its_age_is_counted() -> None:
 
 
 def test_before_the_first_telemetry_there_is_no_power_to_count_on() -> None:
-    work = direct()
+    work = AtWork(CLUSTER, "c1/a")
     work.hear(dispatch(0, 100.0, 200.0))
     sent = work.at_deadline("estimate")
     found = at(sent, IMPP.of("c1/a"))
@@ -199,4 +188,4 @@ def test_before_the_first_telemetry_there_is_no_power_to_count_on() -> None:
     assert at(sent, HELP.of("c1/a")).missing_kw == 50.0
     # A command would free an inverter that may be limited.
     assert COMMAND.of("c1/a") not in work.hear(setpoint("c1/a", 0, 20.0))
-    assert alpha_in(work, 1, setpoint_kw=20.0) == 0.25
+    assert outputs_in(work, 1, setpoint_kw=20.0) == (0.25,)

@@ -17,11 +17,11 @@ from plans_by_hand import REAL_TIME, plan_of
 from plants_by_hand import AtWork, at, dispatch, impp, setpoint, telemetry
 
 from agents.agent import Stage, Turn
-from agents.loop import AgentLoop, log_drop
+from agents.inputs import log_drop
+from agents.loop import Loop
 from agents.plan import START_WITHIN_NS, RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Notice
-from bus_schemas.missing import parse_missing
+from bus_schemas.messages import Message, Notice, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, NOTICE, RUN, SETPOINT, Port
 from bus_schemas.tree import ROOT
 
@@ -66,7 +66,7 @@ def both(cycle: int) -> tuple[Delivery, Delivery]:
     return impp("c1/a", cycle, 1.0), impp("c1/b", cycle, 2.0)
 
 
-def told(script: str, run_plan: RunPlan, bad_kw: float = math.nan) -> tuple[str, str]:
+def used_and_dropped(script: str, run_plan: RunPlan, bad_kw: float = math.nan) -> tuple[str, str]:
     """What a clerk is given stage by stage, and what it drops, after a script of messages.
 
     `a3` is the IMPP of c1/a of cycle 3, `s0` a setpoint of cycle 0, `a3x` one with a bad number,
@@ -85,7 +85,10 @@ def told(script: str, run_plan: RunPlan, bad_kw: float = math.nan) -> tuple[str,
             sent = clerk.hear((port, message))
         if sent:
             stages.append(shown(at(sent, SENT), script))
-    drops = [f"{LETTER[key]} {cause} {count}" for (key, cause), count in clerk.loop.dropped.items()]
+    drops = [
+        f"{LETTER[key]} {cause} {count}"
+        for (key, cause), count in clerk.loop.inputs.dropped.items()
+    ]
     return " / ".join(stages), ", ".join(drops)
 
 
@@ -130,8 +133,8 @@ BEFORE = " / ".join(f"a{cycle} b{cycle} s0" for cycle in range(TURN))
         (ON_THE_CLOCK, "a0 b0 | b2 b1 a2", "a0 b0 / a0! b0! / a2 b2", "b late 1"),
         (LOCKSTEP, "a0 a0 a1 a1 b0", "a0 b0", "a duplicate 2"),
         (LOCKSTEP, "a0 a1 a2 b0 b1 b2", "a0 b0 / a1 b1 / a2 b2", ""),
-        (LOCKSTEP, "a1000000000", "", "a other_cycle 1"),
-        (LOCKSTEP, "a0f b0", "", "a foreign 1"),
+        (LOCKSTEP, "a1000000000", "", "a wrong_cycle 1"),
+        (LOCKSTEP, "a0f b0", "", "a wrong_sender 1"),
         (
             LOCKSTEP,
             f"s0 {FIVE} a5 b5 a6 b6 a7 b7 a8 b8",
@@ -139,24 +142,24 @@ BEFORE = " / ".join(f"a{cycle} b{cycle} s0" for cycle in range(TURN))
             "",
         ),
         (LOCKSTEP, "s3 a0 b0", "a0 b0 s-", ""),
-        (LOCKSTEP, "a0 b0 a1 b1 s1 a2 b2", "a0 b0 s- / a1 b1 s- / a2 b2 s-", "s unexpected 1"),
+        (LOCKSTEP, "a0 b0 a1 b1 s1 a2 b2", "a0 b0 s- / a1 b1 s- / a2 b2 s-", "s wrong_cycle 1"),
     ],
     ids=[
         *("complete", "at the deadline the newest", "silent after the hold", "late and newest"),
-        *("late and older", "twice", "ahead", "too far ahead", "foreign"),
+        *("late and older", "twice", "ahead", "too far ahead", "wrong_sender"),
         *("between turns as good as new", "ahead of its turn", "of no turn"),
     ],
 )
 def test_a_stage_closes_on_the_newest_message_of_each_input(
     run_plan: RunPlan, script: str, stages: str, drops: str
 ) -> None:
-    assert told(script, run_plan) == (stages, drops)
+    assert used_and_dropped(script, run_plan) == (stages, drops)
 
 
 @pytest.mark.parametrize("bad_kw", [math.nan, math.inf, -1.0, 200.1])
 def test_an_absurd_number_is_not_used_and_keeps_nobody_waiting(bad_kw: float) -> None:
-    found = told(f"s0 {FIVE} s5x a5 b5x", LOCKSTEP, bad_kw)
-    assert found == (f"{BEFORE} / a5 b4! s0!", "s absurd 1, b absurd 1")
+    found = used_and_dropped(f"s0 {FIVE} s5x a5 b5x", LOCKSTEP, bad_kw)
+    assert found == (f"{BEFORE} / a5 b4! s0!", "s out_of_range 1, b out_of_range 1")
 
 
 # Any order of events ------------------------------------------------------------------------------
@@ -214,9 +217,9 @@ ROUND = -5
 RUN_START: Delivery = (RUN.of(ROOT), LOCKSTEP.run_message("start", 0, 0))
 
 
-def armed(plan: RunPlan) -> AgentLoop[int]:
+def armed(plan: RunPlan) -> Loop[int]:
     """A clerk that has been through an arming round."""
-    loop = AgentLoop(Clerk(), plan)
+    loop = Loop(Clerk(), plan)
     for port, message in (dispatch(ROUND, 1.0, 200.0), *both(ROUND), *both(ROUND)):
         loop.hear(port, message, 0)
     assert loop.is_complete
@@ -237,11 +240,11 @@ def test_arming_rounds_leave_no_trace(run_plan: RunPlan) -> None:
     assert isinstance(notice, Notice)
     assert (notice.cycle, notice.count) == (0, 1), "its state is the initial one"
     assert notice.missing == ("c1/a/impp", "c1/b/impp", "c1/setpoint", "dispatch")
-    assert loop.dropped == {}
+    assert loop.inputs.dropped == {}
 
 
 def test_messages_of_an_arming_round_may_overtake_its_dispatch() -> None:
-    loop = AgentLoop(Clerk(), LOCKSTEP)
+    loop = Loop(Clerk(), LOCKSTEP)
     for delivery in (*both(ROUND), *both(ROUND + 1), dispatch(ROUND + 1, 1.0, 200.0)):
         loop.hear(*delivery, 0)
     assert (loop.cycle, loop.is_complete) == (ROUND + 1, True)
@@ -257,7 +260,7 @@ def test_messages_of_cycle_0_may_overtake_the_beginning_of_the_run() -> None:
 
 
 def test_one_that_has_just_joined_leaves_its_standby_a_cycle_to_speak_first() -> None:
-    loop = AgentLoop(Clerk(), plan(cycle_wall_ns=REAL_TIME, standby=("c1",)))
+    loop = Loop(Clerk(), plan(cycle_wall_ns=REAL_TIME, standby=("c1",)))
     loop.hear(*dispatch(20, 1.0, 200.0), 0)
     spoke = {}
     for cycle in (20, 21, 22):
@@ -265,7 +268,7 @@ def test_one_that_has_just_joined_leaves_its_standby_a_cycle_to_speak_first() ->
             loop.hear(port, message, 0)
         assert loop.deadline_ns is not None
         loop.close_stage(loop.deadline_ns)
-        spoke[cycle] = not loop.silent
+        spoke[cycle] = not loop.standby.silent
     assert spoke == {20: False, 21: False, 22: True}
 
 
@@ -273,7 +276,7 @@ def test_whoever_wakes_late_goes_to_the_cycle_under_way() -> None:
     clerk = AtWork(ON_THE_CLOCK, Clerk())
     clerk.hear(*both(0))
     assert clerk.loop.catch_up(33 * REAL_TIME + 5)
-    assert (clerk.loop.cycle, clerk.loop.skipped_cycles) == (33, 32)
+    assert (clerk.loop.cycle, clerk.loop.times.skipped_cycles) == (33, 32)
     assert at(clerk.hear(*both(33)), SENT).missing == ("c1/setpoint", "dispatch")
     assert not clerk.loop.catch_up(33 * REAL_TIME + 9), "the next cycle has not begun yet"
 
@@ -315,8 +318,8 @@ def test_a_stop_holds_until_the_plant_goes_on() -> None:
     assert goes_on(2)
     assert loop.finished
     assert goes_on(3)
-    assert not loop.stop_heard
-    assert loop.dropped == {("run", "contradicted"): 2}
+    assert not loop.times.stop_heard
+    assert loop.inputs.dropped == {("run", "conflicting"): 2}
 
 
 # A flood ------------------------------------------------------------------------------------------
@@ -331,13 +334,13 @@ def test_of_each_cycle_to_come_one_message_of_a_key_is_kept() -> None:
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert grown < 1_000_000
-    assert work.loop.dropped == {("c1/a/telemetry", "duplicate"): 20_000 - 61}
+    assert work.loop.inputs.dropped == {("c1/a/telemetry", "duplicate"): 20_000 - 61}
 
 
 def test_a_flood_of_one_kind_does_not_hide_another_in_the_log(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    loop = AgentLoop(Clerk(), LOCKSTEP, log_drop)
+    loop = Loop(Clerk(), LOCKSTEP, log_drop)
     loop.begin(0, 0)
     port, message = impp("c1/a", 0, 1.0)
     with caplog.at_level(logging.WARNING):

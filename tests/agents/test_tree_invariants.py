@@ -6,16 +6,17 @@ from collections.abc import Iterable
 from math import fsum, inf, isfinite, nan, prod
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from memory_runs import Sent
+from memory_runs import Sent, run_in_memory
 from plans_by_hand import plan_of
-from plants_by_hand import hear
 
 from agents.plan import RunPlan
 from bus_schemas.signals import HELP, IMPP, RESIDUAL, SETPOINT
 from bus_schemas.tree import ROOT, ControlTree
+from sim_plant.profile import Profile
 
 TOLERANCE_KW = 1e-6
 
@@ -28,7 +29,8 @@ class Weather(NamedTuple):
     dispatch_kw: list[float]
 
     def hear(self) -> Sent:
-        return hear(self.plan, self.mpp_kw, self.dispatch_kw)
+        profile = Profile(np.array(self.mpp_kw), np.array(self.dispatch_kw))
+        return run_in_memory(self.plan, profile)[1]
 
 
 @st.composite
@@ -65,11 +67,7 @@ def weathers(draw: st.DrawFn) -> Weather:
         st.lists(st.lists(light, min_size=count, max_size=count), min_size=cycles, max_size=cycles)
     )
     return Weather(
-        plan_of(
-            ratings_kw,
-            cycles=cycles,
-            period_cycles=draw(periods(tree)),
-        ),
+        plan_of(ratings_kw, cycles=cycles, period_cycles=draw(periods(tree))),
         [
             [share * rating for share, rating in zip(row, ratings_kw.values(), strict=True)]
             for row in lights
@@ -101,17 +99,17 @@ def test_whenever_a_parent_acts_its_children_meet_its_newest_target_or_give_all_
             if node != ROOT and (own := heard.of(SETPOINT.of(node)).get(cycle)):
                 target_kw[node] = own.power_kw
             children = plan.tree.children(node)
-            if not plan.periods.is_turn(node, cycle):
+            if not plan.control.periods.is_turn(node, cycle):
                 assert not any(heard.of(SETPOINT.of(child)).get(cycle) for child in children)
                 continue
             setpoints = [heard.of(SETPOINT.of(child))[cycle] for child in children]
             set_kw = [setpoint.power_kw for setpoint in setpoints]
             impp_kw = [heard.of(IMPP.of(child))[cycle].power_kw for child in children]
             all_kw = fsum(impp_kw)
-            expected_kw = min(max(target_kw[node], plan.alpha_floor * all_kw), all_kw)
+            expected_kw = min(max(target_kw[node], plan.control.alpha_floor * all_kw), all_kw)
             assert fsum(set_kw) == pytest.approx(expected_kw, rel=0.0, abs=TOLERANCE_KW)
             for setpoint_kw, most_kw in zip(set_kw, impp_kw, strict=True):
-                assert plan.alpha_floor * most_kw - TOLERANCE_KW <= setpoint_kw <= most_kw
+                assert plan.control.alpha_floor * most_kw - TOLERANCE_KW <= setpoint_kw <= most_kw
             lines = [line for setpoint in setpoints for line in setpoint.help_given]
             for child, setpoint, most_kw in zip(children, setpoints, impp_kw, strict=True):
                 above_kw = max(setpoint.power_kw - setpoint.share_kw, 0.0)

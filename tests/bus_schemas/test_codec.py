@@ -34,7 +34,7 @@ def one(signal: Signal[Message]) -> Message:
         **dict.fromkeys(HEAD_FIELDS, 1),
         **{"source": "c1", "missing": ("c1/inv07/impp",), "stale_cycles": 0, "count": 1},
         **{"state": "start", "start_time_ns": 5, "cycle_wall_ns": 0, "text": "words"},
-        "protocol": 1,
+        "protocol": 2,
         **{"inverter_mpp_kw": (1.0, 2.0), "inverter_power_kw": (0.5, 2.0)},
         **{"help_given": (HelpGiven("c1/inv08", 12.5),), "paused": True},
         **{"stage": "solve", "readings": 1, "meter_cycle": 1, "clamped": 1},

@@ -6,10 +6,10 @@ import threading
 from dataclasses import dataclass
 from typing import Any, cast
 
+from bus_schemas.inbox import Inbox
 from bus_schemas.messages import Message
 from bus_schemas.signals import IMPP, RUN, SETPOINT, Port
 from bus_schemas.tree import ROOT
-from bus_schemas.zenoh_bus import Inbox
 
 PORT = IMPP.of("c1/inv07")
 FOR_EVER_S = 100.0

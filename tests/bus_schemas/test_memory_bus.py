@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bus_schemas.bus import Delivery, Outbox
-from bus_schemas.faults import FaultRule
+from bus_schemas.faults import Disturbance
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Ready, Residual
 from bus_schemas.network_faults import NetworkFaults
@@ -32,7 +32,7 @@ def test_messages_are_stamped_and_those_of_the_run_numbered_and_counted() -> Non
 
 
 def test_the_clock_jumps_to_the_next_arrival_or_to_the_end_of_the_wait_and_never_back() -> None:
-    clock, delayed = VirtualClock(), (FaultRule(delay_ms=30.0),)
+    clock, delayed = VirtualClock(), {0: Disturbance(delay_ms=30.0)}
     bus = MemoryBus(Wiring("pair", TREE), None, clock, NetworkFaults(delayed, 1, TREE, 1_000 * MS))
     bus.publish(*residual("c1/a", 0), 0)
     assert bus.receive(20 * MS) == ()

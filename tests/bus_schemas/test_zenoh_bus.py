@@ -14,10 +14,11 @@ from running import REPOSITORY
 
 from bus_schemas.codec import encode
 from bus_schemas.messages import Telemetry
+from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER, ControlTree
 from bus_schemas.wiring import Wiring
-from bus_schemas.zenoh_bus import SessionSettings, ZenohBus, ZenohTap
-from launch_scripts.launcher.tcp_ports import reserved_ports
+from bus_schemas.zenoh_bus import ZenohBus
+from bus_schemas.zenoh_session import RunSubscriber, SessionSettings
 
 TREE = ControlTree((("a", 100.0),))
 KEY = "pair/a/telemetry"
@@ -65,7 +66,7 @@ def test_a_message_that_comes_after_it_is_heard(linked: tuple[zenoh.Session, Zen
 
 FLOOD = f"""
 import sys, zenoh
-from bus_schemas.zenoh_bus import SessionSettings
+from bus_schemas.zenoh_session import SessionSettings
 session = zenoh.open(SessionSettings("flooded", [], sys.argv[1:]).config())
 while True:
     session.put("{KEY}", b"", congestion_control=zenoh.CongestionControl.BLOCK)
@@ -78,8 +79,8 @@ def test_a_listener_closes_while_more_comes_than_its_queue_takes() -> None:
         settings = SessionSettings("flooded", [endpoint], [])
         with subprocess.Popen([sys.executable, "-c", FLOOD, endpoint], cwd=REPOSITORY) as flooding:
             try:
-                with ZenohTap(RECORDER, Wiring("pair", TREE), settings) as tap:
-                    while next(tap.drain(), None) is None:
+                with RunSubscriber(RECORDER, Wiring("pair", TREE), settings) as subscriber:
+                    while next(subscriber.drain(), None) is None:
                         time.sleep(0.01)
                     time.sleep(1.0)  # Its queue fills.
                     closes_at = time.monotonic()

@@ -7,20 +7,14 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Final
 
 import pytest
-import typer
-import typer.core
-import typer.main
 from command_line import heliarch
+from cyclopts.exceptions import CoercionError, CycloptsError, MissingArgumentError, ValidationError
 from documents import DOCUMENTS, REPOSITORY, Block, blocks_of, heliarch_lines, words_of
 
-from bus_schemas.errors import InputError
-from launch_scripts.app import app
+from heliarch.cli.app import app, checked
 
-USAGE_ERROR: Final[type[Exception]] = typer.BadParameter.__bases__[0]
-"""No such command, no such option."""
 NAMES = [str(path.relative_to(REPOSITORY)) for path in DOCUMENTS]
 _STARTS_PROCESSES = re.compile(r"heliarch (launch|timing|replay)")
 
@@ -42,7 +36,7 @@ def reader(tmp_path: Path) -> Path:
     programs = tmp_path / ".venv" / "bin"
     programs.mkdir(parents=True)
     python = f'#!/bin/sh\nexec "{sys.executable}" "$@"\n'
-    command = "from launch_scripts.cli import main; raise SystemExit(main())"
+    command = "from heliarch.cli.main import main; raise SystemExit(main())"
     script = f'#!/bin/sh\nexec "{sys.executable}" -c \'{command}\' "$@"\n'
     for name, text in (("python", python), ("heliarch", script)):
         (programs / name).write_text(text, encoding="utf-8")
@@ -128,22 +122,12 @@ def test_a_file_that_is_shown_is_the_file_that_comes_with_heliarch(document: Pat
 def complaint_about(line: str, in_prose: bool) -> str:
     """Parse a `heliarch` command without running it; return what is wrong with it."""
     words = words_of(line)
-    if "--install-completion" in words:
-        return "parsing it would install it"
-    if list(words) == ["--version"]:
-        return ""
-    group = typer.main.get_command(app)
-    assert isinstance(group, typer.core.TyperGroup)
     try:
-        context = group.make_context("heliarch", list(words))
-        name, command, rest = group.resolve_command(context, words)
-        assert name is not None
-        assert command is not None
-        command.make_context(name, rest, parent=context)
-    except (InputError, typer.Exit):  # a folder that the document makes; --help
+        app.parse_args(checked(words))
+    except ValidationError:  # a folder that the document makes
         return ""
-    except typer.BadParameter as error:
-        return "" if in_prose else str(error)  # in prose an argument may be left out
-    except USAGE_ERROR as error:
-        return "" if in_prose and "argument" in str(error) else str(error)
+    except (CoercionError, MissingArgumentError) as error:
+        return "" if in_prose else str(error)  # `--format FORMAT`; an argument may be left out
+    except CycloptsError as error:
+        return str(error)
     return ""

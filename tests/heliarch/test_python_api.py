@@ -27,7 +27,7 @@ def test_a_simulation_returns_its_summary_and_its_recording_and_prints_nothing(
     with heliarch.open_run(run.folder) as recording:
         assert len(recording.plan.inverters) == 4
         assert "share = 0.4" in recording.scenario
-        assert recording.plan.period_cycles == (2, 1)
+        assert recording.plan.control.period_cycles == (2, 1)
 
 
 def test_a_comparison_is_a_table_with_a_row_for_each_case_scheme_and_actuator(plant: str) -> None:
@@ -42,7 +42,8 @@ def test_a_comparison_is_a_table_with_a_row_for_each_case_scheme_and_actuator(pl
     )
     assert list(table["scheme"]) == ["paper", "paper", "physical-limit"] * 2
     assert list(table["actuator"].fillna("none")) == ["fraction", "limit", "none"] * 2
-    assert table["case"].nunique() == 2
+    assert list(table["commitment.share"]) == [0.3] * 3 + [0.5] * 3
+    assert list(table["seed"].unique()) == [1]
     assert table["control-caused"].ge(0.0).all()
     with pytest.raises(InputError, match="actuators"):
         heliarch.compare(plant, actuators=["magic"])  # type: ignore[list-item]
@@ -58,7 +59,7 @@ def test_two_recordings_are_compared_with_their_first_difference(
     )
     found = heliarch.compare_runs(first, second)
     assert found.differences["cycle"][0] == 0
-    assert found.figures.set_index("figure")["difference"]["Desired energy"] < 0.0
+    assert found.figures.set_index("figure")["difference"]["Dispatched energy"] < 0.0
     assert "cycle" in heliarch.compare_runs(first, first).differences.columns
 
 

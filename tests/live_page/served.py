@@ -21,7 +21,7 @@ from running import Heliarch
 
 from bus_schemas.bus import Outbox
 from bus_schemas.codec import encode
-from live_page.place import Place, open_place
+from live_page.process import PageAddress, open_address
 from live_page.server import PageServer
 from recordings.record.writer import RunWriter
 
@@ -29,10 +29,10 @@ from recordings.record.writer import RunWriter
 class Served:
     """A server, and where it is."""
 
-    def __init__(self, server: PageServer, place: Place) -> None:
+    def __init__(self, server: PageServer, address: PageAddress) -> None:
         self.server = server
-        self.address = place.address()
-        self.root = place.address().partition("?")[0]
+        self.address = address.url()
+        self.root = address.url().partition("?")[0]
 
     def get(self, path: str) -> Any:  # noqa: ANN401 - JSON
         """Return the document at a path."""
@@ -61,12 +61,12 @@ def served(
     path: Path, *, several: bool = False, address: str = "127.0.0.1", port: int = 0
 ) -> Iterator[Served]:
     """Serve a run, or several."""
-    place = open_place(address, port)
-    server = PageServer(path, place, several=several)
+    where = open_address(address, port)
+    server = PageServer(path, where, several=several)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve()))
     thread.start()
     try:
-        yield Served(server, place)
+        yield Served(server, where)
     finally:
         server.end()
         thread.join(20)

@@ -26,7 +26,7 @@ def answers(page: str) -> bool:
 def test_a_run_that_nobody_looks_at_ends_as_without_a_page(
     command: str, heliarch: Start, plant: str
 ) -> None:
-    run = heliarch(command, plant, "--duration", "20", "--pace", "10", "--page")
+    run = heliarch(command, plant, "--duration", "40", "--pace", "10", "--page")
     page = page_of(run)
     with urllib.request.urlopen(f"{page}stream", timeout=60) as updates:
         news = (json.loads(line[6:]) for line in updates if line.startswith(b"data: "))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import socket
-import sys
 import time
 import urllib.request
 from pathlib import Path
@@ -27,7 +26,7 @@ def run(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_browser_is_told_the_plan_and_then_the_state(run: Path) -> None:
+def test_a_browser_gets_the_plan_and_then_the_state(run: Path) -> None:
     with served(run) as page:
         plan = page.get("plan")
         assert [node["path"] for node in plan["nodes"]] == list(PLAN.tree.nodes)
@@ -55,7 +54,7 @@ def test_the_series_of_a_node_and_of_the_plant_can_be_asked_for(run: Path) -> No
         node = page.get("node?path=c1/b&from=5&to=9")
         assert node["cycle"] == [5, 6, 7, 8, 9]
         assert node["help"] == [20.0] * 5
-        assert page.get("window?from=0&to=3")["desired"] == [240.0] * 4
+        assert page.get("window?from=0&to=3")["dispatch"] == [240.0] * 4
         assert page.status("node?path=c9&from=0&to=1") == 404
         assert page.status("window?from=x") == 404
         assert page.status("stream?from=nan") == page.status("stream?from=0&speed=inf") == 404
@@ -140,12 +139,3 @@ def test_a_port_in_use_is_refused_in_one_line(run: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         assert port in refusal("view", run, "--page-port", port)
-
-
-def test_a_stream_for_viewers_is_of_one_run_and_takes_its_library(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert "one run" in refusal("view", run.parent, "--foxglove", "8765")
-    monkeypatch.setitem(sys.modules, "foxglove", None)
-    monkeypatch.delitem(sys.modules, "live_page.foxglove_stream", raising=False)
-    assert "heliarch[foxglove]" in refusal("view", run, "--foxglove", "8765")

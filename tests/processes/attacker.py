@@ -14,7 +14,7 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Command, Dispatch, Impp, Message, Setpoint, Telemetry
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import ROOT
-from bus_schemas.zenoh_bus import SessionSettings
+from bus_schemas.zenoh_session import SessionSettings
 
 HEAD = (0, 0, "", ())
 FORGED: dict[str, Message] = {
@@ -36,7 +36,7 @@ class Attacker:
         self.plan = plan
         self.heard: list[str] = []
         self._sessions = []
-        for port in (*plan.tcp_ports.values(), *plan.agent_ports.values()):
+        for port in (*plan.access.tcp_ports.values(), *plan.access.agent_ports.values()):
             endpoint = f"tcp/127.0.0.1:{port}"
             config = SessionSettings(plan.bus_namespace, [], [endpoint]).config()
             session = stack.enter_context(zenoh.open(config))
@@ -49,16 +49,12 @@ class Attacker:
 
     def put(self, port: Port[Message], message: Message) -> None:
         """Send a message to everybody."""
-        self.put_bytes(self.plan.wiring.key(port), encode(message))
-
-    def put_bytes(self, key: str, payload: bytes) -> None:
-        """Send a payload to everybody."""
         for session in self._sessions:
-            session.put(key, payload)
+            session.put(self.plan.wiring.key(port), encode(message))
 
     def forge(self, cycle: int, spared: str = "") -> None:
         """Forge what decides of power in a cycle, but for one agent's."""
-        head = {"cycle": cycle, "sim_time_ns": self.plan.sim_time_ns(cycle)}
+        head = {"cycle": cycle, "sim_time_ns": self.plan.timing.sim_time_ns(cycle)}
         for port in self.plan.wiring.ports:
             forged = FORGED.get(port.signal.name)
             if forged is not None and port.publisher != spared:

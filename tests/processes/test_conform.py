@@ -24,7 +24,7 @@ REPOSITORY = Path(__file__).parents[2]
 EXAMPLES = REPOSITORY / "examples"
 WRONG = Path(__file__).with_name("wrong_device.py")
 NODE = "c1/inv01"
-OWN = f"{sys.executable} -m launch_scripts.launcher.process {{node}} --plan {{plan}}"
+OWN = f"{sys.executable} -m launch_scripts.process {{node}} --plan {{plan}}"
 CONTROLLER = f"{sys.executable} {EXAMPLES / 'direct_controller.py'} --plan {{plan}} --node {{node}}"
 
 
@@ -120,7 +120,10 @@ def test_a_device_with_one_fault_fails(fault: str, plant: str) -> None:
 
 @pytest.mark.soak
 def test_a_device_that_holds_its_inputs_for_ever_fails_in_real_time(plant: str) -> None:
-    assert results(plant, NODE, wrong_device("silent"), pace="2")["silent"] in {"FAIL", "too slow"}
+    assert results(plant, NODE, wrong_device("expired"), pace="2")["expired"] in {
+        "FAIL",
+        "too slow",
+    }
 
 
 # In C ---------------------------------------------------------------------------------------------

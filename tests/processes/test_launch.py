@@ -11,18 +11,18 @@ from pathlib import Path
 import command_line
 import msgspec
 import pytest
-from command_line import done, python
+from command_line import Result, done, python
 from memory_runs import timeless
+from plans_by_hand import with_changes
 from running import Start, assert_none_left, small_plant
-from typer.testing import Result
 
 from agents.plan import load_plan
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS
+from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT
-from launch_scripts.launcher.summary import RunSummary
-from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.reader import RunReader
+from results.run_summary import RunSummary
 
 pytestmark = pytest.mark.processes
 
@@ -115,9 +115,9 @@ def test_two_plants_side_by_side_do_not_hear_each_other(
 
 PLANT_ALONE = """
 from pathlib import Path
-from agents.launcher_link import LauncherLink
+from agents.process.launcher_link import LauncherLink
 from agents.plan import load_plan
-from launch_scripts.launcher.process import run_process
+from launch_scripts.process import run_process
 plan, link = load_plan(Path("plan.json")), LauncherLink("plant")
 print(run_process("plant", plan, link, Path("."), patience_s=0.5))
 """
@@ -131,7 +131,7 @@ def test_a_run_can_be_repeated_with_every_process_started_by_hand_and_waits_for_
         shutil.copy(folder / name, tmp_path)
     plan = load_plan(folder / "plan.json")
     with reserved_ports(plan.links.listening) as ports, ExitStack() as stack:
-        plan = msgspec.structs.replace(plan, tcp_ports=ports)
+        plan = with_changes(plan, tcp_ports=ports)
         (tmp_path / "plan.json").write_bytes(plan.as_json())
 
         alone = python(PLANT_ALONE, cwd=tmp_path)
@@ -139,7 +139,7 @@ def test_a_run_can_be_repeated_with_every_process_started_by_hand_and_waits_for_
         assert f"no sign of life from {absent}" in alone.stdout
 
         def start(agent: str) -> subprocess.Popen[str]:
-            words = ["-m", "launch_scripts.launcher.process", agent, "--plan", "plan.json"]
+            words = ["-m", "launch_scripts.process", agent, "--plan", "plan.json"]
             process = subprocess.Popen(
                 [sys.executable, *words], cwd=tmp_path, stdout=subprocess.PIPE, text=True
             )

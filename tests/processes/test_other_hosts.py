@@ -20,9 +20,9 @@ from running import REPOSITORY, Heliarch, Start
 from slow_network import ADDRESSES, HOP_MS, slow_network
 from test_external import our_decisions
 from test_launch import decisions, summary_of
-from verifying import verified
 
-from studies.timing.report import report_on
+from recordings.verify.verification import verify
+from results.timing.report import report_on
 
 pytestmark = pytest.mark.processes
 
@@ -47,7 +47,7 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
     assert run.wait() == 0, run.error_text()
     assert other.wait() == 0, other.error_text()
     assert decisions(run.folder) == our_decisions(plant)
-    found = verified(run.folder)
+    found = verify(run.folder)
     assert found.equal
     assert not found.left_out
     summary = summary_of(run.folder)
@@ -114,7 +114,7 @@ def hosts() -> Iterator[tuple[str, str]]:
 
 def in_host(name: str, *words: str | Path) -> subprocess.Popen[bytes]:
     """Start a command in a namespace of the network."""
-    command = [sys.executable, "-m", "launch_scripts", *map(str, words)]
+    command = [sys.executable, "-m", "heliarch", *map(str, words)]
     later = ("unshare", "--time", "--monotonic", "1000000", "--fork", "--kill-child")
     clock = later if words[0] == "node" else ()
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
@@ -130,7 +130,7 @@ def test_hosts_with_keys_a_slow_network_and_another_clock(
     keys_there.mkdir()
     for path in (keys / "ca.pem", *keys.glob("c2.*")):
         shutil.copy(path, keys_there)
-    paced = ("--duration", "20", "--pace", "2", "--out", folder)
+    paced = ("--duration", "20", "--pace", "4", "--out", folder)
     secure = ("--secure", "--keys", keys, "--address", here, "--on", f"{there}=c2/*")
     with in_host(hosts[0], "launch", plant, *paced, *secure) as run:
         while not (folder / "plan.json").exists():
@@ -149,7 +149,7 @@ def test_hosts_with_keys_a_slow_network_and_another_clock(
     across = [row for row in report.times if row.measure == "hop" and row.of.endswith(" *")]
     assert {"residual *", "command *"} <= {row.of for row in across}
     assert all(row.times.p50_us / 1e3 > 0.9 * HOP_MS for row in across)
-    assert verified(folder).equal
+    assert verify(folder).equal
 
 
 # The command --------------------------------------------------------------------------------------

@@ -12,13 +12,14 @@ import time
 import msgspec
 import pytest
 from running import Heliarch, Start
-from verifying import findings, verified
+from verifying import first_differences
 
 from bus_schemas.signals import PRODUCTION
-from launch_scripts.commands.recover import LOSSY, recover
+from heliarch.cli.recover import LOSSY, recover
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.record.recorder import FLUSH_S
+from recordings.verify.verification import verify
 
 pytestmark = pytest.mark.processes
 
@@ -41,7 +42,7 @@ def kill_recorder(run: Heliarch) -> float:
     recorder.send_signal(signal.SIGKILL)
     assert run.wait() == 1
     out = run.folder / "recovered.mcap"
-    assert recover(run.folder, out, None) == LOSSY
+    assert recover(run.folder, out=out) == LOSSY
     last_ns = cycles = 0
     with RunReader(run.folder) as before, RunReader(out) as after:
         assert (before.whole, after.whole) == (False, True)
@@ -59,15 +60,15 @@ def kill_recorder(run: Heliarch) -> float:
 def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
     heliarch: Start, plant: str, pace: tuple[str, ...]
 ) -> None:
-    words = ("--duration", "10h", "--set", "restart.frozen_s=3", *pace)
+    words = ("--duration", "10h", "--set", "restart.frozen_s=1.5", *pace)
     run = heliarch("launch", plant, *words)
     run.until_recorded()
     run.process_of("recorder").send_signal(signal.SIGKILL)
     run.until((run.folder / "run-2.mcap").exists, "its next file")
-    run.until_recorded(run.recorded_cycles() + 10)
+    run.until_recorded(run.recorded_cycles() + 5)
     run.process_of("recorder").send_signal(signal.SIGSTOP)
     run.until((run.folder / "run-3.mcap").exists, "its third file")
-    run.until_recorded(run.recorded_cycles() + 10)
+    run.until_recorded(run.recorded_cycles() + 5)
     assert run.interrupt() == 1
     assert "messages were lost" in run.error_text()
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
@@ -82,8 +83,8 @@ def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
     assert recorded == sorted(set(recorded))
     assert summary["cycles"] == reader.stop_cycle > len(recorded)
     assert summary["cycles_per_s"] == pytest.approx(summary["cycles"] / summary["wall_s"])
-    found = verified(run.folder)
-    assert findings(found) == {}
+    found = verify(run.folder)
+    assert first_differences(found) == {}
     assert found.equal
     assert found.unrecorded_cycles == summary["cycles"] - len(recorded)
 
@@ -118,4 +119,4 @@ def test_a_full_disk_ends_the_recording_and_not_the_plant(heliarch: Start, plant
         assert not reader.whole
         assert 0 < recorded == sum(1 for _ in reader.messages())
     assert 0 < run.recorded_cycles() < 900
-    assert recover(run.folder, None, None) == LOSSY
+    assert recover(run.folder) == LOSSY

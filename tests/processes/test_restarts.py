@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 from running import Heliarch, Start, small_plant
 from test_launch import summary_of
-from verifying import assert_equal_as_far_as_recorded, verified
+from verifying import assert_equal_as_far_as_recorded
 
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
-from studies.timing.run_timing import run_timing
+from recordings.verify.verification import verify
+from results.timing.run_timing import run_timing
 
 pytestmark = pytest.mark.processes
 
@@ -51,7 +52,7 @@ def test_killed_controllers_are_started_again_and_the_run_goes_on(
         run.until_back(victim)
     ended(run)
     assert summary_of(run.folder).restarts == dict.fromkeys(VICTIMS, 1)
-    assert_equal_as_far_as_recorded(run, verified(run.folder))
+    assert_equal_as_far_as_recorded(run, verify(run.folder))
 
 
 # A standby ----------------------------------------------------------------------------------------
@@ -72,7 +73,7 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
     summary = summary_of(run.folder)
     assert summary.takeovers["central"] >= 2
     assert summary.restarts == {"central": 1, "central+standby": 1}
-    found = verified(run.folder)
+    found = verify(run.folder)
     assert_equal_as_far_as_recorded(run, found)
     with RunReader(run.folder) as reader:
         inspected = sum(one.inputs for one in read_overview(reader).health.misses)
@@ -121,4 +122,4 @@ def test_a_controller_that_is_busy_for_ever_is_killed_and_replaced(
     ended(run)
     assert re.search(r"c1 \(process \d+\) says nothing: killed", run.output.read_text())
     assert "signal 9" not in run.output.read_text()
-    assert_equal_as_far_as_recorded(run, verified(run.folder))
+    assert_equal_as_far_as_recorded(run, verify(run.folder))

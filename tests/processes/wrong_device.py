@@ -41,8 +41,8 @@ class WrongDevice(direct_controller.DirectController):
         super().publish(signal, **fields)
 
     def inputs(self, *signals: str) -> list[dict[str, Any] | None]:
-        if "silent" in FAULTS:
-            self.plan["hold_cycles"] = 1_000
+        if "expired" in FAULTS:
+            self.plan["control"]["hold_cycles"] = 1_000
         return super().inputs(*signals)
 
     def is_usable(self, signal: str, message: dict[str, Any]) -> bool:

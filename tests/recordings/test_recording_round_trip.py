@@ -33,7 +33,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 # Read by others -----------------------------------------------------------------------------------
 
 
-def test_anybodys_reader_and_anybodys_msgpack_find_the_same(written: Recording) -> None:
+def test_the_mcap_library_and_msgpack_read_the_same_messages(written: Recording) -> None:
     path, deliveries = written
     with path.open("rb") as file:
         reader = make_reader(file)
@@ -127,20 +127,19 @@ def test_a_file_that_was_cut_before_its_plan_holds_nothing(tmp_path: Path, conte
 
 
 @pytest.mark.parametrize(
-    ("attached", "named"),
-    [("", "plan.json"), ("scenario.toml", "plan.json"), ("plan.json", "run_id")],
+    ("attached", "version", "named"),
+    [
+        ("", SCHEMA_VERSION, "plan.json"),
+        ("scenario.toml", SCHEMA_VERSION, "plan.json"),
+        ("plan.json", SCHEMA_VERSION, "run_id"),
+        ("", None, "no recording"),
+        ("", "2", f"version 2, this Heliarch reads version {SCHEMA_VERSION}"),
+        ("", "99", f"version 99, this Heliarch reads version {SCHEMA_VERSION}"),
+    ],
+    ids=["no plan", "no plan beside a scenario", "no plan in it", "another project", "old", "new"],
 )
-def test_a_recording_without_its_plan_is_refused(tmp_path: Path, attached: str, named: str) -> None:
-    path = mcap_file(tmp_path / "run.mcap", *attached.split(), schema_version=SCHEMA_VERSION)
-    assert named in refused(path)
-
-
-def test_the_mcap_file_of_another_project_is_refused(tmp_path: Path) -> None:
-    assert "no recording" in refused(mcap_file(tmp_path / "robot.mcap"))
-
-
-@pytest.mark.parametrize("found", ["2", "99"])
-def test_a_recording_of_another_version_is_refused(tmp_path: Path, found: str) -> None:
-    message = refused(mcap_file(tmp_path / "run.mcap", schema_version=found))
-    assert found in message
-    assert SCHEMA_VERSION in message
+def test_an_mcap_file_that_is_no_recording_of_this_version_is_refused(
+    tmp_path: Path, attached: str, version: str | None, named: str
+) -> None:
+    metadata = {} if version is None else {"schema_version": version}
+    assert named in refused(mcap_file(tmp_path / "run.mcap", *attached.split(), **metadata))

@@ -30,7 +30,7 @@ def recovered(content: bytes, folder: Path) -> tuple[Path, Recovery]:
     cut, out = folder / "run.mcap", folder / "new.mcap"
     cut.write_bytes(content)
     out.unlink(missing_ok=True)
-    with RunReader(cut, skip_damaged=True) as run:
+    with RunReader(cut) as run:
         return out, recover_run(run, out)
 
 
@@ -98,32 +98,19 @@ def test_a_damaged_chunk_is_left_out_and_named(
 ) -> None:
     """Also the first one, which declares the channels, of a file that has lost its index."""
     path, written = recording
-    with RunReader(path, skip_damaged=True) as run:
+    with RunReader(path) as run:
         assert is_sound(run)
         place = run.outline.chunks[number]
     content = bytearray(path.read_bytes())
     content[place.offset + 400] ^= 0xFF
     out, recovery = recovered(bytes(content[: len(content) - cut_bytes]), tmp_path)
-    with RunReader(tmp_path / "run.mcap", skip_damaged=True) as run:
+    with RunReader(tmp_path / "run.mcap") as run:
         assert not is_sound(run)
     assert f"chunk at byte {place.offset:,}" in recovery.damage
     assert not recovery.lossless
     with open_run(out) as run:
         assert is_sound(run)
         assert list(run.messages()) == written[: 1000 * number] + written[1000 * (number + 1) :]
-
-
-def test_messages_that_may_be_missing_are_counted(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    write_run(
-        path,
-        whole_run(CYCLES),
-        is_kept=lambda pair: str(pair[0]) != "c1/impp" or pair[1].cycle not in {3, 4},
-    )
-    with open_run(path) as run:
-        recovery = recover_run(run, tmp_path / "new.mcap")
-    assert recovery.closed
-    assert (recovery.lost, recovery.lossless) == (2, False)
 
 
 def test_a_damaged_attachment_is_named_in_the_copy(recording: Recording, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from complaints import complaint_of
 
 from sim_plant.dc_current import read_currents
-from sim_plant.positions import east_north_m
+from sim_plant.sites import east_north_m
 from sim_plant.sources import MeasuredPlant
 
 CURRENTS = """\
@@ -68,14 +68,6 @@ def test_the_mean_of_the_combiners_is_the_inverters(read: Read) -> None:
     east_m, north_m = east_north_m(found.sites.lat_deg, found.sites.lon_deg)
     np.testing.assert_allclose(np.diff(east_m), 110.0 - 10.0)
     np.testing.assert_allclose(np.diff(north_m), 30.0 + 5.0)
-
-
-def test_fractions_of_a_second_keep_their_step(read: Read) -> None:
-    faster = CURRENTS
-    for second, text in [(30, "0.3"), (20, "0.2"), (10, "0.1")]:
-        faster = faster.replace(f"\n{second},", f"\n{text},")
-    expected = BEGINS + pd.to_timedelta([0, 100, 200, 300], unit="ms")
-    assert read(currents=faster).measured_times.equals(expected)
 
 
 # Gaps ---------------------------------------------------------------------------------------------

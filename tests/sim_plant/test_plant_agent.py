@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from complaints import complaint_of
-from plans_by_hand import CYCLE_NS, plan_of
+from plans_by_hand import CYCLE_NS, plan_of, with_changes
 
-from agents.loop import AgentLoop
+from agents.loop import Loop
 from agents.settings import InverterSettings, Revert
 from bus_schemas.messages import Command, Message, Production
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY, Port
@@ -33,12 +32,12 @@ class PlantAtWork:
     """The plant in its loop."""
 
     def __init__(self, profile: Profile = PROFILE, **changes: object) -> None:
-        plan = msgspec.structs.replace(PLAN, cycles=profile.cycles, **changes)
-        self.loop = AgentLoop(Plant(plan, profile), plan)
+        plan = with_changes(PLAN, cycles=profile.cycles, **changes)
+        self.loop = Loop(Plant(plan, profile), plan)
 
     def begin(self) -> Sent:
         self.loop.begin(0, 0)
-        return self._sent()
+        return self.sent()
 
     def command(self, *alphas: float, power_kw: tuple[float, ...] = (0.0, 0.0)) -> Sent:
         """Command inverters, in their order; return what the plant sends then."""
@@ -46,12 +45,12 @@ class PlantAtWork:
         for leaf, alpha, kw in zip(LEAVES, alphas, power_kw, strict=False):
             message = Command(cycle, cycle * CYCLE_NS, leaf, (), alpha=alpha, power_kw=kw)
             self.loop.hear(COMMAND.of(leaf), message, 0)
-        return self._sent()
+        return self.sent()
 
     def at_deadline(self) -> Sent:
-        return dict(self.loop.close_stage(0)) | self._sent()
+        return dict(self.loop.close_stage(0)) | self.sent()
 
-    def _sent(self) -> Sent:
+    def sent(self) -> Sent:
         found: Sent = {}
         while self.loop.is_complete:
             found.update(self.loop.close_stage(0))
@@ -187,7 +186,7 @@ def test_each_inverter_reverts_after_its_own_time_to_its_own_limit() -> None:
             for leaf in LEAVES:
                 message = Command(0, 0, leaf, (), alpha=0.5, power_kw=0.0, revert_kw=30.0)
                 plant.loop.hear(COMMAND.of(leaf), message, 0)
-            found.append(powers_kw(plant._sent()))
+            found.append(powers_kw(plant.sent()))
         else:
             found.append(powers_kw(plant.at_deadline()))
     assert [kw for kw, _ in found] == [50.0] * 2 + [20.0] * 5

@@ -126,15 +126,6 @@ def test_a_synthetic_signal_does_not_depend_on_where_the_run_begins() -> None:
     np.testing.assert_array_equal(day[::2], 500.0 * synthetic_regd(3).reshape(40, -1)[14_700 % 40])
 
 
-@pytest.mark.parametrize("text", ["6,1.01", "7,1"])
-def test_a_bad_line_is_located(path: Path, text: str) -> None:
-    write(path)
-    lines = path.read_text(encoding="utf-8").splitlines()
-    lines[4] = text
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    assert complaint(path).startswith("signal.csv: line 5")
-
-
 @pytest.mark.parametrize("header", ["t_s,regd,rega", "regd"])
 def test_a_header_other_than_two_names_is_refused(path: Path, header: str) -> None:
     row = ",".join(["0"] * (header.count(",") + 1))

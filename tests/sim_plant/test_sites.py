@@ -9,8 +9,7 @@ import pytest
 from complaints import complaint_of
 
 from bus_schemas.errors import InputError
-from sim_plant.positions import east_north_m, placed_on_the_equator
-from sim_plant.sites import inverter_name, read_sites
+from sim_plant.sites import east_north_m, inverter_name, placed_on_the_equator, read_sites
 
 
 @pytest.fixture

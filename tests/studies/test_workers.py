@@ -88,7 +88,7 @@ SIGNAL_AT_A_START = """
 import _thread, signal
 from multiprocessing import util
 from operator import neg
-from launch_scripts.commands.boundary import boundary
+from heliarch.cli.boundary import boundary
 from studies.workers import share_work
 
 spawn = util.spawnv_passfds

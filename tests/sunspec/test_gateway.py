@@ -11,20 +11,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
 pytest.importorskip("pymodbus")
 pytest.importorskip("sunspec2")
 
-from plans_by_hand import plan_of
+from plans_by_hand import plan_of, with_changes
 
 from agents.plan import RunPlan
 from agents.settings import Revert
 from bus_schemas.messages import Command
-from sim_plant.devices import Devices, Reading, parse_address
-from studies.report.tables import devices_tables
+from sim_plant.real_inverters import Reading
+from sunspec.addresses import parse_address
 from sunspec.gateway import Gateway
 from sunspec.limited_inverter import LimitedInverter, LimitSettings
+from sunspec.pipes import PlantPipes
 from sunspec.process import read_accounts
 from sunspec.server import Sky, served
 
@@ -36,15 +36,15 @@ def one_inverter(
 ) -> AbstractContextManager[dict[str, str]]:
     """Serve an inverter of 100 kW that could give 80 kW."""
     sky = Sky(np.array([[80.0]]), 1.0, None)
-    return served({"c1/a": kind(100.0, sky.possible_kw(0))}, sky, time.monotonic, port=port)
+    return served({"c1/a": kind(100.0, sky.available_kw(0))}, sky, time.monotonic, port=port)
 
 
 def with_device(address: str, revert: Revert | None = None) -> RunPlan:
-    return replace(PLAN, devices=(("c1/a", address),), revert=revert)
+    return with_changes(PLAN, devices=(("c1/a", address),), revert=revert)
 
 
 @contextmanager
-def gateway(plan: RunPlan, folder: Path) -> Iterator[tuple[Devices, list[str]]]:
+def gateway(plan: RunPlan, folder: Path) -> Iterator[tuple[PlantPipes, list[str]]]:
     """Run a gateway; yield the plant's end, and the list of the gateway's messages."""
     told: list[str] = []
     until, end = os.pipe()
@@ -53,7 +53,7 @@ def gateway(plan: RunPlan, folder: Path) -> Iterator[tuple[Devices, list[str]]]:
     thread.start()
     try:
         eventually(lambda: bool(told))
-        yield Devices(plan, folder), told
+        yield PlantPipes(plan, folder), told
     finally:
         os.close(end)
         thread.join()
@@ -67,9 +67,8 @@ def eventually(condition: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
-def newest(devices: Devices) -> Reading:
-    devices.read()
-    return devices.newest[0]
+def newest(devices: PlantPipes) -> Reading:
+    return devices.newest()[0]
 
 
 def command(cycle: int, kw: float) -> Command:
@@ -100,7 +99,7 @@ def test_readings_and_commands_pass_and_are_measured(tmp_path: Path) -> None:
 def test_a_limit_is_renewed_only_as_long_as_it_is_commanded(tmp_path: Path) -> None:
     plan = with_device("", Revert(after_s=1.0, to="release"))
     with one_inverter() as addresses:
-        plan = replace(plan, devices=(("c1/a", addresses["c1/a"]),))
+        plan = with_changes(plan, devices=(("c1/a", addresses["c1/a"]),))
         with gateway(plan, tmp_path) as (devices, _):
             until = time.monotonic() + 1.5
             cycle = 0
@@ -123,9 +122,9 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
         devices.command(0, command(0, 30.0))
         eventually(lambda: newest(devices).power_kw == 30.0)
     eventually(lambda: any(told))
-    eventually(lambda: devices.silent(1) == {0})
+    eventually(lambda: devices.expired(1) == {0})
     with one_inverter(port):  # It comes back without its limit.
-        eventually(lambda: newest(devices).power_kw == 80.0 and not devices.silent(1))
+        eventually(lambda: newest(devices).power_kw == 80.0 and not devices.expired(1))
         devices.command(0, command(1, 30.0))
         eventually(lambda: newest(devices).power_kw == 30.0)
         running.__exit__(None, None, None)
@@ -133,27 +132,16 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
     assert (account.breaks, account.gone_s) == (1, None)
 
 
-def test_an_inverter_that_never_comes_back_is_gone_at_the_end(tmp_path: Path) -> None:
-    with one_inverter() as addresses:
-        running = gateway(with_device(addresses["c1/a"]), tmp_path)
-        running.__enter__()
-    eventually(lambda: any(account.gone_s for account in read_accounts(tmp_path)))
-    running.__exit__(None, None, None)
-    (account,) = read_accounts(tmp_path)
-    (table,) = devices_tables([account])
-    assert table.rows[0][-2:] == (1, account.gone_s)
-
-
 class Busy(LimitedInverter):
     """It fails at the first limit."""
 
-    was_told = False
+    was_limited = False
 
-    def told(self, settings: LimitSettings, at: float, *, renews: bool = True) -> None:
-        self.was_told, first = True, not self.was_told
+    def apply(self, settings: LimitSettings, at: float, *, renews: bool = True) -> None:
+        self.was_limited, first = True, not self.was_limited
         if first:
             raise RuntimeError
-        super().told(settings, at, renews=renews)
+        super().apply(settings, at, renews=renews)
 
 
 def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path: Path) -> None:

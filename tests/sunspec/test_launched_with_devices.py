@@ -18,7 +18,7 @@ from running import REPOSITORY, Start, small_plant
 
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
-from sim_plant.devices import parse_address
+from sunspec.addresses import parse_address
 from sunspec.process import read_accounts
 
 pytest.importorskip("pymodbus")
@@ -39,7 +39,7 @@ def scenario(tmp_path: Path) -> str:
 @contextmanager
 def inverters(scenario: str, port: str = "0") -> Iterator[list[str]]:
     """Serve a scenario's inverters; gives the options of `launch` that say where they are."""
-    words = [sys.executable, "-m", "launch_scripts", "inverters", scenario, "--port", port]
+    words = [sys.executable, "-m", "heliarch", "inverters", scenario, "--port", port]
     with subprocess.Popen(
         [*words, "--wait"], stdout=subprocess.PIPE, text=True, cwd=REPOSITORY
     ) as process:
@@ -64,7 +64,7 @@ def test_energies_are_those_of_simulated_inverters(
     plain, real = heliarch(*span), heliarch(*span, *served_inverters)
     assert (plain.wait(), real.wait()) == (0, 0), real.error_text()
     expected, found = (_summary(run.folder) for run in (plain, real))
-    for energy in ("desired_kwh", "possible_kwh", "delivered_kwh"):
+    for energy in ("dispatched_kwh", "available_kwh", "delivered_kwh"):
         assert found["metrics"]["commitment"][energy] == pytest.approx(
             expected["metrics"]["commitment"][energy], rel=0.1
         )
@@ -99,7 +99,7 @@ def test_the_health_names_a_device_that_was_gone_for_a_while(
         health = read_overview(reader).health
     (absence,) = [found for found in health.absences if found.agent == "device c1/inv01"]
     assert absence.back_in is not None
-    assert health.devices[0].breaks
+    assert read_accounts(run.folder)[0].breaks
     assert "device c1/inv01: nothing in cycles" in " ".join(run.output.read_text().split())
 
 

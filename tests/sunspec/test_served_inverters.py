@@ -18,7 +18,7 @@ from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Device
 from sunspec2.modbus.modbus import ModbusClientException
 
 from bus_schemas.errors import InputError
-from sim_plant.devices import parse_address
+from sunspec.addresses import parse_address
 from sunspec.limited_inverter import LimitedInverter
 from sunspec.server import Sky, served
 
@@ -43,7 +43,7 @@ class Site:
     ) -> dict[str, str]:
         sky = Sky(SKY_KW, CYCLE_S, None if waits else self.seconds())
         inverters = {
-            name: LimitedInverter(RATING_KW, sky.possible_kw(place), delay_s, ramp)
+            name: LimitedInverter(RATING_KW, sky.available_kw(place), delay_s, ramp)
             for place, name in enumerate(("c1/a", "c1/b"))
         }
         serving = served(inverters, sky, self.seconds, **where)
@@ -108,15 +108,6 @@ def test_a_limit_acts_after_its_delay_along_its_ramp_and_reverts(site: Site, lim
     assert watts(device) == 80_000
 
 
-def test_a_limit_that_is_renewed_does_not_revert(site: Site) -> None:
-    site.serve()
-    device = site.client()
-    for _ in range(3):
-        limit_123(device, 50.0, 60)
-        site.clock.sleep(40.0)
-        assert watts(device) == 50_000
-
-
 def test_model_704_reverts_to_the_limit_it_was_told(site: Site) -> None:
     site.serve()
     device = site.client()
@@ -132,18 +123,6 @@ def test_model_704_reverts_to_the_limit_it_was_told(site: Site) -> None:
     assert model.WMaxLimPctRvrtRem.value == 20
     site.clock.sleep(25.0)
     assert watts(device) == 20_000
-
-
-def test_a_limited_inverter_says_what_it_could_give_and_what_throttles_it(site: Site) -> None:
-    site.serve()
-    device = site.client()
-    der, status, measured = (device.models[number][0] for number in (701, 122, 103))
-    assert (der.ThrotPct.value, der.ThrotSrc.value, measured.St.value) == (0, 0, 4)
-    limit_704(device, 50.0, 0)
-    for model in (der, status, measured):
-        model.read()
-    assert (der.ThrotPct.value, der.ThrotSrc.value, measured.St.value) == (30, 1, 5)
-    assert status.WAval.cvalue == 80_000
 
 
 def test_a_limit_in_watts_holds_beside_one_in_per_cent(site: Site) -> None:

@@ -43,7 +43,7 @@ def serve(clock: ClockByHand) -> Iterator[Serve]:
             }
 
         sky = Sky(np.array([[80.0]]), 1.0, None)
-        inverters = {"c1/a": LimitedInverter(100.0, sky.possible_kw(0))}
+        inverters = {"c1/a": LimitedInverter(100.0, sky.available_kw(0))}
         context = served(inverters, sky, lambda: clock() / 1e9, points=points)
         contexts.append(context)
         return SunSpecInverter(context.__enter__()["c1/a"]), sky
@@ -86,20 +86,19 @@ def test_connecting_and_reading_leaves_a_limit_alone(serve: Serve, models: Seque
 
 
 @pytest.mark.parametrize(
-    ("models", "missing"),
-    [((103, 121), "704 or 123"), ((704, 702), "701 or 103"), ((103, 123), "702")],
+    ("models", "without", "named"),
+    [
+        ((103, 121), (), "704 or 123"),
+        ((704, 702), (), "701 or 103"),
+        ((103, 123), (), "702"),
+        (OLD, ("WMaxLimPct",), "WMaxLimPct in SunSpec model 123"),
+    ],
 )
-def test_a_model_that_is_missing_is_named(
-    serve: Serve, models: Sequence[int], missing: str
+def test_a_model_or_point_that_is_missing_is_named(
+    serve: Serve, models: Sequence[int], without: Sequence[str], named: str
 ) -> None:
-    inverter, _ = serve(models)
-    with pytest.raises(DeviceError, match=missing):
-        inverter.connect()
-
-
-def test_a_point_that_is_missing_is_named(serve: Serve) -> None:
-    inverter, _ = serve(OLD, ["WMaxLimPct"])
-    with pytest.raises(DeviceError, match="WMaxLimPct in SunSpec model 123"):
+    inverter, _ = serve(models, without)
+    with pytest.raises(DeviceError, match=named):
         inverter.connect()
 
 

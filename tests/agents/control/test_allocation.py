@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agents.control import allocation
-from agents.control.neighbours import HelpOrder, help_order
+from agents.control.allocation import help_order
 
 FOUR = (100.0, 100.0, 100.0, 100.0)
 IN_ORDER = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
@@ -25,7 +25,7 @@ def allocate(
     target_kw: float,
     ratings_kw: tuple[float, ...],
     impp_kw: tuple[float, ...],
-    order: HelpOrder,
+    order: tuple[tuple[int, ...], ...],
     *,
     alpha_min: float = 0.0,
     tops_up: bool = False,

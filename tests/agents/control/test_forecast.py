@@ -18,7 +18,7 @@ from agents.control.forecast import (
     TREND_TIME_S,
     forecast_impp,
 )
-from agents.control.impp import NOTHING_KNOWN, Estimate
+from agents.control.impp import FIRST_METER_ERROR, NOTHING_KNOWN, Estimate
 
 RATING_KW = 100.0
 CYCLES_S = (0.1, 1.0, 10.0)
@@ -140,36 +140,31 @@ def test_whatever_is_measured_the_forecast_lies_between_zero_and_the_rating(
 # Time ---------------------------------------------------------------------------------------------
 
 
-def test_a_hidden_maximum_grows_alike_whatever_the_cycle() -> None:
-    found = []
-    for cycle_s in CYCLES_S:
-        estimate = measured(40.0, cycle_s=cycle_s)
-        for _ in range(round(30.0 / cycle_s)):
-            estimate = forecast(20.0, 20.0, estimate, cycle_s=cycle_s)
-        found.append(estimate.power_kw)
-    # 30 s at 1 % a second; what compound interest makes of longer steps is a small difference.
-    assert found == pytest.approx([40.0 * 1.01**30] * 3, rel=0.02)
-
-
-def test_a_forecast_error_is_forgotten_alike_whatever_the_cycle() -> None:
-    found = []
-    for cycle_s in CYCLES_S:
-        wrong = measured(40.0, 60.0, 60.0, 60.0, cycle_s=cycle_s)
-        later = wrong
-        for _ in range(round(2.0 * ERROR_MEMORY_S / cycle_s)):
-            later = forecast(60.0, RATING_KW, later, cycle_s=cycle_s)
-        found.append(later.spread_kw / wrong.spread_kw)
-    assert found == pytest.approx([math.exp(-2.0)] * 3, rel=0.5)
-
-
-def test_a_meters_error_is_learned_alike_whatever_the_cycle() -> None:
-    found = []
-    for cycle_s in CYCLES_S:
-        estimate = measured(80.0, cycle_s=cycle_s)
-        for _ in range(round(900.0 / cycle_s)):
-            estimate = forecast(40.0 * 1.02, 40.0, estimate, cycle_s=cycle_s)
-        found.append(estimate.meter_error)
-    assert found == pytest.approx([0.02] * 3, rel=0.1)
+@pytest.mark.parametrize("cycle_s", CYCLES_S)
+@pytest.mark.parametrize(
+    ("maxima_kw", "power_kw", "limit_kw", "seconds", "field", "change", "tolerance"),
+    [
+        # 30 s at 1 % a second; what compound interest makes of longer steps is little.
+        ((40.0,), 20.0, 20.0, 30.0, "power_kw", 1.01**30, 0.02),
+        ((40.0, *[60.0] * 3), 60.0, RATING_KW, 2 * ERROR_MEMORY_S, "spread_kw", math.exp(-2), 0.5),
+        ((80.0,), 40.8, 40.0, 900.0, "meter_error", 0.02 / FIRST_METER_ERROR, 0.1),
+    ],
+    ids=["a hidden maximum grows", "a forecast error is forgotten", "a meter's error is learned"],
+)
+def test_what_time_does_is_alike_whatever_the_cycle(
+    maxima_kw: tuple[float, ...],
+    power_kw: float,
+    limit_kw: float,
+    seconds: float,
+    field: str,
+    change: float,
+    tolerance: float,
+    cycle_s: float,
+) -> None:
+    before = later = measured(*maxima_kw, cycle_s=cycle_s)
+    for _ in range(round(seconds / cycle_s)):
+        later = forecast(power_kw, limit_kw, later, cycle_s=cycle_s)
+    assert getattr(later, field) / getattr(before, field) == pytest.approx(change, rel=tolerance)
 
 
 def test_a_steady_rise_is_expected_to_go_on_alike_whatever_the_cycle() -> None:

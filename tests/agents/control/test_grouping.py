@@ -10,7 +10,7 @@ REFERENCE = np.array([True, False, False])
 
 
 @pytest.mark.parametrize(
-    ("reference_kw", "desired_kw", "control_kw", "level"),
+    ("reference_kw", "dispatch_kw", "control_kw", "level"),
     [
         # The others could give 3 x 80 = 240 kW; 120 kW are wanted of them, 2 : 1.
         (80.0, 200.0, 120.0, 0.5),
@@ -20,9 +20,9 @@ REFERENCE = np.array([True, False, False])
     ],
 )
 def test_the_control_group_shares_what_the_reference_group_leaves(
-    reference_kw: float, desired_kw: float, control_kw: float, level: float
+    reference_kw: float, dispatch_kw: float, control_kw: float, level: float
 ) -> None:
-    seen = np.array([reference_kw]), np.array([desired_kw])
+    seen = np.array([reference_kw]), np.array([dispatch_kw])
     limits_kw = grouping_limits_kw(*seen, RATING_KW, REFERENCE)
     assert limits_kw[0] == pytest.approx([np.inf, control_kw * 2 / 3, control_kw / 3])
     levels = grouping_levels(*seen, RATING_KW, REFERENCE)

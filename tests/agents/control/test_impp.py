@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from agents.control.curtailment import curtailment_level
-from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
+from agents.control.impp import Estimate, curtailment_level, estimate_impp
 
 RATING_KW = 100.0
 LAST = Estimate(power_kw=72.0, stale_cycles=2)
@@ -74,6 +73,8 @@ def test_a_curtailed_inverter_is_believed_what_it_states(
         (30.0, 50.0, 0.6),  # 30 / 50
         (50.0, 50.0, 1.0),
         (4.0, 50.0, 0.08),  # 4 / 50, above alpha_min
+        (2.499, 50.0, 0.05),  # 2.5 kW are the least, so that the IMPP can be measured
+        (0.0, 50.0, 0.05),
         (49.9999995, 50.0, pytest.approx(1.0 - 1e-8, abs=1e-12)),  # more than rounding
         (0.0, 0.0, 1.0),  # without power it is let free
         (10.0, 0.0, 1.0),
@@ -82,14 +83,6 @@ def test_a_curtailed_inverter_is_believed_what_it_states(
 )
 def test_equation_6_is_setpoint_over_impp(setpoint_kw: float, impp_kw: float, alpha: float) -> None:
     assert curtailment_level(setpoint_kw, impp_kw, alpha_min=0.05) == alpha
-
-
-@pytest.mark.parametrize("setpoint_kw", [0.0, 1.0, 2.499])
-def test_alpha_stays_at_its_minimum_so_that_the_impp_can_be_measured(setpoint_kw: float) -> None:
-    # 0.05 x 50 kW = 2.5 kW is the least that is commanded.
-    alpha = curtailment_level(setpoint_kw, 50.0, alpha_min=0.05)
-    assert alpha == 0.05
-    assert estimate_impp(alpha * 50.0, alpha, math.nan, 100.0, NOTHING_KNOWN).power_kw == 50.0
 
 
 @pytest.mark.parametrize("share", [1.0 - 1e-15, 1.0 - 0.99e-9, 1.0 + 1e-15])

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Final
 
 import recordings_by_hand
-from msgspec.structs import asdict, replace
+from msgspec.structs import asdict
+from plans_by_hand import with_changes
 from recordings_by_hand import numbered, whole_run, write_messages
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import HelpGiven, Notice, Production, Setpoint, Telemetry
 from bus_schemas.signals import IMPP, NOTICE
 
-PLAN: Final = replace(
+PLAN: Final = with_changes(
     recordings_by_hand.PLAN, cycles=4, cycle_ns=500_000_000, cycle_wall_ns=500_000_000
 )
 
@@ -41,8 +42,8 @@ def written(path: Path) -> list[Delivery]:
 def _said() -> Iterator[Delivery]:
     """A run in which no number is an easy one."""
     numbers, odd = cycle(HARD), cycle((nan, inf, -inf, 7.5))
-    for port, message in whole_run(PLAN.cycles):
-        message.sim_time_ns = PLAN.sim_time_ns(message.cycle)
+    for port, message in whole_run(PLAN.timing.cycles):
+        message.sim_time_ns = PLAN.timing.sim_time_ns(message.cycle)
         for field, value in asdict(message).items():
             if isinstance(value, float):
                 setattr(message, field, next(numbers))
@@ -56,5 +57,5 @@ def _said() -> Iterator[Delivery]:
         if port is IMPP.of("c1") and message.cycle:
             message.missing = ("c1/b/impp@0", "c1/b/residual")
         yield port, message
-    notice = Notice(1, PLAN.sim_time_ns(1), "c2", (), text=QUOTED, count=2**53 + 1)
+    notice = Notice(1, PLAN.timing.sim_time_ns(1), "c2", (), text=QUOTED, count=2**53 + 1)
     yield NOTICE.of("c2"), notice

@@ -12,14 +12,14 @@ import msgspec
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from plans_by_hand import with_changes
 from recording_by_hand import PLAN, RECORDER_LAG_NS, written
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
-from bus_schemas.messages import HelpGiven, Message, Production
-from bus_schemas.missing import Missing
+from bus_schemas.messages import HelpGiven, Message, Missing, Production
 from bus_schemas.signals import PRODUCTION, SIGNALS
 from bus_schemas.tree import ROOT, agent_name
 from recordings.export.tables import TableFolder, TableForm
@@ -27,6 +27,8 @@ from recordings.read.reader import RecordedMessage, RunReader
 from recordings.record.writer import ClockAnchor
 
 RECORDED = tuple(signal for signal in SIGNALS if signal.logged)
+BATCH_ROWS = 5
+
 FORMS = pytest.mark.parametrize("form", ["parquet", "csv"])
 
 Frames = dict[str, list[dict[str, Any]]]
@@ -44,12 +46,10 @@ def said(tmp_path: Path) -> list[Delivery]:
     return written(tmp_path / "run.mcap")
 
 
-def write_tables(
-    run: Path, folder: Path, form: TableForm, plan: RunPlan = PLAN, batch_rows: int = 1000
-) -> dict[str, int]:
+def write_tables(run: Path, folder: Path, form: TableForm, plan: RunPlan = PLAN) -> dict[str, int]:
     with RunReader(run) as reader:
         anchor = ClockAnchor.of(reader.metadata, reader.path)
-        with TableFolder(folder, plan, RECORDED, anchor, form, batch_rows) as tables:
+        with TableFolder(folder, plan, RECORDED, anchor, form, BATCH_ROWS) as tables:
             for record in reader.records():
                 tables.add(record, record.message())
     return {name: file.rows for name, file in tables.files.items()}
@@ -104,17 +104,10 @@ def test_every_message_can_be_put_together_again_from_the_tables(
         for port, message in said
     }
     assert found == expected
-
-
-def test_parquet_keeps_the_time_zone_and_the_batches(said: list[Delivery], tmp_path: Path) -> None:
-    rows = write_tables(tmp_path / "run.mcap", tmp_path / "tables", "parquet", batch_rows=5)
-    file = pq.ParquetFile(tmp_path / "tables" / "impp.parquet")
-    time = file.schema_arrow.field("time").type
-    assert (time.unit, time.tz) == ("ns", "Pacific/Honolulu")
-    groups = [file.metadata.row_group(place).num_rows for place in range(file.num_row_groups)]
-    assert max(groups) <= 5
-    assert sum(groups) == rows["impp"] == PLAN.cycles * len(PLAN.tree.nodes)
-    assert said
+    if form == "parquet":
+        file = pq.ParquetFile(tmp_path / "tables" / "impp.parquet")
+        assert file.schema_arrow.field("time").type.tz == "Pacific/Honolulu"
+        assert file.metadata.row_group(0).num_rows == BATCH_ROWS
 
 
 @pytest.mark.usefixtures("said")
@@ -126,7 +119,7 @@ def test_parquet_keeps_the_time_zone_and_the_batches(said: list[Delivery], tmp_p
     ],
 )
 def test_csv_has_local_times(tmp_path: Path, timezone: str, first: str) -> None:
-    plan = msgspec.structs.replace(PLAN, timezone=timezone)
+    plan = with_changes(PLAN, timezone=timezone)
     write_tables(tmp_path / "run.mcap", tmp_path / "csv", "csv", plan)
     lines = (tmp_path / "csv" / "dispatch.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith('"time","cycle","node","power_kw"')

@@ -14,15 +14,8 @@ from bus_schemas.messages import Notice
 from bus_schemas.signals import IMPP, NOTICE, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings import open_run
-from recordings.inspect.timeline import (
-    HelpLine,
-    NodeCycle,
-    heading,
-    node_columns,
-    plant_lines,
-    row_text,
-    timeline,
-)
+from recordings.inspect.timeline import NodeCycle, timeline
+from results.timeline_tables import node_table, plant_table
 
 
 def rows_of(path: Path, node: str, cycles: range) -> list[NodeCycle]:
@@ -43,44 +36,51 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_who_lacks_power_asks_for_help_and_is_told_who_gives_it(recording: Path) -> None:
     (row,) = rows_of(recording, "c1/a", range(10, 11))
-    assert row == NodeCycle(
-        10,
-        "12:00:10",
-        "c1/a",
-        power_kw=53.0,
-        impp_kw=40.0,
-        request_kw=60.0,
-        residual_kw=-20.0,
-        help_asked_kw=20.0,
-        help_from=[HelpLine("c1/b", 20.0)],
-        setpoint_kw=40.0,
-        alpha=0.8,
-    )
+    assert row.document() == {
+        "cycle": 10,
+        "time": "12:00:10",
+        "node": "c1/a",
+        "power_kw": 53.0,
+        "impp_kw": 40.0,
+        "stale_cycles": 0,
+        "share_kw": 60.0,
+        "residual_kw": -20.0,
+        "help_asked_kw": 20.0,
+        "help_from": [{"node": "c1/b", "power_kw": 20.0}],
+        "setpoint_kw": 40.0,
+        "alpha": 0.8,
+    }
 
 
 def test_a_supervisor_knows_who_is_in_need_and_what_it_moved(recording: Path) -> None:
     acting, between = rows_of(recording, "c1", range(10, 12))
     assert (acting.needy, acting.moved_kw) == (["c1/a"], 20.0)
-    assert (acting.request_kw, acting.setpoint_kw) == (120.0, 120.0)
-    assert (between.request_kw, between.setpoint_kw) == (120.0, None), "not its parent's turn"
+    assert acting.values["share_kw"] == acting.values["setpoint_kw"] == 120.0
+    assert between.values["share_kw"] == 120.0
+    assert "setpoint_kw" not in between.values, "it is not its parent's turn"
     assert between.moved_kw == 20.0
 
 
-def test_the_central_controller_has_the_operators_word_and_what_came_of_it(recording: Path) -> None:
+def test_the_central_controller_has_the_dispatch_and_the_plant_s_production(
+    recording: Path,
+) -> None:
     (row,) = rows_of(recording, ROOT, range(10, 11))
-    assert (row.node, row.dispatch_kw, row.commitment_kw) == ("central", 240.0, 230.0)
-    assert row.request_kw == 240.0
-    assert (row.possible_kw, row.delivered_kw, row.needy) == (280.0, 239.0, [])
+    assert (row.node, row.needy) == ("central", [])
+    expected_kw = {"dispatch": 240.0, "commitment": 230.0, "share": 240.0, "available": 280.0}
+    expected_kw |= {"delivered": 239.0}
+    assert {name: row.values[f"{name}_kw"] for name in expected_kw} == expected_kw
 
 
 def test_messages_out_of_the_order_of_cycles_are_told_in_it(tmp_path: Path) -> None:
     order = [1, 0, 3, 2, 4]
     path = written(tmp_path, (pair for cycle in order for pair in cycle_of_the_plant(cycle)))
     rows = rows_of(path, "c1/a", range(5))
-    assert [(row.cycle, row.power_kw) for row in rows] == [(n, 50.0 + n) for n in range(5)]
+    assert [(row.cycle, row.values["power_kw"]) for row in rows] == [
+        (n, 50.0 + n) for n in range(5)
+    ]
 
 
-def test_what_a_node_had_to_do_without_and_said_in_words_is_rows_of(tmp_path: Path) -> None:
+def test_missing_inputs_and_notices_of_a_node_are_in_its_row(tmp_path: Path) -> None:
     def deaf(pair: Delivery) -> Delivery:
         port, message = pair
         if port.signal is IMPP and port.node == "c1/a":
@@ -90,42 +90,25 @@ def test_what_a_node_had_to_do_without_and_said_in_words_is_rows_of(tmp_path: Pa
     deliveries = [
         deaf(pair) for pair in cycle_of_the_plant(0) if pair[0] is not TELEMETRY.of("c1/a")
     ]
-    notice = Notice(0, PLAN.sim_time_ns(0), "c1/a", (), text="no usable measurement", count=1)
+    notice = Notice(
+        0, PLAN.timing.sim_time_ns(0), "c1/a", (), text="no usable measurement", count=1
+    )
     path = written(tmp_path, [*deliveries, (NOTICE.of("c1/a"), notice)])
     (row,) = rows_of(path, "c1/a", range(1))
-    assert (row.power_kw, row.stale_cycles) == (None, 2)
+    assert "power_kw" not in row.values
+    assert row.values["stale_cycles"] == 2
     assert (row.missing, row.notices) == (["c1/a/telemetry"], ["no usable measurement"])
-    line = " ".join(row_text(node_columns(PLAN.tree, "c1/a", 8), row).split())
-    assert line.startswith("0 12:00:00 - 40.00 60.00 -20.00 20.00 40.00 0.8000 from b 20.00;")
+    (cells,) = node_table(PLAN.tree, "c1/a", [row]).texts()
+    assert cells[:4] == ("0", "12:00:00", "-", "40.0")
+    assert cells[-1].startswith("from b 20.0; stale for 2;")
 
 
-# As text ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("node", ["c1/a", "c1/b", "c1", ROOT])
-def test_columns_keep_their_places(recording: Path, node: str) -> None:
-    columns = node_columns(PLAN.tree, node, 12)
-    names = heading(columns)
-    for row in rows_of(recording, node, range(20)):
-        line = row_text(columns, row)
-        for name, value in (("IMPP", row.impp_kw), ("residual", row.residual_kw)):
-            end = names.index(name) + len(name)
-            assert line[:end].split()[-1] == f"{value:.2f}"
+# As tables ----------------------------------------------------------------------------------------
 
 
 def test_the_plant_in_one_cycle_is_a_tree_of_all_its_nodes(recording: Path) -> None:
     with open_run(recording) as run:
         (rows,) = timeline(run, PLAN.tree.nodes, range(10, 11))
-    lines = list(plant_lines(PLAN.tree, rows))[1:]
-    assert [line[:6].rstrip() for line in lines] == [
-        "centra",
-        "├─ c1",
-        "│  ├─",
-        "│  └─",
-        "└─ c2",
-        "   ├─",
-        "   └─",
-    ]
-    assert "from b 20.00" in lines[2]
-    assert "for a 20.00" in lines[3]
-    assert "need: a" in lines[1]
+    names, *_, remarks = zip(*plant_table(PLAN.tree, "", rows).texts(), strict=True)
+    assert names == ("central", "├─ c1", "│  ├─ a", "│  └─ b", "└─ c2", "   ├─ c", "   └─ d")
+    assert remarks[1:4] == ("need: a", "from b 20.0", "for a 20.0")

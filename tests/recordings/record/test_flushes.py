@@ -1,22 +1,26 @@
-"""When the recorder hands on what it has heard, and whom it calls silent."""
+"""When the recorder hands on what it has heard, and whom it calls unresponsive."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import cycle, pairwise
 from pathlib import Path
-from unittest.mock import Mock, patch
+from typing import cast
 
 import pytest
+from buses_by_hand import LinkByHand, SubscriberByHand
 from clock_by_hand import ClockByHand
 from msgspec.structs import replace
-from plans_by_hand import REAL_TIME
+from plans_by_hand import REAL_TIME, with_changes
 from recordings_by_hand import PLAN, SCENARIO, whole_run
 
-from agents.events import Event, Status
 from agents.plan import RunPlan
+from agents.process.events import Event, Status
+from agents.process.launcher_link import LauncherLink
 from bus_schemas.codec import encode
-from recordings.record.recorder import FLUSH_S, Recorder, longest_pause_s
+from bus_schemas.zenoh_session import RunSubscriber
+from recordings.record.monitor import longest_pause_s
+from recordings.record.recorder import FLUSH_S, Recorder
 from recordings.record.writer import RunWriter
 
 MESSAGE_S = 20e-6
@@ -24,16 +28,28 @@ MESSAGE_S = 20e-6
 
 LASTS_S = 3.0
 
-IN_REAL_TIME = replace(PLAN, cycle_wall_ns=REAL_TIME)
+IN_REAL_TIME = with_changes(PLAN, cycle_wall_ns=REAL_TIME)
+
+
+def record(
+    clock: ClockByHand,
+    subscriber: SubscriberByHand,
+    writer: RunWriter,
+    link: LinkByHand,
+    plan: RunPlan = PLAN,
+) -> list[Event]:
+    """Record what comes, at the time of a clock by hand. Returns what the launcher is told."""
+    of_run = cast("RunSubscriber", subscriber), writer, cast("LauncherLink", link)
+    Recorder(plan, *of_run, now_ns=clock, sleep=clock.sleep).run()
+    return link.told
 
 
 @pytest.mark.parametrize("bursts_s", [0.0, 0.1])
 def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
-    clock = ClockByHand()
+    clock, link = ClockByHand(), LinkByHand()
     began_ns = clock.now_ns
     ends_ns, bursts_ns = began_ns + round(LASTS_S * 1e9), round(bursts_s * 1e9)
     said = cycle((PLAN.wiring.key(port), encode(message)) for port, message in whole_run(5))
-    link = Mock(expected_messages=lambda: None, by_hand=False, dismissed=False)
 
     def drain() -> Iterator[tuple[str, bytes]]:
         """There is always one more message, or bursts of them, until the recording is to end."""
@@ -52,7 +68,7 @@ def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
             super().flush()
 
     writer = NotedWriter(tmp_path / "run.mcap", PLAN, SCENARIO, "launch")
-    record(clock, drain, writer, link)
+    record(clock, SubscriberByHand(drain), writer, link)
     # What it takes in at once, 2000 messages, is all that can come between.
     longest_s = FLUSH_S + 2000 * MESSAGE_S
     gaps_s = [later - earlier for earlier, later in pairwise([0.0, *flushed_s, LASTS_S])]
@@ -61,12 +77,13 @@ def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
     assert min(gaps_s[1:-1]) >= FLUSH_S - 0.01
 
 
-def test_who_answered_the_arming_round_is_not_silent_when_cycle_0_begins(tmp_path: Path) -> None:
+def test_who_answered_the_arming_round_is_not_unresponsive_when_cycle_0_begins(
+    tmp_path: Path,
+) -> None:
     """With 1,000 inverters the recorder is up half a minute before the last of them has joined."""
-    clock = ClockByHand()
+    clock, link = ClockByHand(), LinkByHand()
     joined_ns = clock.now_ns + round(10.0 * longest_pause_s(IN_REAL_TIME) * 1e9)
     ends_ns = joined_ns + round(0.5 * longest_pause_s(IN_REAL_TIME) * 1e9)
-    link = Mock(expected_messages=lambda: None, by_hand=False, dismissed=False)
     coming = [
         (PLAN.wiring.key(port), encode(replace(message, cycle=-1)))
         for port, message in whole_run(1)
@@ -81,25 +98,8 @@ def test_who_answered_the_arming_round_is_not_silent_when_cycle_0_begins(tmp_pat
             link.dismissed = True
 
     writer = RunWriter(tmp_path / "run.mcap", IN_REAL_TIME, SCENARIO, "launch")
-    said = record(clock, drain, writer, link, IN_REAL_TIME)
-    silent = [event.silent for event in said if isinstance(event, Status)]
-    assert silent[0] == []
-    assert PLAN.tree.leaves[0] in max(silent, key=len), "before it answers it is silent"
-    assert silent[-1] == []
-
-
-def record(
-    clock: ClockByHand,
-    drain: Callable[[], Iterator[tuple[str, bytes]]],
-    writer: RunWriter,
-    link: Mock,
-    plan: RunPlan = PLAN,
-) -> list[Event]:
-    """Record what comes, at the time of a clock by hand. Returns what the launcher is told."""
-    said: list[Event] = []
-    tap = Mock(drain=drain)
-    link.tell = said.append
-    time = Mock(monotonic=lambda: clock.now_ns / 1e9, monotonic_ns=clock, sleep=clock.sleep)
-    with patch("recordings.record.recorder.time", time):
-        Recorder(plan, tap, writer, link, lambda count, text: None).run()
-    return said
+    told = record(clock, SubscriberByHand(drain), writer, link, IN_REAL_TIME)
+    unresponsive = [event.unresponsive for event in told if isinstance(event, Status)]
+    assert unresponsive[0] == []
+    assert PLAN.tree.leaves[0] in max(unresponsive, key=len), "before it answers it is unresponsive"
+    assert unresponsive[-1] == []

@@ -6,17 +6,18 @@ from math import inf, nan
 
 import pytest
 from msgspec.structs import replace
+from plans_by_hand import with_changes
 from recorded_runs import published
 
 from bus_schemas.signals import RUN
 from bus_schemas.tree import ROOT
-from launch_scripts.scenarios.preparation import RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario
-from recordings.record.plausibility import absurdity
+from recordings.record.plausibility import out_of_range
+from scenarios.preparation import RunOptions, prepare
+from scenarios.scenario import load_scenario
 
 PREPARED = prepare(load_scenario("oahu"), RunOptions(duration="20"), "plausible")
 PLAN = PREPARED.plan
-REAL_TIME = replace(PLAN, cycle_wall_ns=1_000_000_000)
+REAL_TIME = with_changes(PLAN, cycle_wall_ns=1_000_000_000)
 HEARD_NS = 77_000_000_000
 SAID = published(PLAN, PREPARED.profile)
 BY_DEPTH = sorted(SAID, key=lambda pair: pair[0].node.count("/"))
@@ -24,8 +25,8 @@ GOOD = {port.signal.name: (port, message) for port, message in BY_DEPTH}
 """A message of each signal with its port: of an inverter, of 470 kW, where it is of nodes."""
 
 
-def test_nothing_that_a_run_says_is_absurd() -> None:
-    found = [absurdity(PLAN, port, message, HEARD_NS) for port, message in SAID]
+def test_no_number_of_a_run_is_out_of_range() -> None:
+    found = [out_of_range(PLAN, port, message, HEARD_NS) for port, message in SAID]
     assert len(found) > 2000
     assert not any(found)
 
@@ -48,20 +49,20 @@ POWERS = [
             for value in (nan, inf, -inf)
         ),
         *(("production", "inverter_mpp_kw", (1.0,) * entries) for entries in (16, 0)),
-        ("production", "possible_kw", nan),
+        ("production", "available_kw", nan),
     ],
 )
 def test_a_number_that_cannot_be_right_is_named(signal: str, field: str, value: object) -> None:
     port, message = GOOD[signal]
-    found = absurdity(PLAN, port, replace(message, **{field: value}), HEARD_NS)
+    found = out_of_range(PLAN, port, replace(message, **{field: value}), HEARD_NS)
     assert found.startswith(field)
     assert ": expected " in found
 
 
-def test_a_dispatch_beyond_the_ratings_is_acted_on_and_so_not_absurd() -> None:
+def test_a_dispatch_beyond_the_ratings_is_acted_on_and_so_not_out_of_range() -> None:
     port, dispatch = GOOD["dispatch"]
     for power_kw in (-2000.0, 1e9):
-        assert absurdity(PLAN, port, replace(dispatch, power_kw=power_kw), HEARD_NS) == ""
+        assert out_of_range(PLAN, port, replace(dispatch, power_kw=power_kw), HEARD_NS) == ""
 
 
 @pytest.mark.parametrize(
@@ -73,9 +74,9 @@ def test_a_dispatch_beyond_the_ratings_is_acted_on_and_so_not_absurd() -> None:
         ({"start_time_ns": 0}, "start_time_ns"),
         ({"start_time_ns": HEARD_NS + 11_000_000_000}, "start_time_ns"),
         ({"cycle_wall_ns": 0}, "cycle_wall_ns"),
-        ({"cycle": 3, "sim_time_ns": PLAN.sim_time_ns(3)}, "cycle"),
+        ({"cycle": 3, "sim_time_ns": PLAN.timing.sim_time_ns(3)}, "cycle"),
     ],
 )
 def test_a_run_with_an_impossible_start_is_named(changes: dict[str, object], field: str) -> None:
     start = replace(REAL_TIME.run_message("start", 0, HEARD_NS), **changes)
-    assert absurdity(REAL_TIME, RUN.of(ROOT), start, HEARD_NS).partition(":")[0] == field
+    assert out_of_range(REAL_TIME, RUN.of(ROOT), start, HEARD_NS).partition(":")[0] == field

@@ -5,29 +5,34 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import chain, repeat
 from pathlib import Path
-from unittest.mock import Mock
+from typing import cast
 
 import pytest
+from buses_by_hand import LinkByHand, SubscriberByHand
 from msgspec.structs import replace
+from plans_by_hand import with_changes
 from recorded_runs import published
 
-from agents.events import Complaint, Recorded
+from agents.process.events import Complaint, Recorded
+from agents.process.launcher_link import LauncherLink
 from bus_schemas.codec import encode
 from bus_schemas.messages import Impp, Message, Setpoint
 from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Occurrence, Port, ports
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
-from launch_scripts.scenarios.preparation import RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario
+from bus_schemas.zenoh_session import RunSubscriber
 from recordings.read.reader import RunReader
-from recordings.record.message_complaints import Complaints
-from recordings.record.recorder import Recorder, Round
-from recordings.record.second_senders import SecondSenders
+from recordings.record.complaints import Complaints
+from recordings.record.phases import ArmingRound
+from recordings.record.recorder import Recorder
+from recordings.record.senders import SecondSenders
 from recordings.record.writer import RunWriter
+from scenarios.preparation import RunOptions, prepare
+from scenarios.scenario import load_scenario
 
 CYCLES = 8
 PREPARED = prepare(load_scenario("oahu"), RunOptions(duration=str(CYCLES)), "spoken")
 DEVICE = "c2/inv07"
-IN_LOCKSTEP = replace(PREPARED.plan, external=(DEVICE,))
+IN_LOCKSTEP = with_changes(PREPARED.plan, external=(DEVICE,))
 PORT = IMPP.of(DEVICE)
 SAID = published(IN_LOCKSTEP, PREPARED.profile)
 
@@ -52,13 +57,12 @@ def recorded(
         (IN_LOCKSTEP.wiring.key(port), entry if isinstance(entry, bytes) else encode(entry))
         for port, entry in chain(arming, said)
     )
-    tap = Mock(drain=lambda: waiting)
-    tap.watch_tokens.return_value.changes.return_value = ()
-    link = Mock(expected_messages=lambda: expected, by_hand=False, dismissed=expected is None)
+    subscriber, link = SubscriberByHand(lambda: waiting), LinkByHand(expected is None, expected)
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
-    Recorder(IN_LOCKSTEP, tap, writer, link, lambda count, text: None).run()
-    told = [call.args[0] for call in link.tell.call_args_list]
-    (account,) = [event for event in told if isinstance(event, Recorded)]
+    Recorder(
+        IN_LOCKSTEP, cast("RunSubscriber", subscriber), writer, cast("LauncherLink", link)
+    ).run()
+    (account,) = [event for event in link.told if isinstance(event, Recorded)]
     with RunReader(folder) as reader:
         return [message for port, message in reader.messages(IMPP) if port is PORT], account
 
@@ -70,7 +74,7 @@ def test_a_device_that_answers_ahead_is_recorded_and_named(tmp_path: Path) -> No
     kept, account = recorded(said, tmp_path)
     assert [message.cycle for message in kept] == [0, 1, 6, 2, 3, 4, 5, 6, 7]
     assert account.foreign == 0
-    assert "two senders" in {entry.cause for entry in account.complaints}
+    assert "conflicting" in {entry.cause for entry in account.complaints}
     assert account.cycles == CYCLES
 
 
@@ -110,7 +114,7 @@ def test_a_payload_that_is_nested_very_deep_is_set_aside(node: str, tmp_path: Pa
     ],
     ids=["one of ten lost", "far off"],
 )
-def test_what_a_device_lost_is_told_from_the_numbers_of_all_that_came(
+def test_messages_of_a_device_that_are_lost_are_counted_by_their_numbers(
     answers: list[tuple[int, int]], lost: int, tmp_path: Path
 ) -> None:
     spoken = [entry for entry in SAID if entry[0] is not PORT]
@@ -135,17 +139,17 @@ FORGED = {"power_kw": 6.0}
 @pytest.mark.parametrize(
     ("messages", "causes"),
     [
-        ([FORGED | {"sequence": 4}, NEXT], ["two senders", None]),
-        ([{"publish_time_ns": 9}, NEXT], ["two senders", None]),
-        ([{}, NEXT], ["repeated", None]),
+        ([FORGED | {"sequence": 4}, NEXT], ["conflicting", None]),
+        ([{"publish_time_ns": 9}, NEXT], ["conflicting", None]),
+        ([{}, NEXT], ["duplicate", None]),
         ([{"incarnation": 3}, NEXT | {"incarnation": 3}], [None, None]),
         (
             [{"incarnation": 3}, {"incarnation": 3, "publish_time_ns": 9}, NEXT],
-            [None, "repeated", "two senders"],
+            [None, "duplicate", "conflicting"],
         ),
-        ([NEXT | {"incarnation": 4}, NEXT, {"cycle": 5}], [None, None, "two senders"]),
-        ([{"cycle": 6} | FORGED, NEXT, {"cycle": 5}, {"cycle": 6}], [None] * 3 + ["two senders"]),
-        ([{"cycle": 0}, {"cycle": 0, "publish_time_ns": 9}], [None, "two senders"]),
+        ([NEXT | {"incarnation": 4}, NEXT, {"cycle": 5}], [None, None, "conflicting"]),
+        ([{"cycle": 6} | FORGED, NEXT, {"cycle": 5}, {"cycle": 6}], [None] * 3 + ["conflicting"]),
+        ([{"cycle": 0}, {"cycle": 0, "publish_time_ns": 9}], [None, "conflicting"]),
     ],
     ids=[
         *("says another thing", "does not count up", "came again", "replaces its predecessor"),
@@ -156,11 +160,13 @@ FORGED = {"power_kw": 6.0}
 def test_a_second_message_of_a_key_in_a_cycle_is_named(
     messages: list[dict[str, object]], causes: list[str | None]
 ) -> None:
-    senders = SecondSenders([SETPOINT_OF_C1])
+    senders = SecondSenders(IN_LOCKSTEP)
     found = []
     for changes in ({}, *messages):
         message = replace(GENUINE, **changes)
-        complaint = senders.see(SETPOINT_OF_C1, message.cycle, message.incarnation, encode(message))
+        complaint = senders.hear(
+            SETPOINT_OF_C1, message.cycle, message.incarnation, encode(message)
+        )
         found.append(complaint and complaint[0])
     assert found == [None, *causes]
 
@@ -174,14 +180,14 @@ def test_what_comes_second_on_a_key_is_no_loss_and_a_false_stop_is_named(tmp_pat
     said.insert(place, (RUN.of(ROOT), IN_LOCKSTEP.run_message("stop", 1, 0)))
     _, account = recorded(said, tmp_path)
     (complaint,) = account.complaints
-    assert (complaint.key, complaint.cause, complaint.count) == ("oahu/run", "two senders", 2)
+    assert (complaint.key, complaint.cause, complaint.count) == ("oahu/run", "conflicting", 2)
     assert account.extra == {"run": 2}
     assert account.cycles == CYCLES
 
 
 def test_keys_without_end_are_named_up_to_a_number_and_shown_without_control_characters() -> None:
     told: list[Complaint] = []
-    complaints = Complaints(lambda count, text: None, told.append)
+    complaints = Complaints(told.append)
     for number in range(3000):
         complaints.add(f"oahu/\x1b[31m{number}", "unknown", "x" * 10_000)
     found = complaints.all()
@@ -202,27 +208,27 @@ OF_OTHERS = [port for port in STEADY if port.publisher != PLANT]
 
 
 def test_a_device_that_speaks_of_another_round_does_not_end_the_one_under_way() -> None:
-    under_way = Round(IN_LOCKSTEP)
-    under_way.sees(DISPATCH.of(ROOT), -7)
+    under_way = ArmingRound(IN_LOCKSTEP)
+    under_way.hear(DISPATCH.of(ROOT), -7)
     for early in (-5, -9, -6):
-        assert not under_way.sees(IMPP.of("c2/inv07"), early)
-    seen = [under_way.sees(port, -7) for port in (*OF_PLANT, *OF_OTHERS)]
+        assert not under_way.hear(IMPP.of("c2/inv07"), early)
+    seen = [under_way.hear(port, -7) for port in (*OF_PLANT, *OF_OTHERS)]
     assert seen == [False] * (len(STEADY) - 1) + [True]
     assert under_way.answered
 
 
-def test_answers_that_overtake_the_plants_words_are_counted() -> None:
-    under_way = Round(IN_LOCKSTEP)
-    assert not any(under_way.sees(port, -7) for port in OF_OTHERS)
+def test_answers_that_overtake_the_plants_messages_are_counted() -> None:
+    under_way = ArmingRound(IN_LOCKSTEP)
+    assert not any(under_way.hear(port, -7) for port in OF_OTHERS)
     assert under_way.unheard(["c2/inv07"]) == []
-    seen = [under_way.sees(port, -7) for port in OF_PLANT]
+    seen = [under_way.hear(port, -7) for port in OF_PLANT]
     assert seen == [False] * (len(OF_PLANT) - 1) + [True]
 
 
-def test_who_says_nothing_in_the_round_under_way_is_named() -> None:
-    under_way = Round(IN_LOCKSTEP)
-    under_way.sees(DISPATCH.of(ROOT), -7)
-    under_way.sees(IMPP.of("c2/inv07"), -5)
+def test_keys_without_a_message_in_the_round_under_way_are_named() -> None:
+    under_way = ArmingRound(IN_LOCKSTEP)
+    under_way.hear(DISPATCH.of(ROOT), -7)
+    under_way.hear(IMPP.of("c2/inv07"), -5)
     assert under_way.unheard(["c2/inv07"]) == [
         f"c2/inv07/{signal}" for signal in ("command", "impp", "residual")
     ]

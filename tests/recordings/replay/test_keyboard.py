@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pty
-import termios
 from collections.abc import Iterator
 
 import pytest
@@ -33,19 +32,3 @@ def test_keys_are_read_one_by_one_also_if_an_arrow_comes_in_two_parts(
         assert [pressed(0.0) for _ in expected] == expected
         os.write(typing, b"C")
         assert pressed(10.0) == RIGHT
-
-
-def test_the_terminal_is_restored(terminal: tuple[int, int]) -> None:
-    _, seen = terminal
-    before = termios.tcgetattr(seen)
-
-    def use_it_and_fail() -> None:
-        with keyboard():
-            mode = termios.tcgetattr(seen)[3]
-            assert not mode & (termios.ICANON | termios.ECHO)
-            assert mode & termios.ISIG  # Ctrl-C stays what it is
-            raise SystemExit
-
-    with pytest.raises(SystemExit):
-        use_it_and_fail()
-    assert termios.tcgetattr(seen) == before

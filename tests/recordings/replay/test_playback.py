@@ -13,16 +13,16 @@ import pytest
 from clock_by_hand import ClockByHand
 from replayed_runs import CYCLE_NS, PLAN, run_in_memory, write
 
+from agents.process.interruption import Interruption
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
-from bus_schemas.signals import IMPP, RUN, Port
-from launch_scripts.launcher.interruption import Interruption
+from bus_schemas.signals import IMPP, Port
+from heliarch.cli.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus
-from recordings.replay.clock import ClockKind, PlaybackClock, positions
 from recordings.replay.keyboard import DOWN, LEFT, RIGHT, UP, Keyboard
 from recordings.replay.playback import Playback
-from recordings.replay.publish_order import complete_cycles, in_publish_order
+from recordings.replay.schedule import ClockKind, PlaybackClock, UpcomingMessages, positions
 
 SAID = run_in_memory()
 
@@ -88,16 +88,14 @@ def play(
 ) -> Playback:
     """Replay the recording, as fast as possible, on the clock of who hears it."""
     with RunReader(recorded) as reader:
+        ports = [port for port in PLAN.wiring.ports if port.signal.logged]
         playback = Playback(
-            reader,
-            span,
-            [port for port in PLAN.wiring.ports if port.signal.logged],
+            UpcomingMessages(reader, ports, span, "wall"),
             heard,
             PlaybackClock(rate, paused=paused, now_ns=heard.clock),
-            "wall",
             keyboard,
             Interruption() if interruption is None else interruption,
-            out or io.StringIO(),
+            StatusLine(out or io.StringIO(), in_place=False),
             heard.clock.sleep,
         )
         heard.clock.sleep(waited_s)
@@ -126,8 +124,8 @@ def test_all_bytes_are_sent_on_their_ports_in_their_order(recorded: Path) -> Non
     played = play(recorded, heard, out=out)
     assert heard.payloads == payloads()
     assert heard.ports == [entry.port for entry in SAID]
-    assert (played.messages, played.cycles) == (len(SAID), 40)
-    assert played.timing_error() is None  # as fast as possible: nothing is due
+    assert (played.sent.messages, played.sent.cycles) == (len(SAID), 40)
+    assert played.sent.latest_us is None  # as fast as possible: nothing is due
     # The message that ends the run names the cycle after the last one.
     assert heard.states == [(cycle, 0.0, False) for cycle in range(41)]
     assert "12:00:39 cycle 39 of 0 to 39" in out.getvalue().splitlines()[-1]
@@ -151,44 +149,29 @@ def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) ->
     said_ns = [entry.message.publish_time_ns for entry in SAID if 5 <= entry.message.cycle < 9]
     began_ns = heard.moments_ns[0]
     assert heard.moments_ns == [began_ns + 4 * (time_ns - said_ns[0]) for time_ns in said_ns]
-    figures = played.timing_error()
-    assert figures is not None
-    assert figures["count"] == len(said_ns)
-    assert figures["max_us"] < 1.0
-
-
-def test_each_step_sends_one_cycle(recorded: Path) -> None:
-    heard = Heard()
-    keyboard = hands("s", "", "s", "s")
-    played = play(recorded, heard, paused=True, keyboard=keyboard, rate=1.0)
-    assert heard.payloads == step(0, 2)
-    assert played.timing_error() is None  # a step has no due time
-
-
-@pytest.mark.parametrize(
-    ("key", "lands_at"),
-    [(RIGHT, 12), (UP, 39), (LEFT, 0), (DOWN, 0)],
-)
-def test_arrows_seek_by_simulated_time(recorded: Path, key: str, lands_at: int) -> None:
-    heard = Heard()
-    play(recorded, heard, paused=True, keyboard=hands("s", "s", key, "s"))
-    assert heard.payloads == step(0, 1) + step(lands_at)
+    assert played.sent.latest_us == 0.0
 
 
 @pytest.mark.parametrize(
     ("span", "keys", "sent"),
     [
-        (range(5, 9), (UP, "s", DOWN, "s"), [*payloads(8, 9), *step(5)]),
+        (range(41), ("s", "", "s", "s"), step(0, 2)),
+        (range(41), ("s", "s", RIGHT, "s"), step(0, 1) + step(12)),
+        (range(41), ("s", "s", UP, "s"), step(0, 1) + step(39)),
+        (range(41), ("s", "s", LEFT, "s"), step(0, 1) + step(0)),
+        (range(41), ("s", "s", DOWN, "s"), step(0, 1) + step(0)),
+        (range(5, 9), (UP, "s", DOWN, "s"), payloads(8, 9) + step(5)),
         (range(30, 31), ("s", "s", LEFT, "s"), payloads(30, 31) * 2),
     ],
-    ids=["within", "back from the end"],
+    ids=["steps", "10 s on", "1 min on", "10 s back", "1 min back", "within", "from the end"],
 )
-def test_arrows_stay_within_the_span(
+def test_keys_step_by_a_cycle_and_seek_by_simulated_time_within_the_span(
     span: range, keys: tuple[str, ...], sent: list[bytes], recorded: Path
 ) -> None:
     heard = Heard()
-    play(recorded, heard, span=span, paused=True, keyboard=hands(*keys))
+    played = play(recorded, heard, span=span, paused=True, keyboard=hands(*keys), rate=1.0)
     assert heard.payloads == sent
+    assert played.sent.latest_us is None, "a step has no due time"
 
 
 def test_plus_and_minus_change_the_rate(recorded: Path) -> None:
@@ -227,12 +210,3 @@ def test_pauses_and_changes_of_rate_count_from_where_the_clock_is() -> None:
     assert clock.due_ns(200) == moment.now_ns
     clock.set_rate(4.0)
     assert clock.due_ns(600) == moment.now_ns + 100
-
-
-def test_of_a_run_that_broke_off_the_last_cycles_do_not_count_as_complete(tmp_path: Path) -> None:
-    broken = [said for said in SAID if said.port.signal is not RUN or not said.message.cycle]
-    with RunReader(write(tmp_path / "run", broken[: len(broken) * 3 // 4])) as reader:
-        complete = complete_cycles(reader)
-        assert 0 < complete <= reader.last_cycle < 39
-        found = list(in_publish_order(reader, reader.ports(), range(complete)))
-    assert len(found) == sum(entry.message.cycle < complete for entry in broken)

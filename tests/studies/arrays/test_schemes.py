@@ -28,7 +28,7 @@ def powers_kw(
 @pytest.mark.parametrize(
     ("scheme", "actuator", "dispatch_kw", "expected_kw"),
     [
-        # Of 190 kW the requests are 50, 50, 60 and 30 kW.
+        # Of 190 kW the shares are 50, 50, 60 and 30 kW.
         ("uniform-cap", "limit", 190.0, [[50.0, 40.0, 60.0, 30.0], [50.0, 50.0, 60.0, 0.0]]),
         # By the maximum of the last cycle the levels are 50/80, 1, 60/120 and 30/60 in both.
         ("uniform-cap", "fraction", 190.0, [[50.0, 40.0, 60.0, 30.0], [37.5, 50.0, 50.0, 0.0]]),
@@ -47,7 +47,9 @@ def test_schemes_by_hand(
 def test_meters_that_read_high_curtail_too_much_and_the_floor_holds() -> None:
     high = powers_kw("uniform-cap", "fraction", 190.0, meter_error=0.25)
     assert high[0] == pytest.approx([50.0, 40.0, 60.0, 30.0] / np.array([1.25, 1.0, 1.0, 1.0]))
-    assert powers_kw("uniform-cap", "fraction", 0.0) == pytest.approx(PLAN.alpha_min * MPP_KW)
+    assert powers_kw("uniform-cap", "fraction", 0.0) == pytest.approx(
+        PLAN.control.alpha_min * MPP_KW
+    )
 
 
 @pytest.mark.parametrize(("sizes", "groups"), [((), 4 + 12 + 12), ((1,), 4), ((1, 2), 4 + 12)])

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import date
 
 import pytest
 
 from bus_schemas.errors import InputError
-from launch_scripts.scenarios.preparation import RunOptions
-from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
+from scenarios.preparation import RunOptions
+from scenarios.scenario import ScenarioFile, load_scenario
+from scenarios.settings import parse_setting
 from sim_plant.commitment import ShareOfClearSky
-from studies.compare.cases import Case, cases, parse_days, parse_seeds, parse_setting
+from studies.compare.cases import Case, cases, label, parse_days, parse_seeds
 
 
 @pytest.fixture(scope="module")
@@ -20,12 +21,18 @@ def oahu() -> ScenarioFile:
 
 
 def study(
-    oahu: ScenarioFile, *words: str, days: str = "", seeds: str = "", start: str = "12:30"
+    oahu: ScenarioFile,
+    *words: str,
+    faults: Sequence[str] = (),
+    days: str = "",
+    seeds: str = "",
+    start: str = "12:30",
 ) -> list[Case]:
     return cases(
         oahu,
         RunOptions(start=start, duration="60"),
         [parse_setting(word) for word in words],
+        faults,
         parse_days(days) if days else (),
         parse_seeds(seeds) if seeds else (),
     )
@@ -39,6 +46,7 @@ def test_a_setting_is_a_field_and_its_values() -> None:
         "calm",
     )
     assert parse_setting("title=it's windy, calm").values == ("it's windy", "calm")
+    assert parse_setting("control.clusters_seed=1..3").values == (1, 2, 3)
 
 
 def test_seeds_and_days_are_lists_and_ranges() -> None:
@@ -49,7 +57,7 @@ def test_seeds_and_days_are_lists_and_ranges() -> None:
 
 def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> None:
     found = study(oahu, "commitment.share=0.3,0.4", "plant.actuator=limit", seeds="1..2")
-    assert [case.label for case in found] == [
+    assert [label(case.columns) for case in found] == [
         "share=0.3 actuator=limit seed=1",
         "share=0.3 actuator=limit seed=2",
         "share=0.4 actuator=limit seed=1",
@@ -61,13 +69,19 @@ def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> N
     assert last.options == RunOptions(start="12:30", duration="60", seed=2)
     assert oahu.scenario.plant.actuator == "fraction", "the scenario itself stays as it was"
     (alone,) = study(oahu)
-    assert (alone.label, alone.scenario) == ("", oahu)
+    assert (label(alone.columns), alone.scenario) == ("", oahu)
 
 
 def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile) -> None:
     (case,) = study(oahu, days="2010-07-04", start="9:05")
     assert case.options.start == "2010-07-04T09:05:00"
-    assert case.label == "2010-07-04"
+    assert label(case.columns) == "day=2010-07-04"
+
+
+def test_each_fault_is_a_case_and_several_rules_may_act_together(oahu: ScenarioFile) -> None:
+    perfect, both = study(oahu, faults=["none", "delay=1s;loss=5%"])
+    assert (perfect.options.faults, both.options.faults) == ([], ["delay=1s", "loss=5%"])
+    assert both.columns == {"fault": "delay=1s;loss=5%"}
 
 
 @pytest.mark.parametrize(
@@ -76,7 +90,7 @@ def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile) -> None:
         (("commitment.share=",), "--set: expected"),
         (("commitment.share=two",), "commitment.share: expected"),
         ((f"plant.actuator={'[' * 10_000}",), "plant.actuator: expected"),
-        (("nothing.at.all=1",), "got nothing"),
+        (("nothing.at.all=1",), "got 'nothing'"),
         (("title.text=1",), "title: expected"),
         (("control.hold_cycles=3", "plant.actuator=wheel"), "--set plant.actuator=wheel: "),
     ],

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, get_args
+from datetime import date
+from typing import Any
 
 from agents.settings import Actuator
+from results.metrics import CommitmentMetrics, RunMetrics
+from results.metrics.figures_of_merit import FIGURES_OF_MERIT
+from results.metrics.run import HeadroomMetrics, ShortfallMileage, TrackingError
 from studies.compare.frontier import frontier
 from studies.compare.results import case_tables, cases_tables, summaries
 from studies.compare.study import CaseResult, SchemeResult
-from studies.metrics import CommitmentMetrics, RunMetrics
-from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
-from studies.metrics.run import HeadroomMetrics, SupportMileage, TrackingError
 
 CAUSED = [FIGURES_OF_MERIT["control-caused"]]
 
@@ -28,7 +29,7 @@ def result(
     metrics = RunMetrics(
         commitment=energy,
         tracking=TrackingError(rmse_kw, 0.0),
-        support=SupportMileage(0.0, 0.0, 0.0),
+        mileage=ShortfallMileage(0.0, 0.0, 0.0),
         headroom=HeadroomMetrics(0.0, 0.0, 0.0),
         ramps=None,
         regulation=None,
@@ -36,10 +37,10 @@ def result(
     return SchemeResult(scheme, actuator, metrics)
 
 
-def case(label: str, caused: Mapping[str, float], settings: str = "") -> CaseResult:
+def case(columns: Mapping[str, object], caused: Mapping[str, float]) -> CaseResult:
     """A case with the fraction actuator: control-caused shortfall of each scheme in %."""
     schemes = tuple(result(scheme, "fraction", value) for scheme, value in caused.items())
-    return CaseResult(label, settings, schemes, ())
+    return CaseResult(columns, schemes, ())
 
 
 SCHEMES = (
@@ -82,9 +83,9 @@ def test_the_frontier_leaves_out_what_another_scheme_beats_in_both() -> None:
 # Many cases ---------------------------------------------------------------------------------------
 
 
-def test_many_cases_have_both_axes_and_mean_quantiles_and_what_differs_case_by_case() -> None:
+def test_many_cases_have_a_row_each_and_each_figure_its_summary() -> None:
     cases = [
-        case(f"seed={seed}", {"paper": float(seed), "predictive": predictive})
+        case({"seed": seed}, {"paper": float(seed), "predictive": predictive})
         for seed, predictive in ((1, 0.0), (2, 0.0), (3, 3.0))
     ]
     table, caused, beyond = cases_tables(["control-caused", "over-delivered"], cases)
@@ -92,10 +93,6 @@ def test_many_cases_have_both_axes_and_mean_quantiles_and_what_differs_case_by_c
         ("seed=1", "1.000 (0.000)", "0.000 (0.000)"),
         ("seed=2", "2.000 (0.000)", "0.000 (0.000)"),
         ("seed=3", "3.000 (0.000)", "3.000 (0.000)"),
-        ("mean", "2.000 (0.000)", "1.000 (0.000)"),
-        ("5 %", "1.100 (0.000)", "0.000 (0.000)"),
-        ("median", "2.000 (0.000)", "0.000 (0.000)"),
-        ("95 %", "2.900 (0.000)", "2.700 (0.000)"),
     ]
     # 2.484: of three values with a standard deviation of 1, Student's t for 2 degrees of freedom.
     # In the three cases paper causes 1, 2 and 0 more than predictive.
@@ -116,7 +113,7 @@ def by_scheme(*cases: CaseResult) -> dict[str, Any]:
 
 
 def test_without_predictive_the_first_scheme_is_the_baseline() -> None:
-    found = by_scheme(*(case(f"seed={n}", {"paper": 1.0, "uniform-cap": 4.0}) for n in (1, 2)))
+    found = by_scheme(*(case({"seed": n}, {"paper": 1.0, "uniform-cap": 4.0}) for n in (1, 2)))
     assert found["uniform-cap"].baseline == "paper"
     assert (found["uniform-cap"].difference, found["uniform-cap"].difference_error) == (3.0, 0.0)
 
@@ -129,7 +126,7 @@ def test_schemes_are_paired_with_the_baseline_of_their_own_actuator() -> None:
         result("predictive", "limit", 2.0),
         result("uncontrolled", None, 0.0),
     )
-    cases = [CaseResult(f"seed={seed}", "", schemes, ()) for seed in (1, 2)]
+    cases = [CaseResult({"seed": seed}, schemes, ()) for seed in (1, 2)]
     found = [(one.scheme, one.actuator, one.difference) for one in summaries_of(cases)]
     assert found == [
         ("paper", "fraction", 4.0),
@@ -140,31 +137,22 @@ def test_schemes_are_paired_with_the_baseline_of_their_own_actuator() -> None:
     ]
 
 
-def test_each_choice_of_settings_is_a_sample_unless_cases_differ_in_nothing_else() -> None:
-    def means(*seeds: int) -> list[tuple[str, int, float | None]]:
-        cases = [
-            case(f"share={share} seed={seed}", {"paper": share * seed}, f"share={share}")
-            for share in (1.0, 10.0)
-            for seed in seeds
-        ]
-        return [(one.settings, one.cases, one.mean) for one in summaries_of(cases)]
+def test_a_sweep_of_settings_is_listed_and_not_summarised() -> None:
+    cases = [case({"commitment.share": share}, {"paper": share}) for share in (0.5, 0.7)]
+    (table,) = cases_tables(["control-caused"], cases)
+    assert table.texts() == [("share=0.5", "0.500"), ("share=0.7", "0.700")]
 
-    assert means(1, 2) == [("share=1.0", 2, 1.5), ("share=10.0", 2, 15.0)]
-    assert means(1) == [("", 2, 5.5)]
+
+def test_days_in_a_row_are_no_independent_draws_and_have_no_interval() -> None:
+    cases = [case({"day": date(2010, 4, day)}, {"paper": float(day)}) for day in (1, 2)]
+    _, summary = cases_tables(["control-caused"], cases)
+    assert "± 95 %" not in [column.title for column in summary.columns]
+    assert summary.texts()[0][2] == "1.500"
 
 
 def test_of_one_case_there_is_no_interval_and_no_summary_of_what_it_lacks() -> None:
-    alone = case("seed=1", {"paper": 1.0, "predictive": 0.0})
-    found = by_scheme(alone)["paper"]
-    assert (found.mean, found.mean_error) == (1.0, None)
-    assert (found.difference, found.difference_error) == (1.0, None)
+    alone = case({"seed": 1}, {"paper": 1.0, "predictive": 0.0})
+    row = by_scheme(alone)["paper"]
+    assert (row.mean, row.mean_error) == (1.0, None)
+    assert (row.difference, row.difference_error) == (1.0, None)
     assert summaries([alone], [FIGURES_OF_MERIT["score"]]).empty
-
-
-def test_cases_with_different_actuators_have_none_in_common() -> None:
-    cases = [
-        CaseResult(f"actuator={name}", f"actuator={name}", (result("paper", name, 1.0),), ())
-        for name in get_args(Actuator)
-    ]
-    (found,) = summaries_of(cases)
-    assert (found.actuator, found.cases) == (None, 2)

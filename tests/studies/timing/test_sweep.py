@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
-import msgspec
 import pytest
 from msgspec.structs import replace
 from printing import printed
@@ -12,11 +9,11 @@ from reports_by_hand import missed, reported
 from timed_recordings import cycle
 
 from bus_schemas.errors import InputError
-from launch_scripts.launcher.supervision import RunFailure
-from studies.report.result import print_result
-from studies.timing.report import TimingReport
-from studies.timing.results import sweep_result
-from studies.timing.sweep import Rates, conclusion, parse_rates, rate_row, sweep
+from launch_scripts.supervision import RunFailure
+from results.report.result import print_result
+from results.timing.report import TimingReport
+from studies.timing.sweep import RateRow, Rates, Sweep, parse_rates, rate_row, sweep
+from studies.timing.sweep_result import conclusion, sweep_result
 
 
 @pytest.mark.parametrize(
@@ -118,6 +115,7 @@ def test_a_run_that_fails_costs_no_other(reports: Reports) -> None:
     assert [row.outcome for row in found.rows] == ["clean", "failed", "clean"]
     text = printed(lambda console: print_result(console, sweep_result(found, "field")))
     assert "10 cycles/s failed: c1 has died" in text
+    assert all(figure in text for figure in ("200.00", "13.600")), "a cycle and its loop [ms]"
 
 
 def test_a_rate_that_a_search_finds_refused_has_failed_but_the_first_is_refused(
@@ -156,14 +154,23 @@ def test_one_cycle_in_a_hundred_may_be_late_at_a_clean_rate(
     assert (rate_row(found).outcome == "clean") == clean
 
 
-def test_a_sweep_shows_its_rates_and_the_machine(reports: Reports) -> None:
-    found = sweep(Rates(listed_hz=(5.0, 10.0)), Machine(*reports, 5.0).run)
-    text = printed(lambda console: print_result(console, sweep_result(found, "field")))
-    assert "load average 0.50 before, 0.75 after" in text
-    assert "highest clean rate: 5 cycles/s" in text
-    assert all(figure in text for figure in ("200.00", "13.600"))
-    assert "10 cycles/s not clean: plant: missed deadlines 1" in text
-    assert "recorded: 2" in text
-    document = json.loads(msgspec.json.encode(found))
-    assert document["highest_clean_hz"] == 5.0
-    assert [row["outcome"] for row in document["rows"]] == ["clean", "not clean"]
+def test_a_sweep_draws_the_rates_that_ran_to_their_end(reports: Reports) -> None:
+    rows = (
+        RateRow(5.0, "clean", "", 75, 0, 0, 9e3, 10e3, 12e3, reports[0].host),
+        RateRow(80.0, "not clean", "direct missed one", 300, 7, 0, 9e3, 30e3, 40e3),
+        RateRow(90.0, "interrupted", "", 300, 0, 0, 9e3, 30e3, 40e3),
+        RateRow(160.0, "failed", "recorder gave up"),
+    )
+    result = sweep_result(Sweep(rows, 5.0), "field")
+    assert result.verdict is not None
+    assert result.verdict[0]
+    (drawn,) = result.figures()
+    lines = drawn.figure.data
+    assert [line.name for line in lines] == [
+        "loop p50",
+        "loop p99",
+        "loop max",
+        "length of a cycle",
+    ]
+    assert lines[0].marker.symbol == ("circle", "x")
+    assert lines[0].x == (5.0, 80.0)

@@ -1,0 +1,98 @@
+"""Faults of a run: those of its links, and those of its processes, which are killed or frozen."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from fnmatch import fnmatchcase
+from typing import Literal, NamedTuple, TypeAlias
+
+import msgspec
+
+from bus_schemas.errors import InputError, listed
+from bus_schemas.faults import Interval, LinkFault, Second, interval_objections, link_objections
+from bus_schemas.tree import ControlTree, agent_name
+
+
+class _ProcessRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """A fault of processes."""
+
+
+class Kill(_ProcessRule, frozen=True, tag="kill"):
+    """Controllers are killed.
+
+    agents: Their name or pattern: `c1`, `c2/*`.
+    at: When, in simulated time since cycle 0 [s].
+    """
+
+    agents: str
+    at: Second
+
+
+class Freeze(_ProcessRule, frozen=True, tag="freeze"):
+    """Controllers stand still.
+
+    agents: Their name or pattern: `c1`, `c2/*`.
+    at: Beginning and end, in simulated time since cycle 0 [s].
+    """
+
+    agents: str
+    at: Interval
+
+
+ProcessFault: TypeAlias = Kill | Freeze
+Fault: TypeAlias = LinkFault | ProcessFault
+
+
+class Incident(NamedTuple):
+    """Something that happens to a process at a simulated time since cycle 0 [s]."""
+
+    time_s: float
+    agent: str
+    what: Literal["kill", "freeze", "thaw", "watch", "start"]
+
+
+def incidents(faults: Sequence[Fault], tree: ControlTree) -> list[Incident]:
+    """Return what happens to processes by the faults of a run, in the order of time."""
+    due: list[Incident] = []
+    for fault in faults:
+        match fault:
+            case Kill(at=at_s):
+                due += (Incident(at_s, agent, "kill") for agent in _stopped(fault, tree))
+            case Freeze(at=(begin_s, end_s)):
+                for agent in _stopped(fault, tree):
+                    due += Incident(begin_s, agent, "freeze"), Incident(end_s, agent, "thaw")
+    return sorted(due)
+
+
+def check_fault(
+    fault: Fault,
+    tree: ControlTree,
+    where: str,
+    external: Collection[str] = (),
+    addresses: Collection[str] = (),
+) -> None:
+    """Refuse a fault that does not fit the run.
+
+    external: Agents that Heliarch does not run: faults cannot act on what they receive.
+    addresses: Agents on other hosts: their processes cannot be stopped from here.
+    """
+    if isinstance(fault, Kill | Freeze):
+        objections = _process_objections(fault, tree, {*external, *addresses})
+    else:
+        objections = link_objections(fault, tree, external)
+    for objection in objections:
+        raise InputError(f"{where}: {objection}")
+
+
+def _process_objections(fault: ProcessFault, tree: ControlTree, away: set[str]) -> Iterator[str]:
+    if isinstance(fault, Freeze):
+        yield from interval_objections(fault.at)
+    stopped = _stopped(fault, tree)
+    if not stopped or not away.isdisjoint(stopped):
+        names = [name for name in map(agent_name, tree.nodes) if name not in away]
+        yield f"expected controllers of this host, such as {listed(names)}, got {fault.agents!r}"
+
+
+def _stopped(fault: ProcessFault, tree: ControlTree) -> list[str]:
+    names = map(agent_name, tree.nodes)
+    return [name for name in names if fnmatchcase(name, fault.agents)]

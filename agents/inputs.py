@@ -1,0 +1,153 @@
+"""What an agent hears: the newest message of each input, its age, and what is missing.
+
+An input older than `hold_cycles` is expired: the agent decides without it. Its messages name, in
+`missing`, the inputs that were older than they should have been.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable
+from itertools import chain
+from typing import Final
+
+from agents.agent import Stage
+from agents.plan import RunPlan
+from bus_schemas.bounds import bounds_of, is_within
+from bus_schemas.errors import printable
+from bus_schemas.messages import Message, Missing
+from bus_schemas.signals import Occurrence, Port
+
+log = logging.getLogger(__name__)
+
+_NONE_YET: Final = -(2**62)
+
+_COUNT_IN_ARMING: Final = frozenset({"wrong_sender", "out_of_range"})
+"""The other causes do not: arming rounds overlap while links come up."""
+
+
+def log_drop(count: int, why: str) -> None:
+    """Log the first ten dropped messages of a kind, then the 16th, 32nd, 64th and so on."""
+    if count <= 10 or count & (count - 1) == 0:
+        log.warning("dropped (%d of this kind): %s", count, printable(why))
+
+
+class Input:
+    """One input of an agent: its newest message, and those of cycles to come.
+
+    newest: The newest message that can be used.
+    newest_cycle: The newest cycle of which a message came, also one that cannot be used.
+    ahead: Messages of cycles to come: a child may run ahead of a parent that acts rarely.
+    """
+
+    __slots__ = ("ahead", "bounds", "incarnation", "newest", "newest_cycle", "period", "port")
+
+    def __init__(self, port: Port[Message], period: int, rating_kw: float) -> None:
+        self.port = port
+        self.period = period
+        self.bounds = bounds_of(port.signal.type, rating_kw)
+        self.forget()
+
+    def forget(self) -> None:
+        self.newest_cycle = _NONE_YET
+        self.incarnation = 0
+        self.newest: Message | None = None
+        self.ahead: dict[int, Message] = {}
+
+
+class Inputs:
+    """All inputs of an agent.
+
+    horizon: Cycles by which a publisher may be ahead.
+    on_drop: Called for each message that is not used: how many of its kind there were, and why.
+
+    dropped: Messages that were not used, by port and cause.
+    missing: Awaited inputs that a deadline found missing.
+    old: Inputs that a stage used and that were older than they should have been.
+    """
+
+    def __init__(
+        self, plan: RunPlan, agent: str, horizon: int, on_drop: Callable[[int, str], None]
+    ) -> None:
+        self.of = {
+            port: Input(port, plan.control.period(port), plan.tree.rating_kw(port.node))
+            for port in plan.wiring.heard.get(agent, ())
+            if port.signal.occurrence is not Occurrence.EVENT
+        }
+        self.dropped: Counter[tuple[str, str]] = Counter()
+        self.missing = 0
+        self.old = 0
+        self._hold_cycles = plan.control.hold_cycles
+        self._horizon = horizon
+        self._on_drop = on_drop
+
+    def forget_before(self, cycle: int) -> None:
+        """Forget all but the messages of this cycle and later ones."""
+        for one in self.of.values():
+            kept = {of: message for of, message in one.ahead.items() if of >= cycle}
+            one.forget()
+            one.ahead = kept
+
+    def take(self, one: Input, message: Message, cycle: int) -> bool:
+        """Make a message the newest of its input in a cycle of the agent; return whether it is."""
+        port, of = one.port, message.cycle
+        if of <= one.newest_cycle:
+            cause = "duplicate" if of == one.newest_cycle else "late"
+            self.drop(cause, port, message, f"came after that of cycle {one.newest_cycle}", cycle)
+            return False
+        if of >= 0 and of % one.period:
+            self.drop("wrong_cycle", port, message, "is not of a turn of its sender", cycle)
+            return False
+        one.newest_cycle = of
+        if is_within(message, one.bounds):
+            one.newest = message
+        else:
+            self.drop("out_of_range", port, message, "has a number that cannot be", cycle)
+        return True
+
+    def keep(self, one: Input, message: Message, cycle: int) -> None:
+        """Keep a message of a cycle to come, one of each cycle."""
+        of, horizon = message.cycle, self._horizon
+        if len(one.ahead) > horizon or of > max(cycle, 0) + horizon:
+            self.drop("wrong_cycle", one.port, message, f"is too far from {cycle}", cycle)
+        elif of in one.ahead:
+            self.drop("duplicate", one.port, message, "came twice", cycle)
+        else:
+            one.ahead[of] = message
+
+    def go_to(self, cycle: int) -> None:
+        """Take the messages that came before their cycle began."""
+        for one in self.of.values():
+            if one.ahead:
+                for due in sorted(of for of in one.ahead if of <= cycle):
+                    self.take(one, one.ahead.pop(due), cycle)
+
+    def used(
+        self, stage: Stage, cycle: int
+    ) -> tuple[dict[Port[Message], Message | None], tuple[str, ...]]:
+        """Return the messages that a stage decides on, and its outputs' `missing`."""
+        found: dict[Port[Message], Message | None] = {}
+        missing: list[str] = []
+        for port in chain(stage.awaits, stage.uses):
+            one = self.of[port]
+            message = one.newest
+            if message is not None and message.cycle != cycle:
+                # Cycles since a newer message was due.
+                age = cycle - message.cycle - one.period + 1
+                if age > self._hold_cycles:
+                    message = None
+                elif age > 0:
+                    self.old += 1
+                    missing.append(str(Missing(str(port), message.cycle)))
+            if message is None:
+                missing.append(str(port))
+            found[port] = message
+        return found, tuple(missing)
+
+    def drop(self, cause: str, port: Port[Message], message: Message, why: str, cycle: int) -> None:
+        """Count a message that is not used in a cycle of the agent."""
+        if cycle >= 0 or cause in _COUNT_IN_ARMING:
+            self.dropped[str(port), cause] += 1
+            count = self.dropped[str(port), cause]
+            self._on_drop(count, f"{port} of cycle {message.cycle} {why}")

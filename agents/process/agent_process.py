@@ -1,0 +1,224 @@
+"""One agent of a run as a process: sets it up, joins the bus, and drives it through the run."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import time
+from collections.abc import Callable, Iterator
+from math import inf
+from typing import Any, Final
+
+from agents.agent import Agent
+from agents.cycle import kind_of
+from agents.driver import Driver
+from agents.eager_driver import EagerDriver
+from agents.inputs import log_drop
+from agents.loop import Loop
+from agents.plan import RunPlan
+from agents.process.events import Alive, Failed, Finished, Joined, TookOver, Waiting
+from agents.process.launcher_link import LauncherLink
+from agents.process.machine import take_machine
+from agents.process.session import session_settings
+from agents.team import controller
+from bus_schemas.errors import FailureError
+from bus_schemas.host_clock import HostClock
+from bus_schemas.tree import PLANT, agent_of
+from bus_schemas.zenoh_bus import FaultyBus, ZenohBus
+
+log = logging.getLogger(__name__)
+
+ALIVE_S: Final = 1.0
+"""How often a process says that it is alive, if no message of it is heard on this host."""
+
+_LOOK_S: Final = 0.02
+_STOP_LOOK_S: Final = 0.5
+"""How often a controller checks, after its last cycle, whether the launcher or the plant's end ends
+it. Of 1,000 controllers, frequent checks would starve those that are still joining."""
+
+_PLANT_PATIENCE_S: Final = 2.0
+"""How long an agent on another host goes on after the plant has disappeared."""
+
+_STOP_PATIENCE_S: Final = 10.0
+"""How long a controller waits after its last cycle for the plant to end the run."""
+
+
+def run_controller(plan: RunPlan, name: str, link: LauncherLink, *, rejoins: bool = False) -> int:
+    """Run a controller; `rejoins`: the run is already under way. Returns the exit status."""
+
+    def run() -> None:
+        while not _take_part(plan, name, link, rejoins):
+            log.info("%s waits for another run: the plant has gone", name)
+
+    return run_guarded(name, link, run)
+
+
+def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
+    """Run an agent; tell the launcher if it gives up. Returns the exit status."""
+    try:
+        run()
+    except FailureError as error:  # Its text is enough for the user.
+        log.error("%s gives up: %s", name, error)
+        link.tell(Failed(str(error)))
+        return 1
+    except Exception as error:
+        log.exception("%s gives up", name)
+        link.tell(Failed(f"{type(error).__name__}: {error}"))
+        return 1
+    return 0
+
+
+def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> bool:
+    """Run a controller; return False if the plant disappeared first, and may come back."""
+    with AgentProcess(plan, controller(plan, agent_of(name)), link, name) as process:
+        log.info("%s is on the bus", name)
+        if rejoins and plan.timing.lockstep:
+            process.catch_up()
+        while not link.dismissed:
+            for _ in process.drive():
+                if link.dismissed:
+                    break
+                if process.plant_is_gone() and not process.loop.finished:
+                    if link.by_hand:
+                        return False
+                    raise FailureError("the plant is gone")
+            if _is_over(process, link):
+                break
+        process.report()
+    return True
+
+
+def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
+    """Wait for the plant to end the run; return False if the run goes on after all.
+
+    Anybody may say that the run ends early: the launcher confirms it, or the plant goes on.
+    """
+    loop, plan = process.loop, process.plan
+    give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.timing.cycle_wall_ns / 1e9
+    while loop.finished and not link.dismissed:
+        if loop.times.stop_heard and loop.times.end_cycle == plan.timing.cycles:
+            return True
+        process.driver.turn(longest_ns=process.driver.now_ns() + round(_STOP_LOOK_S * 1e9))
+        process.tell_alive()
+        if process.plant_is_gone():
+            return True
+        if time.monotonic() > give_up_at:
+            log.warning("%s ends: the plant did not say that the run is over", loop.agent.name)
+            return True
+    return link.dismissed
+
+
+class AgentProcess:
+    """An agent in a run: its loop and driver on the bus, and its link to the launcher."""
+
+    def __init__(
+        self, plan: RunPlan, agent: Agent[Any], link: LauncherLink, name: str | None = None
+    ) -> None:
+        name = name or agent.name
+        self.plan = plan
+        self.link = link
+        set_up_process(plan, agent.name)
+        self._is_away = is_away = name in plan.access.addresses
+        self._tell_at = 0.0
+        self._bus = ZenohBus(
+            name,
+            plan.wiring,
+            session_settings(plan, name),
+            patience_s=min(plan.timing.stall_timeout_s, ALIVE_S),
+            clock=HostClock() if is_away else None,
+        )
+        self.loop = Loop(agent, plan, log_drop, name)
+        self.driver: Driver = EagerDriver(self.loop, self._bus)
+        faults = plan.network_faults()
+        if faults.concern(agent.name):
+            faulty = FaultyBus(self._bus, agent.name, faults)
+            self.driver = Driver([self.loop], faulty, self._bus.now_ns)
+        elif agent.name == PLANT:
+            self.driver = Driver([self.loop], self._bus, self._bus.now_ns)
+        self.watch_tokens = self._bus.watch_tokens
+        self._tokens = self.watch_tokens() if is_away or link.by_hand else None
+        self._plant_left_at = inf
+        link.tell(Joined())
+
+    def __enter__(self) -> AgentProcess:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bus.__exit__(*error)
+
+    def drive(self) -> Iterator[None]:
+        """Drive the agent through the run; tell the launcher if it cannot go on in lockstep."""
+        loop = self.loop
+        was_silent = loop.standby.silent
+        stage, waits_since = (loop.cycle, loop.stage), time.monotonic()
+        for _ in self.driver.run():
+            if self.plan.timing.lockstep and (loop.cycle, loop.stage) != stage:
+                stage, waits_since = (loop.cycle, loop.stage), time.monotonic()
+            elif (
+                self.plan.timing.lockstep
+                and loop.waiting
+                and loop.cycle >= 0
+                and time.monotonic() - waits_since >= self.plan.timing.stall_timeout_s
+            ):
+                waits_since = time.monotonic()
+                self.link.tell(Waiting(loop.cycle, loop.stage, loop.needs))
+            if was_silent and not loop.standby.silent:
+                self.link.tell(TookOver(loop.standby.incarnation))
+            self.tell_alive()
+            was_silent = loop.standby.silent
+            yield
+
+    def tell_alive(self) -> None:
+        """Say that the process is alive, if nothing else is heard of it."""
+        if (self.loop.standby.silent or self._is_away) and time.monotonic() >= self._tell_at:
+            self._tell_at = time.monotonic() + ALIVE_S
+            self.link.tell(Alive())
+
+    def plant_is_gone(self) -> bool:
+        """Whether the plant has disappeared and, if it is on another host, does not come back.
+
+        Nobody else ends an agent there, or one that was started by hand, if the launcher dies.
+        """
+        for key, is_there in self._tokens.changes() if self._tokens is not None else ():
+            if key == self.plan.wiring.alive_key(PLANT):
+                self._plant_left_at = inf if is_there else time.monotonic()
+                if self.link.by_hand and not is_there:
+                    return True
+        return time.monotonic() > self._plant_left_at + _PLANT_PATIENCE_S
+
+    def catch_up(self) -> None:
+        """Join a run in lockstep, where the others wait: ask them for what they have said last."""
+        heard = self.plan.wiring.heard[self.loop.agent.name]
+        publishers = {self.plan.wiring.alive_key(port.publisher) for port in heard}
+        tokens = self.watch_tokens()
+        while self.loop.cycle < 0 and not self.link.dismissed:
+            if publishers <= tokens.alive():
+                for _, port, message, time_ns in self._bus.newest():
+                    self.loop.hear(port, message, time_ns)
+            time.sleep(_LOOK_S)
+
+    def report(self) -> None:
+        self.driver.stop()
+        loop = self.loop
+        dropped = (*loop.inputs.dropped.items(), *self._bus.dropped.items())
+        self.link.tell(
+            Finished(
+                published=dict(self._bus.outbox.published),
+                dropped=[(port, cause, number) for (port, cause), number in dropped],
+                skipped_cycles=loop.times.skipped_cycles,
+                dismissed=self.link.dismissed and loop.cycle < self.plan.timing.cycles,
+            )
+        )
+
+
+def set_up_process(plan: RunPlan, agent: str) -> None:
+    """Set up this process on the machine, before it opens the bus.
+
+    Nothing in a cycle of control makes reference cycles, so there is next to nothing to collect.
+    """
+    for refusal in take_machine(
+        plan.supervision.machine, kind_of(agent, plan.tree), lockstep=plan.timing.lockstep
+    ):
+        log.warning("%s", refusal)
+    gc.freeze()
+    gc.set_threshold(50_000)

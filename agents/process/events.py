@@ -1,0 +1,156 @@
+"""What the processes of a run tell their launcher."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Event(msgspec.Struct, frozen=True, tag_field="event", tag=str.lower):
+    """Something that a process tells its launcher."""
+
+
+class Joined(Event, frozen=True):
+    """The process is on the bus."""
+
+
+class Armed(Event, frozen=True):
+    """All are there; cycle 0 begins at `start_time_ns` of the host's monotonic clock."""
+
+    start_time_ns: int
+
+
+class Waiting(Event, frozen=True):
+    """The process cannot go on: it needs these messages, each `(key, publisher)`."""
+
+    cycle: int
+    stage: str
+    needs: list[tuple[str, str]]
+
+
+class Status(Event, frozen=True):
+    """What the recorder has seen so far, for a live view. Powers in kW.
+
+    `unheard` are the keys on which external agents have said nothing in an arming round,
+    `unresponsive` the controllers that have said nothing for longer than they may between
+    two cycles.
+    """
+
+    cycle: int
+    sim_time_ns: int
+    dispatch_kw: float
+    available_kw: float
+    delivered_kw: float
+    needy: list[str]
+    recorded: int
+    unheard: list[str] = []
+    unresponsive: list[str] = []
+
+
+class Alive(Event, frozen=True):
+    """The process is alive. Its messages are not heard here: a standby, or on another host."""
+
+
+class TookOver(Event, frozen=True):
+    """The standby has taken over in this cycle."""
+
+    cycle: int
+
+
+class Finished(Event, frozen=True):
+    """The agent has come to the end of the run, or was dismissed by SIGTERM.
+
+    `published` counts its messages by signal; `dropped` are port, cause and number.
+    """
+
+    published: dict[str, int]
+    dropped: list[tuple[str, str, int]]
+    skipped_cycles: int = 0
+    dismissed: bool = False
+
+
+class Started(Event, frozen=True):
+    """The fork server has started a process for an agent."""
+
+    pid: int
+
+
+class Exited(Event, frozen=True):
+    """A process has ended: its exit status (below 0: the signal), and its total processor time."""
+
+    status: int
+    cpu_s: float
+
+
+class Presence(Event, frozen=True):
+    """The token of an external agent has come or gone in this cycle, -1 before the run."""
+
+    agent: str
+    alive: bool
+    cycle: int
+
+
+class Over(Event, frozen=True):
+    """An external plant has said that the run is over, before this cycle."""
+
+    cycle: int
+
+
+class Complaint(Event, frozen=True):
+    """What was wrong with messages on a key (without the run's namespace), and the first one."""
+
+    key: str
+    cause: str
+    count: int
+    example: str
+
+
+class ExternalAccount(msgspec.Struct, frozen=True):
+    """What the recorder heard of an external agent, which gives no account of itself.
+
+    recorded: Its messages in the recording, by signal.
+    lost: Its messages that their sequence numbers show to be missing.
+    expected, answered: How many messages should have come on the keys with one in each cycle, and
+        how many came.
+    outages: Cycles in which it went away and came back; None: it did not.
+    """
+
+    agent: str
+    recorded: dict[str, int]
+    lost: int
+    expected: int
+    answered: int
+    outages: tuple[tuple[int, int | None], ...] = ()
+
+
+class Recorded(Event, frozen=True):
+    """The recorder has closed its file.
+
+    recorded: Messages in the file, by signal.
+    foreign: Payloads on the run's keys that are no messages of the run.
+    cycles: How many cycles the plant completed.
+    ended_early: Why the file does not go up to the end of the run; empty if it does.
+    external: External agents. Their messages are among the others in `recorded`.
+    complaints: What was wrong with foreign messages, those of external agents, and those that
+        contradict others of their key.
+    extra: Messages of `recorded` that came second on keys of the launcher's own processes.
+    """
+
+    recorded: dict[str, int]
+    foreign: int
+    cycles: int
+    ended_early: str = ""
+    external: tuple[ExternalAccount, ...] = ()
+    complaints: tuple[Complaint, ...] = ()
+    extra: dict[str, int] = {}
+
+
+class RecordingEnded(Event, frozen=True):
+    """The recorder cannot write any more, and why, in one line. The run goes on without it."""
+
+    text: str
+
+
+class Failed(Event, frozen=True):
+    """The process gives up, and why, in one line."""
+
+    text: str

@@ -1,0 +1,87 @@
+"""Processors, scheduling and memory of a process."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final
+
+import msgspec
+
+from agents.cycle import Kind
+
+LOWEST_PRIORITY: Final = 1
+HIGHEST_PRIORITY: Final = 99
+"""Of the policy SCHED_FIFO, see sched(7)."""
+
+_RECORDER_NICE: Final = 5
+"""In real time the recorder may lag behind: its messages wait in a queue, and lose nothing."""
+
+_SET_PARENT_DEATH_SIGNAL: Final = 1
+"""PR_SET_PDEATHSIG of prctl(2). It outlives execve(2)."""
+
+_SET_TIMER_SLACK: Final = 29
+"""PR_SET_TIMERSLACK of prctl(2)."""
+
+
+class MachineSettings(msgspec.Struct, frozen=True):
+    """What the processes of a run may take of the machine. By default nothing special.
+
+    cpus, cpus_of: Processors that all processes run on, and those of one kind. Empty: any.
+    priority: In real time: of plant and controllers under SCHED_FIFO, 1 to 99. 0: normal policy.
+    """
+
+    cpus: tuple[int, ...] = ()
+    cpus_of: dict[Kind, tuple[int, ...]] = {}
+    priority: int = 0
+
+
+def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tuple[str, ...]:
+    """Set this process up as the settings say, before it opens the bus, which starts threads.
+
+    Returns what the machine does not permit, and why: the process goes on without it.
+    """
+    refused = []
+    if cpus := settings.cpus_of.get(kind, settings.cpus):
+        try:
+            os.sched_setaffinity(0, cpus)
+        except OSError as error:
+            refused.append(f"CPU {', '.join(map(str, cpus))}: not available ({error.strerror})")
+    if lockstep:
+        # Do not interrupt the running process when woken: it may have more messages to send.
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    elif kind != "recorder":
+        wake_precisely()
+        priority = settings.priority
+        try:
+            if priority:
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except OSError as error:
+            refused.append(
+                f"priority {priority}: the kernel refuses SCHED_FIFO ({error.strerror}); it needs "
+                f"CAP_SYS_NICE, or `ulimit -r {priority}`"
+            )
+    return tuple(refused)
+
+
+def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
+    """Return what this machine would not permit to a controller, by trying it in a thread."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(take_machine, settings, "direct", lockstep=lockstep).result()
+
+
+def wake_precisely() -> None:
+    """Ask the kernel to wake this thread on time: by default Linux adds up to 50 µs."""
+    ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, 1)
+
+
+def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
+    """Ask the kernel for a signal when the parent of this process dies."""
+    ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, int(death_signal))
+
+
+def stand_back() -> None:
+    """Lower the priority of this thread, but not of the threads that receive messages."""
+    os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)

@@ -1,0 +1,177 @@
+"""How an agent of a plan joins the bus: its links, its identity, and what it accepts.
+
+Every agent enforces its own rules on each of its links. Peers do not relay, so the agent at the
+other end has published whatever comes over a link.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeAlias
+
+from agents.plan import RunPlan
+from bus_schemas.tree import RECORDER, agent_of
+from bus_schemas.wiring import Links
+from bus_schemas.zenoh_session import SUBSCRIBER_BATCH_BYTES, KeyFiles, SessionSettings
+
+_LARGEST_BYTES = 65_536
+_BYTES_PER_INVERTER = 64
+"""A message is not larger than this: the plant's `production` has two numbers for each inverter,
+and `missing` names a few inputs of each child."""
+
+_LONGEST_COMMON_NAME = 64
+"""Characters, by RFC 5280."""
+
+Subjects: TypeAlias = dict[str, dict[str, list[str]]]
+"""By agent, how Zenoh recognises it at the other end of a link. The empty name stands for anybody:
+the recorder accepts all their messages, so that it can name whoever sends what is not allowed."""
+
+
+def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
+    """Return how an agent of the plan, or a standby, joins the bus.
+
+    With keys, a certificate says who is at the other end of a link. Without, every process of ours
+    has a password. A run that was set up by hand has neither: anybody may join.
+    """
+    links, access = plan.links, plan.access
+    if access.keys_folder:
+        keys = KeyFiles.of(Path(access.keys_folder), agent_of(agent))
+        subjects: Subjects = {
+            peer: {"cert_common_names": [common_name(agent_of(peer))]}
+            for peer in links.peers(agent)
+        }
+        return _settings(plan, agent, links, access.tcp_ports, subjects, keys.config())
+    if access.secret:
+        return _with_passwords(plan, agent)
+    return _settings(plan, agent, links, access.tcp_ports)
+
+
+def _with_passwords(plan: RunPlan, agent: str) -> SessionSettings:
+    """Ask every process of ours for its password.
+
+    A session asks everybody who connects, or nobody. Devices have no password, so an agent that
+    talks to one has a second session for it, in which nobody can tell a device from a stranger.
+    """
+    links, access = plan.agent_links, plan.access
+    subjects: Subjects = {
+        peer: {"zids": [session_id(access.secret, peer)]} for peer in links.peers(agent)
+    }
+    for top, below in links.pairs:
+        if top == agent:
+            subjects[below]["usernames"] = [below]
+    own: dict[str, object] = {
+        "id": session_id(access.secret, agent),
+        "transport/auth/usrpwd/user": agent,
+        "transport/auth/usrpwd/password": password(access.secret, agent),
+        "transport/auth/usrpwd/dictionary_file": access.users_file,
+    }
+    ports = access.agent_ports or access.tcp_ports
+    settings = _settings(plan, agent, links, ports, subjects | {"": {}}, own)
+    without_devices = {*links.pairs}
+    to_devices = Links(tuple(pair for pair in plan.links.pairs if pair not in without_devices))
+    devices = to_devices.peers(agent)
+    if not devices:
+        return settings
+    anybody: Subjects = {peer: {} for peer in ("", *devices)}
+    second = _settings(plan, agent, to_devices, access.tcp_ports, anybody)
+    return replace(settings, devices=second)
+
+
+def _settings(
+    plan: RunPlan,
+    agent: str,
+    links: Links,
+    tcp_ports: dict[str, int],
+    subjects: Subjects | None = None,
+    further: dict[str, object] | None = None,
+) -> SessionSettings:
+    listen, connect = links.endpoints(agent, tcp_ports, plan.access.host_of)
+    largest_bytes = _LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters)
+    further = {"transport/link/rx/max_message_size": largest_bytes, **(further or {})}
+    if plan.access.external:  # zenoh-pico closes a link that is idle for 10 s.
+        further["transport/link/tx/keep_alive"] = 12
+    if agent == RECORDER:
+        further["transport/link/tx/batch_size"] = SUBSCRIBER_BATCH_BYTES
+    if subjects is not None:
+        further["access_control"] = _access_rules(plan, agent, links, subjects)
+    return SessionSettings(
+        plan.bus_namespace, listen, connect, plan.timing.lockstep, further, links.peers(agent)
+    )
+
+
+def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -> dict[str, object]:
+    """Return an agent's access rules, as in Zenoh's configuration; all else is refused."""
+    wiring = plan.wiring
+    rules: list[dict[str, object]] = []
+    policies: list[dict[str, object]] = []
+
+    def add(
+        rule: str, flows: list[str], messages: list[str], keys: list[str], permission: str = "allow"
+    ) -> str:
+        key_exprs = [f"{plan.bus_namespace}/{key}" for key in keys]
+        one = {"id": rule, "permission": permission, "flows": flows, "messages": messages}
+        rules.append({**one, "key_exprs": key_exprs})
+        return rule
+
+    def between(publisher: str, listener: str) -> list[str]:
+        """Return the keys on which one process may publish to another; the recorder hears all."""
+        return [
+            wiring.key(port)
+            for port in wiring.published.get(agent_of(publisher), ())
+            if listener == RECORDER or listener in wiring.processes[port]
+        ]
+
+    listens = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"]
+    # In lockstep a process that replaces another queries what it has missed.
+    listens += ["declare_queryable", "query"]
+    of_all = [
+        add("subscriptions", ["ingress", "egress"], listens, [f"{wiring.plant}/**"]),
+        add("own token", ["egress"], ["liveliness_token"], [wiring.alive_key(agent)]),
+    ]
+    for peer in links.peers(agent):
+        own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], [wiring.alive_key(peer)])]
+        if heard := between(peer, agent):
+            own.append(add(f"from {peer}", ["ingress"], ["put", "reply"], heard))
+        if published := between(agent, peer):
+            own.append(add(f"to {peer}", ["egress"], ["put", "reply"], published))
+        policies.append({"rules": [*of_all, *own], "subjects": [peer]})
+    known = {peer: subjects[peer] for peer in links.peers(agent)}
+    if agent == RECORDER and "" in subjects:
+        known["anybody"] = subjects[""]
+        from_anybody = add("from anybody", ["ingress"], ["put"], ["**"])
+        # Peers do relay for clients, so a client could send in the recorder's name.
+        own_keys = [wiring.key(port) for port in wiring.published[agent]]
+        not_own = add("not in its name", ["ingress"], ["put"], own_keys, "deny")
+        policies.append({"rules": [*of_all, from_anybody, not_own], "subjects": ["anybody"]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": name, **subject} for name, subject in known.items()],
+        "policies": policies,
+    }
+
+
+def session_id(secret: str, agent: str) -> str:
+    """Return the Zenoh id of an agent's session. Whoever connects to the agent learns it."""
+    return f"a{_digest(secret, f'id of {agent}')}"  # Zenoh accepts no leading zero.
+
+
+def password(secret: str, agent: str) -> str:
+    return _digest(secret, f"password of {agent}")
+
+
+def users(plan: RunPlan) -> str:
+    return "".join(f"{agent}:{password(plan.access.secret, agent)}\n" for agent in plan.processes)
+
+
+def _digest(secret: str, text: str) -> str:
+    return hashlib.blake2b(text.encode(), key=secret.encode(), digest_size=15).hexdigest()
+
+
+def common_name(agent: str) -> str:
+    if len(agent) <= _LONGEST_COMMON_NAME:
+        return agent
+    return hashlib.blake2b(agent.encode(), digest_size=32).hexdigest()

@@ -1,0 +1,101 @@
+"""The queue between Zenoh's thread, which calls us, and an agent's."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final
+
+import zenoh
+
+from bus_schemas.messages import Message
+from bus_schemas.signals import Occurrence, Port
+
+_NEVER: Final = 1 << 60
+
+_CROWDED: Final = 10_000
+"""Once so many messages wait, each port has a limit: a flood of one port must neither take all
+memory nor keep the others out."""
+
+_MOST_OF_A_PORT: Final = 100
+
+_this_thread = threading.local()
+
+
+class Inbox:
+    """A queue from Zenoh's thread to the agent's: wakes the agent once, when enough has arrived.
+
+    dropped: Messages that found no room, by port and cause.
+    on_enough: Called on Zenoh's thread. By default it wakes the agent's.
+    """
+
+    def __init__(self) -> None:
+        self.dropped: Counter[tuple[str, str]] = Counter()
+        self.on_enough: Callable[[], None] = self.wake
+        self._waiting: Counter[Port[Message]] = Counter()
+        self._items: deque[tuple[Port[Message], zenoh.ZBytes, int]] = deque()
+        self._wanted = _NEVER
+        self._urgent = False
+        self._gate = threading.Lock()
+        self._gate.acquire()
+
+    def callback(self, port: Port[Message]) -> Callable[[zenoh.Sample], None]:
+        items, append, now_ns = self._items, self._items.append, time.monotonic_ns
+        urgent = port.signal.occurrence is Occurrence.EVENT
+
+        def hear(sample: zenoh.Sample) -> None:
+            if not hasattr(_this_thread, "is_kept"):
+                # Otherwise Python makes and discards a state of Zenoh's thread for each callback:
+                # an eighth of the processor time of a cycle.
+                ctypes.pythonapi.PyGILState_Ensure()
+                _this_thread.is_kept = True
+            if len(items) >= _CROWDED and not self._has_room(port):
+                return
+            append((port, sample.payload, now_ns()))
+            if len(items) >= self._wanted or urgent:
+                self._wanted = _NEVER
+                self._urgent = self._urgent or urgent
+                self.on_enough()
+
+        return hear
+
+    def want(self, wanted: int) -> bool:
+        """Ask to be called once so many or an urgent one are there; return whether they are."""
+        self._wanted = wanted
+        # The last one may have come just before that.
+        return len(self._items) >= wanted or (self._urgent and bool(self._items))
+
+    def sleep(self, timeout_s: float) -> None:
+        """Sleep until somebody wakes the agent, or the time-out has come."""
+        if timeout_s > 0.0:
+            self._gate.acquire(timeout=timeout_s)
+
+    def wake(self) -> None:
+        with suppress(RuntimeError):  # Two messages at once: it is awake already.
+            self._gate.release()
+
+    def take(
+        self, wanted: int = 0, timeout_s: float = 0.0
+    ) -> list[tuple[Port[Message], zenoh.ZBytes, int]]:
+        until = time.monotonic() + timeout_s
+        # An opening may be left over from messages that were taken already.
+        while timeout_s > 0.0 and not self.want(wanted):
+            self.sleep(timeout_s)
+            timeout_s = until - time.monotonic()
+        self._wanted = _NEVER
+        self._urgent = False
+        if self._waiting:
+            self._waiting = Counter()
+        items = self._items
+        return [items.popleft() for _ in range(len(items))]
+
+    def _has_room(self, port: Port[Message]) -> bool:
+        self._waiting[port] += 1
+        if self._waiting[port] <= _MOST_OF_A_PORT:
+            return True
+        self.dropped[str(port), "flooded"] += 1
+        return False

@@ -1,0 +1,37 @@
+"""TCP ports of this host, kept free for the run that asked for them."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+
+from bus_schemas.errors import InputError
+
+
+@contextmanager
+def reserved_ports(
+    agents: Sequence[str], base_port: int | None = None, address: str = "127.0.0.1"
+) -> Iterator[dict[str, int]]:
+    """Reserve a port at an address of this host for each agent, as long as the context lasts.
+
+    A socket stays bound to each port without listening on it: the kernel gives the port to no other
+    program, but Zenoh, which sets SO_REUSEADDR as well, can listen on it. The first agent gets
+    `base_port`, and the others the next ones; None: any that are free.
+    """
+    with ExitStack() as sockets:
+        ports: dict[str, int] = {}
+        for number, agent in enumerate(agents):
+            wanted = 0 if base_port is None else base_port + number
+            family = socket.AF_INET6 if ":" in address else socket.AF_INET
+            holder = sockets.enter_context(socket.socket(family, socket.SOCK_STREAM))
+            holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                holder.bind((address, wanted))
+            except OSError as error:
+                where = f"--base-port: expected free ports, got port {wanted} of {agent}"
+                if base_port is None:
+                    where = f"--address: expected an address of this host, got {address}"
+                raise InputError(f"{where}: {error.strerror}") from None
+            ports[agent] = holder.getsockname()[1]
+        yield ports

@@ -1,0 +1,83 @@
+"""The command line: `heliarch`. Each command is a function in a file of its own."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.metadata import version
+from typing import Final, NoReturn
+
+from cyclopts import App, Group, Parameter
+
+from bus_schemas.errors import InputError
+from heliarch.cli.boundary import BAD_INPUT, OK, boundary
+from heliarch.cli.options import OPTIONS
+
+COMMANDS: Final = {
+    "Run": ("launch", "node", "simulate", "timing", "conform", "inverters", "scenarios"),
+    "Look": ("view", "report", "inspect", "verify", "replay"),
+    "Compare": ("compare", "campaign"),
+    "Files": ("export", "recover"),
+    "Set up": ("doctor", "keys"),
+}
+"""The commands under the headings of `heliarch --help`."""
+
+
+def _default_text(value: object) -> str | None:
+    """Return how the help shows a default; None: it does not."""
+    if value is None or value is False:
+        return None
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+app: Final = App(
+    name="heliarch",
+    help="Run a utility-scale solar plant's controllers as a team of processes.",
+    version=lambda: f"heliarch {version('heliarch')}",
+    help_format="markdown",
+    default_parameter=Parameter(negative=(), show_default=_default_text),
+    group_commands=Group.create_ordered("Help"),
+    group_parameters=OPTIONS,
+    result_action="return_value",
+    print_error=False,
+    exit_on_error=False,
+    suppress_keyboard_interrupt=False,
+)
+for _heading, _names in COMMANDS.items():
+    _group = Group.create_ordered(_heading)
+    for _name in _names:
+        _module = import_module(f"heliarch.cli.{_name}")
+        app.command(getattr(_module, _name), name=_name, group=_group)
+app.register_install_completion_command()
+
+
+def run_command(words: Sequence[str]) -> NoReturn:
+    """Run the command that the user named, and leave with its exit status.
+
+    Commands return their exit status, or None for success.
+    """
+    with boundary():
+        if words:
+            status = app(checked(words))
+        else:
+            app.help_print([])
+            status = BAD_INPUT
+        sys.stdout.flush()
+    sys.exit(status or OK)
+
+
+def checked(words: Sequence[str]) -> list[str]:
+    """Refuse empty words; give a `--report` that no file *.html follows an empty value."""
+    checked = []
+    for before, word, after in zip(["", *words], words, [*words[1:], ""], strict=False):
+        # `--out "$FOLDER"` without a FOLDER: an empty path would mean this folder.
+        if not word or (word.startswith("--") and word.endswith("=")):
+            option = next((one for one in (word, before) if one[:2] == "--"), "an argument")
+            raise InputError(f"{option.rstrip('=')}: expected a value, got nothing")
+        if re.search("[\ud800-\udfff]", word):
+            raise InputError(f"{word}: expected UTF-8, got bytes that are not")
+        is_bare = word == "--report" and not after.endswith(".html")
+        checked.append("--report=" if is_bare else word)
+    return checked

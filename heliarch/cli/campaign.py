@@ -1,0 +1,75 @@
+"""`heliarch campaign`: thousands of simulated runs with random faults."""
+
+from __future__ import annotations
+
+import shlex
+from functools import partial
+from typing import Annotated, Final
+
+from cyclopts import Parameter
+
+from bus_schemas.errors import InputError
+from heliarch.cli.boundary import FAILED, OK
+from heliarch.cli.options import ResultOptions, Scenario, Settings, Workers, changed_scenario
+from heliarch.cli.output import publish, shared
+from scenarios.run_options import RunOptions
+
+_LISTED: Final = 10
+
+
+def campaign(
+    scenario: Scenario = "oahu",
+    /,
+    *,
+    seeds: Annotated[str, Parameter(metavar="SEEDS")] = "1..100",
+    start: Annotated[str | None, Parameter("--from", metavar="TIME")] = None,
+    duration: Annotated[str, Parameter(metavar="TIME")] = "150s",
+    workers: Workers = 1,
+    settings: Settings = None,
+    files: ResultOptions = ResultOptions(),
+) -> int:
+    """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
+
+    Each seed is one simulated run. If a run breaks an invariant (docs/resilience.md), prints a
+    command that repeats it with the shortest list of faults that still breaks it. Exit status 1: an
+    invariant was broken. --report writes campaign.html by default.
+
+    Example: `heliarch campaign oahu --seeds 1..200 --workers 2`
+
+    Parameters
+    ----------
+    seeds
+        Seeds of the faults, such as 1..1000.
+    start
+        Local time of the first cycle: 12:30, or 2010-04-01T12:30.
+    duration
+        Length of each run: 150s, 10m.
+    """
+    from scenarios.preparation import prepare
+    from studies.campaign import results, study
+    from studies.compare.cases import parse_seeds
+
+    changed = changed_scenario(scenario, files.data, settings)
+    preparation = prepare(changed, RunOptions(start, duration), "campaign")
+    plan = preparation.plan
+    length_s, least_s = plan.timing.cycles * plan.timing.cycle_ns / 1e9, study.least_length_s(plan)
+    if length_s < least_s:
+        raise InputError(f"--duration: expected {least_s:g} s or more, got {length_s:g} s")
+    chosen = parse_seeds(seeds)
+    found = study.campaign(preparation)
+    outcomes = shared(partial(study.run_seed, found), chosen, workers, "runs")
+    broken = [outcome for outcome in outcomes if outcome.violations]
+    # The command that repeats a run, without its faults.
+    words = ["heliarch", "simulate", scenario, "--duration", duration]
+    words += ["--from", start] if start else []
+    words += [word for setting in settings or () for word in ("--set", setting)]
+    more = []
+    for outcome in broken[:_LISTED]:
+        first = outcome.violations[0]
+        faults = [word for rule in outcome.rules for word in ("--fault", rule)]
+        more += [
+            f"seed {outcome.seed}: {first.invariant}, cycle {first.cycle}: {first.text}",
+            f"  {shlex.join([*words, *faults])}",
+        ]
+    publish(results.campaign_result(preparation, found, outcomes), files, "campaign.html", *more)
+    return FAILED if broken else OK

@@ -1,0 +1,232 @@
+"""`heliarch compare`: control schemes side by side, on one day or on many; or two recorded runs."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, cast, get_args
+
+from cyclopts import Parameter
+
+from agents.settings import Actuator
+from bus_schemas.errors import InputError, not_one_of
+from bus_schemas.whole_file import whole_file
+from heliarch.cli.options import (
+    FAULTS,
+    FILES,
+    ResultOptions,
+    Settings,
+    TimeOptions,
+    Workers,
+    is_run,
+    new_table,
+    refuse_given,
+    run_options,
+)
+from heliarch.cli.output import do_all, publish, shared
+from results.report.result import Result
+from results.tables import json_rows as table_rows
+
+if TYPE_CHECKING:
+    from studies.arrays.schemes import ReferenceGroups
+    from studies.compare.cases import Case
+    from studies.compare.study import CaseResult, SchemeChoice
+
+_SETTINGS: Final = (
+    "A field of the scenario and its values; each combination is a case. Whole numbers may be a "
+    "range: control.clusters_seed=1..20."
+)
+_SHOWN: Final = "control-caused,over-delivered"
+
+
+def compare(
+    scenario: str = "oahu-day",
+    other: Path | None = None,
+    /,
+    *,
+    days: Annotated[str | None, Parameter(metavar="DATES")] = None,
+    seeds: Annotated[str | None, Parameter(metavar="SEEDS")] = None,
+    schemes: Annotated[str | None, Parameter(metavar="NAMES")] = None,
+    actuator: Annotated[str | None, Parameter(metavar="NAMES")] = None,
+    reference: Annotated[str | None, Parameter(metavar="GROUPS")] = None,
+    show: Annotated[str | None, Parameter(metavar="FIGURES")] = None,
+    workers: Workers = 1,
+    scheduler: Annotated[str | None, Parameter(metavar="ADDRESS")] = None,
+    settings: Annotated[Settings, Parameter(metavar="FIELD=VALUES", help=_SETTINGS)] = None,
+    span: TimeOptions = TimeOptions(),
+    faults: Annotated[list[str] | None, Parameter("--fault", metavar="RULES", group=FAULTS)] = None,
+    files: ResultOptions = ResultOptions(),
+    csv: Annotated[str | None, Parameter(metavar="FILE", group=FILES, validator=new_table)] = None,
+) -> None:
+    """Compare control schemes under the same sky, for one day or many; or two recorded runs.
+
+    For a single case or two runs, --report writes a page, compare.html by default.
+
+    Example: `heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10`
+
+    Parameters
+    ----------
+    scenario
+        A shipped scenario (see `heliarch scenarios`) or a TOML file; or a recorded run, its folder
+        or run.mcap.
+    other
+        A second run, to compare the first with.
+    days
+        Dates, such as 2010-04-01..2010-04-30.
+    seeds
+        Seeds of synthetic clouds, such as 1..5,9.
+    schemes
+        Control schemes, with commas: uncontrolled, uniform-cap, grouping, paper, predictive,
+        physical-limit. Default: all.
+    actuator
+        Actuators to run each scheme with: fraction,limit. Default: the scenario's.
+    reference
+        Reference groups of grouping control: sizes (1,4,8), or inverters (inv01,inv07).
+    show
+        Figures of merit to show for many cases, with commas: dispatched-energy, available-energy,
+        delivered-energy, satisfied, shortfall-energy, unavoidable-energy, control-caused-energy,
+        over-delivered-energy, shortfall, unavoidable, control-caused, over-delivered, rmse, mae,
+        mileage-total, mileage, mileage-per-minute, curtailed-energy, mean-headroom,
+        ancillary-potential, rise, fall, ramp, ramp-limit, above-ramp-limit, outside-help,
+        outside-help-able, missed-inputs, reverted, capacity, offered, signal-mileage, regd-strict,
+        regd, regd-feasible-strict, regd-feasible, accuracy, delay, precision, score,
+        score-unclipped. Default: control-caused,over-delivered.
+    scheduler
+        Dask scheduler that shares the cases.
+    faults
+        A rule as for `simulate`, several that act together (delay=1s;loss=5%), or none. May be
+        given several times: each is a case.
+    csv
+        Write the summary of the cases as CSV.
+    """
+    if other is not None:
+        others = {
+            **{"--days": days, "--seeds": seeds, "--set": settings, "--fault": faults},
+            **{"--schemes": schemes, "--actuator": actuator, "--reference": reference},
+            **{"--show": show, "--workers": workers > 1, "--scheduler": scheduler, "--csv": csv},
+        }
+        why = "expected only --report or --json with two recorded runs"
+        refuse_given(why, others, span, replace(files, report=None, json=None))
+        publish(_two_runs((Path(scenario), other)), files, "compare.html")
+        return
+    if is_run(Path(scenario)):
+        raise InputError(f"{scenario}: expected two runs, or one scenario")
+    from results.metrics.figures_of_merit import FIGURES_OF_MERIT
+    from scenarios.scenario import load_scenario
+    from scenarios.settings import parse_setting
+    from studies.arrays.schemes import SCHEMES
+    from studies.compare.cases import cases, parse_days, parse_seeds
+    from studies.compare.study import SchemeChoice, run_case
+
+    shown = _names("--show", show or _SHOWN, FIGURES_OF_MERIT)
+    choice = SchemeChoice(
+        tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES),
+        _groups(reference),
+        cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator))),
+    )
+    found = cases(
+        load_scenario(scenario, files.data),
+        run_options(span),
+        [parse_setting(text) for text in settings or ()],
+        faults or (),
+        () if days is None else parse_days(days),
+        () if seeds is None else parse_seeds(seeds),
+    )
+    if len(found) == 1:
+        if scheduler is not None:
+            raise InputError(
+                "--scheduler: expected cases to share (--seeds, --days, --set, --fault), got one"
+            )
+        result, *results = _one_case(found[0], choice)
+    else:
+        if files.report is not None:
+            many = f"{len(found):,}; see --csv and --json"
+            raise InputError(f"--report: expected one case, got {many}")
+        results = shared(partial(run_case, choice), found, workers, "cases", scheduler)
+        result = _many_cases(results, shown)
+    do_all(
+        partial(_write_summary, results, csv),
+        partial(publish, result, files, "compare.html"),
+    )
+
+
+def _names(option: str, text: str | None, known: Collection[str]) -> tuple[str, ...]:
+    """Return the names of a text with commas, each once."""
+    names = dict.fromkeys(name.strip() for name in (text or "").split(",") if name.strip())
+    for name in names:
+        if name not in known:
+            raise InputError(f"{option}: {not_one_of(known, name)}")
+    return tuple(names)
+
+
+def _groups(text: str | None) -> ReferenceGroups:
+    from studies.arrays.schemes import ReferenceGroups
+
+    if text is None:
+        return ReferenceGroups()
+    names = tuple(name.strip() for name in text.split(","))
+    if all(name.isdecimal() for name in names):
+        return ReferenceGroups(sizes=tuple(int(name) for name in names))
+    return ReferenceGroups(members=names)
+
+
+def _one_case(case: Case, choice: SchemeChoice) -> tuple[Result, CaseResult]:
+    """Run one case; return the paper's tables and figures."""
+    from results.report.run_report import runs_result
+    from results.report.tables import metrics_tables
+    from scenarios.preparation import prepare
+    from studies.compare.frontier import frontier
+    from studies.compare.results import case_tables, json_rows
+    from studies.compare.study import CaseResult, remarks_of, run_schemes
+
+    preparation = prepare(case.scenario, case.options, "compare")
+    remarks = remarks_of(preparation)
+    schemes, series = zip(*run_schemes(preparation, choice), strict=True)
+    found = CaseResult(case.columns, schemes, remarks)
+    title = preparation.title()
+    lines = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
+    tables, document = case_tables(title, schemes), json_rows([found])
+    result = runs_result(title, series, tables, lines, document)
+    return replace(
+        result,
+        figures=lambda: [frontier(schemes), *result.figures()],
+        details=metrics_tables(series),
+    ), found
+
+
+def _many_cases(results: Sequence[CaseResult], shown: Sequence[str]) -> Result:
+    from studies.compare.results import cases_tables, json_rows
+
+    return Result(
+        f"{len(results):,} cases",
+        cases_tables(shown, results),
+        json_rows(results),
+        lines=list(dict.fromkeys(line for one in results for line in one.remarks)),
+    )
+
+
+def _two_runs(paths: tuple[Path, Path]) -> Result:
+    """Put two recordings side by side."""
+    from results.report.run_report import runs_result
+    from results.two_runs import read_two_runs, two_runs_tables
+
+    for path in paths:
+        if not is_run(path):
+            raise InputError(f"{path}: expected a recorded run, its folder or run.mcap")
+    series, lines = read_two_runs(paths)
+    tables = two_runs_tables(*series)
+    figures, differences = map(table_rows, tables)
+    runs = [str(path) for path in paths]
+    document = {"runs": runs, "figures": figures, "differences": differences}
+    return runs_result(f"{paths[0].name} and {paths[1].name}", series, tables, lines, document)
+
+
+def _write_summary(results: Sequence[CaseResult], csv: str | None) -> None:
+    """Write the summary of the cases as CSV, where it is asked for."""
+    if csv is not None:
+        from studies.compare.results import summaries
+
+        with whole_file(Path(csv)) as file:
+            summaries(results).to_csv(file, index=False)

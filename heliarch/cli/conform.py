@@ -1,0 +1,102 @@
+"""`heliarch conform`: test a device in the place of an agent against docs/wire.md."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from agents.settings import Scheme
+from bus_schemas.tree import PLANT
+from heliarch.cli.boundary import FAILED, OK
+from heliarch.cli.options import FILES, Json, Scenario, Tolerance, Whole
+from heliarch.cli.output import say, write_json
+from results.tables import console_for, json_rows, print_table
+from scenarios.run_options import RunOptions
+
+
+def conform(
+    agent: str,
+    /,
+    *,
+    scenario: Annotated[Scenario, Parameter("--scenario", metavar="SCENARIO")] = "oahu",
+    command: Annotated[str | None, Parameter(metavar="COMMAND")] = None,
+    pace: Annotated[str, Parameter(metavar="PACE")] = "1",
+    scheme: Scheme | None = "paper",
+    seed: Whole | None = None,
+    tolerance: Tolerance = 0.0,
+    wait_s: Annotated[float, Parameter("--external-timeout", metavar="SECONDS")] = 60.0,
+    base_port: Annotated[Whole | None, Parameter(metavar="PORT")] = None,
+    out: Annotated[Path | None, Parameter(metavar="DIR", group=FILES)] = None,
+    json: Json = None,
+) -> int:
+    """Test your own device against each requirement of the wire document.
+
+    Plays the agents around the device: a normal run, inputs at their limits, wrong, random, late or
+    missing inputs, random faults, links that close, a restart. Compares each answer with that of
+    Heliarch's own agent. Exit status 1: a requirement is not met.
+
+    Example: `heliarch conform c2/inv07
+    --command 'python examples/direct_controller.py --plan {plan} --node {node}'`
+
+    Parameters
+    ----------
+    agent
+        The agent that the device replaces: c2/inv07, c2, central or plant.
+    scenario
+        The plant around it, as for launch.
+    command
+        Command that starts the device; {plan} becomes the path of the plan, {node} the agent.
+        Without it, start the device yourself for each plan that is printed; restarts are then not
+        tested.
+    pace
+        Pace of the tests in real time; max leaves these out.
+    scheme
+        How maximum powers are estimated.
+    seed
+        Seed of the clouds, of random inputs and of random faults.
+    wait_s
+        How long to wait for the device.
+    base_port
+        Listen on this port and those after it, with the plant's name as namespace.
+    out
+        Folder of the recorded tests; default runs/NAME-TIME.
+    """
+    from heliarch.cli.live_view import view_for
+    from launch_scripts.run_folder import RunRequest, prepare_run
+    from recordings.verify.equality import Equality
+    from scenarios.scenario import load_scenario
+    from studies.conformance import conform as of_controller
+    from studies.conformance import plant as of_plant
+    from studies.conformance.device import Device
+
+    console = console_for(json)
+    scenario_file = load_scenario(scenario)
+    cycles = of_plant.CYCLES if agent == PLANT else of_controller.CYCLES
+    options = RunOptions(
+        duration=f"{cycles * scenario_file.scenario.time.cycle_s:g}",
+        pace=pace,
+        seed=seed,
+        scheme=scheme,
+        external=[agent],
+        external_timeout_s=wait_s,
+        base_port=base_port,
+        faults=[of_plant.FROZEN] if agent == PLANT else None,
+    )
+    preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
+    with Device(command, agent, folder.path) as device:
+        if agent == PLANT:
+            findings = of_plant.try_plant(preparation, folder, device, partial(view_for, console))
+        else:
+            comparison = Equality(tolerance)
+            trials = of_controller.Conformance(
+                preparation, folder, device, comparison, lambda line: say(console, line)
+            )
+            findings = trials.run(seed or 0)
+    print_table(console, findings.table(agent))
+    say(console, f"trials: {folder.path}")
+    rows = json_rows(findings.table(agent))
+    write_json({"agent": agent, "passed": findings.passed, "requirements": rows}, json)
+    return OK if findings.passed else FAILED

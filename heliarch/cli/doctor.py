@@ -1,0 +1,177 @@
+"""`heliarch doctor`: whether a run will work on this machine, and what will slow it down."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import shutil
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Annotated, Final, NamedTuple
+
+from cyclopts import Parameter
+
+from agents.process.machine import MachineSettings, refusals
+from bus_schemas.errors import InputError
+from heliarch.cli.boundary import FAILED, OK
+from heliarch.cli.options import FILES, Json
+from heliarch.cli.output import say, write_json
+from results.tables import console_for
+
+_PACKAGES: Final = {
+    **dict.fromkeys(("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap"), ""),
+    "cryptography": "--secure needs it: pip install 'heliarch[keys]'",
+    "pymodbus": "real inverters and `inverters` need it: pip install 'heliarch[modbus]'",
+}
+_CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+_POLICIES: Final = ("SCHED_OTHER", "SCHED_BATCH", "SCHED_IDLE", "SCHED_FIFO", "SCHED_RR")
+_GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+
+
+class Finding(NamedTuple):
+    """One thing that was checked, how good it is, and what to do about it.
+
+    `verdict` is `ok`, `slow` where it costs time, and `wrong` where a run will not work.
+    """
+
+    about: str
+    found: str
+    verdict: str = "ok"
+    advice: str = ""
+
+
+def doctor(
+    *,
+    out: Annotated[Path, Parameter(metavar="DIR", group=FILES)] = Path(),
+    json: Json = None,
+) -> int:
+    """Check whether a run will work on this machine, what will slow it down, and what to do.
+
+    Exit status 1: a run would not work.
+
+    Example: `heliarch doctor`
+
+    Parameters
+    ----------
+    out
+        Folder in which runs will be recorded.
+    """
+    if not out.is_dir():
+        raise InputError(f"--out: expected an existing folder, got {out}")
+    found = [*_machine(), *_scheduling(), _loopback(), _zenoh(), *_limits(out), *_versions()]
+    write_json([finding._asdict() for finding in found], json)
+    for about, what, verdict, advice in found:
+        say(console_for(json), f"{about:14} {verdict:6} {what}")
+        if advice:
+            say(console_for(json), f"{'':21} {advice}")
+    return FAILED if any(finding.verdict == "wrong" for finding in found) else OK
+
+
+def _judged(about: str, found: str, is_ok: bool, advice: str, otherwise: str = "slow") -> Finding:
+    """Return a finding that has advice unless all is well."""
+    return Finding(about, found) if is_ok else Finding(about, found, otherwise, advice)
+
+
+def _machine() -> Iterator[Finding]:
+    cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
+    few = "use 4 or more if you can: the 23 processes of oahu share them"
+    yield _judged("processors", f"{cores}", cores >= 4, few)
+    busy = "other programs are running: end them before you measure"
+    yield _judged("load", f"{load:.1f}", load <= 0.5 * cores, busy)
+    if _GOVERNOR.exists():
+        governor = _GOVERNOR.read_text(encoding="ascii").strip()
+        advice = "run: cpupower frequency-set -g performance"
+        yield _judged("frequency", governor, governor in {"performance", "schedutil"}, advice)
+    if _CLOCK.exists():
+        clock = _CLOCK.read_text(encoding="ascii").strip()
+        advice = "boot with clocksource=tsc if the processor has it"
+        yield _judged("clock", clock, clock not in {"hpet", "acpi_pm", "jiffies"}, advice)
+
+
+def _scheduling() -> Iterator[Finding]:
+    own, nice = os.sched_getscheduler(0), os.nice(0)
+    policy = next((name for name in _POLICIES if getattr(os, name) == own), "unknown")
+    is_last = policy in {"SCHED_BATCH", "SCHED_IDLE"} or nice > 0
+    advice = "runs started here get the processor after other programs: use another shell"
+    yield _judged("policy", f"{policy}, nice {nice}", not is_last, advice)
+    refused = refusals(MachineSettings(priority=20), lockstep=False)
+    found = "; ".join(refused) or "SCHED_FIFO is permitted"
+    yield _judged("real time", found, not refused, "matters only for --priority")
+
+
+def _loopback() -> Finding:
+    """Send a byte to a thread and back over TCP again and again; see how long it takes."""
+    trips_us: list[float] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        near = socket.create_connection(server.getsockname())
+        far, _ = server.accept()
+
+    def answer() -> None:
+        while byte := far.recv(1):
+            far.send(byte)
+
+    thread = threading.Thread(target=answer)
+    with near, far:
+        thread.start()
+        for _ in range(500):
+            began_ns = time.monotonic_ns()
+            near.send(b".")
+            near.recv(1)
+            trips_us.append((time.monotonic_ns() - began_ns) / 1e3)
+        near.shutdown(socket.SHUT_WR)
+        thread.join()
+    trips_us.sort()
+    text = f"median {trips_us[250]:.0f} µs there and back, 99 of 100 within {trips_us[495]:.0f} µs"
+    advice = "a cycle waits for six such hops: end other programs"
+    return _judged("loopback", text, trips_us[250] < 200.0, advice)
+
+
+def _zenoh() -> Finding:
+    import psutil
+    import zenoh
+
+    from bus_schemas.zenoh_session import ZENOH_RUNTIME, SessionSettings, open_session
+
+    before = psutil.Process().num_threads()
+    try:
+        with open_session(SessionSettings("doctor", ["tcp/127.0.0.1:0"], [])):
+            threads = psutil.Process().num_threads() - before
+    except zenoh.ZError as error:
+        advice = "no agent can listen on 127.0.0.1: ip link set lo up, or reinstall eclipse-zenoh"
+        return Finding("Zenoh", f"{error}", "wrong", advice)
+    is_tuned = os.environ.get("ZENOH_RUNTIME", ZENOH_RUNTIME) == ZENOH_RUNTIME
+    advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
+    return _judged("Zenoh", f"threads of a session: {threads}", is_tuned, advice)
+
+
+def _limits(folder: Path) -> Iterator[Finding]:
+    import psutil
+
+    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if files == resource.RLIM_INFINITY:
+        files = 2**20
+    inverters = max(files - 100, 0)  # Recorder and plant have a link with each inverter.
+    advice = f"enough for {inverters:,} inverters; ulimit -n 65536 for more"
+    verdict = "slow" if inverters > 50 else "wrong"
+    yield _judged("open files", f"{files:,} at once", files >= 4096, advice, verdict)
+    free_mb = psutil.virtual_memory().available / 1e6
+    advice = "a process needs about 25 MB: end other programs, or take a smaller plant"
+    yield _judged("memory", f"{free_mb:,.0f} MB free", free_mb >= 1000.0, advice)
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    text = f"{free_gb:,.1f} GB free; 17 inverters at 1 cycle/s take 0.02 GB an hour"
+    advice = "free some, or choose another folder for runs with --out"
+    yield _judged("disk", text, free_gb >= 0.1, advice, "wrong")
+
+
+def _versions() -> Iterator[Finding]:
+    yield Finding("Python", platform.python_version())
+    for name, advice in _PACKAGES.items():
+        try:
+            yield Finding(name, version(name))
+        except PackageNotFoundError:
+            yield Finding(name, "not installed", advice=advice)

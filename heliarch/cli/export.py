@@ -1,0 +1,68 @@
+"""`heliarch export`: a recording as a file for viewers, or as tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from bus_schemas.errors import InputError
+from bus_schemas.selection import find_signals
+from bus_schemas.signals import SIGNALS
+from bus_schemas.whole_file import check_new
+from heliarch.cli.options import FILES, End, Json, Nodes, Run, Signals, Start
+from heliarch.cli.output import progress_bar, say, write_json
+from results.tables import Column, Table, console_for, key_column, print_table
+
+
+def export(
+    run: Run,
+    /,
+    *,
+    form: Annotated[Literal["json-mcap", "parquet", "csv"], Parameter("--format")],
+    start: Start = None,
+    end: End = None,
+    nodes: Nodes = None,
+    signals: Signals = None,
+    clock: Literal["wall", "sim"] | None = None,
+    out: Annotated[Path | None, Parameter(group=FILES)] = None,
+    json: Json = None,
+) -> None:
+    """Make a file for viewers, or tidy tables, from a recording.
+
+    Example: `heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*`
+
+    Parameters
+    ----------
+    form
+        json-mcap is for Foxglove and Lichtblick.
+    clock
+        Times in json-mcap: wall, as recorded (the default), or sim, simulated time.
+    out
+        The new file, or folder of tables; default beside the recording.
+    """
+    from recordings.export.exporting import default_path
+    from recordings.export.exporting import export as export_run
+    from recordings.read.reader import RunReader
+
+    if clock is not None and form != "json-mcap":
+        raise InputError(f"--clock: expected --format json-mcap with it, got {form}")
+    with RunReader(run) as reader:
+        path = out or default_path(reader.path, form)
+        check_new(path)
+        wanted = find_signals(signals or "")
+        rows = tuple(row for row in SIGNALS if row.logged and (not wanted or row in wanted))
+        cycles = None if start is None and end is None else reader.clock.span(start, end)
+        with progress_bar(form) as reader.follow:
+            summary = export_run(reader, form, path, rows, nodes or "", cycles, clock or "wall")
+    columns = key_column("signal or table"), Column("rows")
+    cut = "the recording was cut short, or is still written: this is what it holds"
+    title = f"{summary.messages:,} messages"
+    if summary.first_cycle is not None:
+        title += f", cycles {summary.first_cycle:,} to {summary.last_cycle:,}"
+    notes = () if summary.whole else (cut,)
+    console = console_for(json)
+    print_table(console, Table(title, columns, tuple(summary.rows.items()), notes))
+    say(console, f"{summary.form}: {summary.path}")
+    write_json(summary, json)

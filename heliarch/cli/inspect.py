@@ -1,0 +1,163 @@
+"""`heliarch inspect`: what a recording holds, nodes cycle by cycle, or the plant in one cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.text import Text
+
+from bus_schemas.errors import InputError
+from bus_schemas.selection import find_nodes
+from heliarch.cli.options import End, Json, Nodes, Run, Start
+from heliarch.cli.output import progress_bar, write_json, write_rows
+from results.tables import (
+    Column,
+    Table,
+    attributes,
+    cell_text,
+    console_for,
+    key_column,
+    print_table,
+    texts_table,
+    word_column,
+)
+from sunspec.process import read_accounts
+
+if TYPE_CHECKING:
+    from recordings.inspect.overview import Overview
+    from recordings.inspect.timeline import NodeCycle
+    from recordings.read.reader import RunReader
+
+_SHOWN_GAPS: Final = 10
+
+_ROWS: Final = 60
+"""Cycles of a node in one table: its heading stays in sight, and a day is not kept in memory."""
+
+
+def inspect(
+    run: Run,
+    /,
+    *,
+    nodes: Nodes = None,
+    start: Start = None,
+    end: End = None,
+    cycle: Annotated[str | None, Parameter(metavar="TIME")] = None,
+    json: Json = None,
+) -> None:
+    """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
+
+    With --nodes, these nodes cycle by cycle. Without --nodes and --cycle: plant, time span,
+    versions, messages and rate of each signal, the health of the run, and what is missing.
+
+    Example: `heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:50:30`
+
+    Parameters
+    ----------
+    cycle
+        Show the whole plant in this cycle; same forms as --from.
+    """
+    from recordings.read.reader import RunReader
+
+    if cycle is not None and (start or end or nodes):
+        raise InputError("--cycle: expected neither --nodes, --from nor --to with it")
+    console = console_for(json)
+    with RunReader(run) as reader:
+        if cycle is not None:
+            write_json(_show_plant(reader, reader.clock.cycle(cycle, "--cycle"), console), json)
+        elif nodes is not None:
+            names = find_nodes(reader.plan.tree, nodes)
+            cycles = reader.clock.span(start, end)
+            write_rows(_show_nodes(reader, names, cycles, console), json)
+        else:
+            part = None if start is None and end is None else reader.clock.span(start, end)
+            write_json(_show_overview(reader, part, console), json)
+        if not reader.whole:
+            text = (
+                f"{reader.path} or one of the files that continue it was cut, is damaged, or is "
+                "still being recorded. `heliarch recover` makes a whole file of it."
+            )
+            console.print(Text(text, "yellow"))
+
+
+# Nodes, cycle by cycle ----------------------------------------------------------------------
+
+
+def _show_nodes(
+    run: RunReader, nodes: Sequence[str], cycles: range, console: Console
+) -> Iterator[dict[str, Any]]:
+    """Print nodes cycle by cycle, of a recording of any length; yield each row."""
+    from recordings.inspect.timeline import timeline
+    from results.timeline_tables import node_table
+
+    for node in nodes:
+        rows = (row for (row,) in timeline(run, [node], cycles))
+        while part := list(islice(rows, _ROWS)):
+            print_table(console, node_table(run.plan.tree, node, part))
+            yield from (row.document() for row in part)
+
+
+# The plant in one cycle ----------------------------------------------------------------------
+
+
+def _show_plant(run: RunReader, cycle: int, console: Console) -> list[dict[str, Any]]:
+    from recordings.inspect.timeline import timeline
+    from results.timeline_tables import plant_table
+
+    nodes = next(timeline(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
+    if nodes is None:
+        nothing = f"{run.path}: there is no message of cycle {cycle}, {run.clock.extent()}"
+        raise InputError(run.damage_text() or nothing)
+    central = nodes[0]
+    date = f"{run.clock.local(cycle):%Y-%m-%d}"
+    title = f"Cycle {cycle}, {date} {central.time}: {_plant_text(central)}"
+    print_table(console, plant_table(run.plan.tree, title, nodes))
+    return [node.document() for node in nodes]
+
+
+def _plant_text(central: NodeCycle) -> str:
+    """Return dispatch, available and delivered power of the plant as a line."""
+    names = ("dispatch_kw", "commitment_kw", "available_kw", "delivered_kw")
+    values_kw = (central.values.get(name) for name in names)
+    texts = (cell_text(value_kw, Column("power", decimals=1)) for value_kw in values_kw)
+    return "dispatch {} kW (commitment {} kW), available {} kW, delivered {} kW".format(*texts)
+
+
+# The whole recording -------------------------------------------------------------------------
+
+
+def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Overview:
+    from recordings.inspect.overview import facts, read_overview
+    from results.report.tables import devices_tables, health_table
+
+    with progress_bar("reading") as run.follow:
+        found = read_overview(run, cycles)
+    columns = (
+        key_column("signal"),
+        Column("nodes"),
+        Column("messages"),
+        Column("per cycle", decimals=2, name="per_cycle"),
+        Column("per s", decimals=1, name="per_s"),
+        Column("lost"),
+        Column("repeated"),
+        Column("cycles without", name="missing_cycles"),
+    )
+    gaps = tuple(
+        (gap.port, f"{gap.cycles:,} {run.clock.span_text(gap.first_cycle, gap.last_cycle)}")
+        for gap in found.gaps[:_SHOWN_GAPS]
+    )
+    tables = [
+        texts_table(found.run_id, facts(run, found)),
+        Table("Signals", columns, attributes(found.signals, columns)),
+        health_table(found.health, run.clock),
+        *devices_tables(read_accounts(run.path.parent)),
+    ]
+    if found.gaps:
+        title = f"Cycles without a message that was due: the first {_SHOWN_GAPS} gaps"
+        tables.append(Table(title, (key_column("key"), word_column("cycles")), gaps))
+    for table in tables:
+        print_table(console, table)
+    return found

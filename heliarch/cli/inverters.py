@@ -1,0 +1,95 @@
+"""`heliarch inverters`: a plant's simulated inverters as SunSpec devices."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from math import inf
+from typing import Annotated, Final
+
+from cyclopts import Parameter
+from cyclopts.validators import Number
+
+from bus_schemas.errors import InputError
+from heliarch.cli.options import (
+    Data,
+    Port,
+    Scenario,
+    Seed,
+    Settings,
+    TimeOptions,
+    changed_scenario,
+    run_options,
+)
+from heliarch.cli.output import say
+from results.tables import console_for
+from sunspec.limited_inverter import LimitedInverter
+
+_PORT: Final = 5020
+
+
+def inverters(
+    scenario: Scenario = "oahu",
+    /,
+    *,
+    address: Annotated[str, Parameter(metavar="ADDRESS")] = "127.0.0.1",
+    port: Port = _PORT,
+    base_port: Annotated[Port | None, Parameter(validator=Number(gte=1))] = None,
+    wait: bool = False,
+    seed: Seed = None,
+    settings: Settings = None,
+    span: TimeOptions = TimeOptions(),
+    data: Data = None,
+) -> None:
+    """Serve a plant's simulated inverters over Modbus TCP, in real time.
+
+    They are SunSpec inverters under the clouds of the scenario: another plant controller can read
+    and limit them. The last unit is the meter at the plant's connection. Ends with the scenario, or
+    with Ctrl-C.
+
+    Example: `heliarch inverters oahu --port 5020 --set plant.delay_s=1`
+
+    Parameters
+    ----------
+    address
+        Address at which to listen; 0.0.0.0 is for other hosts too.
+    port
+        One port, with a unit for each inverter.
+    base_port
+        Instead, a port for each inverter, from this port on; all are unit 1.
+    wait
+        Let the clouds stand still until the first limit is written.
+    """
+    if base_port is not None and port != _PORT:
+        raise InputError("--port: expected no --base-port with it")
+    from launch_scripts.run_folder import new_run_id
+    from scenarios.preparation import prepare
+    from sunspec.server import Sky, served
+
+    scenario_file = changed_scenario(scenario, data, settings)
+    options = run_options(span, seed=seed)
+    prepared = prepare(scenario_file, options, new_run_id(scenario_file.scenario.name))
+    plan = prepared.plan
+    sky = Sky(
+        prepared.profile.mpp_kw, plan.timing.cycle_ns / 1e9, None if wait else time.monotonic()
+    )
+
+    follows = {name: plan.site.settings_of(name) for name, _ in plan.inverters}
+    simulated = {
+        name: LimitedInverter(
+            rating_kw,
+            sky.available_kw(place),
+            follows[name].delay_s or 0.0,
+            follows[name].ramp_percent_per_s or inf,
+        )
+        for place, (name, rating_kw) in enumerate(plan.inverters)
+    }
+    console = console_for(None)
+    first_port, a_port_each = base_port or port, base_port is not None
+    serving = served(simulated, sky, time.monotonic, address, first_port, a_port_each=a_port_each)
+    with suppress(KeyboardInterrupt), serving as addresses:
+        for name, where in addresses.items():
+            say(console, f"meter: {where}" if name == "meter" else f"--device {name}={where}")
+        say(console, f"the sky begins at {prepared.local_start()}")
+        while not sky.is_over(time.monotonic()):
+            time.sleep(0.2)

@@ -1,0 +1,43 @@
+"""`heliarch launch`: a plant as a team of processes over Zenoh."""
+
+from __future__ import annotations
+
+from heliarch.cli.options import (
+    FileOptions,
+    PageOptions,
+    PlantOptions,
+    ProcessOptions,
+    Scenario,
+    Settings,
+    SpanOptions,
+    run_options,
+)
+
+
+def launch(
+    scenario: Scenario = "oahu",
+    /,
+    *,
+    plant: PlantOptions = PlantOptions(),
+    settings: Settings = None,
+    span: SpanOptions = SpanOptions(),
+    processes: ProcessOptions = ProcessOptions(),
+    page: PageOptions = PageOptions(),
+    files: FileOptions = FileOptions(),
+) -> int:
+    """Run a plant as a team of processes over Zenoh, and record it.
+
+    Starts the plant simulator, a direct controller for each inverter, the supervisors, the central
+    controller and the recorder, each as a process of its own. At the end it stops them all and
+    prints the result.
+
+    Example: `heliarch launch oahu --from 12:30 --duration 15m --pace 1`
+    """
+    options = run_options(span, plant, processes)  # Wrong ones are refused at once.
+    from launch_scripts.supervision import ForkServerProcess
+
+    with ForkServerProcess() as server:  # It imports what its processes need, beside the launcher.
+        from heliarch.cli.run import run_and_print, run_request
+
+        request = run_request(scenario, settings, files, options)
+        return run_and_print(request, files, page, server)

@@ -1,0 +1,24 @@
+"""The entry point of `heliarch`: what must hold before anything slow is imported."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from io import TextIOWrapper
+from pathlib import Path
+
+
+def main() -> None:
+    """Run the command that the user named."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # There is nothing to clean up yet.
+    from heliarch.cli.app import run_command
+
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        for name in ("stdout", "stderr"):
+            if getattr(sys, name) is None:  # Closed, as by `>&-` in the script of a service.
+                setattr(sys, name, nowhere)
+        if isinstance(sys.stdout, TextIOWrapper):
+            sys.stdout.reconfigure(errors="replace")  # Not every terminal has the lines of a tree.
+        run_command(sys.argv[1:])

@@ -1,0 +1,120 @@
+"""What commands print and write: lines, a progress bar, pages, JSON."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from functools import partial
+from itertools import count
+from pathlib import Path
+from typing import BinaryIO, TypeVar
+
+import msgspec
+from rich.console import Console
+from rich.progress import Progress
+
+from bus_schemas.errors import printable
+from bus_schemas.whole_file import whole_file
+from heliarch.cli.options import ResultOptions
+from results.report.result import Result, print_result
+from results.tables import console_for
+
+Item = TypeVar("Item")
+Outcome = TypeVar("Outcome")
+
+
+def say(console: Console, *lines: str) -> None:
+    """Print lines as they are."""
+    for line in lines:
+        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
+
+
+@contextmanager
+def progress_bar(description: str, total: float = 1.0) -> Iterator[Callable[[float], None]]:
+    """Show in a terminal how far something has come; give a function that says how far."""
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(description, total=total)
+        yield lambda completed: progress.update(task, completed=completed)
+
+
+def shared(
+    function: Callable[[Item], Outcome],
+    items: Sequence[Item],
+    workers: int,
+    description: str,
+    scheduler: str | None = None,
+) -> list[Outcome]:
+    """Apply a function to each item in a pool of processes, or on a Dask cluster.
+
+    Returns the results in the order of the items; shows in a terminal how many are done.
+    """
+    from studies.workers import share_over_cluster, share_work
+
+    numbers = count(1)
+    with progress_bar(description, len(items)) as progress:
+        if scheduler is not None:
+            return share_over_cluster(function, items, scheduler, lambda: progress(next(numbers)))
+        return share_work(function, items, workers, lambda: progress(next(numbers)))
+
+
+def publish(result: Result, files: ResultOptions, default: Path | str, *more: str) -> None:
+    """Write a result as JSON and as a page, if asked to; then print it, and `more` lines.
+
+    The files come first, since a pipe such as `| head` may close before the end of the tables.
+    """
+    lines, console = [*more], console_for(files.json)
+
+    def write_page() -> None:
+        if files.report is not None:
+            from results.report.page import html_page
+
+            path = Path(files.report or default)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _write(html_page(result).encode(), path)
+            lines.append(f"report: {path}")
+
+    do_all(
+        partial(write_json, result.document, files.json),
+        write_page,
+        partial(print_result, console, result),
+        lambda: say(console, *lines),
+    )
+
+
+def do_all(*steps: Callable[[], object]) -> None:
+    """Run all steps in order, also those after one that fails; then raise its error."""
+    with ExitStack() as stack:
+        for step in reversed(steps):
+            stack.callback(step)
+
+
+def write_json(content: object, destination: str | None) -> None:
+    """Write a command's result where `--json` says: a file, `-` for standard output, or nowhere."""
+    if destination is None:
+        return
+    document = msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n"
+    if destination == "-":
+        sys.stdout.write(document.decode())
+    else:
+        _write(document, Path(destination))
+
+
+def write_rows(rows: Iterable[object], destination: str | None) -> None:
+    """Take rows one by one, and write them as `write_json` does a list: they may be a day's."""
+    place: AbstractContextManager[BinaryIO] = nullcontext(sys.stdout.buffer)
+    if destination != "-":
+        place = whole_file(Path(destination or os.devnull))
+    with place as file:
+        before = b"["
+        for row in rows:
+            file.write(before + b"\n" + msgspec.json.encode(row))
+            before = b","
+        file.write(b"[]\n" if before == b"[" else b"\n]\n")
+
+
+def _write(content: bytes, path: Path) -> None:
+    with whole_file(path) as file:
+        file.write(content)

@@ -1,0 +1,98 @@
+"""`heliarch replay`: a recording back on the bus, with or without live controllers."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from bus_schemas.errors import InputError
+from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
+from heliarch.cli.options import End, Json, Nodes, Run, Signals, Start, refuse_given
+from heliarch.cli.output import write_json
+
+
+def replay(
+    run: Run,
+    /,
+    *,
+    start: Start = None,
+    end: End = None,
+    pace: Annotated[str | None, Parameter(metavar="PACE")] = None,
+    clock: Literal["sim", "wall"] | None = None,
+    start_paused: bool = False,
+    loop: bool = False,
+    nodes: Nodes = None,
+    signals: Signals = None,
+    exclude: Annotated[str | None, Parameter(metavar="NAMES")] = None,
+    wait: bool = False,
+    listen: Annotated[str | None, Parameter(metavar="ENDPOINT")] = None,
+    live: Annotated[str | None, Parameter(metavar="NODES")] = None,
+    plan: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    json: Json = None,
+) -> int:
+    """Put a recording back onto the bus, or let some agents of it run live.
+
+    In a terminal: space pauses and continues, s steps one cycle, + and - change the pace, arrows
+    seek (left and right 10 s, up and down 1 min of simulated time), q ends.
+
+    Example: `heliarch replay runs/oahu-4711 --from 13:49:00 --pace 0.5`
+
+    Parameters
+    ----------
+    pace
+        Recorded seconds per second (default 1), or max.
+    clock
+        sim: each cycle when it begins in simulated time (default after lockstep); wall: each
+        message when it was published (default after real time).
+    start_paused
+        Wait for the space bar.
+    loop
+        Begin again at the end.
+    exclude
+        Leave these signals out; clock is the replay's own clock.
+    wait
+        Begin when somebody subscribes.
+    listen
+        Where subscribers connect: tcp/127.0.0.1:7447; default a free port.
+    live
+        Controllers to run live and to compare: c1/inv01,c2.
+    plan
+        Plan of the live controllers; default the run's.
+    """
+    from heliarch.cli.live_view import StatusLine
+    from recordings.read.reader import RunReader
+    from recordings.replay.bus import selected_ports
+    from recordings.replay.keyboard import has_keyboard
+    from recordings.replay.playback import ReplayOptions, replay_recording
+    from scenarios.real_time import parse_pace
+    from studies.live_replay.live_run import replay_live
+
+    out = sys.stderr if json == "-" else sys.stdout
+    if live is None and plan is not None:
+        raise InputError("--plan: expected --live with it: the live controllers run by this plan")
+    if start_paused and not has_keyboard():
+        raise InputError("--start-paused: expected a terminal, in which space continues")
+    line = StatusLine(out, in_place=out.isatty())
+    if live is not None:
+        others = {
+            **{"--from": start, "--pace": pace, "--clock": clock, "--start-paused": start_paused},
+            **{"--loop": loop, "--nodes": nodes, "--signals": signals, "--exclude": exclude},
+        }
+        refuse_given("expected no --live, which begins with the run", others)
+        with RunReader(run) as reader:
+            found = replay_live(
+                reader, out, line, live, plan_file=plan, end=end, wait=wait, listen=listen
+            )
+        write_json(found, json)
+        return INTERRUPTED if found["interrupted"] else FAILED if found["differing"] else OK
+    speed = parse_pace(pace or "1")
+    rate = speed if isinstance(speed, float) else 0.0
+    options = ReplayOptions(start, end, rate, clock, start_paused, loop, wait, listen)
+    with RunReader(run) as reader:
+        ports = selected_ports(reader, signals, exclude, nodes)
+        figures = replay_recording(reader, out, line, ports, options)
+    write_json(figures, json)
+    return INTERRUPTED if figures["interrupted"] else OK

@@ -1,0 +1,124 @@
+"""What `launch`, `simulate` and the Python API share: a run from its request to its summary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+
+from bus_schemas.errors import FailureError, InputError, listed
+from heliarch.cli.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
+from heliarch.cli.live_view import view_for
+from heliarch.cli.options import FileOptions, PageOptions, changed_scenario
+from heliarch.cli.output import do_all, say, write_json
+from launch_scripts.launch import check_processes, launch
+from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
+from launch_scripts.simulation import simulate
+from launch_scripts.supervision import ForkServerProcess, RunFailure
+from live_page.process import PageProcess
+from results.run_summary import RunSummary
+from results.summary_table import print_summary
+from results.tables import console_for
+from scenarios.run_options import RunOptions
+
+
+def run_request(
+    scenario: str, settings: list[str] | None, files: FileOptions, options: RunOptions
+) -> RunRequest:
+    """Return what the options of a command ask for."""
+    scenario_file = changed_scenario(scenario, files.data, settings)
+    return RunRequest(scenario_file, options, files.out)
+
+
+@contextmanager
+def page_beside(options: PageOptions, console: Console) -> Iterator[PageProcess | None]:
+    """Start the page of a command, if it is wanted; at the end, wait until nobody looks at it."""
+    if options.page:
+        with PageProcess(options.page_address, options.page_port) as page:
+            yield page
+            page.let_end(partial(say, console))
+    elif options.page_address is not None or options.page_port is not None:
+        raise InputError("--page-address, --page-port: expected --page with it")
+    else:
+        yield None
+
+
+def run_and_print(
+    request: RunRequest,
+    files: FileOptions,
+    pages: PageOptions,
+    server: ForkServerProcess | None = None,
+) -> int:
+    """Run what was asked for and print its result. Returns the exit status."""
+    console = console_for(files.json)
+    with page_beside(pages, console) as page:
+        summary, folder = run(request, console, BEGAN_AT, server, page)
+        return _print_result(summary, folder, files, console)
+
+
+def _print_result(
+    summary: RunSummary, folder: RunFolder, files: FileOptions, console: Console
+) -> int:
+    document = summary.as_json()
+
+    def write_page() -> None:
+        if files.report is not None and summary.cycles:
+            from results.report.run_report import write_run_report  # Plotly is slow to import.
+
+            page = Path(files.report) if files.report else None
+            say(console, f"report: {write_run_report(folder.path, page)}")
+
+    do_all(
+        partial(folder.write_summary, document),
+        partial(write_json, msgspec.Raw(document), files.json),
+        partial(print_summary, summary, console),
+        partial(say, console, f"recording: {folder.recording}"),
+        write_page,
+    )
+    if summary.recording_ended:
+        return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
+    if attacked := summary.two_senders:
+        text = listed([f"{one.key}: {one.example}" for one in attacked])
+        return complain(f"more than one program sent messages on {text}", FAILED)
+    if summary.lost_by_processes:
+        lost = ", ".join(count.signal for count in summary.messages if count.lost)
+        return complain(f"messages were lost: {lost}", FAILED)
+    return INTERRUPTED if summary.interrupted else OK
+
+
+def run(
+    request: RunRequest,
+    console: Console,
+    began_at: float,
+    server: ForkServerProcess | None = None,
+    page: PageProcess | None = None,
+) -> tuple[RunSummary, RunFolder]:
+    """Run a plant, recorded; show it meanwhile.
+
+    Without a server, which starts the processes, the run stays in this process. `began_at` is the
+    monotonic time at which the user asked for it [s].
+    """
+    with console.status("preparing"):  # Thousands of inverters take minutes to cluster.
+        preparation, folder = prepare_run(request)
+    plan = preparation.plan
+    if server is not None:
+        check_processes(plan)  # Before anything is printed.
+    try:
+        with view_for(console, plan) as view:
+            for line in (preparation.scenario.scenario.title, *preparation.remarks):
+                view.say(line)
+            if page is not None:
+                view.say(f"page: {page.show(folder.path)}")
+            if server is None:
+                summary = simulate(preparation, folder, view, began_at)
+            else:
+                summary = launch(preparation, folder, view, began_at, server)
+    except RunFailure as failure:
+        if not folder.recording.exists():
+            raise
+        raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure
+    return summary, folder

@@ -1,0 +1,33 @@
+"""`heliarch simulate`: the agents of a plant in one process."""
+
+from __future__ import annotations
+
+from heliarch.cli.options import (
+    FileOptions,
+    PageOptions,
+    PlantOptions,
+    Scenario,
+    Settings,
+    SpanOptions,
+    run_options,
+)
+
+
+def simulate(
+    scenario: Scenario = "oahu",
+    /,
+    *,
+    plant: PlantOptions = PlantOptions(),
+    settings: Settings = None,
+    span: SpanOptions = SpanOptions(),
+    page: PageOptions = PageOptions(),
+    files: FileOptions = FileOptions(),
+) -> int:
+    """Run a plant's agents in one process: the same messages and recording as `launch`.
+
+    Example: `heliarch simulate valley --seed 8 --set commitment.share=0.4 --report`
+    """
+    options = run_options(span, plant)  # Wrong ones are refused at once.
+    from heliarch.cli.run import run_and_print, run_request
+
+    return run_and_print(run_request(scenario, settings, files, options), files, page)

@@ -1,0 +1,143 @@
+"""`heliarch timing`: whether a plant meets its deadlines in real time, and by how much."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+from cyclopts import Parameter
+from rich.console import Console
+
+from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
+from heliarch.cli.options import (
+    FileOptions,
+    PageOptions,
+    PlantOptions,
+    ProcessOptions,
+    Settings,
+    TimeOptions,
+    is_run,
+    refuse_given,
+    run_options,
+)
+from heliarch.cli.output import publish, say
+from results.tables import console_for
+
+if TYPE_CHECKING:
+    from launch_scripts.run_folder import RunRequest
+    from live_page.process import PageProcess
+    from results.timing.report import TimingReport
+    from studies.timing.sweep import Rates
+
+_DURATION: Final = "60s"
+_SWEEP_DURATION: Final = "15s"
+
+
+def timing(
+    scenario: str = "oahu",
+    /,
+    *,
+    rate: Annotated[str | None, Parameter(metavar="RATES")] = None,
+    processes: bool = False,
+    plant: PlantOptions = PlantOptions(),
+    settings: Settings = None,
+    span: TimeOptions = TimeOptions(),
+    machine: ProcessOptions = ProcessOptions(),
+    page: PageOptions = PageOptions(),
+    files: FileOptions = FileOptions(),
+) -> int:
+    """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
+
+    Given a recorded run instead of a scenario, report on that. --report writes timing.html into the
+    run's folder by default.
+
+    Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
+    its table timing.budgets; see docs/timing.md.
+
+    Example: `heliarch timing oahu --rate 20 --duration 60s --report`
+
+    Parameters
+    ----------
+    scenario
+        A shipped scenario or a TOML file; or the folder or run.mcap of a real-time run, to report
+        on it without a new run.
+    rate
+        Cycles a second: one rate (20; default 1), several (5,10,20), or a range (1..200, auto) in
+        which to find the highest rate that the plant keeps up with. A run takes 60 s, or 15 s at
+        each of several rates, unless --to or --duration says otherwise.
+    processes
+        Show each process as well as the tiers.
+    """
+    options = run_options(span, plant, machine)  # Wrong ones are refused at once.
+    from heliarch.cli.live_view import view_for
+    from heliarch.cli.run import page_beside, run_request
+    from results.timing.report import report_on
+    from studies.timing.measured_run import measured_run, prepare_at, run_length_s
+    from studies.timing.sweep import parse_rates
+
+    console = console_for(files.json)
+    if is_run(path := Path(scenario)):
+        why = f"expected only --processes, --report or --json with the recorded run {path}"
+        given = {"--rate": rate, "--set": settings}
+        others = replace(files, report=None, json=None)
+        refuse_given(why, given, plant, span, machine, page, others)
+        return _publish_one(report_on(path, by_agent=processes), path, files)
+    rates = parse_rates(rate or "1")
+    request = run_request(scenario, settings, files, options)
+    with page_beside(page, console) as shown:
+        if rates.single_hz is None:
+            length_s = run_length_s(request, _SWEEP_DURATION)
+            return _time_several(rates, length_s, request, files, console, shown)
+        length_s = run_length_s(request, _DURATION)
+        preparation, folder = prepare_at(rates.single_hz, length_s, request, request.out)
+        if shown is not None:
+            say(console, f"page: {shown.show(folder.path)}")
+        report = measured_run(preparation, folder, partial(view_for, console), by_agent=processes)
+        return _publish_one(report, folder.path, files)
+
+
+def _publish_one(report: TimingReport, run: Path, files: FileOptions) -> int:
+    from recordings.read.run_file import RECORDING_NAME
+    from results.timing.results import timing_result
+
+    recording = run / RECORDING_NAME if run.is_dir() else run
+    page = recording.with_name("timing.html")
+    publish(timing_result(report), files, page, f"recording: {recording}")
+    if report.interrupted:
+        return INTERRUPTED
+    return OK if report.passed else FAILED
+
+
+def _time_several(
+    rates: Rates,
+    length_s: float,
+    request: RunRequest,
+    files: FileOptions,
+    console: Console,
+    shown: PageProcess | None,
+) -> int:
+    from heliarch.cli.live_view import view_for
+    from launch_scripts.run_folder import new_run_id, run_folder
+    from studies.timing.measured_run import measured_run, prepare_at
+    from studies.timing.sweep import sweep
+    from studies.timing.sweep_result import sweep_result
+
+    folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
+
+    def timed(rate_hz: float) -> TimingReport:
+        name = f"rate-{rate_hz:g}"
+        if (folder / name).exists():
+            name = f"{name}-again"
+        preparation, place = prepare_at(rate_hz, length_s, request, folder / name)
+        return measured_run(preparation, place, partial(view_for, console))
+
+    if shown is not None:
+        say(console, f"page: {shown.show(folder, several=True)}")
+    found = sweep(rates, timed)
+    result = sweep_result(found, request.scenario.scenario.name)
+    publish(result, files, folder / "timing.html", f"recordings: {folder}")
+    if found.interrupted:
+        return INTERRUPTED
+    return FAILED if found.highest_clean_hz is None else OK

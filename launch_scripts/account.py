@@ -1,0 +1,169 @@
+"""The account of a run: what its driver finds out while it goes on, and the summary at its end."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+
+from agents.process.events import Finished, Recorded
+from launch_scripts.run_folder import RunFolder
+from launch_scripts.supervision import Child, Memory
+from recordings.inspect.health import Health, WrongMessages
+from results.run_summary import (
+    MemoryUse,
+    MessageCount,
+    ProcessAccount,
+    RunSummary,
+    recorded_health,
+    recorded_metrics,
+)
+from scenarios.preparation import Preparation
+from sunspec.process import DeviceAccount
+
+
+@dataclass
+class RunAccount:
+    """What is known of a run so far.
+
+    asked_at, armed_at: When the user asked for the run and when cycle 0 began, monotonic [s].
+    published: Messages of Heliarch's processes, by signal.
+    is_complete: Whether every process has said what it published.
+    dropped: Messages that processes could not use: port, cause and number.
+    memory: Of the processes, by kind.
+    restarts: How often each process was started again.
+    takeovers: How often a standby took each agent over.
+    """
+
+    preparation: Preparation
+    folder: RunFolder
+    driver: str
+    asked_at: float
+    armed_at: float = 0.0
+    published: Counter[str] = field(default_factory=Counter)
+    is_complete: bool = True
+    dropped: list[tuple[str, str, int]] = field(default_factory=list)
+    processes: list[ProcessAccount] = field(default_factory=list)
+    memory: dict[str, list[Memory]] = field(default_factory=lambda: defaultdict(list))
+    restarts: Counter[str] = field(default_factory=Counter)
+    takeovers: Counter[str] = field(default_factory=Counter)
+
+    def add_process(self, child: Child) -> None:
+        """Take in the resources of a process that has ended, and what it dropped."""
+        finished = child.finished or Finished({}, [])
+        cpu_s, before_s = child.cpu_s(), child.cpu_at_start_s
+        self.dropped += finished.dropped
+        self.processes.append(
+            ProcessAccount(
+                child.agent,
+                child.kind,
+                dropped=_by_cause(finished.dropped),
+                resident_mb=child.memory.resident_mb,
+                skipped_cycles=finished.skipped_cycles,
+                cpu_s=None if before_s is None or cpu_s is None else cpu_s - before_s,
+            )
+        )
+        if child.memory.resident_mb:  # A short run may be over before all were looked at.
+            self.memory[child.kind].append(child.memory)
+
+    def summary(
+        self,
+        recorded: Recorded,
+        wall_s: float,
+        *,
+        interrupted: bool,
+        devices: tuple[DeviceAccount, ...] = (),
+    ) -> RunSummary:
+        """Return the document of the run, which has ended."""
+        preparation, plan = self.preparation, self.preparation.plan
+        health = recorded_health(self.folder.recording, plan)
+        dropped = _by_cause(self.dropped)
+        if recorded.foreign:
+            dropped["at the recorder"] = recorded.foreign
+        return RunSummary(
+            run_id=plan.run_id,
+            scenario=plan.plant,
+            driver=self.driver,
+            folder=str(self.folder.path),
+            sim_start=preparation.local_start(),
+            cycles=recorded.cycles,
+            cycle_s=plan.timing.cycle_ns / 1e9,
+            wall_s=wall_s,
+            startup_s=self.armed_at - self.asked_at,
+            metrics=recorded_metrics(self.folder.recording),
+            messages=self._messages(recorded, health),
+            restarts=dict(self.restarts),
+            takeovers=dict(self.takeovers),
+            dropped=dropped,
+            missing_inputs=health.missing_inputs if health else 0,
+            memory=tuple(_memory_use(kind, values) for kind, values in self.memory.items()),
+            hindsight_neighbours=preparation.hindsight,
+            remarks=preparation.remarks,
+            interrupted=interrupted,
+            recording_ended=recorded.ended_early,
+            faults=health.faults if health else {},
+            skipped_cycles=sum(process.skipped_cycles for process in self.processes),
+            processes=tuple(self.processes),
+            external=recorded.external,
+            devices=devices,
+            wrong=self._wrong_messages(recorded),
+            health=health,
+        )
+
+    def _messages(self, recorded: Recorded, health: Health | None) -> tuple[MessageCount, ...]:
+        """Return what Heliarch's processes published, and what of that is recorded.
+
+        What a process that died had published is unknown: the sequence numbers of the recorded
+        messages show the least that it can be.
+        """
+        plan, published = self.preparation.plan, self.published
+        heard = Counter(recorded.recorded)
+        for account in recorded.external:
+            heard.subtract(account.recorded)
+        heard.subtract(recorded.extra)  # Of strangers, on keys of the processes.
+        # A recording that had to end early may hold less than was heard.
+        heard = Counter({signal: max(count, 0) for signal, count in heard.items()})
+        if not self.is_complete:
+            numbered = Counter(heard)
+            for port in plan.wiring.ports:
+                if health is not None and port.publisher not in plan.elsewhere:
+                    numbered[port.signal.name] += health.lost.get(str(port), 0)
+            published = numbered | published
+        return tuple(
+            MessageCount(signal, published[signal], heard[signal])
+            for signal in dict.fromkeys([*published, *heard])
+        )
+
+    def _wrong_messages(self, recorded: Recorded) -> tuple[WrongMessages, ...]:
+        """Return the wrong messages by key and cause, the most frequent first.
+
+        The recorder complains of what it hears, and agents drop what they cannot use. Both may have
+        counted the same message: the larger count holds. Of what was dropped only that of external
+        agents counts: other late messages are the machine's fault.
+        """
+        plan = self.preparation.plan
+        publishers = {str(port): port.publisher for port in plan.wiring.ports}
+        counts: Counter[tuple[str, str]] = Counter()
+        for port, cause, count in self.dropped:
+            if publishers.get(port) in plan.access.external:
+                counts[port, cause] += count
+        examples = dict.fromkeys(counts, "dropped by an agent")
+        for complaint in recorded.complaints:
+            of = (complaint.key.removeprefix(f"{plan.plant}/"), complaint.cause)
+            counts[of] = max(counts[of], complaint.count)
+            examples[of] = complaint.example
+        return tuple(
+            WrongMessages(key, cause, count, examples[key, cause], publishers.get(key, ""))
+            for (key, cause), count in counts.most_common()
+        )
+
+
+def _by_cause(dropped: list[tuple[str, str, int]]) -> dict[str, int]:
+    counts: Counter[str] = Counter()
+    for _, cause, number in dropped:
+        counts[cause] += number
+    return dict(counts)
+
+
+def _memory_use(kind: str, values: list[Memory]) -> MemoryUse:
+    return MemoryUse(kind, len(values), *map(statistics.median, zip(*values, strict=True)))

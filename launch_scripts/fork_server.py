@@ -1,0 +1,193 @@
+"""The fork server: one process that has imported everything starts all processes of a run by fork.
+
+It has neither threads nor a session, so a fork copies nothing that a child could not use. It speaks
+with the launcher through one socket that keeps packets apart: requests come in, events of all
+processes go out. `python -m launch_scripts.fork_server SOCKET`
+
+Nobody outlives the launcher: the kernel ends the server with it, and with the server the agents at
+once, and the recorder as soon as it has closed its file.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, NoReturn
+
+import msgspec
+
+from agents.loop import Loop
+from agents.plan import RunPlan, load_plan
+from agents.process.events import Event, Exited, Failed, Started
+from agents.process.launcher_link import LauncherLink, server_packet
+from agents.process.machine import die_with_parent
+from agents.process.session import session_settings
+from agents.team import controller
+from bus_schemas.tree import RECORDER, agent_name
+from launch_scripts.fork_requests import Expect, Request, Signal, Start
+from launch_scripts.process import run_process
+from recordings.read.run_file import log_name
+
+_LARGEST: Final = 1 << 20
+_LAST_WAIT_S: Final = 5.0
+"""How long the recorder may take to close its file when the launcher has hung up."""
+
+_decoder = msgspec.json.Decoder(Request)
+
+
+class ForkServer:
+    """The server, at its end of the socket."""
+
+    def __init__(self, control: socket.socket) -> None:
+        self._control = control
+        self._pids: dict[int, str] = {}
+        self._to_recorder: int | None = None
+        self._pid = os.getpid()
+        self._ended, self._wake = os.pipe()
+        os.set_blocking(self._wake, False)
+        os.set_blocking(self._ended, False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal is for the launcher.
+        signal.set_wakeup_fd(self._wake)
+
+    def serve(self) -> None:
+        """Do what the launcher asks until it is gone."""
+        poll = select.poll()
+        poll.register(self._control, select.POLLIN)
+        poll.register(self._ended, select.POLLIN)
+        while True:
+            for fd, _ in poll.poll():
+                if fd == self._ended:
+                    with suppress(BlockingIOError):
+                        os.read(self._ended, 4096)
+                    self._reap()
+                elif packet := self._control.recv(_LARGEST):
+                    self._do(_decoder.decode(packet))
+                else:
+                    return
+
+    def end(self) -> None:
+        """End what is left: the recorder in order, since its file must be whole, others at once."""
+        for pid, agent in self._pids.items():
+            os.kill(pid, signal.SIGTERM if agent == RECORDER else signal.SIGKILL)
+        until = time.monotonic() + _LAST_WAIT_S
+        while self._pids and time.monotonic() < until:
+            self._reap()
+            time.sleep(0.01)
+        for pid in self._pids:
+            os.kill(pid, signal.SIGKILL)
+
+    def _do(self, request: Request) -> None:
+        match request:
+            case Start():
+                self._start(request)
+            case Expect():
+                if self._to_recorder is not None:
+                    with suppress(BrokenPipeError):  # The recorder has ended.
+                        os.write(self._to_recorder, str(request.messages).encode())
+            case Signal():
+                for pid, agent in self._pids.items():
+                    if agent in request.agents:
+                        os.kill(pid, request.number)
+
+    def _start(self, request: Start) -> None:
+        plan = load_plan(Path(request.plan))
+        # What all of them need is worked out once, before there are many.
+        for node in plan.tree.nodes[-1:]:
+            Loop(controller(plan, agent_name(node)), plan)
+            session_settings(plan, agent_name(node))
+        _ = plan.network_faults
+        gc.collect()
+        gc.freeze()
+        for agent in request.agents:
+            self._fork(agent, plan, request)
+
+    def _fork(self, agent: str, plan: RunPlan, request: Start) -> None:
+        expected = None
+        if agent == RECORDER:
+            if self._to_recorder is not None:
+                os.close(self._to_recorder)
+            expected, self._to_recorder = os.pipe()
+            os.set_blocking(expected, False)
+        pid = os.fork()
+        if pid == 0:
+            self._become(agent, plan, request, expected)
+        if expected is not None:
+            os.close(expected)
+        self._pids[pid] = agent
+        self._tell(agent, Started(pid))
+
+    def _become(self, agent: str, plan: RunPlan, request: Start, expected: int | None) -> NoReturn:
+        """Be the process of an agent."""
+        status = 1
+        try:
+            self._set_up(agent, Path(request.logs) / log_name(agent))
+            link = LauncherLink(agent, self._control, expected)
+            link.end_on(signal.SIGTERM)
+            folder, patience_s = Path(request.plan).parent, request.patience_s
+            status = run_process(agent, plan, link, folder, patience_s, rejoins=request.again)
+        except BaseException:
+            logging.exception("%s gives up", agent)
+        finally:
+            logging.shutdown()
+            os._exit(status)
+
+    def _set_up(self, agent: str, log: Path) -> None:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        os.setpgid(0, 0)
+        die_with_parent(signal.SIGTERM if agent == RECORDER else signal.SIGKILL)
+        if os.getppid() != self._pid:  # The server has died in the meantime.
+            os._exit(1)
+        os.close(self._ended)
+        os.close(self._wake)
+        if self._to_recorder is not None:
+            os.close(self._to_recorder)
+        log_file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        for stream in (1, 2):
+            os.dup2(log_file, stream)
+        os.close(log_file)
+        with suppress(OSError):  # The name that `top` and `ps` show.
+            Path("/proc/self/comm").write_text(agent[-15:], encoding="ascii")
+        logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+
+    def _reap(self) -> None:
+        """Tell the launcher of processes that have ended."""
+        while self._pids:
+            pid, status, usage = os.wait4(-1, os.WNOHANG)
+            if pid == 0:
+                return
+            exited = Exited(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime)
+            self._tell(self._pids.pop(pid), exited)
+
+    def _tell(self, agent: str, event: Event) -> None:
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self._control.send(server_packet(agent, msgspec.json.encode(event)))
+
+
+def main() -> None:
+    """Serve the launcher at the other end of a socket."""
+    die_with_parent()
+    control = socket.socket(fileno=int(sys.argv[1]))
+    server = ForkServer(control)
+    try:
+        server.serve()
+    except Exception as error:
+        with suppress(OSError):
+            event = Failed(f"{type(error).__name__}: {error}")
+            control.send(server_packet("", msgspec.json.encode(event)))
+        raise
+    finally:
+        server.end()
+
+
+if __name__ == "__main__":
+    main()

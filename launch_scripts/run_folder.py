@@ -1,0 +1,99 @@
+"""The folder that a run leaves behind."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from agents.plan import RunPlan, changed
+from agents.process.session import users
+from bus_schemas.errors import InputError
+from bus_schemas.whole_file import named_in_errors, whole_file
+from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
+from recordings.read.run_file import RECORDING_NAME
+from scenarios.preparation import Preparation, RunOptions, prepare
+from scenarios.scenario import ScenarioFile
+
+
+class RunFolder:
+    """Plan, profile, scenario, logs, recording and summary of one run, or why it failed."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.plan = path / "plan.json"
+        self.logs = path / "logs"
+        self.recording = path / RECORDING_NAME
+        self.summary = path / SUMMARY_NAME
+        self.failure = path / FAILURE_NAME
+
+    def make(self) -> None:
+        self.logs.mkdir(parents=True)
+
+    def fill(
+        self,
+        preparation: Preparation,
+        tcp_ports: dict[str, int],
+        agent_ports: dict[str, int] | None = None,
+    ) -> RunPlan:
+        """Write what the processes need; return the plan with its ports.
+
+        The plan comes last: a device may be waiting for it to appear.
+        """
+        self.make()
+        plan = preparation.plan
+        with named_in_errors(self.path):
+            if tcp_ports:
+                file = self.path.absolute() / "users"
+                new = {"secret": secrets.token_hex(16), "users_file": str(file)}
+                ports = {"tcp_ports": tcp_ports, "agent_ports": agent_ports or {}}
+                plan = changed(plan, access=ports | new)
+                file.touch(mode=0o600)
+                file.write_text(users(plan), encoding="utf-8")
+            preparation.profile.save(self.path / "profile.npz")
+            (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
+            self.write_plan(plan)
+        return plan
+
+    def write_summary(self, document: bytes) -> None:
+        with whole_file(self.summary) as file:
+            file.write(document + b"\n")
+
+    def write_plan(self, plan: RunPlan) -> None:
+        """Write the plan at once. It lets a program join the run: it is for the user alone."""
+        with whole_file(self.plan, mode=0o600) as file:
+            file.write(plan.as_json())
+
+
+def new_run_id(scenario: str) -> str:
+    """Return a name that no other run has."""
+    return f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{secrets.token_hex(4)}"
+
+
+def run_folder(run_id: str, out: Path | None) -> RunFolder:
+    """Choose the folder of a run; it is not made yet."""
+    path = out or Path("runs") / run_id
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"--out: expected a new or empty folder, got {path}, which exists already")
+    parent = next(folder for folder in path.absolute().parents if folder.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise InputError(f"--out: expected a folder in which {path} can be made, got {parent}")
+    return RunFolder(path)
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """A scenario, what is different from it, and the folder of the run."""
+
+    scenario: ScenarioFile
+    options: RunOptions
+    out: Path | None = None
+
+
+def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
+    """Work out the run and the path of its folder; write nothing yet."""
+    run_id = new_run_id(request.scenario.scenario.name)
+    folder = run_folder(run_id, request.out)
+    return prepare(request.scenario, request.options, run_id), folder

@@ -1,0 +1,344 @@
+"""The launcher's side of its processes: starts, hears and ends them, and finds out what broke."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import msgspec
+import psutil
+
+from agents.cycle import Kind, kind_of
+from agents.plan import RunPlan
+from agents.process.events import (
+    Event,
+    Exited,
+    Failed,
+    Finished,
+    Joined,
+    Recorded,
+    Started,
+    Waiting,
+)
+from agents.process.launcher_link import EventReader
+from agents.process.side_process import SideProcess
+from bus_schemas.errors import FailureError, listed
+from bus_schemas.tree import RECORDER
+from launch_scripts.fork_requests import Expect, Request, Signal
+from launch_scripts.watch import Row, State
+from recordings.read.run_file import log_name
+
+_LOG_LINES: Final = 5
+_SAMPLE_S: Final = 0.5
+"""Time between two looks at the memory of a process, once all have been looked at."""
+
+_LARGEST_PACKET: Final = 1 << 18
+_MOST_PACKETS: Final = 500
+
+_ARENAS: Final = "1"
+"""Heaps of glibc in each process. With a heap for each thread, a process grows with the links that
+end: see docs/decisions/0003-zenoh-tuning.md."""
+
+
+class Memory(NamedTuple):
+    """Memory of a process [MB]: resident in all, and its own, which it shares with no other."""
+
+    resident_mb: float
+    own_mb: float
+
+
+_STATES: Final[dict[type[Event], State]] = {
+    Started: "started",
+    Joined: "present",
+    Exited: "ended",
+}
+
+NOTHING_SEEN: Final = Memory(0.0, 0.0)
+
+
+def memory_of(pid: int) -> Memory:
+    info = psutil.Process(pid).memory_full_info()
+    return Memory(info.rss / 1e6, info.uss / 1e6)
+
+
+class RunFailure(FailureError):  # noqa: N818 - what failed is the run, not the program
+    """A run that could not go on."""
+
+
+class ForkServerProcess(SideProcess):
+    """The fork server. Start it early: it imports while others prepare."""
+
+    def __init__(self) -> None:
+        self.control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._was_asked = False
+        self._unsent: deque[bytes] = deque()
+        with theirs:
+            super().__init__(
+                "launch_scripts.fork_server",
+                str(theirs.fileno()),
+                env={
+                    "MALLOC_ARENA_MAX": _ARENAS,
+                    **os.environ,
+                    "PYTHONUNBUFFERED": "1",
+                    # An import must start no thread: this library would.
+                    "OPENBLAS_NUM_THREADS": "1",
+                },
+                pass_fds=(theirs.fileno(),),
+            )
+
+    def ask(self, request: Request) -> None:
+        self._was_asked = True
+        self._unsent.append(msgspec.json.encode(request))
+        self.send_requests()
+
+    def send_requests(self) -> None:
+        """Send requests while there is room, without blocking: the server may not read now.
+
+        To be called again and again: a server that forks hundreds waits until its events are read.
+        """
+        self.control.setblocking(False)
+        with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):
+            while self._unsent:
+                self.control.send(self._unsent[0])
+                self._unsent.popleft()
+
+    def hang_up(self) -> None:
+        """Let it end what is left of its processes, and itself."""
+        super().hang_up()
+        self.control.close()
+        if not self._was_asked:  # It has no processes.
+            self.process.kill()
+
+
+@dataclass
+class Child:
+    """One process of a run: its row of the table, and the newest event of each kind it sent."""
+
+    agent: str
+    kind: Kind
+    log: Path
+    row: Row
+    pid: int = 0
+    finished: Finished | None = None
+    recorded: Recorded | None = None
+    waiting: Waiting | None = None
+    failed: Failed | None = None
+    exited: Exited | None = None
+    memory: Memory = NOTHING_SEEN
+    cpu_at_start_s: float | None = None
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is on the bus."""
+        return self.row.state == "present"
+
+    def begin_again(self) -> None:
+        """Forget all events of its process, which has ended."""
+        self.pid, self.cpu_at_start_s = 0, 0.0
+        self.finished = self.waiting = self.failed = self.exited = self.recorded = None
+
+    def note(self, event: Event) -> None:
+        state = _STATES.get(type(event))
+        self.row.hear(time.monotonic(), state)
+        match event:
+            case Started():
+                self.pid = event.pid
+            case Finished() | Recorded() | Waiting() | Failed() | Exited():
+                setattr(self, type(event).__name__.lower(), event)  # Each has a field of its name.
+
+    def cpu_s(self) -> float | None:
+        """Return its processor time so far; None if it is not known."""
+        if self.exited is not None:
+            return self.exited.cpu_s
+        try:
+            times = psutil.Process(self.pid).cpu_times()
+        except psutil.Error:
+            return None
+        return float(times.user + times.system)
+
+    def is_stopped(self) -> bool:
+        try:
+            return bool(psutil.Process(self.pid).status() == psutil.STATUS_STOPPED)
+        except psutil.Error:
+            return False
+
+
+class Children:
+    """The processes of some agents of a run. Leaving the context ends those that still run."""
+
+    def __init__(
+        self, server: ForkServerProcess, plan: RunPlan, agents: Sequence[str], logs: Path
+    ) -> None:
+        self.server = server
+        self.by_agent = {
+            agent: Child(agent, kind_of(agent, plan.tree), logs / log_name(agent), Row(agent))
+            for agent in agents
+        }
+        self._reader = EventReader()
+        self._asked_to_end: set[str] = set()
+        self._server_gone = False
+        self._server_failure = ""
+        self._samples = 0
+        self._sample_at = 0.0
+        self.replaces: Callable[[Child, str], bool] = lambda child, why: False
+
+    def __enter__(self) -> Children:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        # Then the server ends the recorder in order, so that its file is whole, others at once.
+        self.server.close()
+
+    def __getitem__(self, agent: str) -> Child:
+        return self.by_agent[agent]
+
+    @property
+    def rows(self) -> dict[str, Row]:
+        """What is known of the presence of each process."""
+        return {child.agent: child.row for child in self}
+
+    def __iter__(self) -> Iterator[Child]:
+        return iter(self.by_agent.values())
+
+    def events(self, timeout_s: float) -> list[tuple[Child, Event]]:
+        """Return what the processes say within a time; note what they report of themselves."""
+        heard: list[tuple[Child, Event]] = []
+        self.server.send_requests()
+        control = self.server.control
+        control.settimeout(timeout_s)
+        for _ in range(_MOST_PACKETS):
+            try:
+                packet = control.recv(_LARGEST_PACKET)
+            except (TimeoutError, BlockingIOError):
+                break
+            except ConnectionResetError:
+                packet = b""
+            if not packet:
+                self._server_gone = True
+                break
+            control.settimeout(0.0)
+            if (found := self._reader.feed(packet)) is None:
+                continue
+            agent, event = found
+            if agent in self.by_agent:
+                self[agent].note(event)
+                heard.append((self[agent], event))
+            elif isinstance(event, Failed):
+                self._server_failure = event.text
+        self._sample_memory()
+        self._check()
+        return heard
+
+    def controllers(self) -> list[Child]:
+        """Return all processes but the recorder."""
+        return [child for child in self if child.agent != RECORDER]
+
+    def failure(self, agent: str, text: str) -> RunFailure:
+        """Return a failure that an agent is to blame for, with the last lines of its log."""
+        if agent not in self.by_agent:
+            return RunFailure(f"{text} ({agent} is external)")
+        log = self[agent].log
+        said = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
+        lines = "".join(f"\n  | {line}" for line in said.splitlines()[-_LOG_LINES:])
+        return RunFailure(f"{text}; last lines of {log}:{lines}" if lines else text)
+
+    def end_recorder(self, messages: int) -> None:
+        """Let the recorder close its file once it has so many messages."""
+        self._asked_to_end.add(RECORDER)
+        self.server.ask(Expect(messages))
+
+    def ask_to_end(self, agents: Sequence[str]) -> None:
+        """Let agents end in order."""
+        self._asked_to_end.update(agents)
+        self.signal(agents, signal.SIGTERM)
+
+    def signal(self, agents: Sequence[str], number: signal.Signals) -> None:
+        """Send a signal to the processes of some agents, unless they have ended."""
+        self.server.ask(Signal(tuple(agents), int(number)))
+
+    def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
+        """Wait until processes end or send no events any more; return those that have not ended."""
+        until = time.monotonic() + timeout_s
+        while left := [child for child in children if child.exited is None]:
+            if any(child in left for child, _ in self.events(0.02)):
+                until = time.monotonic() + timeout_s
+            if time.monotonic() > until:
+                break
+        return left
+
+    def _sample_memory(self) -> None:
+        """Look at the memory of one process after another.
+
+        That process may have to wait for a millisecond: once all have been seen, look rarely.
+        """
+        children = [child for child in self if child.ready and child.exited is None]
+        now = time.monotonic()
+        if not children or now < self._sample_at:
+            return
+        child = children[self._samples % len(children)]
+        self._samples += 1
+        self._sample_at = now + (_SAMPLE_S if self._samples >= len(children) else 0.0)
+        with suppress(psutil.Error):
+            child.memory = max(child.memory, memory_of(child.pid))
+
+    def _check(self) -> None:
+        if self._server_gone or self.server.process.poll() is not None:
+            server = f"the fork server (process {self.server.process.pid})"
+            why = self._server_failure or "it was killed or ended by itself"
+            raise RunFailure(f"{server} is gone, and with it all processes of the run: {why}")
+        for child in self:
+            why = self._why_ended_early(child)
+            died = child.exited is not None and child.failed is None  # It would give up again.
+            if why and not (died and self.replaces(child, why)):
+                raise self.failure(child.agent, why)
+
+    def _why_ended_early(self, child: Child) -> str:
+        """Say how a process has ended before its time; empty if it has not."""
+        name, exited = f"{child.agent} (process {child.pid})", child.exited
+        if child.failed is not None:
+            return f"{child.agent} gave up: {child.failed.text}"
+        ended_early = child.recorded is not None or (child.finished and child.finished.dismissed)
+        if ended_early and child.agent not in self._asked_to_end:
+            return f"{name} was ended by SIGTERM in the middle of the run"
+        done = child.finished is not None or child.recorded is not None
+        if exited is None or (done and not exited.status):
+            return ""
+        if child.agent in self._asked_to_end and exited.status == -signal.SIGTERM:
+            return ""  # It had hardly begun.
+        code = exited.status
+        how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
+        return f"{name} {how} in the middle of the run"
+
+
+def who_waits(waiting: Mapping[str, Waiting], stopped: Sequence[str] = ()) -> tuple[str, list[str]]:
+    """Return one line on which agents of a stalled run wait for which, and those to blame.
+
+    To blame are processes that a signal has stopped; else those that others wait for and that do
+    not wait in the same cycle themselves.
+    """
+    first = min(event.cycle for event in waiting.values())
+    stuck = {agent: event for agent, event in waiting.items() if event.cycle == first}
+    needed: dict[str, list[str]] = {}
+    for agent, event in stuck.items():
+        for port, publisher in event.needs:
+            needed.setdefault(publisher, []).append(f"{agent} waits for {port}")
+    to_blame = list(stopped) or [agent for agent in needed if agent not in stuck] or list(needed)
+    what = "stopped by a signal:" if stopped else "nothing that can be used came from"
+    waits = [line for agent in to_blame for line in needed.get(agent, ())]
+    line = f"stalled in cycle {first}: {what} {listed(to_blame)}"
+    return "; ".join(filter(None, (line, listed(waits)))), to_blame
+
+
+def stall(children: Children) -> tuple[str, list[str]]:
+    """Say in one line why the run of some processes stalls; return it with those to blame."""
+    waiting = {child.agent: child.waiting for child in children if child.waiting is not None}
+    stopped = [child.agent for child in children if child.is_stopped()]
+    return who_waits(waiting, stopped)

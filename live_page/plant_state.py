@@ -1,0 +1,251 @@
+"""The state of a plant in each cycle, as the page shows it: worked out from messages alone."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+from functools import lru_cache
+from itertools import chain
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import msgspec
+
+from agents.cycle import kind_of, stage_of, stage_place
+from agents.dispatch import own_share_kw
+from agents.plan import RunPlan
+from bus_schemas.codec import decode
+from bus_schemas.messages import Dispatch, Impp, Message, Production, Setpoint, parse_missing
+from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
+from bus_schemas.tree import PLANT, ROOT, agent_name, depth
+from live_page.follower import MOST_CHUNKS, RunFollower
+from recordings.read.mcap_file import Chunk
+from recordings.read.reader import head_of
+
+Values: TypeAlias = list[float | None]
+
+_UNHELPFUL_KW: Final = 0.005
+
+Messages: TypeAlias = dict[Port[Message], Message]
+
+_FURTHEST_BACK: Final = 100
+"""Cycles in which an agent is looked for that says nothing in the one shown."""
+
+
+class CycleMessages(NamedTuple):
+    """What a recording says of a cycle.
+
+    messages: Those of the cycle; of setpoints, which do not come in every cycle, the newest.
+    heard_in: The newest cycle of a message of each agent, up to this one.
+    """
+
+    cycle: int
+    messages: Messages
+    heard_in: dict[str, int]
+
+
+class CycleReader:
+    """Reads the cycles of a recording, in any order."""
+
+    def __init__(self, follower: RunFollower) -> None:
+        self._follower = follower
+        plan = follower.plan
+        self._longest_period = plan.control.periods.longest
+        self._speakers = 1 + len(plan.tree.nodes)  # The plant and the controllers.
+        self._by_cycle = lru_cache(MOST_CHUNKS + 4)(self._read_chunk)
+
+    def read(self, cycle: int, ports: Collection[Port[Message]] | None = None) -> CycleMessages:
+        """Return what was said in a cycle, on some ports alone if they are given."""
+        longest = self._longest_period
+        chunks = [self._by_cycle(one) for one in self._follower.chunks_with(cycle, longest)]
+        payloads: dict[Port[Message], bytes] = {}
+        heard_in: dict[str, int] = {}
+        for back in range(max(longest, _FURTHEST_BACK if ports is None else 1)):
+            for port, payload in chain.from_iterable(one.get(cycle - back, ()) for one in chunks):
+                heard_in.setdefault(port.publisher, cycle - back)
+                wanted = back == 0 or (port.signal is SETPOINT and back < longest)
+                if wanted and (ports is None or port in ports):
+                    payloads.setdefault(port, payload)
+            if back >= longest - 1 and len(heard_in) == self._speakers:
+                break
+        messages: Messages = {}
+        for port, payload in payloads.items():
+            with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
+                messages[port] = decode(port.signal, payload)
+        return CycleMessages(cycle, messages, heard_in)
+
+    def _read_chunk(self, chunk: Chunk) -> dict[int, list[tuple[Port[Message], bytes]]]:
+        """Return the messages in a chunk by their cycle."""
+        by_cycle: dict[int, list[tuple[Port[Message], bytes]]] = {}
+        run = self._follower.run
+        for channel, _, _, _, payload in run.messages_of(chunk, run.channels):
+            port = run.channels[channel]
+            if port.signal is not RUN:
+                by_cycle.setdefault(head_of(payload).cycle, []).append((port, payload))
+        return by_cycle
+
+
+class _Stage(NamedTuple):
+    """Where in a cycle a message belongs."""
+
+    order: int
+    label: str
+    deadline_ms: float | None
+
+
+class PlantState:
+    """Works out the state of the plant in a recording. Nodes are numbered in the order of the tree.
+
+    `frame` returns the state of all nodes in a cycle.
+    """
+
+    def __init__(self, follower: RunFollower) -> None:
+        plan = follower.plan
+        self._agents = (PLANT, *(agent_name(node) for node in plan.tree.nodes))
+        self.frame = lru_cache(32)(self._frame)
+        self._follower = follower
+        self._reader = CycleReader(follower)
+        self._plan = plan
+        self._tree = plan.tree
+        self._number = {node: number for number, node in enumerate(plan.tree.nodes)}
+        self._leaves_below = {node: plan.tree.leaves_below(node) for node in plan.tree.nodes}
+        self._stages = _stages(plan)
+
+    def _frame(self, cycle: int) -> dict[str, Any]:
+        """Return a list for each quantity."""
+        recorded = self._reader.read(cycle)
+        messages = recorded.messages
+        devices = [node for node, _ in self._plan.site.devices]
+        unread = [self._number[node] for node in devices if TELEMETRY.of(node) not in messages]
+        return {
+            "cycle": cycle,
+            "nodes": columns([self._powers(messages, node) for node in self._tree.nodes]),
+            "help": self._help(messages),
+            "agents": columns(list(self._agent_rows(recorded))),
+            "unread": unread,
+            "timing": self._timing(cycle, messages),
+        }
+
+    def powers(self, node: str, cycle: int) -> dict[str, float | None]:
+        """Return the powers of one node in a cycle [kW]."""
+        ports = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
+        if node != ROOT:
+            ports.add(SETPOINT.of(node))
+        return self._powers(self._reader.read(cycle, ports).messages, node)
+
+    def _powers(self, messages: Messages, node: str) -> dict[str, float | None]:
+        """Return the powers of a node [kW]; None: no message states it.
+
+        `help` is the setpoint less the node's share of its parent's target: negative if the node
+        gets help. The central controller's setpoint is the dispatch.
+        """
+        dispatch, made = messages.get(DISPATCH.of(ROOT)), messages.get(PRODUCTION.of(ROOT))
+        assert dispatch is None or isinstance(dispatch, Dispatch)
+        impp = messages.get(IMPP.of(node))
+        setpoint = messages.get(SETPOINT.of(node)) if node != ROOT else dispatch
+        helped = setpoint.power_kw - setpoint.share_kw if isinstance(setpoint, Setpoint) else None
+        below = self._leaves_below[node]
+        powers = {
+            "impp": impp.power_kw if isinstance(impp, Impp) else None,
+            "share": own_share_kw(dispatch, self._tree.rating_kw(node)),
+            "setpoint": setpoint.power_kw if isinstance(setpoint, Setpoint | Dispatch) else None,
+            "help": helped,
+            "power": _total(made, "inverter_power_kw", below),
+            "mpp": _total(made, "inverter_mpp_kw", below),
+        }
+        return {name: None if kw is None else round(kw, 2) for name, kw in powers.items()}
+
+    def _help(self, messages: Messages) -> list[tuple[int, int, float]]:
+        """Return who helps whom by how much: numbers of donor and needy, kW."""
+        return [
+            (self._number[port.node], self._number[given.needy], round(given.power_kw, 2))
+            for port, message in messages.items()
+            if isinstance(message, Setpoint)
+            for given in message.help_given
+            if given.needy in self._number and given.power_kw > _UNHELPFUL_KW
+        ]
+
+    def _agent_rows(self, recorded: CycleMessages) -> Iterator[dict[str, float | None]]:
+        """Yield how the agents do: the plant first, then the nodes.
+
+        `age`: cycles since the newest message of an agent, None where none was found. `missed`:
+        inputs that were missing or older than they should have been; `input_age`: how old the
+        oldest of them was. `loop_ms`: from the last input of a stage to its message.
+        """
+        cycle = recorded.cycle
+        by_agent: dict[str, list[Message]] = {agent: [] for agent in self._agents}
+        for message in recorded.messages.values():
+            if message.cycle == cycle and message.source in by_agent:
+                by_agent[message.source].append(message)
+        for agent, messages in by_agent.items():
+            missed = [parse_missing(entry) for one in messages for entry in one.missing]
+            older = [cycle - one.cycle for one in missed if one.cycle is not None]
+            ready = [one for one in messages if one.ready_time_ns]
+            loops_ns = [one.publish_time_ns - one.ready_time_ns for one in ready]
+            heard_in = recorded.heard_in.get(agent)
+            yield {
+                "age": None if heard_in is None else cycle - heard_in,
+                "missed": len(missed),
+                "input_age": max(older, default=0),
+                "loop_ms": round(max(loops_ns) / 1e6, 3) if loops_ns else None,
+                "restarts": self._follower.events.restarts[agent],
+            }
+
+    def _timing(self, cycle: int, messages: Messages) -> list[dict[str, object]]:
+        """Return when the messages of each stage went out, after the beginning of the cycle [ms].
+
+        In lockstep a cycle begins with its first message.
+        """
+        times_ns: dict[_Stage, list[int]] = {}
+        external, timing = self._plan.access.external, self._plan.timing
+        for port, message in messages.items():
+            # A device has its own clock.
+            is_here = port.publisher not in external
+            if port in self._stages and message.cycle == cycle and is_here:
+                times_ns.setdefault(self._stages[port], []).append(message.publish_time_ns)
+        begin_ns = min(chain.from_iterable(times_ns.values()), default=0)
+        start_time_ns = self._follower.start_time_ns
+        if not timing.lockstep and start_time_ns is not None:
+            begin_ns = start_time_ns + cycle * timing.cycle_wall_ns
+        return [
+            {
+                "stage": stage.label,
+                "deadline_ms": stage.deadline_ms,
+                "first_ms": round((min(times_ns[stage]) - begin_ns) / 1e6, 3),
+                "last_ms": round((max(times_ns[stage]) - begin_ns) / 1e6, 3),
+            }
+            for stage in sorted(times_ns, key=lambda stage: stage.order)
+        ]
+
+
+def _stages(plan: RunPlan) -> dict[Port[Message], _Stage]:
+    """Return the stage of each port. Its deadline is when those close that wait for it."""
+    tree, timing = plan.tree, plan.timing
+    stages: dict[Port[Message], tuple[int, str]] = {}
+    closes_ns: dict[int, int] = {}
+    for port in plan.wiring.ports:
+        if not port.signal.is_cyclic:
+            continue
+        agent, stage = port.publisher, stage_of(port, tree)
+        kind = kind_of(agent, tree)
+        tier = f" tier {depth(agent)}" if kind == "supervisor" else ""
+        order = stage_place(agent, stage, tree)
+        stages[port] = order, f"{stage}, {kind}{tier}"
+        closes_ns[order] = plan.deadlines.deadline_ns(agent, stage)
+    closes_ns[max(closes_ns) + 1] = timing.cycle_wall_ns
+    return {
+        port: _Stage(order, label, None if timing.lockstep else closes_ns[order + 1] / 1e6)
+        for port, (order, label) in stages.items()
+    }
+
+
+def columns(rows: list[dict[str, float | None]]) -> dict[str, Values]:
+    """Return the values of each name as a list; `rows` has at least one."""
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def _total(made: Message | None, field: str, below: tuple[int, ...]) -> float | None:
+    """Add up what a production says of some inverters; None where it does not tell."""
+    if not isinstance(made, Production):
+        return None
+    values: tuple[float, ...] = getattr(made, field)
+    return sum(values[leaf] for leaf in below) if below[-1] < len(values) else None

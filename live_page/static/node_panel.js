@@ -1,0 +1,73 @@
+// One node: its powers and its help over time, and what it is.
+
+import {$, json} from "./dom.js";
+import {kw, timeChart} from "./chart.js";
+import {appended, empty, joined} from "./history.js";
+import {values} from "./panels.js";
+
+const POWERS = [
+  {label: "available", name: "mpp", color: "--available", fill: "--available-fill", width: 1},
+  {label: "IMPP", name: "impp", color: "--impp"},
+  {label: "share", name: "share", color: "--dispatch", dash: [7, 4]},
+  {label: "setpoint", name: "setpoint", color: "--setpoint", dash: [3, 3], width: 2},
+  {label: "delivered", name: "power", color: "--delivered", width: 2},
+];
+const HELP = {label: "help", name: "help", color: "--help", fill: "--help", width: 1};
+
+// `selected` is the node's number among those of the plan, null before one was chosen.
+export function nodePanel(plan, time, shown, at, seek) {
+  const options = {timezone: plan.timezone, cursorKey: "node", onPick: x => seek(time.cycleAt(x))};
+  const powerChart = timeChart($("node-chart"), POWERS, {...options, height: 300});
+  const helpChart = timeChart($("help-chart"), [HELP], {...options, height: 130});
+  let history = empty(), frame = null;
+  let devices = {};  // What the gateway measured of real inverters.
+
+  function draw() {
+    const {from, to} = shown(at), x = history.cycle.map(time.seconds);
+    const range = [from, to, at.cycle].map(time.seconds);
+    const column = name => history[name] ?? x.map(() => null);
+    powerChart.show([x, ...POWERS.map(line => column(line.name))], ...range);
+    helpChart.show([x, column("help")], ...range);
+    if (frame) values($("node-values"), [...POWERS, {...HELP, fill: undefined}].map(line => ({...line, value: frame.nodes[line.name][panel.selected]})));
+  }
+
+  function describe() {
+    const node = plan.nodes[panel.selected], {reads, late, breaks} = devices[node.path] ?? {};
+    let text = `${node.inverter ? "inverter" : panel.selected ? "supervisor" : "central controller"}, ${kw(node.rating_kw)} kW`;
+    if (node.device) text += `; ${node.device} ${frame?.unread.includes(panel.selected) ? "gives no readings" : "connected"}`;
+    if (reads) text += `; reads take ${reads.p50_ms.toFixed(1)} ms (p50), ${reads.p99_ms.toFixed(1)} ms (p99), ${late} late, connection lost ${breaks}×`;
+    $("node-about").textContent = text;
+  }
+
+  const panel = {
+    selected: null,
+    select(number) {
+      panel.selected = number;
+      $("node-title").textContent = plan.nodes[number].path || "central";
+      history = empty();
+      describe();
+      draw();
+    },
+    async load(part) {
+      const number = panel.selected;
+      if (number === null) return;
+      const loaded = await json(`node?path=${encodeURIComponent(plan.nodes[number].path)}&${part}`);
+      if (number !== panel.selected) return;
+      history = joined(loaded, history, at.cycle);
+      draw();
+    },
+    show(next, nextDevices) {
+      frame = next;
+      devices = nextDevices;
+      if (panel.selected !== null) describe();
+    },
+    append() {
+      if (panel.selected === null) return;
+      const newer = {cycle: [at.cycle]};
+      for (const name in frame.nodes) newer[name] = [frame.nodes[name][panel.selected]];
+      history = appended(history, newer, shown(at).from);
+      draw();
+    },
+  };
+  return panel;
+}

@@ -1,0 +1,69 @@
+// Where the page stands: at the newest cycle, or at one that the user chose, still or playing.
+
+import {$} from "./dom.js";
+
+const STATES = {waiting: "starting", stalled: "nothing new", over: "over", failed: "failed", running: "running"};
+
+// `onUpdate` gets each update of the server, and whether it is the first one of its stream.
+// `at`: the cycle shown, how many cycles there are, and whether the run is over.
+export function playback(onUpdate) {
+  const at = {cycle: -1, cycles: 0, over: false};
+  let live = true, playing = false, source = null;
+
+  function connect() {
+    source?.close();
+    source = new EventSource(live ? "stream" : `stream?from=${Math.max(at.cycle, 0)}&speed=${playing ? $("speed").value : 0}`);
+    let fresh = true;
+    source.onopen = () => { $("banner").hidden = true; fresh = true; };
+    source.onerror = () => {
+      $("banner").textContent = at.over
+        ? "The run is over and the page is no longer served. What is shown stays; `heliarch view` opens the recording."
+        : "Connection lost: the page shows what came last and tries again.";
+      $("banner").hidden = false;
+    };
+    source.onmessage = message => {
+      const news = JSON.parse(message.data);
+      showState(news);
+      onUpdate(news, fresh);
+      fresh = false;
+      if (!live && playing && at.cycle >= at.cycles - 1) { playing = false; connect(); }
+    };
+    $("play").textContent = playing ? "❚❚" : "▶";
+    $("live").setAttribute("aria-pressed", live);
+  }
+
+  function showState(news) {
+    at.cycles = news.cycles ?? 0;
+    at.over = ["over", "failed"].includes(news.state);
+    const state = news.reading != null ? `reading ${Math.round(100 * news.reading)} %` : STATES[news.state];
+    $("state").textContent = live || at.over ? state : `${state}, ${playing ? "playing" : "paused"}`;
+    $("state").className = `badge ${news.state}`;
+  }
+
+  function seek(target) {
+    live = playing = false;
+    at.cycle = Math.round(Math.min(Math.max(target, 0), Math.max(at.cycles - 1, 0)));
+    connect();
+  }
+  const step = by => seek(at.cycle + by);
+  function play() {
+    playing = live ? false : !playing;
+    if (playing && at.cycle >= at.cycles - 1) at.cycle = 0;
+    live = false;
+    connect();
+  }
+  function newest() { live = true; playing = false; connect(); }
+
+  $("play").onclick = play;
+  $("step").onclick = () => step(1);
+  $("back-step").onclick = () => step(-1);
+  $("live").onclick = newest;
+  $("speed").onchange = () => playing && connect();
+  return {
+    at, connect, seek,
+    keys: {
+      " ": play, ArrowRight: event => step(event.shiftKey ? 10 : 1), ArrowLeft: event => step(event.shiftKey ? -10 : -1),
+      Home: () => step(-Infinity), End: newest, l: newest,
+    },
+  };
+}

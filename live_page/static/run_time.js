@@ -1,0 +1,36 @@
+// The times of a run's cycles, and the cycles that the charts show.
+
+const SPANS = [["2 min", 120], ["10 min", 600], ["1 h", 3600], ["all", Infinity]];
+
+export function runTime(plan) {
+  const clock = new Intl.DateTimeFormat("en-GB", {timeZone: plan.timezone, hour: "2-digit", minute: "2-digit", second: "2-digit"});
+  const day = new Intl.DateTimeFormat("en-GB", {timeZone: plan.timezone, year: "numeric", month: "short", day: "numeric"});
+  const seconds = cycle => plan.start_ms / 1e3 + cycle * plan.cycle_s;
+  return {
+    seconds,
+    cycleAt: at => (at - seconds(0)) / plan.cycle_s,
+    timeOf: cycle => clock.format(new Date(seconds(cycle) * 1e3)),
+    dayOf: cycle => day.format(new Date(seconds(cycle) * 1e3)),
+  };
+}
+
+// The user chooses how many cycles are shown: those up to the current one.
+export function timeSpan(element, plan, onChange) {
+  let span = SPANS[1][1];
+  const buttons = SPANS.map(([name, length]) => {
+    const button = Object.assign(document.createElement("button"), {textContent: name});
+    button.onclick = () => {
+      span = length;
+      buttons.forEach(other => other.setAttribute("aria-pressed", other === button));
+      onChange();
+    };
+    button.setAttribute("aria-pressed", length === span);
+    return button;
+  });
+  element.append(...buttons);
+  return ({cycle, cycles}) => {
+    const length = Math.min(span / plan.cycle_s, span === Infinity ? cycles : Infinity, Math.max(plan.cycles, 2));
+    const end = Math.max(cycle, Math.min(length, plan.cycles) - 1, 1);
+    return {from: Math.max(end - length + 1, 0), to: end};
+  };
+}

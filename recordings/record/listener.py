@@ -1,0 +1,185 @@
+"""What the recorder does with each message: writes it down, and tells the checks that listen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+from typing import Final, NamedTuple
+
+import msgspec
+from msgspec.structs import replace
+
+from agents.plan import RunPlan
+from agents.process.events import Armed, Event, Status
+from bus_schemas.codec import decode
+from bus_schemas.messages import Message, Ready, Run
+from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, RUN, Port
+from bus_schemas.tree import PLANT, RECORDER, ROOT, agent_name
+from bus_schemas.zenoh_session import TokenWatch
+from recordings.record.complaints import (
+    CONFLICTING,
+    OUT_OF_RANGE,
+    UNDECODABLE,
+    UNKNOWN,
+    WRONG_CYCLE,
+    WRONG_SENDER,
+    Complaints,
+)
+from recordings.record.monitor import RunMonitor, longest_pause_s
+from recordings.record.phases import ArmingRound, RunPosition
+from recordings.record.plausibility import out_of_range
+from recordings.record.senders import ExternalAgents, SecondSenders
+from recordings.record.writer import RunWriter
+
+_FAR_AHEAD: Final = 1000
+"""A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
+
+
+class MessageHead(msgspec.Struct, gc=False):
+    """What the recorder reads of every message; the rest is written down undecoded."""
+
+    cycle: int
+    source: str
+    sim_time_ns: int = 0
+    publish_time_ns: int = 0
+    sequence: int = 0
+    incarnation: int = 0
+
+
+_decode_head = msgspec.msgpack.Decoder(MessageHead).decode
+
+
+class _Key(NamedTuple):
+    """What the recorder knows of a key, worked out once for all its messages.
+
+    is_read: Whether its messages are decoded; the others are only written down.
+    is_elsewhere: Whether the launcher does not start its publisher.
+    last_cycle: The last cycle that a message can be of; None: that depends on the run.
+    """
+
+    port: Port[Message]
+    publisher: str
+    is_logged: bool
+    is_read: bool
+    is_elsewhere: bool
+    last_cycle: int | None
+
+
+def _key(plan: RunPlan, port: Port[Message]) -> _Key:
+    publisher, is_elsewhere = port.publisher, port.publisher in plan.elsewhere
+    is_read = is_elsewhere or port.signal in {DISPATCH, HELP, PRODUCTION, RUN}
+    last_cycle = None if publisher in plan.access.external else plan.timing.cycles
+    return _Key(port, publisher, port.signal.logged, is_read, is_elsewhere, last_cycle)
+
+
+class RunListener:
+    """Hears the messages of a run.
+
+    tell: Tells the launcher.
+    last_cycle: Of a run that is under way, the last cycle that was recorded before; else None.
+    """
+
+    def __init__(
+        self,
+        plan: RunPlan,
+        writer: RunWriter,
+        tell: Callable[[Event], None],
+        tokens: TokenWatch | None,
+        now_ns: Callable[[], int],
+        last_cycle: int | None,
+    ) -> None:
+        self.monitor = RunMonitor()
+        self.position = RunPosition(plan, -1 if last_cycle is None else last_cycle)
+        self.external = ExternalAgents(plan, tokens)
+        self.senders = SecondSenders(plan)
+        self.complaints = Complaints(tell)
+        self._plan = plan
+        self._writer = writer
+        self._tell = tell
+        self._now_ns = now_ns
+        self._arming = ArmingRound(plan, answered=last_cycle is not None)
+        self._heard_at_ns = {agent_name(node): now_ns() for node in plan.tree.nodes}
+        self._keys = {plan.wiring.key(port): _key(plan, port) for port in plan.wiring.ports}
+
+    @property
+    def own_heard(self) -> int:
+        """Messages of the launcher's processes that have come."""
+        return self._writer.heard - self.external.heard - self.senders.extra.total()
+
+    def hear(self, key: str, payload: bytes) -> Ready | None:
+        """Take in a message; return an answer if it completes an arming round."""
+        known = self._keys.get(key)
+        if known is None:
+            self.complaints.add(key, UNKNOWN, "this run has no such node or signal")
+            return None
+        port = known.port
+        try:
+            head = _decode_head(payload)
+            message = decode(port.signal, payload) if known.is_read else None
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            self.complaints.add(key, UNDECODABLE, str(error))
+            return None
+        if head.source != known.publisher:
+            self.complaints.add(key, WRONG_SENDER, f"it is from {head.source!r}")
+        elif head.cycle < 0:
+            self._heard_at_ns[head.source] = self._now_ns()
+            if self._arming.hear(port, head.cycle):
+                return Ready(head.cycle, head.sim_time_ns, RECORDER, ())
+        elif known.is_logged:
+            last_cycle = known.last_cycle
+            if head.cycle <= (self._last_cycle_of(port) if last_cycle is None else last_cycle):
+                self._record(key, known, head, message, payload)
+            else:
+                text = f"it is of cycle {head.cycle}, not {self.position.newest_cycle}"
+                self.complaints.add(key, WRONG_CYCLE, text)
+        return None
+
+    def status(self) -> Status:
+        """Return where the run stands, and who is unresponsive or has not been heard yet."""
+        status = self.monitor.status(self._writer.recorded.total())
+        if self._plan.elsewhere and self.position.newest_cycle < 0:
+            status = replace(status, unheard=self._arming.unheard(self._plan.elsewhere))
+        if not self._plan.timing.lockstep:
+            since_ns = self._now_ns() - round(longest_pause_s(self._plan) * 1e9)
+            late = [agent for agent, at_ns in self._heard_at_ns.items() if at_ns < since_ns]
+            status = replace(status, unresponsive=late)
+        return status
+
+    def _last_cycle_of(self, port: Port[Message]) -> float:
+        """Return the last cycle that a message of an external agent can be of now."""
+        if port.publisher == PLANT:
+            return inf
+        return self.position.newest_cycle + _FAR_AHEAD if self._arming.answered else -1
+
+    def _record(
+        self, key: str, known: _Key, head: MessageHead, message: Message | None, payload: bytes
+    ) -> None:
+        port, heard_ns = known.port, self._now_ns()
+        self._writer.add(port, head, payload, heard_ns)
+        self._heard_at_ns[head.source] = heard_ns
+        complaint = self.senders.hear(port, head.cycle, head.incarnation, payload)
+        if known.is_elsewhere and message is not None:
+            self.external.hear(port, message)
+            if complaint is None and (text := out_of_range(self._plan, port, message, heard_ns)):
+                complaint = OUT_OF_RANGE, text
+        if complaint is not None:
+            self.complaints.add(key, *complaint)
+        elif message is not None:
+            self._follow(port, message, heard_ns)
+
+    def _follow(self, port: Port[Message], message: Message, heard_ns: int) -> None:
+        """Follow the course of the run."""
+        false_stop = None
+        if isinstance(message, Run):
+            if message.state == "stop":
+                false_stop = self.position.hear_stop(message.cycle, heard_ns / 1e9)
+            elif PLANT in self._plan.access.external:
+                self._tell(Armed(message.start_time_ns))
+        elif port.signal is DISPATCH:
+            false_stop = self.position.hear_dispatch(message.cycle)
+        self.monitor.see(port, message)
+        if false_stop is not None:
+            begun = self.position.newest_cycle
+            text = f"it stops the run before cycle {false_stop}, and cycle {begun} has begun"
+            self.complaints.add(self._plan.wiring.key(RUN.of(ROOT)), CONFLICTING, text)
+            self.senders.note_extra(RUN.of(ROOT))

@@ -1,0 +1,147 @@
+"""The phases of a run as the recorder follows it: arming rounds, cycles, and the end of all.
+
+The plant begins the run once the recorder has heard every port in one arming round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from math import inf
+from typing import Final
+
+from agents.plan import RunPlan
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port, ports
+from bus_schemas.tree import PLANT
+from recordings.read.gaps import due_step
+
+_STOP_WAIT_S: Final = 0.5
+"""How long a stop before the run's last cycle may be contradicted by the plant, and more in real
+time, before it counts."""
+
+_QUIET_S: Final = 0.5
+_LONGEST_QUIET_S: Final = 2.0
+"""How long in all the recorder waits at the end for messages that do not come: where nobody says
+how many to expect, and where somebody does."""
+
+_MOST_OF_OTHERS: Final = 100_000
+"""How many messages from outside the launcher's processes are still recorded at the end: more than
+a flooding device can have waiting (some 45,000 here), but not an endless flood."""
+
+
+class ArmingRound:
+    """The round under way: which of the messages that come in each round have been heard.
+
+    `answered`: Whether a round has been complete.
+    """
+
+    def __init__(self, plan: RunPlan, *, answered: bool = False) -> None:
+        self.answered = answered
+        self._all = frozenset(port for port in ports(plan.tree) if due_step(plan, port))
+        self._cycle: int | None = None
+        self._open: set[Port[Message]] = set()
+        self._last: dict[Port[Message], int] = {}
+
+    def hear(self, port: Port[Message], cycle: int) -> bool:
+        """Take in a message of a round; return whether it completes the round.
+
+        Only the plant begins a round. A message of a later round is remembered, in case it has
+        overtaken the plant's messages.
+        """
+        if port.publisher == PLANT and (self._cycle is None or cycle > self._cycle):
+            self._cycle = cycle
+            self._open = {port for port in self._all if self._last.get(port) != cycle}
+        self._last[port] = cycle
+        if cycle != self._cycle or port not in self._open:
+            return False
+        self._open.discard(port)
+        self.answered = self.answered or not self._open
+        return not self._open
+
+    def unheard(self, agents: Collection[str]) -> list[str]:
+        """Keys, without the plant's name, on which nothing of some agents came in this round."""
+        return sorted(str(port) for port in self._open if port.publisher in agents)
+
+
+class RunPosition:
+    """The newest cycle of a dispatch, and the stop that the plant has announced.
+
+    A stop before a cycle that the plant has begun is false: another program sent it.
+
+    `stop_cycle` is the first cycle that does not take place; None: it is not known.
+    """
+
+    def __init__(self, plan: RunPlan, newest_cycle: int) -> None:
+        self.newest_cycle = newest_cycle
+        self.stop_cycle: int | None = None
+        self._plan = plan
+        self._over_at_s = inf
+
+    @property
+    def cycles(self) -> int:
+        """How many cycles there are, as far as that is known."""
+        return self.newest_cycle + 1 if self.stop_cycle is None else self.stop_cycle
+
+    def hear_dispatch(self, cycle: int) -> int | None:
+        """Take in a dispatch; return the cycle of a stop that it shows to be false."""
+        self.newest_cycle = max(cycle, self.newest_cycle)
+        stop = self.stop_cycle
+        if stop is None or stop > cycle:
+            return None
+        self.stop_cycle, self._over_at_s = None, inf
+        return stop
+
+    def hear_stop(self, cycle: int, now_s: float) -> int | None:
+        """Take in a stop; return its cycle if it is false."""
+        if cycle <= self.newest_cycle:
+            self.stop_cycle, self._over_at_s = None, inf
+            return cycle
+        self.stop_cycle = cycle
+        if PLANT in self._plan.access.external:
+            wait_s = _STOP_WAIT_S + 1.5e-9 * self._plan.timing.cycle_wall_ns
+            self._over_at_s = now_s + wait_s * (cycle < self._plan.timing.cycles)
+        return None
+
+    def is_newly_over(self, now_s: float) -> bool:
+        """Whether an external plant's stop counts since the last call."""
+        if now_s < self._over_at_s:
+            return False
+        self._over_at_s = inf
+        return self.stop_cycle is not None
+
+
+class Closing:
+    """Waits for the last messages of a run, from when somebody asks for its end.
+
+    `expected`: Messages of the launcher's processes; None: not known.
+    """
+
+    def __init__(self) -> None:
+        self.expected: int | None = None
+        self._asked_at_s: float | None = None
+        self._quiet_s = 0.0
+        self._others_left = _MOST_OF_OTHERS
+
+    def ask(self, now_s: float) -> None:
+        if self._asked_at_s is None:
+            self._asked_at_s = now_s
+
+    def note(self, others: int, quiet_s: float) -> None:
+        """Note messages from outside the launcher's processes, and a time without any message."""
+        if self._asked_at_s is not None:
+            self._others_left -= others
+            self._quiet_s += quiet_s
+
+    def is_over(self, now_s: float, own_heard: int, *, others_done: bool) -> bool:
+        """Whether the recording may end, when so many messages of the launcher's have come.
+
+        Devices do not say how much they published, and their messages come on other links:
+        `others_done` says whether the last of them have come.
+        """
+        if self._asked_at_s is None:
+            return False
+        if self.expected is None:
+            return self._quiet_s > _QUIET_S or now_s > self._asked_at_s + _LONGEST_QUIET_S
+        if own_heard >= self.expected and others_done:
+            return True
+        return self._quiet_s > _LONGEST_QUIET_S or self._others_left <= 0

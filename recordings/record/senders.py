@@ -1,0 +1,158 @@
+"""Who sends: external agents, which report nothing themselves, and second senders on a key.
+
+A publisher sends one message in a cycle, and numbers its messages upwards. A process that replaces
+it has a higher incarnation, and the replaced one publishes nothing more. Only in lockstep may it be
+replaced in the cycle in which it joined: then the next process has the same incarnation, and sends
+the same messages once more.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import msgspec
+
+from agents.plan import RunPlan
+from agents.process.events import ExternalAccount, Presence
+from bus_schemas.codec import decode
+from bus_schemas.messages import Message
+from bus_schemas.signals import RUN, Port, ports
+from bus_schemas.zenoh_session import TokenWatch
+from recordings.read.gaps import PortGaps, due_step
+from recordings.record.complaints import CONFLICTING, DUPLICATE
+
+_MOST_KEPT = 4
+"""Messages of a key that are kept: one of the cycle under way, and of those beside it."""
+
+_UNDECIDED = ("ready_time_ns", "publish_time_ns", "sequence", "incarnation", "missing")
+
+
+class ExternalAgents:
+    """The external agents of a run and their messages. `tokens` tell who is there."""
+
+    def __init__(self, plan: RunPlan, tokens: TokenWatch | None = None) -> None:
+        self.heard = 0
+        self._tokens = tokens
+        self._agent_of = {plan.wiring.alive_key(agent): agent for agent in plan.elsewhere}
+        theirs = [port for port in ports(plan.tree) if port.publisher in plan.elsewhere]
+        self._gaps = {port: PortGaps() for port in theirs}
+        # Ports whose messages come regularly, with the cycles from one to the next.
+        self._steps = {port: step for port in theirs if (step := due_step(plan, port))}
+        self._answers: Counter[Port[Message]] = Counter()
+        self._outages: dict[str, list[tuple[int, int | None]]] = {}
+
+    def presence(self, cycle: int) -> Iterator[Presence]:
+        """Yield which of them have come or gone; before cycle 0 that is no outage."""
+        for key, alive in self._tokens.changes() if self._tokens is not None else ():
+            agent = self._agent_of.get(key)
+            if agent is None:
+                continue
+            outages = self._outages.setdefault(agent, [])
+            if not alive and cycle >= 0:
+                outages.append((cycle, None))
+            elif alive and outages:
+                outages[-1] = (outages[-1][0], cycle)
+            yield Presence(agent, alive, cycle)
+
+    def hear(self, port: Port[Message], message: Message) -> None:
+        """Count a message that is recorded."""
+        self.heard += 1
+        gaps = self._gaps[port]
+        self._answers[port] += message.cycle > gaps.newest
+        gaps.see(message.cycle, message.sequence, message.incarnation)
+
+    def have_answered(self, cycles: int) -> bool:
+        """Return whether the last message due in so many cycles has come on each port."""
+        return all(
+            self._gaps[port].newest >= (cycles - 1) // step * step
+            for port, step in self._steps.items()
+        )
+
+    def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:
+        """Return an account of each of them, after so many cycles."""
+        return tuple(self._account(agent, cycles) for agent in self._agent_of.values())
+
+    def _account(self, agent: str, cycles: int) -> ExternalAccount:
+        own = {port: gaps for port, gaps in self._gaps.items() if port.publisher == agent}
+        due = {port: -(-cycles // step) for port, step in self._steps.items() if port in own}
+        recorded: Counter[str] = Counter()
+        for port, gaps in own.items():
+            recorded[port.signal.name] += gaps.messages
+        return ExternalAccount(
+            agent,
+            recorded=dict(+recorded),
+            lost=sum(gaps.lost for gaps in own.values()),
+            expected=sum(due.values()),
+            answered=sum(min(self._answers[port], number) for port, number in due.items()),
+            outages=tuple(self._outages.get(agent, ())),
+        )
+
+
+class SecondSenders:
+    """The newest messages, by cycle, and the newest incarnations of keys with one in each cycle.
+
+    `extra` counts, by signal, what came second on keys of the launcher's own processes.
+    """
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.extra: Counter[str] = Counter()
+        self._payloads: dict[Port[Message], dict[int, bytes]] = {
+            port: {} for port in plan.wiring.ports if port.signal.is_cyclic or port.signal is RUN
+        }
+        self._newest = dict.fromkeys(self._payloads, 0)
+        # Of these two processes may speak, until one has heard the other.
+        self._standbys = plan.standbys
+        self._elsewhere = plan.elsewhere
+
+    def hear(
+        self, port: Port[Message], cycle: int, incarnation: int, payload: bytes
+    ) -> tuple[str, str] | None:
+        """Return the cause and text of a complaint, if a message does not go with earlier ones."""
+        payloads = self._payloads.get(port)
+        if payloads is None:
+            return None
+        newest = self._newest[port]
+        if incarnation < newest:
+            if cycle <= newest or port.publisher in self._standbys:  # It was on its way.
+                return None
+            self.note_extra(port)
+            joined = f"one joined in cycle {newest}, another in {incarnation}"
+            return CONFLICTING, f"{joined}, and both sent after that"
+        if incarnation > newest:
+            self._newest[port] = incarnation
+            payloads.clear()
+        first = payloads.setdefault(cycle, payload)
+        if first is not payload:
+            self.note_extra(port)
+            return _compare(port, first, payload)
+        if len(payloads) > _MOST_KEPT:
+            oldest = min(payloads)
+            del payloads[oldest if oldest != cycle else max(payloads)]
+        return None
+
+    def note_extra(self, port: Port[Message]) -> None:
+        """Count a message that another program sent."""
+        if port.publisher not in self._elsewhere:
+            self.extra[port.signal.name] += 1
+
+
+def _compare(port: Port[Message], first: bytes, second: bytes) -> tuple[str, str]:
+    """Say in what two messages of one key and cycle differ."""
+    try:
+        one, other = decode(port.signal, first), decode(port.signal, second)
+    except msgspec.DecodeError as error:
+        return CONFLICTING, f"two messages in one cycle, of which one does not decode: {error}"
+    cycle = one.cycle
+    differing = [
+        field
+        for field in one.__struct_fields__
+        if field not in _UNDECIDED and repr(getattr(one, field)) != repr(getattr(other, field))
+    ]
+    has_just_joined = 0 < cycle == one.incarnation
+    if first != second and other.sequence <= one.sequence and not has_just_joined:
+        differing.append("sequence")
+    if not differing:
+        return DUPLICATE, f"it came again for cycle {cycle}"
+    both = " and ".join(str(getattr(message, differing[0]))[:60] for message in (one, other))
+    return CONFLICTING, f"two messages in cycle {cycle}, {differing[0]} {both}"

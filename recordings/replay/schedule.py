@@ -1,0 +1,133 @@
+"""Which message of a recording a replay sends next, and when it is due."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator
+from heapq import heappop, heappush
+from itertools import takewhile
+from typing import Final, Literal, TypeAlias
+
+from agents.plan import RunPlan
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+from recordings.read.reader import RecordedMessage, RunReader
+
+ClockKind: TypeAlias = Literal["sim", "wall"]
+"""`sim`: a cycle begins at its simulated time; within it, messages are as far apart as when they
+were published. `wall`: all messages are as far apart as when they were published."""
+
+_REORDER_NS: Final = 1_000_000_000
+"""Longest time from publication to recording for which messages are put back into order."""
+
+_LATE_CYCLES: Final = 10
+"""By how many cycles a message may be published late, in addition to the longest period."""
+
+
+class UpcomingMessages:
+    """The messages of some cycles in the order in which they were published.
+
+    next: The message to be sent next, None at the end.
+    position_ns: Its position on the clock, see `positions`.
+    """
+
+    def __init__(
+        self, reader: RunReader, ports: Collection[Port[Message]], span: range, kind: ClockKind
+    ) -> None:
+        self.reader = reader
+        self.span = span
+        self.position_ns = 0
+        self._ports = ports
+        self._kind = kind
+        self.seek(span.start)
+
+    def seek(self, cycle: int) -> None:
+        """Let the first message of a cycle be the next one."""
+        records = in_publish_order(self.reader, self._ports, range(cycle, self.span.stop))
+        self._messages = positions(records, self.reader.plan, self._kind)
+        self.advance()
+
+    def advance(self) -> None:
+        """Turn to the message after the next one."""
+        self.next: RecordedMessage | None
+        self.position_ns, self.next = next(self._messages, (self.position_ns, None))
+
+
+def in_publish_order(
+    reader: RunReader, ports: Collection[Port[Message]], cycles: range
+) -> Iterator[RecordedMessage]:
+    """Yield the messages of some cycles in the order of their publish times.
+
+    Messages of one key keep their order.
+    """
+    beyond = cycles.stop + reader.plan.control.periods.longest + _LATE_CYCLES
+    records = reader.records(ports, range(cycles.start, beyond + 1))
+    # No message of these cycles follows one that is far beyond them.
+    near = takewhile(lambda record: record.cycle < beyond, records)
+    # The recorder receives messages in batches. The numbers keep the order of one moment.
+    waiting: list[tuple[int, int, RecordedMessage]] = []
+    for number, record in enumerate(record for record in near if record.cycle < cycles.stop):
+        while waiting and waiting[0][0] <= record.log_time_ns - _REORDER_NS:
+            yield heappop(waiting)[2]
+        heappush(waiting, (record.publish_time_ns, number, record))
+    while waiting:
+        yield heappop(waiting)[2]
+
+
+def positions(
+    records: Iterable[RecordedMessage], plan: RunPlan, kind: ClockKind
+) -> Iterator[tuple[int, RecordedMessage]]:
+    """Yield messages with their positions on a clock [ns]; only differences matter.
+
+    No position is before that of an earlier message.
+    """
+    cycle, began_ns, last_ns = -1, 0, -(1 << 62)
+    for record in records:
+        position_ns = record.publish_time_ns
+        if kind == "sim":
+            if record.cycle > cycle:
+                cycle, began_ns = record.cycle, record.publish_time_ns
+            elapsed_ns = min(record.publish_time_ns - began_ns, plan.timing.cycle_ns)
+            position_ns = plan.timing.sim_time_ns(record.cycle) + elapsed_ns
+        last_ns = max(last_ns, position_ns)
+        yield last_ns, record
+
+
+class PlaybackClock:
+    """Maps positions to times of the monotonic clock.
+
+    Every time is counted from one anchor, so errors do not add up. Only a pause, a seek and a
+    change of rate set a new anchor.
+    The rate is in seconds of the clock per second; at 0 everything is due at once.
+    """
+
+    def __init__(
+        self, rate: float, *, paused: bool = False, now_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        self.rate = rate
+        self.paused = paused
+        self.now_ns = now_ns
+        self._position_ns = 0
+        self._moment_ns = now_ns()
+
+    def move_to(self, position_ns: int) -> None:
+        """Make a position due now."""
+        self._position_ns, self._moment_ns = position_ns, self.now_ns()
+
+    def due_ns(self, position_ns: int) -> int:
+        """Return the monotonic time at which a position is reached [ns]."""
+        if self.rate == 0.0:
+            return self._moment_ns
+        return self._moment_ns + round((position_ns - self._position_ns) / self.rate)
+
+    def toggle_pause(self) -> None:
+        """Pause, or go on from the same position."""
+        self.set_rate(self.rate)
+        self.paused = not self.paused
+
+    def set_rate(self, rate: float) -> None:
+        """Go on from here at another rate."""
+        if not self.paused:
+            self._position_ns += round((self.now_ns() - self._moment_ns) * self.rate)
+        self._moment_ns = self.now_ns()
+        self.rate = rate

@@ -1,0 +1,1 @@
+"""What a run was worth: figures of merit, timing, tables and pages."""

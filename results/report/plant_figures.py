@@ -1,0 +1,165 @@
+"""Figures of the plant: available power, commitment, dispatch and delivered power.
+
+All take runs of the same plant in the same cycles, with the same dispatch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from recordings.read.series import RunSeries
+from results.report import style
+
+_PANEL_PX = 230
+_DASHED = {"color": style.BLACK, "width": 1.2, "dash": "dash"}
+_CLOSE_LOOK_S = 600.0
+
+
+def available_power(series: Sequence[RunSeries]) -> style.ReportFigure:
+    """Draw available power against commitment, dispatch and delivered power."""
+    first = series[0]
+    sand, grey = {"color": style.SAND, "width": 1}, {"color": style.GREY, "width": 1}
+    area = {"fill": "tozeroy", "fillcolor": style.faint(style.SAND, 0.5)}
+    lines = [style.time_line(first, first.available_kw, "available", sand, **area)]
+    if _asks_regulation(first):
+        lines.append(style.time_line(first, first.dispatch_kw, "dispatch, with regulation", grey))
+    lines += _delivered_lines(series)
+    lines.append(style.time_line(first, first.commitment_kw, "commitment", _DASHED))
+    figure = style.dress(go.Figure(lines), 420)
+    figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero")
+    style.label_time_axis(figure, first)
+    short = 100.0 * np.mean((first.available_kw < first.dispatch_kw)[first.known])
+    return style.ReportFigure(
+        "available-power",
+        "Available, committed and delivered power",
+        "Power of the plant [kW]. The shaded area is what all inverters could have given at their "
+        "maximum power points; the dashed line is the commitment. Available power was below the "
+        f"dispatch in {short:.1f} % of the cycles.",
+        figure,
+    )
+
+
+def delivered_and_shortfall(series: Sequence[RunSeries]) -> style.ReportFigure:
+    """Draw delivered power and its shortfall; each run has a panel with the same axes."""
+    count = len(series)
+    figure = make_subplots(
+        rows=count,
+        cols=1,
+        shared_xaxes=True,
+        vertical_spacing=0.18 / count,
+        subplot_titles=[style.plain(one.label) if count > 1 else "" for one in series],
+    )
+    red = {"color": style.SHORTFALL, "width": 1}
+    area = {"fill": "tozeroy", "fillcolor": style.faint(style.SHORTFALL)}
+    for row, (one, delivered) in enumerate(
+        zip(series, _delivered_lines(series), strict=True), start=1
+    ):
+        # One entry in the legend is enough for what all panels have.
+        once = {"showlegend": row == 1}
+        shortfall = style.time_line(one, one.shortfall_kw, "shortfall", red, **area, **once)
+        dispatch = style.time_line(one, one.dispatch_kw, "dispatch", _DASHED, **once)
+        for line in (shortfall, delivered, dispatch):
+            figure.add_trace(line, row, 1)
+    style.dress(figure, 110 + _PANEL_PX * count)
+    # A range that holds delivered power and dispatch of all runs, and zero.
+    curves = [curve for one in series for curve in (one.delivered_kw, one.dispatch_kw)]
+    least_kw = min(0.0, *(float(np.nanmin(curve)) for curve in curves))
+    greatest_kw = max(float(np.nanmax(curve)) for curve in curves)
+    range_kw = [least_kw, greatest_kw + 0.05 * (greatest_kw - least_kw)]
+    figure.update_yaxes(title_text="power [kW]", range=range_kw)
+    figure.update_yaxes(matches="y")
+    if count > 1:  # The legend stands above the title of the first panel.
+        figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * count), margin_t=70)
+    style.label_time_axis(figure, series[0], rows=count)
+    energies = "; ".join(
+        f"{one.label} {np.nansum(one.shortfall_kw) * one.cycle_s / 3600.0:,.1f} kWh"
+        for one in series
+    )
+    return style.ReportFigure(
+        "shortfall",
+        "Delivered power and its shortfall",
+        "Delivered power and dispatch of the plant [kW], and the shortfall, max(0, dispatch - "
+        f"delivered) [kW]. Energy of the shortfall: {energies}.",
+        figure,
+    )
+
+
+def _delivered_lines(series: Sequence[RunSeries]) -> list[go.Scatter]:
+    return [
+        style.time_line(
+            one, one.delivered_kw, _of("delivered", one, series), style.scheme_line(position)
+        )
+        for position, one in enumerate(series)
+    ]
+
+
+def _of(what: str, one: RunSeries, series: Sequence[RunSeries]) -> str:
+    """Name a line of one run in the legend."""
+    return what if len(series) == 1 else f"{what}, {one.label}"
+
+
+def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
+    """Draw regulation asked and given, in the whole run and in its worst ten minutes, if any."""
+    first = series[0]
+    if not _asks_regulation(first):
+        return None
+    # One that never curtails follows nothing: it would hide the others, and choose the minutes.
+    curtailing = {at: one for at, one in enumerate(series) if np.any(one.power_kw < one.mpp_kw)}
+    following = curtailing or dict(enumerate(series))
+    worst = farthest_from_asked(list(following.values()))
+    figure = make_subplots(
+        rows=2,
+        cols=1,
+        vertical_spacing=0.16,
+        subplot_titles=["whole run", f"from {style.clock_text(first, worst.start)}"],
+    )
+    for row, cycles in enumerate((range(first.cycles), worst), start=1):
+        once = {"showlegend": row == 1}
+        for place, one in following.items():
+            given_kw, name = one.delivered_kw - one.commitment_kw, _of("given", one, series)
+            look = style.scheme_line(place)
+            given = style.time_line(one, given_kw, name, look, cycles, **once)
+            figure.add_trace(given, row, 1)
+        asked = style.time_line(first, first.regulation_kw, "asked", _DASHED, cycles, **once)
+        figure.add_trace(asked, row, 1)
+    style.dress(figure, 580)
+    figure.update_layout(legend_y=1.05, margin_t=70)
+    capacity_kw = first.regulation_capacity_kw
+    # A plant that lacks power falls far below: the signal would be a thin line above that.
+    figure.update_yaxes(title_text="regulation [kW]", range=[-3.0 * capacity_kw, 2.0 * capacity_kw])
+    style.label_time_axis(figure, first, rows=2)
+    figure.update_xaxes(range=style.clock_range_ms(first, worst), row=2, col=1)
+    return style.ReportFigure(
+        "regulation",
+        "Regulation asked and given",
+        "Regulation that the signal asked for, and the regulation given: delivered power less the "
+        f"commitment [kW]. A signal of 1 asks for {capacity_kw:,.0f} kW. Below are the "
+        f"{len(worst) * first.cycle_s / 60.0:.3g} minutes with the largest mean distance between "
+        "the two; cycles in which the plant could not have given the regulation do not count. The "
+        "axis ends at three times the capacity below the commitment and twice above it.",
+        figure,
+    )
+
+
+def farthest_from_asked(series: Sequence[RunSeries]) -> range:
+    """Find the ten minutes in which regulation given was farthest from regulation asked.
+
+    That is where the mean of |delivered - dispatch|, over the runs, is largest. Cycles in which
+    nothing was asked, or in which the plant could not have given it, do not count.
+    """
+    first = series[0]
+    length = min(max(1, round(_CLOSE_LOOK_S / first.cycle_s)), first.cycles)
+    error_kw = np.mean([np.abs(one.delivered_kw - one.dispatch_kw) for one in series], axis=0)
+    could = first.known & (first.regulation_kw != 0.0) & (first.available_kw >= first.dispatch_kw)
+    asked = np.where(could, error_kw, 0.0)
+    total_kw = np.convolve(asked, np.ones(length), mode="valid")
+    begin = int(total_kw.argmax())
+    return range(begin, begin + length)
+
+
+def _asks_regulation(one: RunSeries) -> bool:
+    return bool(np.any(np.nan_to_num(one.regulation_kw)))

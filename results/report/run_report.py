@@ -1,0 +1,158 @@
+"""The report of a run, or of several control schemes on the same plant and day."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.markup import escape
+
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError
+from bus_schemas.tree import parent_of
+from bus_schemas.whole_file import whole_file
+from recordings.inspect.overview import read_overview
+from recordings.read.reader import RunReader
+from recordings.read.series import RunSeries, read_series
+from results.report.inverter_figures import (
+    correlation_matrices,
+    residuals,
+    virtual_neighbours,
+)
+from results.report.page import html_page
+from results.report.plant_figures import (
+    available_power,
+    delivered_and_shortfall,
+    regulation,
+)
+from results.report.result import Result
+from results.report.style import ReportFigure
+from results.report.tables import devices_tables, health_table, metrics_tables
+from results.tables import Table, counted
+from sunspec.process import read_accounts
+
+REPORT_NAME: Final = "report.html"
+
+
+def write_run_report(run: Path, out: Path | None = None) -> Path:
+    """Write the report of a recorded run, by default beside its recording; return where it is."""
+    console = Console(stderr=True)
+    with RunReader(run) as reader:
+        path, plan = out or reader.path.with_name(REPORT_NAME), reader.plan
+        notes = _notes(reader)
+        size_mb = reader.path.stat().st_size / 1e6
+        with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
+            series = replace(read_series(run), label=f"hierarchical ({plan.control.scheme})")
+            health = read_overview(reader).health
+            tables = [health_table(health, reader.clock), *metrics_tables([series])]
+            tables += devices_tables(read_accounts(reader.path.parent))
+    with console.status("drawing"):
+        title = f"{plan.plant}: run {plan.run_id}"
+        page = html_page(runs_result(title, [series], tables, [run_line(plan), *notes]))
+    with whole_file(path) as file:
+        file.write(page.encode())
+    return path
+
+
+def _notes(reader: RunReader) -> list[str]:
+    """Return what the recording says about the run."""
+    try:
+        scenario = tomllib.loads(reader.scenario)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{reader.path}: expected a scenario in TOML, got: {error}") from None
+    origin = reader.metadata.get("run", {})
+    notes = [
+        f"Scenario: {scenario.get('title', reader.plan.plant)}.",
+        f"Recorded by heliarch {origin.get('driver', '')}, "
+        f"version {origin.get('version heliarch', 'unknown')}, in {reader.path.name}.",
+    ]
+    if scenario.get("neighbours", {}).get("history") == "hindsight":
+        notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
+    if not reader.whole:
+        notes.append("The recording is incomplete: the report shows the part that it holds.")
+    return notes
+
+
+def runs_result(
+    title: str,
+    series: Sequence[RunSeries],
+    tables: Sequence[Table],
+    lines: Sequence[str],
+    document: object = None,
+) -> Result:
+    """Return one run, or several of the same plant in the same cycles, each with its own label."""
+    lines = [*lines, *_cycle_lines(series)]
+    return Result(title, tables, document, lines=lines, figures=lambda: _figures(series))
+
+
+def run_line(plan: RunPlan) -> str:
+    """Return the first line of a report: what was run, and how."""
+    clusters = counted(len({parent_of(leaf) for leaf in plan.tree.leaves}), "cluster")
+    pace = (
+        f"pace {plan.timing.cycle_ns / plan.timing.cycle_wall_ns:g}"
+        if not plan.timing.lockstep
+        else "lockstep"
+    )
+    parts = (
+        f"Scenario {plan.plant}: {counted(len(plan.inverters), 'inverter')} in {clusters}",
+        f"scheme {plan.control.scheme}",
+        f"actuator {plan.control.actuator}",
+        pace,
+        "measured irradiance" if plan.site.seed is None else f"seed {plan.site.seed}",
+    )
+    return ", ".join(parts) + "."
+
+
+def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
+    """Say which time the runs cover, and whether cycles of them are missing."""
+    first = series[0]
+    lines = [f"{first.rating_kw.sum():,.0f} kW AC rating. {when(first)}, local time."]
+    for one in series:
+        missing = one.cycles - int(one.known.sum())
+        if missing:
+            lines.append(
+                f"{one.label}: {counted(missing, 'cycle')} without dispatch or production in the "
+                "recording. They are gaps in the figures and do not count in the tables."
+            )
+    return lines
+
+
+def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
+    """Draw all figures that these runs have something to show in.
+
+    Signals of the single inverters are drawn of the last run whose scheme has residuals: those of
+    the others, under the same sky, would look alike.
+    """
+    figures: list[ReportFigure | None] = [
+        available_power(series),
+        delivered_and_shortfall(series),
+        regulation(series),
+    ]
+    signalling = [one for one in series if not np.isnan(one.residual_kw).all()]
+    if signalling:
+        last = signalling[-1]
+        whose = f"Under the scheme {last.label}. " if len(series) > 1 else ""
+        figures += [
+            replace(figure, caption=whose + figure.caption)
+            for figure in (residuals(last), virtual_neighbours(last))
+            if figure is not None
+        ]
+    figures.append(correlation_matrices(series[0]))
+    return [figure for figure in figures if figure is not None]
+
+
+def when(one: RunSeries) -> str:
+    """Return the time of a run in words."""
+    begin = one.times[0]
+    end = begin + pd.Timedelta(seconds=one.cycles * one.cycle_s)
+    last = f"{end:%H:%M:%S}" if end.date() == begin.date() else f"{end.day} {end:%B %Y %H:%M:%S}"
+    return (
+        f"{counted(one.cycles, 'cycle')} of {one.cycle_s:g} s, {begin.day} {begin:%B %Y}, "
+        f"{begin:%H:%M:%S} to {last} {begin:%Z}"
+    )

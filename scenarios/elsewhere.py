@@ -1,0 +1,139 @@
+"""Agents and inverters of a run that the launcher does not start.
+
+External agents are devices of the user's own in place of a process: each finds the bus by the run's
+`plan.json`, and `docs/wire.md` says what it must do. Agents on other hosts are started by
+`heliarch node`. Real inverters answer over Modbus.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from ipaddress import IPv4Address, IPv6Address, ip_address
+from typing import Final
+
+import msgspec
+
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError, not_one_of
+from bus_schemas.selection import find_agents
+from bus_schemas.tree import PLANT, RECORDER, ControlTree
+from sunspec.addresses import parse_address
+
+_PORTS: Final = range(1024, 65_536)
+
+
+class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A real inverter.
+
+    node: Path of the inverter: `c2/inv07`.
+    address: `modbus://host:port/unit`, with SunSpec models.
+    """
+
+    node: str
+    address: str
+
+
+def external_agents(external: Sequence[str], tree: ControlTree) -> tuple[str, ...]:
+    """Return the agents that `--external` names, in the order of the tree."""
+    team = tuple(agent for agent in tree.agents() if agent != RECORDER)
+    for agent in external:
+        if agent not in team:
+            raise InputError(f"--external: {not_one_of(team, agent)}")
+    return tuple(agent for agent in team if agent in external)
+
+
+def listening(plan: RunPlan) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the agents that need a port, and those that need a second one, beside devices."""
+    has_second = plan.access.external and not plan.access.keys_folder
+    return plan.links.listening, plan.agent_links.listening if has_second else ()
+
+
+def check_base_port(base_port: int, plan: RunPlan) -> None:
+    """Refuse ports that do not exist or are reserved for the system."""
+    last = base_port + sum(map(len, listening(plan))) - 1
+    if base_port not in _PORTS or last not in _PORTS:
+        raise InputError(
+            f"--base-port: expected ports from {_PORTS[0]} to {_PORTS[-1]}, got "
+            f"{base_port} to {last}"
+        )
+
+
+def own_address(text: str) -> IPv4Address | IPv6Address:
+    """Read the value of `--address`."""
+    try:
+        return ip_address(text)
+    except ValueError:
+        raise InputError(
+            f"--address: expected an IP address such as 10.0.0.1, got {text}"
+        ) from None
+
+
+def addresses_of(
+    on: Sequence[str], tree: ControlTree, external: Sequence[str], own: str, *, secure: bool
+) -> dict[str, str]:
+    """Return the address of each agent that `--on` puts on another host; `own` is this host's."""
+    found: dict[str, str] = {}
+    for text in on:
+        where = f"--on {text}"
+        address, _, names = text.partition("=")
+        try:
+            is_loopback = ip_address(address).is_loopback
+        except ValueError:
+            is_loopback, names = True, ""
+        agents = find_agents(tree, names, where)
+        if not agents:
+            raise InputError(f"{where}: expected ADDRESS=AGENTS such as 10.0.0.2=c2/*")
+        if not is_loopback and not secure:
+            raise InputError(f"{where}: expected --secure with an address that others can reach")
+        if not is_loopback and ip_address(own).is_loopback:
+            raise InputError(f"{where}: expected --address with this host's address, got {own}")
+        for agent in agents:
+            if agent == PLANT:
+                raise InputError(f"{where}: expected controllers, got plant, which stays here")
+            if agent in external or found.setdefault(agent, address) != address:
+                raise InputError(f"{where}: expected each agent in one place, got {agent} in two")
+    return found
+
+
+def split_devices(options: Iterable[str]) -> dict[str, str]:
+    """Return the address of each node that `--device` names."""
+    found = {}
+    for option in options:
+        node, _, address = option.partition("=")
+        parse_address(address, f"--device {node}")
+        found[node] = address
+    return found
+
+
+def real_inverters(
+    tables: Iterable[DeviceTable], where: str, options: Sequence[str], tree: ControlTree
+) -> tuple[tuple[str, str], ...]:
+    """Return node and address of each real inverter; options replace what the scenario says.
+
+    `where` is the place of the scenario's own, for errors.
+    """
+    chosen = split_devices(options)
+    for table in tables:
+        if table.node not in chosen:
+            parse_address(table.address, f"{where}: {table.node}")
+    addresses = {table.node: table.address for table in tables} | chosen
+    for node in addresses:
+        if node not in tree.leaves:
+            place = "--device" if node in chosen else where
+            raise InputError(f"{place}: {not_one_of(tree.leaves, node)}")
+    return tuple((leaf, addresses[leaf]) for leaf in tree.leaves if leaf in addresses)
+
+
+def check_devices(plan: RunPlan) -> None:
+    """Refuse real inverters where a run cannot have them."""
+    if not plan.site.devices:
+        return
+    pace = plan.timing.cycle_wall_ns and plan.timing.cycle_ns / plan.timing.cycle_wall_ns
+    for is_right, expected, got in (
+        (not plan.timing.lockstep, "--pace 1 with it", "lockstep"),
+        (pace == 1.0, "--pace 1 with it", f"{pace:g}"),
+        (plan.control.actuator == "limit", "--actuator limit with it", plan.control.actuator),
+        (PLANT not in plan.access.external, "our own plant with it", "an external one"),
+    ):
+        if not is_right:
+            raise InputError(f"device {plan.site.devices[0][0]}: expected {expected}, got {got}")

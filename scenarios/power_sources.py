@@ -1,0 +1,120 @@
+"""From the irradiance that a scenario asks for to the source of its inverters' power."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pandas as pd
+
+from bus_schemas.errors import InputError
+from scenarios.scenario import (
+    CloudIrradiance,
+    DcCurrents,
+    MeasuredIrradiance,
+    OahuGridIrradiance,
+    ScenarioFile,
+    local_start,
+)
+from sim_plant import oahu_grid
+from sim_plant.dc_current import read_currents
+from sim_plant.irradiance import Irradiance, read_measured_ghi
+from sim_plant.sites import Sites, equal_ratings_kw, inverter_name, read_sites
+from sim_plant.sources import CloudySky, MeasuredPlant, PlantUnderSky, PowerSource, measured_sky
+
+
+def power_source(
+    scenario_file: ScenarioFile, seed: int | None, times: pd.DatetimeIndex
+) -> PowerSource:
+    """Read what the scenario names, or make the sky that it describes."""
+    irradiance = scenario_file.scenario.irradiance
+    inverters = scenario_file.scenario.plant.inverters
+    if inverters is not None and not isinstance(irradiance, CloudIrradiance):
+        raise InputError(
+            "plant.inverters: expected none with measured data, which says where the inverters "
+            f"are, got {inverters!r}"
+        )
+    match irradiance:
+        case CloudIrradiance():
+            return _cloudy_sky(scenario_file, irradiance, seed)
+        case MeasuredIrradiance():
+            return _measured_sky(scenario_file, irradiance)
+        case OahuGridIrradiance():
+            return _oahu_sky(scenario_file, irradiance, times)
+        case DcCurrents():
+            return _measured_plant(scenario_file, irradiance)
+
+
+def _cloudy_sky(scenario_file: ScenarioFile, table: CloudIrradiance, seed: int | None) -> CloudySky:
+    plant = scenario_file.scenario.plant
+    if plant.inverters is None:
+        raise InputError(
+            "plant.inverters: expected a CSV with the columns inverter, lat, lon, got nothing"
+        )
+    return CloudySky(
+        sites=read_sites(scenario_file.data_path(plant.inverters), plant.rating_kw),
+        altitude_m=plant.altitude_m,
+        pv=scenario_file.scenario.pv,
+        clouds=table.clouds,
+        seed=table.seed if seed is None else seed,
+        history_seed=table.seed,
+    )
+
+
+def _measured_sky(scenario_file: ScenarioFile, table: MeasuredIrradiance) -> MeasuredPlant:
+    path, positions = (scenario_file.data_path(name) for name in (table.ghi, table.positions))
+    irradiance = read_measured_ghi(path, positions, table.stations)
+    sky = _at_the_sensors(scenario_file, irradiance, len(irradiance.sensors))
+    return measured_sky(sky, irradiance)
+
+
+def _oahu_sky(
+    scenario_file: ScenarioFile, table: OahuGridIrradiance, times: pd.DatetimeIndex
+) -> MeasuredPlant:
+    """Read the day of the run, and the latest before it where the past is asked for."""
+    scenario = scenario_file.scenario
+    folder = scenario_file.data_path(table.folder) if table.folder else scenario_file.data_folder
+    if not any(folder.glob("*.txt")):
+        raise InputError(
+            "irradiance.folder: expected daily files YYYYMMDD.txt (unzip the archive's months) "
+            f"there or in the folder of --data, got none in {folder}"
+        )
+    positions = scenario_file.data_path(table.positions)
+    most_missing = None if table.gaps == "refuse" else table.most_missing
+    day = times[0].tz_convert(oahu_grid.TIMEZONE).date()
+    irradiance = oahu_grid.read_day(folder, day, positions, table.stations, most_missing)
+    stations = len(oahu_grid.HORIZONTAL if table.stations is None else table.stations)
+    sky = _at_the_sensors(scenario_file, irradiance, stations)
+    plant = measured_sky(sky, irradiance)
+    if scenario.neighbours.history == "hindsight":
+        return plant
+    before = oahu_grid.latest_day_before(folder, day)
+    # The plant is that of the run's day, however little of a sensor the earlier day has.
+    fill = None if most_missing is None else 1.0
+    past = oahu_grid.read_day(folder, before, positions, irradiance.sensors, fill)
+    return replace(plant, earlier=measured_sky(sky, past), earlier_by=day - before)
+
+
+def _at_the_sensors(
+    scenario_file: ScenarioFile, irradiance: Irradiance, stations: int
+) -> PlantUnderSky:
+    """Put one inverter at each sensor; a station without a sensor takes its share away."""
+    scenario = scenario_file.scenario
+    sites = Sites(
+        tuple(inverter_name(station) for station in irradiance.sensors),
+        irradiance.lat_deg,
+        irradiance.lon_deg,
+        equal_ratings_kw(scenario.plant.rating_kw, stations, "plant")[: len(irradiance.sensors)],
+    )
+    return PlantUnderSky(sites, scenario.plant.altitude_m, scenario.pv)
+
+
+def _measured_plant(scenario_file: ScenarioFile, table: DcCurrents) -> MeasuredPlant:
+    """Take the power of a real plant's inverters from their currents."""
+    scenario = scenario_file.scenario
+    return read_currents(
+        scenario_file.data_path(table.currents),
+        scenario_file.data_path(table.positions),
+        table.full_power_current,
+        pd.Timestamp(local_start(scenario.time)).tz_convert("UTC").as_unit("ns"),
+        scenario.plant.rating_kw,
+    )

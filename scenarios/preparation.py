@@ -1,0 +1,426 @@
+"""Works out, before anything starts, all that a run needs: from a scenario to plan and profile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from agents.control.correlation import HourlyMatrices, hourly_covariance
+from agents.plan import (
+    Access,
+    Control,
+    Faults,
+    RunPlan,
+    Site,
+    Supervision,
+    Timing,
+    check_plan,
+    check_size,
+)
+from agents.process.machine import MachineSettings
+from agents.settings import Revert
+from bus_schemas.errors import InputError
+from bus_schemas.tree import ROOT, ControlTree, agent_name
+from scenarios.clustering import control_tree, neighbourhoods
+from scenarios.elsewhere import (
+    addresses_of,
+    check_base_port,
+    external_agents,
+    own_address,
+    real_inverters,
+)
+from scenarios.fault_rules import fault_rules
+from scenarios.power_sources import power_source
+from scenarios.real_time import (
+    cycle_wall_ns,
+    machine_settings,
+    parse_pace,
+    tier_deadlines_ns,
+)
+from scenarios.run_options import RunOptions, check_options
+from scenarios.scenario import (
+    CloudIrradiance,
+    Scenario,
+    ScenarioFile,
+    local_start,
+)
+from scenarios.times import on_day, parse_duration_s, parse_time
+from sim_plant.commitment import commitment_kw, is_hindsight
+from sim_plant.profile import Profile
+from sim_plant.regulation import regulation_kw
+from sim_plant.sites import east_north_m
+from sim_plant.sources import PowerSource
+
+__all__ = ["Preparation", "RunOptions", "prepare"]
+
+_HOUR_NS: Final = 3_600_000_000_000
+
+_FINEST_PAST_S: Final = 1.0
+"""Finest step of the past: shorter ones add nothing, since clouds change over seconds."""
+
+_LARGEST_DISTANCE_M: Final = 100_000.0
+"""Farther from the middle than in any plant: a larger distance is probably a mistyped position."""
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """A run that is ready to start."""
+
+    plan: RunPlan
+    profile: Profile
+    scenario: ScenarioFile
+    options: RunOptions
+    remarks: tuple[str, ...]
+
+    @property
+    def hindsight(self) -> bool:
+        """Whether clusters and neighbours were chosen from the run's own data."""
+        return self.scenario.scenario.neighbours.history == "hindsight"
+
+    def local_start(self) -> str:
+        """Return the local time of cycle 0, to be read."""
+        moment = pd.Timestamp(self.plan.timing.start_time_ns, tz="UTC")
+        return f"{moment.tz_convert(self.plan.timing.timezone):%Y-%m-%d %H:%M:%S %Z}"
+
+    def title(self) -> str:
+        """Return which part of which scenario is run, to be read."""
+        plan = self.plan
+        length = f"{plan.timing.cycles:,} cycles of {plan.timing.cycle_ns / 1e9:g} s"
+        return f"{plan.plant} from {self.local_start()}, {length}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Day:
+    """Power and commitment of a run, and its control tree.
+
+    Inverters are in the order of the source here; `order` brings them into that of the tree, since
+    clusters may have mixed them up.
+    """
+
+    times: pd.DatetimeIndex
+    source: PowerSource
+    available_kw: NDArray[np.float64]
+    commitment_kw: NDArray[np.float64]
+    covariance: HourlyMatrices
+    tree: ControlTree
+
+    @property
+    def order(self) -> list[int]:
+        """Place in the source of each inverter of the tree."""
+        names = self.source.sites.names
+        return [names.index(leaf.rpartition("/")[2]) for leaf in self.tree.leaves]
+
+    @property
+    def positions_m(self) -> tuple[tuple[float, float], ...]:
+        """Metres east and north of the plant's middle of each inverter of the tree."""
+        sites = self.source.sites
+        both = np.column_stack(east_north_m(sites.lat_deg, sites.lon_deg))[self.order]
+        return tuple((float(east), float(north)) for east, north in (both - both.mean(0)).round(2))
+
+
+class _Choice(NamedTuple):
+    """What options and scenario say about a run that needs neither data nor the control tree."""
+
+    times: pd.DatetimeIndex
+    cycle_wall_ns: int
+    machine: MachineSettings
+    keys_folder: str
+
+
+def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Preparation:
+    """Work out a run; whatever can be wrong with its options is checked first."""
+    scenario = scenario_file.scenario
+    if options.cycle_s is not None:
+        scenario = replace(scenario, time=replace(scenario.time, cycle_s=options.cycle_s))
+    choice = _choose(scenario_file, scenario, options)
+    times, offer = choice.times, scenario.regulation
+    with scenario_file.named():
+        day = _day(scenario_file, scenario, options.seed, times)
+        regulation = np.zeros(len(times))
+        if offer is not None:
+            zone, data_path = scenario.time.timezone, scenario_file.data_path
+            regulation = regulation_kw(offer, times, zone, data_path)
+    plan = _plan(scenario_file, scenario, options, run_id, day, choice)
+    remarks = [f"warning: {one}" for one in _warnings(day)] + list(day.source.remarks)
+    if plan.site.revert is not None and plan.site.revert != scenario.plant.revert:
+        remarks.append(
+            f"inverters revert after {plan.site.revert.after_s:g} s, which is three cycles"
+        )
+    if is_hindsight(scenario.commitment):
+        remarks.append("The commitment follows from the run's own available power: hindsight.")
+    meter = np.random.default_rng(scenario.plant.meter_seed)  # The same errors in each run.
+    profile = Profile(
+        np.ascontiguousarray(day.available_kw[:, day.order]),
+        day.commitment_kw,
+        regulation,
+        plan.site.regulation_capacity_kw,
+        meter_error=scenario.plant.meter_noise * meter.standard_normal(day.available_kw.shape),
+    )
+    return Preparation(plan, profile, scenario_file, options, tuple(remarks))
+
+
+def _choose(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -> _Choice:
+    """Check options, alone and with the scenario, as far as they go without data."""
+    check_options(options)
+    if options.seed is not None and not isinstance(scenario.irradiance, CloudIrradiance):
+        raise InputError("--seed: expected a scenario with synthetic clouds, got measured data")
+    pace = parse_pace(options.pace) or scenario.pace
+    where = "--pace" if options.pace else f"{scenario_file.path}: pace"
+    return _Choice(
+        _times(scenario_file, scenario, options),
+        cycle_wall_ns(scenario.time.cycle_s, pace, where),
+        machine_settings(
+            scenario.machine,
+            f"{scenario_file.path}: machine.cpus:",
+            options.cpus or (),
+            options.priority,
+            lockstep=pace == "max",
+        ),
+        _keys_folder(scenario, options),
+    )
+
+
+def _day(
+    scenario_file: ScenarioFile, scenario: Scenario, seed: int | None, times: pd.DatetimeIndex
+) -> _Day:
+    own = scenario_file.scenario  # Clusters and neighbours are its own, whatever the options.
+    own_times = _times(scenario_file, own, RunOptions())
+    source = power_source(scenario_file, seed, times)
+    check_size(len(times), len(source.sites.names), "time.duration_s")
+    available_kw = source.available_kw(times)
+    commitment = commitment_kw(
+        scenario.commitment,
+        times,
+        available_kw.sum(axis=1),
+        source.clear_sky_kw,
+        scenario_file.data_path,
+    )
+    covariance = _covariance(own, own_times, source, times)
+    of_scenario = _local_hours(own_times, own.time.timezone)
+    # Hours without a past cannot decide on clusters, unless there are no others.
+    hours = sorted(set(of_scenario.tolist()).intersection(covariance))
+    tree = control_tree(scenario.control, source.sites, covariance, hours or list(covariance))
+    return _Day(times, source, available_kw, commitment, covariance, tree)
+
+
+def _warnings(day: _Day) -> Iterator[str]:
+    """Warn of what can be run but is probably a mistake."""
+    sites, highest_kw = day.source.sites, day.commitment_kw.max()
+    away_m = np.hypot(*east_north_m(sites.lat_deg, sites.lon_deg))
+    farthest = int(away_m.argmax())
+    if away_m[farthest] > _LARGEST_DISTANCE_M:
+        yield (
+            f"plant: expected inverters within {_LARGEST_DISTANCE_M / 1e3:g} km of its middle, got "
+            f"{sites.names[farthest]} {away_m[farthest] / 1e3:,.0f} km away; check lat and lon"
+        )
+    if highest_kw > sites.rating_kw.sum() * (1.0 + 1e-9):
+        yield (
+            f"commitment: expected the plant's rating of {sites.rating_kw.sum():,.0f} kW at most, "
+            f"got {highest_kw:,.0f} kW"
+        )
+    if not day.available_kw.any():
+        yield (
+            "time: expected a run by day, got one without any sun; check time.start, "
+            "time.timezone and the positions of the inverters"
+        )
+
+
+def _plan(
+    scenario_file: ScenarioFile,
+    scenario: Scenario,
+    options: RunOptions,
+    run_id: str,
+    day: _Day,
+    choice: _Choice,
+) -> RunPlan:
+    """Return what all agents of the run agree on."""
+    control = scenario.control
+    with scenario_file.named():
+        deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, choice.cycle_wall_ns)
+    external = external_agents(options.external or (), day.tree)
+    addresses = addresses_of(
+        options.on or (), day.tree, external, options.address, secure=bool(choice.keys_folder)
+    )
+    scheme = options.scheme or control.scheme
+    seed = options.seed
+    if seed is None and isinstance(scenario.irradiance, CloudIrradiance):
+        seed = scenario.irradiance.seed
+    plan = RunPlan(
+        run_id=run_id,
+        plant=scenario.name,
+        inverters=day.tree.inverters,
+        timing=Timing(
+            start_time_ns=day.times[0].value,
+            cycle_ns=round(scenario.time.cycle_s * 1e9),
+            cycles=len(day.times),
+            timezone=scenario.time.timezone,
+            cycle_wall_ns=choice.cycle_wall_ns,
+            stall_timeout_s=control.stall_timeout_s,
+            tier_deadlines_ns=deadlines_ns,
+        ),
+        control=Control(
+            period_cycles=control.period_cycles or (1,) * day.tree.height,
+            scheme=scheme,
+            actuator=options.actuator or scenario.plant.actuator,
+            alpha_min=control.alpha_min,
+            hold_cycles=control.hold_cycles,
+            neighbourhoods=neighbourhoods(
+                day.tree, day.covariance, day.order, _beginnings_ns(day.times, scenario)
+            ),
+            correction=scheme == "predictive" if control.correction is None else control.correction,
+        ),
+        site=Site(
+            seed=seed,
+            regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
+            ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
+            available_bias=scenario.plant.available_bias,
+            revert=_renewable(scenario.plant.revert, scenario),
+            ramp_percent_per_s=scenario.plant.ramp_percent_per_s,
+            delay_s=scenario.plant.delay_s,
+            settings=tuple(
+                replace(entry, revert=_renewable(entry.revert, scenario))
+                for entry in scenario.plant.settings
+            ),
+            devices=real_inverters(
+                scenario.devices,
+                f"{scenario_file.path}: devices",
+                options.devices or (),
+                day.tree,
+            ),
+            positions_m=day.positions_m,
+        ),
+        access=Access(  # The launcher chooses the ports.
+            # With fixed ports the namespace is fixed too, so that a device is configured once.
+            namespace=scenario.name if options.base_port is not None else "",
+            external=external,
+            address=options.address,
+            addresses=addresses,
+            keys_folder=choice.keys_folder,
+        ),
+        faults=Faults(
+            fault_rules(scenario_file, options.faults or (), day.tree, external, addresses),
+            scenario.faults_seed,
+        ),
+        supervision=Supervision(
+            restart=scenario.restart,
+            standby=_standby(scenario.standby, day.tree, external),
+            machine=choice.machine,
+        ),
+    )
+    with scenario_file.named():
+        check_plan(plan)
+    if options.base_port is not None:
+        check_base_port(options.base_port, plan)
+    return plan
+
+
+def _renewable(revert: Revert | None, scenario: Scenario) -> Revert | None:
+    """Let a revert time be three cycles at least: commands are renewed within a third of it."""
+    if revert is None:
+        return None
+    return replace(revert, after_s=max(revert.after_s, 3.0 * scenario.time.cycle_s))
+
+
+def _standby(kinds: Sequence[str], tree: ControlTree, external: Sequence[str]) -> tuple[str, ...]:
+    """Return the parents that have a standby: devices are the user's own affair."""
+    kind_of = dict.fromkeys(tree.parents, "supervisors") | {ROOT: "central"}
+    names = [agent_name(node) for node, kind in kind_of.items() if kind in kinds]
+    return tuple(name for name in names if name not in external)
+
+
+def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
+    """Return the folder of the keys; empty: the links are not encrypted."""
+    address = own_address(options.address)
+    if not (scenario.secure if options.secure is None else options.secure):
+        if options.keys is not None:
+            raise InputError("--keys: expected --secure with it")
+        if not address.is_loopback:
+            raise InputError(
+                f"--address {options.address}: expected --secure with it, since anyone who reaches "
+                "that address could command the plant"
+            )
+        return ""
+    return str((options.keys or Path("keys") / scenario.name).absolute())
+
+
+def _times(
+    scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions
+) -> pd.DatetimeIndex:
+    """Return when each cycle of a run begins."""
+    table, time_table = scenario.time, f"{scenario_file.path}: time"
+    text, where = options.start, "--from"
+    if text is None:
+        text, where = table.start.isoformat(), f"{time_table}.start"
+    start = on_day(parse_time(text, where), local_start(table))
+    where, duration_s = f"{time_table}.duration_s", table.duration_s
+    if options.duration is not None:
+        where, duration_s = "--duration", parse_duration_s(options.duration, "--duration")
+    if options.end is not None:
+        end = on_day(parse_time(options.end, "--to"), start)
+        # In UTC: between two times of one zone Python counts the hours of the wall clock.
+        where, duration_s = "--to", (end.astimezone(UTC) - start.astimezone(UTC)).total_seconds()
+        if duration_s <= 0.0:
+            raise InputError(f"--to: expected a time after {start:%H:%M:%S}, got {options.end}")
+    cycles = round(duration_s / table.cycle_s)
+    if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
+        raise InputError(
+            f"{where}: expected a whole number of cycles of {table.cycle_s:g} s, "
+            f"got {duration_s:g} s"
+        )
+    check_size(cycles, 1, where)
+    step = pd.Timedelta(seconds=table.cycle_s)
+    first = pd.Timestamp(start).tz_convert("UTC")
+    return pd.date_range(first, periods=cycles, freq=step, unit="ns")
+
+
+def _covariance(
+    scenario: Scenario,
+    own_times: pd.DatetimeIndex,
+    source: PowerSource,
+    times: pd.DatetimeIndex,
+) -> HourlyMatrices:
+    """Covariance of the inverters' power in the past, for the hours of scenario and run.
+
+    Whichever part of the scenario is run, the plant keeps its clusters and neighbours.
+    """
+    measured = source.measured_times
+    if scenario.neighbours.history == "hindsight":
+        past = times if measured is None else measured
+        history_kw = source.available_kw(past)
+    else:
+        step = pd.Timedelta(seconds=max(scenario.time.cycle_s, _FINEST_PAST_S))
+        whole_hours = _whole_hours(own_times, step).union(_whole_hours(times, step))
+        past = whole_hours if measured is None else measured
+        history_kw = source.earlier_day_kw(past)
+    return hourly_covariance(history_kw, _local_hours(past, scenario.time.timezone))
+
+
+def _whole_hours(times: pd.DatetimeIndex, step: pd.Timedelta) -> pd.DatetimeIndex:
+    """Return times, in steps, over the whole of the hours that these times touch."""
+    return pd.date_range(
+        times[0].floor("h"),
+        times[-1].floor("h") + pd.Timedelta(hours=1),
+        freq=step,
+        inclusive="left",
+        unit="ns",
+    )
+
+
+def _local_hours(times: pd.DatetimeIndex, timezone: str) -> NDArray[np.int64]:
+    """Return hours of local time since 1970, so that each hour of a run is one of its own."""
+    local = times.tz_convert(timezone).tz_localize(None)
+    return (local.as_unit("ns").asi8 // _HOUR_NS).astype(np.int64)
+
+
+def _beginnings_ns(times: pd.DatetimeIndex, scenario: Scenario) -> dict[int, int]:
+    """For each hour of the run the simulated time at which it begins [ns]."""
+    hours, first = np.unique(_local_hours(times, scenario.time.timezone), return_index=True)
+    return {int(hour): times[int(row)].value for hour, row in zip(hours, first, strict=True)}

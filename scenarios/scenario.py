@@ -1,0 +1,359 @@
+"""Scenario files: what a run is about, in TOML, checked field by field before anything starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Final, Literal, TypeAlias
+from zoneinfo import ZoneInfo, available_timezones
+
+import msgspec
+from msgspec import Meta
+
+from agents.cycle import KINDS, STAGES
+from agents.faults import Fault
+from agents.settings import Actuator, Delay, InverterSettings, Ramp, RestartPolicy, Revert, Scheme
+from bus_schemas.errors import InputError, not_one_of
+from bus_schemas.signals import SIGNALS
+from bus_schemas.tree import check_name
+from scenarios.elsewhere import DeviceTable
+from scenarios.fields import checked
+from scenarios.real_time import (
+    FASTEST_PACE,
+    LONGEST_DEADLINE_MS,
+    SHORTEST_DEADLINE_MS,
+    SLOWEST_PACE,
+    MachineTable,
+)
+from scenarios.run_options import LARGEST_SEED
+from scenarios.times import LONGEST_S
+from sim_plant.clouds import CloudSettings
+from sim_plant.commitment import CommitmentSettings
+from sim_plant.pv import PvSettings
+from sim_plant.regulation import RegulationSettings
+
+Seed: TypeAlias = Annotated[int, Meta(ge=0, le=LARGEST_SEED)]
+Positive: TypeAlias = Annotated[int, Meta(ge=1, le=10**6)]
+NotNegative: TypeAlias = Annotated[int, Meta(ge=0)]
+Deadline: TypeAlias = Annotated[float, Meta(ge=SHORTEST_DEADLINE_MS, le=LONGEST_DEADLINE_MS)]
+Limit: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e12)]
+Amount: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
+Tier: TypeAlias = Annotated[str, Meta(pattern="|".join(f"^{tier}$" for tier in STAGES))]
+AnyKind: TypeAlias = Annotated[str, Meta(pattern="|".join(f"^{kind}$" for kind in KINDS))]
+HopSignal: TypeAlias = Annotated[
+    str, Meta(pattern="|".join(f"^{row.name}$" for row in SIGNALS if row.hop_p99_ms is not None))
+]
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of a scenario file: a field that it does not know is an error."""
+
+
+class TimeTable(_Table, frozen=True):
+    """When the run takes place.
+
+    start: Local time of the first cycle.
+    timezone: IANA name, for instance `Pacific/Honolulu`.
+    duration_s: Length of the run [s].
+    cycle_s: Length of one cycle [s].
+    """
+
+    start: datetime
+    timezone: str
+    duration_s: Annotated[float, Meta(gt=0.0, le=LONGEST_S)]
+    cycle_s: Annotated[float, Meta(ge=0.001, le=3600.0)] = 1.0
+
+
+class PlantTable(_Table, frozen=True):
+    """The inverters.
+
+    inverters: CSV: `inverter, lat, lon[, rating_kw]`. Only for `clouds`.
+    rating_kw: AC rating of the plant, split equally where the CSV has no ratings.
+    altitude_m: Height above the sea [m].
+    actuator: A command is a `fraction` of the maximum, or a power `limit`.
+    meter_noise: Standard deviation of a power meter's error, as a share of the reading.
+    available_bias: Relative error of `available_kw`. Default: none is stated.
+    revert: What an inverter does without new commands.
+    ramp_percent_per_s: Largest change of an inverter's power, in % of its rating per second.
+    delay_s: Time until a command takes effect [s].
+    settings: Settings for some of the inverters.
+    meter_seed: Seed of the meter noise.
+    ramp_limit_percent_per_min: Ramp limit in % of the rating per minute: judged, not enforced.
+    """
+
+    inverters: str | None = None
+    rating_kw: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
+    altitude_m: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 0.0
+    actuator: Actuator = "fraction"
+    meter_noise: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
+    available_bias: Annotated[float, Meta(ge=-0.5, le=0.5)] | None = None
+    revert: Revert | None = Revert()
+    ramp_percent_per_s: Ramp | None = None
+    delay_s: Delay = 0.0
+    settings: tuple[InverterSettings, ...] = ()
+    meter_seed: Seed = 0
+    ramp_limit_percent_per_min: Annotated[float, Meta(gt=0.0, le=6000.0)] | None = None
+
+
+class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
+    """Synthetic irradiance: a cloud field that drifts over the plant.
+
+    seed: Seed of the cloud field; `--seed` replaces it.
+    clouds: The sky: see below.
+    """
+
+    seed: Seed = 0
+    clouds: CloudSettings = CloudSettings()
+
+
+class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
+    """Measured irradiance: a CSV of GHI with one column for each station, and their positions.
+
+    ghi: CSV: time stamps, then one column of GHI [W/m^2] for each station.
+    positions: CSV with the columns `station, lat, lon`.
+    stations: Stations to use. Default: all listed ones.
+    """
+
+    ghi: str
+    positions: str
+    stations: tuple[str, ...] | None = None
+
+
+class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind"):
+    """Measured irradiance: daily files of the NREL Oahu Solar Measurement Grid, as published.
+
+    positions: CSV with the columns `station, lat, lon`.
+    folder: Folder of YYYYMMDD.txt. Default: `--data`.
+    stations: Default: all 17 horizontal sensors.
+    gaps: Fill missing values from neighbours, or refuse them.
+    most_missing: Leave a sensor out if a larger share of its day is missing.
+    """
+
+    positions: str
+    folder: str | None = None
+    stations: tuple[str, ...] | None = None
+    gaps: Literal["neighbours", "refuse"] = "neighbours"
+    most_missing: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.1
+
+
+class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
+    """Power from the measured DC currents of a real plant's combiners, without irradiance.
+
+    currents: CSV: `t_s` (0 at `time.start`), then one column for each combiner.
+    positions: CSV with the columns `combiner, inverter, x_m, y_m`.
+    full_power_current: Current of an inverter at its rating, in the unit of the file.
+    """
+
+    currents: str
+    positions: str
+    full_power_current: Annotated[float, Meta(gt=0.0, le=1e9)] = 100.0
+
+
+Irradiance: TypeAlias = CloudIrradiance | MeasuredIrradiance | OahuGridIrradiance | DcCurrents
+
+
+class ControlTable(_Table, frozen=True):
+    """The control tree and the rules of its controllers.
+
+    cluster_sizes: Sizes of the clusters of each tier, the lowest tier first.
+    cluster_count: Number of clusters of each tier, instead of their sizes.
+    scheme: How an inverter's maximum power is estimated.
+    clusters: How the members of a cluster are chosen.
+    clusters_seed: Seed of `random` clusters.
+    period_cycles: Cycles from turn to turn of each tier, the central controller's first.
+    alpha_min: Lowest curtailment level.
+    hold_cycles: An input that is older than this has expired [cycles].
+    stall_timeout_s: In lockstep: how long a cycle may stall [s].
+    correction: Correct the central target by the plant's meter. Default: by `scheme`.
+    deadlines_ms: In real time: deadline of each tier in the cycle [ms], central first.
+    """
+
+    cluster_sizes: tuple[tuple[Positive, ...], ...] | None = None
+    cluster_count: tuple[Positive, ...] | None = None
+    scheme: Scheme = "predictive"
+    clusters: Literal["correlation", "geographic", "listed", "random", "most-alike"] = "correlation"
+    clusters_seed: Seed = 0
+    period_cycles: tuple[Positive, ...] | None = None
+    alpha_min: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.05
+    hold_cycles: NotNegative = 10
+    stall_timeout_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 3.0
+    correction: bool | None = None
+    deadlines_ms: tuple[Deadline, ...] | None = None
+
+
+class NeighboursTable(_Table, frozen=True):
+    """Where the correlation between inverters comes from.
+
+    history: An earlier day, as a plant knows it, or the run's own irradiance.
+    """
+
+    history: Literal["earlier-day", "hindsight"]
+
+
+class BudgetTable(_Table, frozen=True):
+    """Upper limits by which a run in real time is judged.
+
+    loop_p99_ms: From the plant's tick to its last command. Default: half the cycle.
+    loop_max_ms: The same, in the slowest cycle.
+    decision_p99_ms: By tier. Default: each stage's slice, and the paper's upper bounds.
+    lateness_p99_ms: By tier. Default: for the plant's tick 2 % of the cycle, at least 1 ms.
+    jitter_p99_ms: By tier, for each stage.
+    age_p99_ms: By tier, for each stage.
+    hop_p99_ms: By signal. Default: 10 ms.
+    missed_deadlines: In the whole run, of all tiers.
+    overruns: In the whole run, of all tiers.
+    skipped_cycles: In the whole run, of all tiers.
+    lost_messages: In the whole run, of all tiers.
+    dropped_messages: In the whole run. Default: any number.
+    cpu_percent: By kind; of one core, per process. Default: 80.
+    resident_mb: By kind, per process.
+    """
+
+    loop_p99_ms: Limit | None = None
+    loop_max_ms: Limit | None = None
+    decision_p99_ms: dict[Tier, Limit] = {}
+    lateness_p99_ms: dict[Tier, Limit] = {}
+    jitter_p99_ms: dict[Tier, Limit] = {}
+    age_p99_ms: dict[Tier, Limit] = {}
+    hop_p99_ms: dict[HopSignal, Limit] = {}
+    missed_deadlines: NotNegative = 0
+    overruns: NotNegative = 0
+    skipped_cycles: NotNegative = 0
+    lost_messages: NotNegative = 0
+    dropped_messages: NotNegative | None = None
+    cpu_percent: dict[AnyKind, Amount] = {}
+    resident_mb: dict[AnyKind, Amount] = {}
+
+
+class TimingTable(_Table, frozen=True):
+    """What a run in real time is judged by."""
+
+    budgets: BudgetTable = BudgetTable()
+
+
+class Scenario(_Table, frozen=True):
+    """A run, as its file describes it.
+
+    name: First part of every key on the bus.
+    title: Description: the heading of tables and reports.
+    regulation: Default: no regulation is offered.
+    pace: Simulated seconds per second; 1 is real time, `max` is lockstep.
+    faults: Faults of links and processes; `--fault` adds to them.
+    faults_seed: Seed of what is drawn for faults.
+    restart: What happens if a process ends before the run.
+    secure: Whether `launch` encrypts every link, as with `--secure`.
+    devices: Real inverters; `--device` adds to them.
+    standby: Parents that have a standby, in real time.
+    """
+
+    name: str
+    title: str
+    time: TimeTable
+    plant: PlantTable
+    irradiance: Irradiance
+    control: ControlTable
+    neighbours: NeighboursTable
+    commitment: CommitmentSettings
+    regulation: RegulationSettings | None = None
+    pv: PvSettings = PvSettings()
+    pace: Annotated[float, Meta(ge=SLOWEST_PACE, le=FASTEST_PACE)] | Literal["max"] = "max"
+    faults: tuple[Fault, ...] = ()
+    faults_seed: Seed = 0
+    restart: RestartPolicy = RestartPolicy()
+    secure: bool = False
+    devices: tuple[DeviceTable, ...] = ()
+    standby: tuple[Literal["central", "supervisors"], ...] = ()
+    machine: MachineTable = MachineTable()
+    timing: TimingTable = TimingTable()
+
+
+class ScenarioFile(msgspec.Struct, frozen=True):
+    """A scenario, its text, and the folder that its relative paths start from."""
+
+    scenario: Scenario
+    text: str
+    path: Path
+    data_folder: Path
+
+    @property
+    def needs_data(self) -> bool:
+        """Whether it runs on measured data, which does not come with Heliarch."""
+        return not isinstance(self.scenario.irradiance, CloudIrradiance)
+
+    @contextmanager
+    def named(self) -> Iterator[None]:
+        """Name the file in errors about its fields."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from None
+
+    def data_path(self, name: str) -> Path:
+        """Path of a file or folder that the scenario names.
+
+        It is looked for beside the shipped scenarios too, for changed copies of those.
+        """
+        for folder in (self.path.parent, self.data_folder, _SHIPPED):
+            if (folder / name).exists():
+                return folder / name
+        raise InputError(
+            f"{name}: expected it beside the scenario, in the folder of --data, or beside the "
+            "shipped scenarios, got none"
+        )
+
+
+_SHIPPED: Final = Path(str(files("scenarios"))) / "shipped"
+
+
+def shipped_scenarios() -> tuple[str, ...]:
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
+
+
+def load_scenario(name_or_path: str, data_folder: Path | None = None) -> ScenarioFile:
+    """Read a shipped scenario or a TOML file, and check it.
+
+    Data files that are not beside the scenario are looked for in `data_folder`.
+    """
+    if data_folder is not None and not data_folder.is_dir():
+        raise InputError(f"--data: expected a folder with data files, got {data_folder}")
+    path = _find(name_or_path)
+    try:
+        # An editor may have put a byte order mark first.
+        text = path.read_text(encoding="utf-8-sig")
+        document = msgspec.toml.decode(text)
+    except (UnicodeDecodeError, msgspec.DecodeError, RecursionError) as error:
+        raise InputError(f"{path}: expected TOML in UTF-8: {error}") from None
+    scenario = checked(document, Scenario, str(path))
+    check_scenario(scenario, str(path))
+    return ScenarioFile(scenario, text, path, data_folder or path.parent)
+
+
+def check_scenario(scenario: Scenario, where: str) -> None:
+    """Check what the types of the fields do not tell."""
+    check_name(scenario.name, where)
+    if scenario.time.timezone not in available_timezones():
+        raise InputError(
+            f"{where}: time.timezone: expected an IANA name such as Pacific/Honolulu, got "
+            f"{scenario.time.timezone!r}"
+        )
+
+
+def local_start(time: TimeTable) -> datetime:
+    """Return the first cycle's time with its zone."""
+    zone = ZoneInfo(time.timezone)
+    return time.start.astimezone(zone) if time.start.tzinfo else time.start.replace(tzinfo=zone)
+
+
+def _find(name_or_path: str) -> Path:
+    path = Path(name_or_path)
+    if path.suffix == ".toml":
+        if not path.is_file():
+            raise InputError(f"{path}: expected a scenario file, got no such file")
+        return path
+    if name_or_path not in shipped_scenarios():
+        known = not_one_of(shipped_scenarios(), name_or_path, "the path of a .toml file, or ")
+        raise InputError(f"scenario: {known}")
+    return _SHIPPED / f"{name_or_path}.toml"

@@ -1,1 +1,0 @@
-"""What virtual neighbours are worth."""

@@ -1,1 +1,0 @@
-"""What delay and loss of messages cost."""

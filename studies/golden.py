@@ -1,0 +1,54 @@
+"""Golden recordings: short simulated runs that the agents must repeat.
+
+`heliarch verify --accept` records a run again with its own plan and profile, so that sky and
+clusters stay as they are.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from agents.plan import RunPlan
+from bus_schemas.codec import encode
+from bus_schemas.errors import InputError
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+from launch_scripts.simulation import MemoryRun
+from recordings.read.reader import RunReader
+from recordings.record.writer import RunWriter
+from recordings.verify.verification import PROFILE_NAME, run_profile
+from sim_plant.profile import Profile
+
+
+def origin(run: Path) -> tuple[Path, RunPlan, str, Profile]:
+    """Return what it takes to record a run again: recording, plan, scenario and profile."""
+    with RunReader(run) as reader:
+        path, plan, scenario = reader.path, reader.plan, reader.scenario
+        driver = reader.metadata["run"].get("driver", "")
+    if not plan.timing.lockstep or driver != "simulate":
+        raise InputError(f"--accept {path}: expected a run of `heliarch simulate` in lockstep")
+    profile = run_profile(plan, path)
+    if profile is None:
+        raise InputError(f"--accept {path}: expected {PROFILE_NAME} beside it, got none")
+    return path, plan, scenario, profile
+
+
+def record_again(run: Path) -> None:
+    """Simulate a recorded run again; replace its recording once the new one is complete."""
+    path, plan, scenario, profile = origin(run)
+    unfinished = path.with_name(f"{path.name}.unfinished")
+    writer = RunWriter(unfinished, plan, scenario, driver="simulate")
+
+    def record(port: Port[Message], message: Message) -> None:
+        if port.signal.logged:
+            writer.add(port, message, encode(message), message.publish_time_ns)
+
+    try:
+        memory_run = MemoryRun(plan, profile, record)
+        for _ in memory_run.cycles():
+            pass
+        memory_run.close()
+        writer.close()
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)

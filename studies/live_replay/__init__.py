@@ -1,0 +1,1 @@
+"""Recorded messages back on the bus, with live controllers among them."""

@@ -1,0 +1,99 @@
+"""How the plant's process and the gateway exchange readings and commands of real inverters.
+
+Two named pipes in the run's folder carry records of a fixed size. Neither end waits: what
+does not fit into a full one is dropped, and the reader takes the newest record of each inverter.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
+from math import isnan, nan
+from pathlib import Path
+from typing import Final
+
+from agents.plan import RunPlan
+from bus_schemas.messages import Command
+from sim_plant.real_inverters import Reading
+
+_RECORD: Final = struct.Struct("<qqddd")
+"""Position of the inverter in the control tree, a monotonic time [ns], and three numbers."""
+
+_PIPES: Final = ("device-readings", "device-commands")
+
+_FRESH_CYCLES: Final = 2.5
+"""A reading that is older than this is no telemetry."""
+
+
+class GatewayPipes:
+    """The two named pipes, at the end of the gateway, which makes them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._paths = [folder / name for name in _PIPES]
+        for path in self._paths:
+            os.mkfifo(path, 0o600)
+        self._readings, self.commands = (
+            os.open(path, os.O_RDWR | os.O_NONBLOCK) for path in self._paths
+        )
+
+    def close(self) -> None:
+        """Remove the pipes if the plant has not come."""
+        for path in self._paths:
+            path.unlink(missing_ok=True)
+
+    def hand_reading(self, position: int, reading: Reading) -> None:
+        available_kw = nan if reading.available_kw is None else reading.available_kw
+        numbers = reading.power_kw, available_kw, reading.limit_kw
+        _write(self._readings, position, reading.time_ns, *numbers)
+
+    def take_commands(self) -> Iterator[tuple[int, float, float | None]]:
+        """Yield position, limit and limit after the revert time of commands that have come [kW]."""
+        for position, _, limit_kw, revert_kw, _ in _records(self.commands):
+            yield position, limit_kw, None if isnan(revert_kw) else revert_kw
+
+
+class PlantPipes:
+    """The real inverters of a run, by their positions in the control tree, for the plant."""
+
+    def __init__(self, plan: RunPlan, folder: Path) -> None:
+        self._newest: dict[int, Reading] = {}
+        self._oldest_ns = round(_FRESH_CYCLES * plan.timing.cycle_wall_ns)
+        self._handed: dict[int, int] = {}
+        readings, commands = (folder / name for name in _PIPES)
+        self._readings = os.open(readings, os.O_RDONLY | os.O_NONBLOCK)
+        self._commands = os.open(commands, os.O_WRONLY | os.O_NONBLOCK)
+        # No other end will open them, and a program that reads the folder would wait for one.
+        for path in (readings, commands):
+            path.unlink()
+
+    def newest(self) -> Mapping[int, Reading]:
+        for position, time_ns, power_kw, available_kw, limit_kw in _records(self._readings):
+            available = None if isnan(available_kw) else available_kw
+            self._newest[position] = Reading(time_ns, power_kw, available, limit_kw)
+        return self._newest
+
+    def expired(self, cycle: int) -> Collection[int]:
+        oldest_ns = time.monotonic_ns() - self._oldest_ns if cycle >= 0 else 0
+        return {position for position, found in self._newest.items() if found.time_ns < oldest_ns}
+
+    def command(self, position: int, command: Command) -> None:
+        """Hand a command over, unless that was done already."""
+        if command.cycle > self._handed.get(position, -1):
+            self._handed[position] = command.cycle
+            revert_kw = nan if command.revert_kw is None else command.revert_kw
+            now_ns = time.monotonic_ns()
+            _write(self._commands, position, now_ns, command.power_kw, revert_kw, 0.0)
+
+
+def _write(pipe: int, *record: float) -> None:
+    with suppress(BlockingIOError, BrokenPipeError):  # The gateway's end is the launcher's matter.
+        os.write(pipe, _RECORD.pack(*record))
+
+
+def _records(pipe: int) -> Iterator[tuple[int, int, float, float, float]]:
+    with suppress(BlockingIOError):
+        while found := os.read(pipe, 1_000 * _RECORD.size):
+            yield from _RECORD.iter_unpack(found)

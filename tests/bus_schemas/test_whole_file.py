@@ -1,0 +1,115 @@
+"""A file or folder is there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import pytest
+
+from bus_schemas.errors import InputError
+from bus_schemas.whole_file import new_path, whole_file
+
+
+def write(path: Path, document: bytes) -> None:
+    with whole_file(path) as file:
+        file.write(document)
+
+
+def test_an_error_names_the_file_and_no_temporary_name(tmp_path: Path) -> None:
+    path = tmp_path / "nowhere" / "page.html"
+    with pytest.raises(FileNotFoundError) as caught, whole_file(path):
+        pass
+    assert caught.value.filename == str(path)
+
+
+def test_a_file_is_replaced_when_it_is_complete(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_bytes(b"longer than the new one")
+    with whole_file(path) as file:
+        file.write(b"{}")
+        file.flush()
+        assert path.read_bytes() == b"longer than the new one"
+    assert path.read_bytes() == b"{}"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("opened", [whole_file, new_path])
+@pytest.mark.parametrize(
+    "ending", [OSError(28, "No space left on device"), KeyboardInterrupt(), SystemExit(143)]
+)
+def test_an_interruption_leaves_all_as_it_was(
+    tmp_path: Path,
+    opened: Callable[[Path], AbstractContextManager[object]],
+    ending: BaseException,
+) -> None:
+    path = tmp_path / "x.json"
+    if opened is whole_file:
+        path.write_bytes(b"before")
+    before = {found: found.read_bytes() for found in tmp_path.iterdir()}
+
+    def write_half() -> None:
+        with opened(path) as beside:
+            if isinstance(beside, Path):
+                beside.mkdir()
+                (beside / "half").write_text("half")
+            raise ending
+
+    with pytest.raises(type(ending)) as caught:
+        write_half()
+    if isinstance(caught.value, OSError):
+        assert caught.value.filename == str(path), "an error of the disk alone names no file"
+    assert {found: found.read_bytes() for found in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_link_stays_one_and_its_target_is_written(tmp_path: Path, exists: bool) -> None:
+    kept, link = tmp_path / "kept.json", tmp_path / "link.json"
+    if exists:
+        kept.write_bytes(b"longer than the new one")
+    link.symlink_to(kept)
+    write(link, b"{}")
+    assert link.is_symlink()
+    assert kept.read_bytes() == b"{}"
+
+
+def test_a_pipe_stays_one_and_its_reader_gets_it(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    read: list[bytes] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_bytes()))
+    reader.start()
+    write(pipe, b"{}")
+    reader.join()
+    assert read == [b"{}"]
+    assert pipe.is_fifo()
+
+
+def test_a_new_file_or_folder_gets_its_name_at_the_end(tmp_path: Path) -> None:
+    path, folder = tmp_path / "export.mcap", tmp_path / "export"
+    with new_path(path) as beside, new_path(folder) as folder_beside:
+        beside.write_text("all of it")
+        folder_beside.mkdir()
+        assert not path.exists()
+    assert path.read_text() == "all of it"
+    assert sorted(tmp_path.iterdir()) == [folder, path]
+
+
+@pytest.mark.parametrize("meanwhile", [True, False])
+def test_a_new_path_replaces_nothing(tmp_path: Path, meanwhile: bool) -> None:
+    path = tmp_path / "export.mcap"
+    if not meanwhile:
+        path.write_text("theirs")
+
+    def make() -> None:
+        with new_path(path) as beside:
+            beside.write_text("mine")
+            path.write_text("theirs")
+
+    with pytest.raises(InputError, match=str(path)):
+        make()
+    assert path.read_text() == "theirs"
+    assert list(tmp_path.iterdir()) == [path]

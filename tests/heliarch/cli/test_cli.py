@@ -1,0 +1,99 @@
+"""The command line as a whole: its help, its version and its completion."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from command_line import done, heliarch, python
+from plans_by_hand import plan_at_noon
+from rich.console import Console
+
+from heliarch.cli.app import COMMANDS
+from heliarch.cli.live_view import view_for
+from results.metrics.figures_of_merit import FIGURES_OF_MERIT
+from results.tables import Table, key_column, print_table
+from scenarios.scenario import shipped_scenarios
+from studies.arrays.schemes import SCHEMES
+
+REPOSITORY = Path(__file__).parents[3]
+NAMES = [name for names in COMMANDS.values() for name in names]
+MAIN = "from heliarch.cli.main import main; main()"
+HOSTILE = "power[/kw] \x1b[2J\x1b]0;owned\x07 \x9b31m [/red] [bold]"
+HEAVY = {"numba", "pandas", "plotly", "pvlib", "scipy", "zenoh"}
+
+
+def help_of(command: str) -> str:
+    text = done(command, "-h")
+    assert text == done(command, "--help")
+    return text
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_at_80_columns_shows_an_example_and_cuts_no_word(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    text = help_of(name)
+    assert f"heliarch {name}" in text
+    assert "Example: " in text
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_the_help_of_compare_lists_every_scheme_and_figure_of_merit() -> None:
+    words = {word.strip("│,.:") for word in help_of("compare").split()}
+    assert {*SCHEMES, *FIGURES_OF_MERIT} <= words
+
+
+@pytest.mark.parametrize("words", [["--help"], ["launch", "--help"], ["compare", "--help"]])
+def test_help_does_not_wait_for_what_a_run_needs(words: list[str]) -> None:
+    code = (
+        "import sys\nfrom heliarch.cli.main import main\ntry:\n    main()\n"
+        "except SystemExit:\n    print(*sys.modules, file=sys.stderr)"
+    )
+    found = python(code, *words)
+    assert not HEAVY & {module.partition(".")[0] for module in found.stderr.split()}
+
+
+def test_version_and_scenarios_are_told() -> None:
+    assert heliarch("--version").stdout.startswith("heliarch ")
+    found = json.loads(heliarch("scenarios", "--json", "-").stdout)
+    assert {entry["name"] for entry in found} == set(shipped_scenarios())
+
+
+def test_a_terminal_without_the_lines_of_a_tree_gets_the_rest() -> None:
+    run = REPOSITORY / "recordings" / "golden" / "oahu-limit"
+    words = ("inspect", run, "--cycle", "3")
+    assert "central" in python(MAIN, *words, variables={"PYTHONIOENCODING": "ascii"}).stdout
+
+
+def test_a_command_needs_no_standard_output() -> None:
+    assert python(f"import sys; sys.stdout = None; {MAIN}", "scenarios").stderr == ""
+
+
+def test_doctor_finds_what_would_stop_a_run_and_says_what_to_do_about_it() -> None:
+    code = f"import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (120, 120)); {MAIN}"
+    document = python(code, "doctor", "--json", "-", status=1).stdout
+    found = {finding["about"]: finding for finding in json.loads(document)}
+    assert found["open files"]["verdict"] == "wrong"
+    assert "ulimit" in found["open files"]["advice"]
+    assert found["policy"]["found"].startswith("SCHED_")
+    assert all(finding["advice"] for finding in found.values() if finding["verdict"] != "ok")
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_launched_run_shows_names_with_markup_and_escapes_as_text(is_terminal: bool) -> None:
+    output = io.StringIO()
+    console = Console(file=output, force_terminal=is_terminal, width=200, color_system=None)
+    view = view_for(console, plan_at_noon())
+    view.say(HOSTILE)
+    print_table(console, Table(HOSTILE, (key_column("key"),), ((HOSTILE,),), (HOSTILE,)))
+    shown = output.getvalue()
+    assert "power[/kw]" in shown
+    assert "[/red] [bold]" in shown
+    assert "\x9b" not in shown
+    assert "\x1b]" not in shown
+    assert "\x1b[2J" not in shown

@@ -1,0 +1,141 @@
+"""A recording with hostile content and right checksums is one clear line, in bounded memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from struct import pack
+from typing import Any
+
+import lz4.frame
+import pytest
+from command_line import heliarch, python, refusal
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from msgspec.structs import replace
+from plans_by_hand import with_changes
+from recordings_by_hand import (
+    PLAN,
+    SCENARIO,
+    cycle_of_the_plant,
+    whole_run,
+    write_messages,
+    write_run,
+)
+
+from agents.faults import Freeze
+from bus_schemas.codec import encode
+from bus_schemas.messages import Impp
+from bus_schemas.signals import IMPP
+from recordings.record.writer import RunWriter
+
+PORT = IMPP.of("c1/a")
+HEAD = Impp(1, PLAN.timing.sim_time_ns(1), "c1/a", (), power_kw=1.0, stale_cycles=0)
+
+
+def with_plan(**fields: Any) -> Callable[[Path], None]:
+    def make(path: Path) -> None:
+        write_run(path, whole_run(3), plan=with_changes(PLAN, **fields))
+
+    return make
+
+
+def with_payload(payload: bytes) -> Callable[[Path], None]:
+    def make(path: Path) -> None:
+        writer = RunWriter(path, PLAN, SCENARIO, driver="simulate")
+        for port, message in whole_run(3):
+            writer.add(port, message, encode(message), 1)
+        writer.add(PORT, HEAD, payload, 1)
+        writer.close()
+
+    return make
+
+
+def packed_anew(path: Path) -> None:
+    """As the tools of MCAP do it, with zstd."""
+    write_run(path, whole_run(3))
+    reader = make_reader(BytesIO(path.read_bytes()))
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for entry in reader.iter_attachments():
+            writer.add_attachment(0, 0, entry.name, entry.media_type, entry.data)
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        channel = writer.register_channel("field/dispatch", "msgpack", 0)
+        writer.add_message(channel, 1, encode(HEAD), 1)
+        writer.finish()
+
+
+def nested(depth: int) -> bytes:
+    return b"\x82\xa5cycle\x01\xa4more" + b"\x91" * depth + b"\xc0"
+
+
+@pytest.mark.parametrize("words", [(), ("--nodes", "c1/a"), ("--cycle", "1")])
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (with_plan(timezone="../../etc/passwd"), "timezone: expected a name"),
+        (with_plan(cycle_ns=2**62), "cycle_ns: expected above 0, up to"),
+        (with_plan(cycles=10**15), "cycles: expected up to"),
+        (with_plan(start_time_ns=-(2**63)), "start_time_ns: expected"),
+        (with_plan(period_cycles=(1,)), "period_cycles"),
+        (with_plan(faults=(Freeze("c1", (2.0, 1.0)),)), "faults[0]: at: expected"),
+        (packed_anew, "expected lz4, got zstd"),
+        (with_payload(nested(300_000)), "c1/a/impp"),
+        (with_payload(encode(replace(HEAD, cycle=2**63 - 1))), "c1/a/impp"),
+        (with_payload(b"\x81\xa5cycle\xa1\xff"), "c1/a/impp"),
+    ],
+)
+def test_hostile_content_is_refused_in_one_line(
+    make: Callable[[Path], None], named: str, words: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    make(path)
+    assert named in refusal("inspect", path, *words)
+
+
+@pytest.mark.parametrize("command", ["inspect", "report", "timing"])
+def test_a_scenario_that_is_nested_deep_breaks_nothing(command: str, tmp_path: Path) -> None:
+    write_messages(tmp_path / "run.mcap", whole_run(3), scenario="a = " + "[" * 300_000)
+    done = heliarch(command, tmp_path)
+    assert len(done.stderr.splitlines()) <= 1
+
+
+def test_a_cycle_far_from_all_others_is_refused(tmp_path: Path) -> None:
+    far = tmp_path / "far.mcap"
+    with_payload(encode(replace(HEAD, cycle=2**39)))(far)
+    assert "before the year 10000" in refusal("inspect", far)
+    plan = with_changes(PLAN, cycles=1_000_000)
+    last = [(port, replace(message, cycle=999_999)) for port, message in cycle_of_the_plant(3)]
+    write_run(tmp_path / "run.mcap", [*whole_run(3), *last], plan=plan)
+    assert "production of most of 1,000,000 cycles" in refusal("report", tmp_path)
+
+
+PEAK_TOLD = """
+import atexit, pathlib, re, sys
+status = pathlib.Path("/proc/self/status")
+atexit.register(lambda: sys.stderr.write(re.search(r"VmHWM:\\s+(\\d+)", status.read_text())[1]))
+from heliarch.cli.main import main
+main()
+"""
+"""`heliarch`, and on standard error the most memory that it had [kB].
+
+What `wait4` says counts the memory of the process that forked it too.
+"""
+
+
+def test_a_chunk_that_unpacks_to_gigabytes_is_left_out_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(3), close=False)
+    packer, zeros = lz4.frame.LZ4FrameCompressor(), bytes(1 << 20)
+    packed = b"".join([packer.begin(), *(packer.compress(zeros) for _ in range(1 << 11))])
+    body = pack("<QQQII3sQ", 1, 1, 1 << 31, 0, 3, b"lz4", len(packed)) + packed
+    with path.open("ab") as file:
+        file.write(pack("<BQ", Opcode.CHUNK, len(body)) + body)
+    found = python(PEAK_TOLD, "inspect", path, cwd=tmp_path)
+    line, peak_kb = found.stderr.splitlines()
+    assert "a part of the file is damaged" in line
+    assert int(peak_kb) < 600_000, "most of it the libraries"

@@ -1,0 +1,68 @@
+"""`heliarch timing` refuses what it cannot do before it runs, and reports on recorded runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import heliarch, refusal
+from msgspec.structs import replace
+from plans_by_hand import with_changes
+from reports_by_hand import missed, summary_of
+from timed_recordings import PLAN, cycle, recorded
+
+from launch_scripts.run_folder import RunRequest
+from scenarios.preparation import RunOptions, prepare
+from scenarios.scenario import load_scenario
+from studies.timing.measured_run import prepare_at, run_length_s
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "length", "cycles"),
+    [
+        (10.0, {"duration": "4s"}, 40),
+        (7.0, {"duration": "0.5"}, 4),
+        (28.3, {"end": "12:00:10"}, 283),
+        (10.0, {}, 30),
+    ],
+)
+def test_a_run_is_a_whole_number_of_cycles_long(
+    rate_hz: float, length: dict[str, str], cycles: int, tmp_path: Path
+) -> None:
+    options = RunOptions("12:00", **length)  # type: ignore[arg-type]
+    request = RunRequest(load_scenario("oahu"), options)
+    preparation, _ = prepare_at(rate_hz, run_length_s(request, "3s"), request, tmp_path)
+    assert preparation.plan.timing.cycles == cycles
+    usual = prepare(request.scenario, RunOptions("12:00", "2s"), "usual").plan
+    assert preparation.plan.inverters == usual.inverters, "the rate does not change the clusters"
+
+
+def test_a_run_that_was_recorded_earlier_is_timed_without_running_anything(tmp_path: Path) -> None:
+    folder = recorded(tmp_path, cycle(0), missed(1))
+    (folder / "summary.json").write_bytes(summary_of(folder).as_json())
+    document = tmp_path / "x.json"
+    run = folder / "run.mcap"
+    result = heliarch("timing", run, "--json", document, "--report", "--processes")
+    assert result.exit_code == 1, result.output
+    assert "not kept: missed deadlines 1 (at most 0)" in result.stdout
+    found = json.loads(document.read_bytes())
+    assert (found["cycles"], found["lost_messages"]) == (2, 0)
+    assert found["processes"][0]["times"]
+    assert "FAIL: " in (folder / "timing.html").read_text(encoding="utf-8")
+    (tmp_path / "lockstep").mkdir()
+    run = recorded(tmp_path / "lockstep", cycle(0), plan=with_changes(PLAN, cycle_wall_ns=0))
+    assert "real time" in refusal("timing", run)
+
+
+@pytest.mark.parametrize(
+    ("lost", "interrupted", "ended", "status"),
+    [(0, False, True, 0), (1, False, True, 1), (0, True, True, 130), (0, False, False, 1)],
+)
+def test_the_exit_status_tells_kept_not_kept_and_interrupted(
+    lost: int, interrupted: bool, ended: bool, status: int, tmp_path: Path
+) -> None:
+    folder = recorded(tmp_path, cycle(0), cycle(1), ended=ended)
+    summary = replace(summary_of(folder, lost=lost), interrupted=interrupted)
+    (folder / "summary.json").write_bytes(summary.as_json())
+    assert heliarch("timing", folder).exit_code == status

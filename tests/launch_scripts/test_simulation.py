@@ -1,0 +1,131 @@
+"""A whole plant in memory: worked out by hand, and the same in every run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from memory_runs import Sent, run_in_memory
+from plans_by_hand import CYCLE_NS, plan_of
+
+from agents.plan import Neighbourhood, NodeNeighbourhoods
+from bus_schemas.signals import (
+    COMMAND,
+    DISPATCH,
+    HELP,
+    IMPP,
+    PRODUCTION,
+    RESIDUAL,
+    SETPOINT,
+    TELEMETRY,
+    Port,
+)
+from bus_schemas.tree import ROOT
+from launch_scripts.simulation import MemoryRun
+from launch_scripts.supervision import RunFailure
+from sim_plant.profile import Profile
+
+PLAN = plan_of({"a": 100.0, "b": 100.0}, cycles=3)
+"""Two inverters of 100 kW below the central controller, three cycles."""
+
+# A cloud covers a in cycle 1, and both in cycle 2.
+PROFILE = Profile(
+    mpp_kw=np.array([[80.0, 60.0], [20.0, 64.0], [16.0, 40.0]]),
+    commitment_kw=np.array([80.0, 80.0, 120.0]),
+)
+
+
+def power_kw(sent: Sent, cycle: int, *ports: Port[Any]) -> list[float]:
+    """What several ports say of power in a cycle."""
+    return [sent.of(port)[cycle].power_kw for port in ports]
+
+
+@pytest.fixture(scope="module")
+def sent() -> Sent:
+    return run_in_memory(PLAN, PROFILE)[1]
+
+
+@pytest.mark.parametrize(
+    ("cycle", "telemetry", "impp", "residual", "setpoint", "alpha", "produced"),
+    [
+        # Uncurtailed before the run. IMPP (eq. 1): 80 / 1 and 60 / 1; residual (eq. 4): less the
+        # share (eq. 3) of 80 / 2 each; alpha (eq. 6): 40 / 80 and 40 / 60.
+        (0, [80, 60], [80, 60, 140], [40, 20, 60], [40, 40], [1 / 2, 2 / 3], [40, 40]),
+        # Telemetry is of cycle 0: the cloud is felt, 1/2 of 20 kW, before it is measured.
+        (1, [40, 40], [80, 60, 140], [40, 20, 60], [40, 40], [1 / 2, 2 / 3], [10, 128 / 3]),
+        # 120 kW are wanted, 60 of each: a lacks 40, b has 4 to spare. Each gives all it has.
+        (2, [10, 128 / 3], [20, 64, 84], [-40, 4, -36], [20, 64], [1, 1], [16, 40]),
+    ],
+)
+def test_each_cycle_is_as_worked_out_by_hand(
+    sent: Sent,
+    cycle: int,
+    telemetry: list[float],
+    impp: list[float],
+    residual: list[float],
+    setpoint: list[float],
+    alpha: list[float],
+    produced: list[float],
+) -> None:
+    for signal, expected in (
+        (TELEMETRY, telemetry),
+        (IMPP, impp),
+        (RESIDUAL, residual),
+        (SETPOINT, setpoint),
+    ):
+        nodes = ("a", "b", ROOT)[: len(expected)]
+        found = power_kw(sent, cycle, *(signal.of(node) for node in nodes))
+        assert found == pytest.approx(expected), signal.name
+    alphas = [sent.of(COMMAND.of(leaf))[cycle].alpha for leaf in ("a", "b")]
+    assert alphas == pytest.approx(alpha)
+    message = sent.of(PRODUCTION.of(ROOT))[cycle]
+    assert message.inverter_power_kw == pytest.approx(produced)
+    assert message.delivered_kw == pytest.approx(sum(produced))
+    assert message.available_kw == PROFILE.mpp_kw[cycle].sum()
+    calls = {node: sent.of(HELP.of(node)).get(cycle) for node in ("a", "b", ROOT)}
+    missing_kw = {node: call.missing_kw for node, call in calls.items() if call is not None}
+    assert missing_kw == pytest.approx({"a": 40.0, ROOT: 36.0} if cycle == 2 else {})
+
+
+def test_who_gives_more_than_its_share_says_for_whom(sent: Sent) -> None:
+    of_a, of_b = (sent.of(SETPOINT.of(leaf))[2] for leaf in ("a", "b"))
+    assert (of_a.share_kw, of_a.help_given) == (60.0, ())
+    (line,) = of_b.help_given
+    assert (of_b.share_kw, line.needy) == (60.0, "a")
+    assert line.power_kw == pytest.approx(4.0)
+
+
+def test_each_hour_has_its_order_of_help_and_the_first_one_holds_before_it() -> None:
+    def hour(from_cycle: int, a_and_b: float, a_and_c: float) -> Neighbourhood:
+        rows = (1.0, a_and_b, a_and_c), (a_and_b, 1.0, 0.0), (a_and_c, 0.0, 1.0)
+        return Neighbourhood(from_cycle * CYCLE_NS, rows)
+
+    hours = hour(1, a_and_b=0.5, a_and_c=0.1), hour(2, a_and_b=0.1, a_and_c=0.5)
+    orders = (NodeNeighbourhoods(ROOT, hours),)
+    plan = plan_of(dict.fromkeys("abc", 100.0), cycles=3, neighbourhoods=orders)
+    # 30 kW of each: a lacks 20 of them.
+    _, sent = run_in_memory(plan, Profile(np.array([[10.0, 80.0, 80.0]] * 3), np.full(3, 90.0)))
+    helpers = [
+        [leaf for leaf in "abc" if sent.of(SETPOINT.of(leaf))[cycle].help_given]
+        for cycle in range(3)
+    ]
+    assert helpers == [["c"], ["c"], ["b"]]
+
+
+def test_a_run_that_is_stopped_ends_after_the_cycle_under_way() -> None:
+    sent = Sent()
+    run = MemoryRun(PLAN, PROFILE, sent)
+    cycles = run.cycles()
+    assert next(cycles) == 0
+    run.stop()
+    assert list(cycles) == [1]
+    assert sent.of(PRODUCTION.of(ROOT)).get(1) is not None
+    assert sent.of(DISPATCH.of(ROOT)).get(2) is None
+
+
+def test_a_run_that_cannot_go_on_says_who_waits_for_what() -> None:
+    # Without a dispatch that it can use the central controller sends no setpoints.
+    profile = Profile(PROFILE.mpp_kw, np.array([np.nan, 80.0, 80.0]))
+    with pytest.raises(RunFailure, match=r"cycle 0: .* central; a waits for a/setpoint, b"):
+        list(MemoryRun(PLAN, profile).cycles())

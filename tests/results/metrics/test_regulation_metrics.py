@@ -1,0 +1,125 @@
+"""Requests of a regulation signal: which are fulfilled, and when there are any."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+from runs_by_hand import NOON, run_of
+
+from results.metrics.regulation import (
+    RegulationMetrics,
+    RequestsFulfilled,
+    offered_cycles,
+    regulation_metrics,
+)
+
+CAPACITY_KW = 200.0
+COMMITMENT_KW = 400.0
+
+
+def regulated(
+    regulation_kw: ArrayLike,
+    error_kw: ArrayLike = 0.0,
+    available_kw: ArrayLike = 900.0,
+    cycle_s: float = 1.0,
+    start: str = NOON,
+) -> RegulationMetrics:
+    """The metrics of a run that delivers what is desired but for an error."""
+    regulation_kw = np.asarray(regulation_kw, dtype=float)
+    run = run_of(
+        np.full_like(regulation_kw, COMMITMENT_KW),
+        available_kw,
+        COMMITMENT_KW + regulation_kw + np.asarray(error_kw, dtype=float),
+        regulation_kw=regulation_kw,
+        capacity_kw=CAPACITY_KW,
+        cycle_s=cycle_s,
+        start=start,
+    )
+    found = regulation_metrics(run)
+    assert found is not None
+    return found
+
+
+def test_a_request_is_fulfilled_if_every_cycle_in_it_is_within_the_tolerance() -> None:
+    found = regulated(
+        [50.0, 50.0, -80.0, -80.0, 120.0, 120.0, 10.0, 10.0, -20.0, -20.0],
+        [0.0, 0.5, -2.0, 0.0, 0.0, 5.0, 30.0, -30.0, 0.5, 0.5],
+        # within 1  short of 1  over         short       within 1
+    )
+    assert found.requests == (
+        RequestsFulfilled(0.1, requests=5, fulfilled=2, feasible=5, feasible_fulfilled=2),
+        RequestsFulfilled(1.0, requests=5, fulfilled=4, feasible=5, feasible_fulfilled=4),
+    )
+    assert [one.fulfilled_percent for one in found.requests] == [40.0, 80.0]
+    assert found.capacity_kw == CAPACITY_KW
+    assert found.offered_h == pytest.approx(10 / 3600)
+    # (0.65 + 1 + 0.55 + 0.15) in 10 s
+    assert found.signal_mileage_per_hour == pytest.approx(2.35 * 360)
+    assert found.performance is None  # of 10 s
+
+
+def test_a_request_is_feasible_if_the_plant_could_meet_it_in_every_cycle() -> None:
+    found = regulated(
+        [50.0, 50.0, 100.0, 100.0, 100.0, 100.0],
+        # feasible   not, yet fulfilled  feasible, short
+        [0.0, 0.0, -0.5, 0.0, 0.0, -20.0],
+        available_kw=[900.0, 900.0, 499.5, 600.0, 500.0, 600.0],
+    )
+    for one in found.requests:
+        assert (one.requests, one.fulfilled) == (3, 2)
+        assert (one.feasible, one.feasible_fulfilled) == (2, 1)
+        assert one.feasible_fulfilled_percent == 50.0
+    none = regulated([5.0, 5.0], -395.0, available_kw=10.0)
+    assert none.requests[0].feasible_fulfilled_percent is None
+
+
+@pytest.mark.parametrize(
+    ("regulation_kw", "error_kw", "cycle_s", "start"),
+    [
+        # Requests begin at the even seconds of the clock.
+        ([10.0, 20.0, 20.0, 30.0], [0.0, 0.0, 70.0, 0.0], 1.0, "2010-04-01T12:00:01"),
+        # A cycle longer than a request is a request.
+        ([10.0, 20.0, 20.0], [0.0, 70.0, 0.0], 10.0, NOON),
+    ],
+)
+def test_a_request_lasts_two_seconds_or_a_cycle(
+    regulation_kw: list[float], error_kw: list[float], cycle_s: float, start: str
+) -> None:
+    found = regulated(regulation_kw, error_kw, cycle_s=cycle_s, start=start)
+    assert (found.requests[0].requests, found.requests[0].fulfilled) == (3, 2)
+
+
+def test_only_the_time_counts_in_which_regulation_is_offered() -> None:
+    offered = np.arange(600) // 100 % 2 == 1
+    # Nothing at all is delivered while it is not offered.
+    found = regulated(np.where(offered, 50.0, 0.0), np.where(offered, 0.0, -COMMITMENT_KW))
+    assert found.requests[0].requests == 150
+    assert found.requests[0].fulfilled_percent == 100.0
+    assert found.offered_h == pytest.approx(300 / 3600)
+    assert found.signal_mileage_per_hour == 0.0  # the steps into the offer are no signal
+
+
+@pytest.mark.parametrize("capacity_kw", [0.0, CAPACITY_KW])
+def test_a_plant_that_offers_no_regulation_has_no_such_metrics(capacity_kw: float) -> None:
+    run = run_of(np.full(10, COMMITMENT_KW), 900.0, COMMITMENT_KW, capacity_kw=capacity_kw)
+    assert regulation_metrics(run) is None
+
+
+@pytest.mark.parametrize(
+    ("regulation", "offered"),
+    [
+        ("000+0-0000", "0001110000"),
+        ("++++", "1111"),
+        ("0000", "0000"),
+        ("", ""),
+        ("+" + "0" * 59 + "-", "1" * 61),
+        ("+" + "0" * 60 + "-0", "1" + "0" * 60 + "10"),
+    ],
+)
+def test_a_zero_of_less_than_a_minute_between_requests_is_a_request(
+    regulation: str, offered: str
+) -> None:
+    regulation_kw = np.array(["-0+".index(sign) - 1.0 for sign in regulation])
+    found = offered_cycles(regulation_kw, cycle_s=1.0)
+    assert "".join("1" if cycle else "0" for cycle in found) == offered

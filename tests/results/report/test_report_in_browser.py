@@ -1,0 +1,55 @@
+"""A browser draws every figure of a report and has nothing to complain about."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from browser import MISSING, browser
+from synthetic_runs import cloudy_run, without_estimates
+
+from results.report.page import html_page
+from results.report.run_report import runs_result
+from results.report.tables import metrics_tables
+
+pytestmark = pytest.mark.skipif(
+    bool(MISSING), reason=f"no browser here: {', '.join(MISSING)} missing"
+)
+
+CUT = """
+  const seen = document.documentElement.clientWidth;
+  const cut = [...document.querySelectorAll("table, p, h1, h2, .plot, svg text, .scroll")].filter(
+    (e) => e.getBoundingClientRect().right > seen + 1 ||
+      (e.className === "scroll" && e.scrollWidth > e.clientWidth + 1));
+  return cut.map((e) => e.tagName + " " + e.textContent.slice(0, 40));
+"""
+"""What reaches beyond the right edge of the page."""
+
+WIDTHS = """
+  return [...document.querySelectorAll(".plot")].map((plot) => [
+    plot.id.replace(/-plot$/, ""), +plot.querySelector(".main-svg")?.getAttribute("width"),
+    !!plot.querySelector(".point, .js-line, .hm, image, [class*=trace]")]);
+"""
+"""Of each figure: its width, and whether anything is drawn in it."""
+
+
+@pytest.mark.parametrize("width_px", [800, 1280])
+def test_a_browser_draws_every_figure_without_a_complaint(tmp_path: Path, width_px: int) -> None:
+    run = cloudy_run("a <b>label</b> & more", regulation=True)
+    others = ("no help", "grouping control, 4 inverters", "central dispatch", "a fifth scheme")
+    runs = [run, *(without_estimates(run, label) for label in others)]
+    path = tmp_path / "report.html"
+    result = runs_result("A run", runs, metrics_tables(runs), ())
+    path.write_text(html_page(result))
+    with browser(tmp_path, width=width_px, height=1000) as window:
+        window.open(path.as_uri())
+        plots = "[...document.querySelectorAll('.plot')]"
+        window.until(f"return {plots}.every(p => p.querySelector('.main-svg'))", "its figures")
+        figures = {anchor: rest for anchor, *rest in window.run(WIDTHS)}
+        assert [*figures] == [one.anchor for one in result.figures()]
+        for anchor, (plot_px, is_drawn) in figures.items():
+            assert is_drawn, anchor
+            assert width_px - 260 < plot_px <= min(width_px, 1100), anchor
+        assert window.run(CUT) == []
+        assert "a <b>label</b> & more" in window.text("body")
+        assert window.problems() == []

@@ -1,0 +1,227 @@
+"""The timing of a run is computed from the times in its recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from plans_by_hand import with_changes
+from timed_recordings import CYCLE_MS, MS, PLAN, START_NS, TIMES_MS, cycle, recorded, without
+
+from bus_schemas.bus import Delivery
+from bus_schemas.errors import InputError
+from recordings.read.reader import RunReader
+from results.timing.run_timing import ProcessTiming, RunTiming, distribution, run_timing
+
+
+def timed(
+    folder: Path, *cycles: Iterable[Delivery], plan: object = PLAN, by_agent: bool = False
+) -> RunTiming:
+    assert isinstance(plan, type(PLAN))
+    with RunReader(recorded(folder, *cycles, plan=plan)) as reader:
+        return run_timing(reader, by_agent=by_agent)
+
+
+def row(found: RunTiming, measure: str, of: str) -> tuple[int, float, float]:
+    """Count, least and greatest [ms] of a row."""
+    (times,) = [row.times for row in found.times if (row.measure, row.of) == (measure, of)]
+    return times.count, times.min_us / 1e3, times.max_us / 1e3
+
+
+def process(found: RunTiming, agent: str) -> ProcessTiming:
+    (one,) = [one for one in found.processes if one.agent == agent]
+    return one
+
+
+def test_each_measure_goes_from_where_to_where_it_is_defined(tmp_path: Path) -> None:
+    found = timed(tmp_path, cycle(0), cycle(1))
+    assert found.cycles == 2
+    assert row(found, "loop", "all commands") == (2, 13.6, 13.6)
+    assert row(found, "loop", "each command") == (8, 13.0, 13.4)
+    assert row(found, "decision", "plant sense") == (2, 1.3, 1.3)
+    # c1/a says at 4.15 ms that it needs help: its last message counts.
+    assert row(found, "decision", "direct estimate") == (8, 2.15, 6.9)
+    assert row(found, "decision", "central solve") == (2, 1.1, 1.1)
+    assert row(found, "decision", "plant apply") == (2, 0.4, 0.4)
+    assert row(found, "hop", "telemetry") == (8, 1.0, 1.0)
+    # To c1 0.3, to c2 0.5 and to the central controller 0.4 ms.
+    assert row(found, "hop", "residual") == (6, 0.3, 0.5)
+    assert row(found, "hop", "setpoint") == (12, 0.3, 0.4)
+    assert row(found, "hop", "command") == (2, 0.2, 0.2)
+    assert row(found, "lateness", "plant sense") == (2, 0.9, 0.9)
+    assert row(found, "jitter", "plant sense") == (1, 0.0, 0.0)
+    # The dispatch is the oldest input of all stages but the plant's.
+    assert row(found, "age", "supervisor solve") == (4, 10.9, 11.0)
+    assert row(found, "age", "plant apply") == (2, 0.6, 0.6)
+
+
+def test_jitter_is_measured_from_cycle_to_cycle_also_over_one_that_is_not_there(
+    tmp_path: Path,
+) -> None:
+    later = {**TIMES_MS, "production": (13.6, 17.0)}
+    found = timed(tmp_path, cycle(0), cycle(1, without("production")), cycle(2, later))
+    assert row(found, "jitter", "plant apply") == (1, 3.0, 3.0)
+
+
+def test_a_missed_deadline_is_a_stage_that_names_an_input_it_awaited(tmp_path: Path) -> None:
+    deadline_ms = PLAN.deadlines.deadline_ns("plant", "apply") / MS
+    late = {**without("c2/d/command"), "production": (deadline_ms, deadline_ms + 0.5)}
+    gone = {"production": ("c2/d/command@0",)}
+    found = timed(tmp_path, cycle(0), cycle(1, late, gone))
+    plant = process(found, "plant")
+    assert (plant.missed_deadlines, plant.missing_inputs, plant.overruns) == (1, 1, 0)
+    # The loop lasts up to the deadline, and the plant kept it to half a millisecond.
+    assert row(found, "loop", "all commands")[2] == pytest.approx(deadline_ms)
+    assert row(found, "lateness", "plant apply") == (1, 0.5, 0.5)
+    # The hop of a command that did not come is none; its old one is as old as it is.
+    assert row(found, "hop", "command")[0] == 1
+    age_ms = CYCLE_MS + deadline_ms - 13.4
+    assert row(found, "age", "plant apply")[2] == pytest.approx(age_ms)
+
+
+def test_an_input_that_comes_while_its_receiver_is_busy_has_no_hop(tmp_path: Path) -> None:
+    slow = {**TIMES_MS, "c1/a/command": (12.4, CYCLE_MS + 2.5)}
+    found = timed(tmp_path, cycle(0, slow), cycle(1))
+    assert row(found, "hop", "telemetry")[0] == 7
+
+
+def test_an_input_that_a_stage_uses_and_does_not_await_is_no_missed_deadline(
+    tmp_path: Path,
+) -> None:
+    found = timed(tmp_path, cycle(0), cycle(1, TIMES_MS, {"c1/a/command": ("dispatch@0",)}))
+    assert process(found, "c1/a").missed_deadlines == found.late_cycles == 0
+
+
+@pytest.mark.parametrize(
+    ("key", "latest_ns", "agent"),
+    [
+        ("c2/c/residual", PLAN.deadlines.deadline_ns("c2/c", "estimate"), "c2/c"),
+        # The plant overruns its tick if it takes its whole part of the cycle.
+        ("c2/d/telemetry", PLAN.deadlines.slice_ns("plant", "sense"), "plant"),
+    ],
+)
+def test_an_overrun_is_a_stage_that_had_all_and_spoke_after_its_deadline(
+    key: str, latest_ns: int, agent: str, tmp_path: Path
+) -> None:
+    slow = {**TIMES_MS, key: (TIMES_MS[key][0], latest_ns / MS + 0.001)}
+    found = timed(tmp_path, cycle(0), cycle(1, slow))
+    assert {one.agent: one.overruns for one in found.processes if one.overruns} == {agent: 1}
+    assert found.late_cycles == 1
+
+
+def test_a_cycle_in_which_an_agent_said_nothing_was_skipped(tmp_path: Path) -> None:
+    silent = without("c2/c/impp", "c2/c/residual", "c2/c/command")
+    half = without("c1/a/command")
+    found = timed(tmp_path, cycle(0), cycle(1, silent), cycle(2, half))
+    skipped = {one.agent: one.skipped_cycles for one in found.processes}
+    assert {agent: count for agent, count in skipped.items() if count} == {"c2/c": 1}
+    assert found.late_cycles == 1
+
+
+def test_what_comes_after_the_plants_last_cycle_does_not_count(tmp_path: Path) -> None:
+    cut = {key: times for key, times in TIMES_MS.items() if times[1] < 4.0}
+    found = timed(tmp_path, cycle(0), cycle(1, cut))
+    assert found.cycles == 1
+    assert row(found, "decision", "plant sense")[0] == 1
+    assert not any(one.skipped_cycles for one in found.processes)
+
+
+def test_a_message_that_is_recorded_late_counts_for_its_own_cycle(tmp_path: Path) -> None:
+    first, *_ = cycle(0, {"c1/a/command": TIMES_MS["c1/a/command"]})
+    found = timed(tmp_path, cycle(0, without("c1/a/command")), cycle(1), [first], cycle(2))
+    assert row(found, "loop", "each command") == (12, 13.0, 13.4)
+
+
+def test_of_a_message_that_came_twice_the_first_counts(tmp_path: Path) -> None:
+    again = list(cycle(0, {"production": (13.6, 50.0)}))
+    found = timed(tmp_path, cycle(0), again)
+    assert row(found, "decision", "plant apply") == (1, 0.4, 0.4)
+
+
+def test_between_its_parents_turns_a_setpoint_of_the_last_turn_is_due(tmp_path: Path) -> None:
+    plan = with_changes(PLAN, period_cycles=(2, 1))
+    between = without("c1/setpoint", "c2/setpoint")
+    found = timed(tmp_path, cycle(0), cycle(1, between), plan=plan)
+    assert not process(found, "c1").missed_deadlines
+    # In cycle 1 it is the oldest input of the supervisors' solve.
+    age_ms = CYCLE_MS + TIMES_MS["c1/a/setpoint"][0] - TIMES_MS["c1/setpoint"][1]
+    assert row(found, "age", "supervisor solve")[2] == pytest.approx(age_ms)
+
+
+def test_each_agent_has_rows_of_its_own_if_they_are_asked_for(tmp_path: Path) -> None:
+    found = timed(tmp_path, cycle(0), by_agent=True)
+    own = {(row.measure, row.of): row.times for row in process(found, "c2/c").times}
+    assert own["decision", "direct estimate"].max_us == pytest.approx(6_900)
+    assert own["hop", "setpoint"].count == own["loop", "each command"].count == 1
+
+
+def test_a_device_is_seen_from_outside_and_counts_nothing(tmp_path: Path) -> None:
+    plan = with_changes(PLAN, external=("c2/d",))
+    unknown = {key: (0.0, times[1]) for key, times in TIMES_MS.items() if key.startswith("c2/d/")}
+    found = timed(tmp_path, cycle(0, {**TIMES_MS, **unknown}), plan=plan)
+    assert "c2/d" not in [one.agent for one in found.processes]
+    assert row(found, "decision", "direct estimate")[0] == 3
+    # From the telemetry, published at 1.3 ms, to its own last message at 4.5 ms.
+    assert row(found, "response", "c2/d estimate") == (1, 3.2, 3.2)
+    assert row(found, "hop", "command of c2/d") == (1, 0.2, 0.2)
+
+
+@pytest.mark.parametrize("publish_ms", [-START_NS / MS, -150.0])
+def test_a_publish_time_that_is_unknown_or_impossible_is_in_no_row(
+    publish_ms: float, tmp_path: Path
+) -> None:
+    plan = with_changes(PLAN, external=("c2/d",))
+    late = {**TIMES_MS, "c2/d/command": (0.0, publish_ms)}
+    found = timed(tmp_path, cycle(0, late), plan=plan)
+    assert row(found, "loop", "each command")[0] == 3
+    assert [row.of for row in found.times if row.measure == "response"] == ["c2/d estimate"]
+
+
+def test_of_an_external_plant_the_loop_is_seen_from_outside_while_our_inverters_answer(
+    tmp_path: Path,
+) -> None:
+    plan = with_changes(PLAN, external=("plant",))
+    alone = {key: times for key, times in TIMES_MS.items() if times[0] == 0.0}
+    alone["production"] = (13.6, 90.0)
+    found = timed(tmp_path, cycle(0), cycle(1, alone), plan=plan)
+    assert row(found, "loop", "all commands") == (1, 14.0, 14.0)
+
+
+@pytest.mark.parametrize(("wall_ns", "driver"), [(0, "launch"), (CYCLE_MS * MS, "simulate")])
+def test_a_run_that_was_not_in_real_time_is_refused(
+    wall_ns: int, driver: str, tmp_path: Path
+) -> None:
+    folder = recorded(
+        tmp_path, cycle(0), plan=with_changes(PLAN, cycle_wall_ns=wall_ns), driver=driver
+    )
+    with RunReader(folder) as reader, pytest.raises(InputError, match="real time"):
+        run_timing(reader)
+
+
+def test_a_start_that_is_far_from_its_message_is_not_believed(tmp_path: Path) -> None:
+    far = replace(PLAN.run_message("start", 0, START_NS + 3_600_000 * MS), publish_time_ns=START_NS)
+    with RunReader(recorded(tmp_path, cycle(0), start=far)) as reader:
+        found = run_timing(reader)
+    assert row(found, "loop", "all commands") == (1, 13.6, 13.6)
+
+
+@pytest.mark.parametrize(
+    ("count", "p50_us", "p99_us", "p99_9_us"),
+    [(10, 5, 10, 10), (1000, 500, 990, 999)],
+)
+def test_percentiles_are_durations_that_so_many_do_not_exceed(
+    count: int, p50_us: float, p99_us: float, p99_9_us: float
+) -> None:
+    found = distribution(np.random.default_rng(1).permutation(np.arange(1, count + 1)) * 1000)
+    assert (found.count, found.min_us, found.max_us) == (count, 1.0, count)
+    assert (found.p50_us, found.p99_us, found.p99_9_us) == (p50_us, p99_us, p99_9_us)
+    assert (found.curve_us[0], found.curve_us[-1]) == (1.0, count)
+    assert found.curve_us[12] == 0.9 * count, "a tenth is longer"
+
+
+def test_a_duration_below_zero_counts_as_none() -> None:
+    found = distribution(np.array([-10, 3000]))
+    assert (found.min_us, found.p50_us, found.max_us) == (0.0, 0.0, 3.0)

@@ -1,0 +1,158 @@
+"""Runs on archives and on a real plant's currents: the plant they make, and what is said of it."""
+
+from __future__ import annotations
+
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+from oahu_days import day_text
+from own_scenarios import Folder
+
+from scenarios.scenario import load_scenario
+
+SENSORS = 19
+AP3 = 12
+"""Place of AP3 among the 19 sensors of a line."""
+
+
+def write_day(folder: Path, day: date, ghi_wm2: NDArray[np.float64]) -> None:
+    (folder / f"{day:%Y%m%d}.txt").write_text(day_text(day, ghi_wm2))
+
+
+def clouds(seed: int, seconds: int = 120) -> NDArray[np.float64]:
+    """Sensors that differ from one another from second to second."""
+    return np.random.default_rng(seed).uniform(200.0, 1000.0, (seconds, SENSORS))
+
+
+# Daily files of the Oahu grid ---------------------------------------------------------------------
+
+
+@pytest.fixture
+def oahu(tmp_path: Path) -> Folder:
+    data = tmp_path / "archive"
+    data.mkdir()
+    write_day(data, date(2010, 3, 30), clouds(1))
+    write_day(data, date(2010, 4, 1), clouds(2))
+    copy = Folder(tmp_path, load_scenario("oahu-grid").text, data)
+    copy.change("start = 2010-04-01T05:00:00", "start = 2010-04-01T12:00:00")
+    copy.change("duration_s = 54000", "duration_s = 120")
+    return copy
+
+
+def test_the_17_sensors_become_17_inverters_in_clusters_of_6_6_and_5(oahu: Folder) -> None:
+    found = oahu.prepare()
+    tree = found.plan.tree
+    assert found.profile.mpp_kw.shape == (120, 17)
+    assert tree.rating_kw("") == pytest.approx(8000.0)
+    assert [len(tree.children(parent)) for parent in ("c1", "c2", "c3")] == [6, 6, 5]
+    assert {leaf.rpartition("/")[2] for leaf in tree.leaves} >= {"invDH1", "invAP3", "invAP7"}
+    assert not found.hindsight
+    assert found.local_start() == "2010-04-01 12:00:00 HST"
+    (commitment,) = found.remarks
+    assert "hindsight" in commitment
+
+
+def test_a_sensor_left_out_takes_its_inverter_and_rating_away(oahu: Folder, tmp_path: Path) -> None:
+    ghi_wm2 = clouds(2)
+    ghi_wm2[:40, AP3] = np.nan
+    write_day(tmp_path / "archive", date(2010, 4, 1), ghi_wm2)
+    found = oahu.prepare()
+    assert "invAP3" not in {leaf.rpartition("/")[2] for leaf in found.plan.tree.leaves}
+    assert found.plan.tree.rating_kw("") == pytest.approx(8000.0 * 16 / 17)
+    assert found.remarks[0].startswith("20100401.txt: AP3: 40 of 120 values missing")
+    oahu.change('gaps = "neighbours"', 'gaps = "refuse"')
+    assert "20100401.txt: line 1, column 'AP3': expected" in oahu.complaint()
+
+
+def test_clusters_are_those_of_the_earlier_day(oahu: Folder, tmp_path: Path) -> None:
+    leaves = oahu.prepare().plan.tree.leaves
+    write_day(tmp_path / "archive", date(2010, 4, 1), clouds(3))
+    assert oahu.prepare().plan.tree.leaves == leaves
+    write_day(tmp_path / "archive", date(2010, 3, 31), clouds(4))
+    assert oahu.prepare().plan.tree.leaves != leaves
+
+
+def test_a_day_shorter_than_the_run_and_a_folder_without_days_are_refused(
+    oahu: Folder, tmp_path: Path
+) -> None:
+    assert "2010-04-01T22:02:01Z" in oahu.complaint(duration="121s")
+    (tmp_path / "archive" / "20100330.txt").unlink()
+    assert "of a day before 2010-04-01" in oahu.complaint()
+    oahu.change('"earlier-day"', '"hindsight"')
+    assert oahu.prepare().hindsight, "that needs no earlier day"
+    (tmp_path / "archive" / "20100401.txt").unlink()
+    complaint = oahu.complaint()
+    assert complaint.startswith(f"{oahu.scenario}: irradiance.folder: expected")
+    assert complaint.endswith(str(tmp_path / "archive"))
+
+
+# Currents of a real plant -------------------------------------------------------------------------
+
+
+def write_plant(folder: Path, silent: str = "") -> None:
+    """Write ten minutes of six inverters with two combiners each, 100 being full power."""
+    combiners = [(f"C-{i}-{c}", f"{i:02d}", 50 * i, 10 * c) for i in range(6) for c in (1, 2)]
+    rows = "".join(f"{name},{inverter},{x},{y}\n" for name, inverter, x, y in combiners)
+    (folder / "positions.csv").write_text("combiner,inverter,x_m,y_m\n" + rows)
+    rng = np.random.default_rng(8)
+    lines = ["t_s," + ",".join(name for name, *_ in combiners)]
+    for second in range(0, 600, 10):
+        values = [
+            "" if inverter == silent else f"{rng.uniform(20.0, 120.0):.3f}"
+            for _, inverter, _, _ in combiners
+        ]
+        lines.append(f"{second}," + ",".join(values))
+    (folder / "hour_a.csv").write_text("\n".join(lines) + "\n")
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Folder:
+    data = tmp_path / "plant"
+    data.mkdir()
+    write_plant(data)
+    copy = Folder(tmp_path, load_scenario("plant20mw").text, data)
+    copy.change("duration_s = 3600", "duration_s = 600")
+    copy.change("cluster_count = [5]", "cluster_count = [2]")
+    return copy
+
+
+def test_power_comes_from_the_currents(plant: Folder, tmp_path: Path) -> None:
+    found = plant.prepare()
+    assert found.plan.tree.rating_kw("") == pytest.approx(20_000.0)
+    assert found.profile.mpp_kw.shape == (60, 6)
+    currents = pd.read_csv(tmp_path / "plant" / "hour_a.csv")
+    place = [leaf.rpartition("/")[2] for leaf in found.plan.tree.leaves].index("inv04")
+    mean = currents[["C-4-1", "C-4-2"]].mean(axis=1).to_numpy()
+    expected_kw = np.minimum(mean / 130.0, 1.0) * 20_000.0 / 6
+    np.testing.assert_allclose(found.profile.mpp_kw[:, place], expected_kw)
+
+
+def test_the_start_of_the_scenario_is_the_first_row(plant: Folder) -> None:
+    whole_kw = plant.prepare().profile.mpp_kw
+    part = plant.prepare(start="12:05", duration="20s")
+    np.testing.assert_array_equal(part.profile.mpp_kw, whole_kw[30:32])
+    assert "2000-06-21T11:59:50Z" in plant.complaint(start="11:59:50", duration="20s")
+
+
+def test_a_silent_inverter_takes_its_rating_away(plant: Folder, tmp_path: Path) -> None:
+    write_plant(tmp_path / "plant", silent="02")
+    found = plant.prepare()
+    assert found.plan.tree.rating_kw("") == pytest.approx(20_000.0 * 5 / 6)
+    assert [len(found.plan.tree.children(parent)) for parent in ("c1", "c2")] == [3, 2]
+    assert found.remarks[0].startswith("hour_a.csv: inverter 02: 120 of 120 currents")
+
+
+def test_neighbouring_inverters_share_a_geographic_cluster(plant: Folder) -> None:
+    plant.change('clusters = "correlation"', 'clusters = "geographic"')
+    leaves = plant.prepare().plan.tree.leaves
+    assert set(leaves) == {f"c1/inv0{i}" for i in (0, 1, 2)} | {f"c2/inv0{i}" for i in (3, 4, 5)}
+
+
+def test_currents_have_no_clear_sky_and_no_seed(plant: Folder) -> None:
+    assert plant.complaint(seed=3).startswith("--seed: expected")
+    plant.change('"share-of-median"', '"share-of-clear-sky"')
+    assert "commitment.kind: expected" in plant.complaint()

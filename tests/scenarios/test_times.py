@@ -1,0 +1,38 @@
+"""Durations and ranges in the user's words: one grammar for all."""
+
+from __future__ import annotations
+
+import pytest
+
+from bus_schemas.errors import InputError
+from scenarios.times import duration_s, parse_duration_s, split_range
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        *(("90s", 90), ("15m", 900), ("1h30m", 5400), ("0.5h", 1800), ("1h1m1s", 3661)),
+        *(("50ms", 0.05), ("200us", 0.0002), ("1s500ms", 1.5), ("744h", 31 * 86400)),
+    ],
+)
+def test_a_duration_has_units(text: str, seconds: float) -> None:
+    assert duration_s(text) == pytest.approx(seconds)
+    assert parse_duration_s(text, "--duration") == pytest.approx(seconds)
+    # The length of a run alone may be in seconds without a unit.
+    assert duration_s(str(seconds)) is None
+    assert parse_duration_s(f"{seconds:f}", "--duration") == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "0", "-5", "soon", "5 s", "5d", "1e3", ".", "1..5", "1m1h", "745h", "9" * 99]
+)
+def test_what_is_no_length_of_a_run_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--duration: expected"):
+        parse_duration_s(text, "--duration")
+
+
+def test_a_range_has_two_ends() -> None:
+    assert split_range("30s..40s", "silent") == ("30s", "40s")
+    for text in ("30s", "30s..", "..40s", ".."):
+        with pytest.raises(InputError, match="silent: expected a range"):
+            split_range(text, "silent")

@@ -1,0 +1,42 @@
+"""How the messages of live controllers are compared with the recorded ones."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from replayed_runs import PLAN
+
+from bus_schemas.messages import Impp
+from bus_schemas.signals import IMPP
+from studies.live_replay.live_bus import MessagePairs
+
+PORT = IMPP.of("c1/a")
+
+
+def impp(cycle: int, power_kw: float = 50.0) -> Impp:
+    """What an inverter's controller publishes in a cycle."""
+    return Impp(cycle, 0, "c1/a", (), power_kw=power_kw, stale_cycles=0)
+
+
+@pytest.mark.parametrize("new_first", [False, True])
+def test_messages_are_compared_whichever_comes_first(new_first: bool) -> None:
+    pairs = MessagePairs(PLAN.tree, ["c1/a"])
+    for cycle, new_kw in ((3, 50.0), (4, math.nextafter(50.0, 60.0))):
+        for is_recorded in (not new_first, new_first):
+            message = impp(cycle) if is_recorded else impp(cycle, new_kw)
+            pairs.take(PORT, message, is_recorded=is_recorded)
+    pairs.finish(10)
+    found = pairs.results["c1/a"]
+    assert (found.compared, found.differences) == (2, {"differs": 1})
+    assert found.first is not None
+    assert (found.first.cycle, found.first.stage) == (4, "estimate")
+
+
+def test_a_message_without_counterpart_is_a_difference_up_to_the_end() -> None:
+    pairs = MessagePairs(PLAN.tree, ["c1/a"])
+    for cycle, is_recorded in [(4, True), (2, False), (10, True), (3, True), (3, False)]:
+        pairs.take(PORT, impp(cycle), is_recorded=is_recorded)
+    pairs.take(PORT, impp(3), is_recorded=False)  # Sent twice: one too many.
+    pairs.finish(10)
+    assert pairs.results["c1/a"].differences == {"only recorded": 1, "only new": 2}
