@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import re
 import signal
@@ -192,10 +193,12 @@ def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
         with ForkServerProcess() as server:
             view = PlainView(Console(file=io.StringIO()), preparation.plan)
             launch(preparation, RunFolder(tmp_path / f"run{number}"), view, 0.0, server)
+        gc.collect()  # what earlier tests left behind would be counted in the first run alone
         own = psutil.Process()
         return own.num_fds(), len(own.children(recursive=True)), own.num_threads()
 
-    assert run(1) == run(2)
+    first, second = run(1), run(2)
+    assert all(after <= before for before, after in zip(first, second, strict=True))
 
 
 def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path: Path) -> None:
