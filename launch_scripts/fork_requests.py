@@ -11,7 +11,7 @@ class Start(msgspec.Struct, frozen=True, tag=True):
     """Start the processes of these agents, those first that the others connect to.
 
     `plan` is a path, `logs` a folder. The plant waits `patience_s` for everybody. `again`: they
-    join a run that is under way.
+    join a run that is under way. `starts`: how many processes each of them had before.
     """
 
     plan: str
@@ -19,6 +19,7 @@ class Start(msgspec.Struct, frozen=True, tag=True):
     logs: str
     patience_s: float
     again: bool = False
+    starts: int = 0
 
 
 class Expect(msgspec.Struct, frozen=True, tag=True):

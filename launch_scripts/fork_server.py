@@ -130,8 +130,9 @@ class ForkServer:
         status = 1
         try:
             self._set_up(agent, Path(request.logs) / log_name(agent))
-            link = LauncherLink(agent, self._control, expected)
+            link = LauncherLink(agent, self._control, expected, request.starts)
             link.end_on(signal.SIGTERM)
+            link.reopen_on(signal.SIGUSR1)
             folder, patience_s = Path(request.plan).parent, request.patience_s
             status = run_process(agent, plan, link, folder, patience_s, rejoins=request.again)
         except BaseException:

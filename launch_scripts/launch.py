@@ -130,14 +130,14 @@ class _Launch:
             devices=self._gateway.end() if self._gateway is not None else (),
         )
 
-    def _start(self, agents: tuple[str, ...], *, again: bool = False) -> None:
+    def _start(self, agents: tuple[str, ...], *, again: bool = False, starts: int = 0) -> None:
         patience_s = _PLANT_PATIENCE_S + _PER_PROCESS_S * len(agents) + self._external_s
         folder = self._account.folder
-        request = Start(str(folder.plan), agents, str(folder.logs), patience_s, again)
+        request = Start(str(folder.plan), agents, str(folder.logs), patience_s, again, starts)
         self._children.server.ask(request)
 
     def _start_again(self, agent: str) -> None:
-        self._start((agent,), again=True)
+        self._start((agent,), again=True, starts=self._restarts.counts[agent])
         if agent == RECORDER:
             self._watch.begin()
 

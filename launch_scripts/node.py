@@ -41,7 +41,8 @@ def run_share(
     folder.write_plan(plan)
 
     def start(*names: str, again: bool = True) -> None:
-        server.ask(Start(str(folder.plan), names, str(folder.logs), 0.0, again))
+        starts = restarts.counts[names[0]] if again else 0
+        server.ask(Start(str(folder.plan), names, str(folder.logs), 0.0, again, starts))
 
     with Children(server, plan, agents, folder.logs) as children:
         # The launcher alone does what fault rules ask for.

@@ -28,13 +28,23 @@ class LauncherLink:
     events: Socket that keeps packets apart, shared with the other processes of the run.
     expected: Pipe on which the launcher tells the recorder how many messages to expect.
 
+    starts: How many processes the agent had before this one.
+
     dismissed: Whether the launcher wants the agent to end.
+    unheard: Whether the launcher has found since this was last set to False that nobody hears the
+        agent, whose sessions are then to be opened anew.
     """
 
     def __init__(
-        self, agent: str, events: socket.socket | None = None, expected: int | None = None
+        self,
+        agent: str,
+        events: socket.socket | None = None,
+        expected: int | None = None,
+        starts: int = 0,
     ) -> None:
         self.dismissed = False
+        self.unheard = False
+        self.starts = starts
         self._agent = agent
         self._events = events
         self._expected = expected
@@ -49,8 +59,15 @@ class LauncherLink:
         for number in numbers:
             signal.signal(number, self._dismiss)
 
+    def reopen_on(self, number: signal.Signals) -> None:
+        """Treat a signal as the launcher's word that nobody hears the agent."""
+        signal.signal(number, self._note_unheard)
+
     def _dismiss(self, *_: object) -> None:
         self.dismissed = True
+
+    def _note_unheard(self, *_: object) -> None:
+        self.unheard = True
 
     def tell(self, event: Event) -> None:
         data = msgspec.json.encode(event)
