@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -21,12 +21,10 @@ def replay(
     start: Start = None,
     end: End = None,
     pace: Annotated[str | None, Parameter(metavar="PACE")] = None,
-    clock: Literal["sim", "wall"] | None = None,
     start_paused: bool = False,
     loop: bool = False,
     nodes: Nodes = None,
     signals: Signals = None,
-    exclude: Annotated[str | None, Parameter(metavar="NAMES")] = None,
     wait: bool = False,
     listen: Annotated[str | None, Parameter(metavar="ENDPOINT")] = None,
     live: Annotated[str | None, Parameter(metavar="NODES")] = None,
@@ -44,15 +42,10 @@ def replay(
     ----------
     pace
         Recorded seconds per second (default 1), or max.
-    clock
-        sim: each cycle when it begins in simulated time (default after lockstep); wall: each
-        message when it was published (default after real time).
     start_paused
         Wait for the space bar.
     loop
         Begin again at the end.
-    exclude
-        Leave these signals out; clock is the replay's own clock.
     wait
         Begin when somebody subscribes.
     listen
@@ -78,8 +71,8 @@ def replay(
     line = StatusLine(out, in_place=out.isatty())
     if live is not None:
         others = {
-            **{"--from": start, "--pace": pace, "--clock": clock, "--start-paused": start_paused},
-            **{"--loop": loop, "--nodes": nodes, "--signals": signals, "--exclude": exclude},
+            **{"--from": start, "--pace": pace, "--start-paused": start_paused},
+            **{"--loop": loop, "--nodes": nodes, "--signals": signals},
         }
         refuse_given("expected no --live, which begins with the run", others)
         with RunReader(run) as reader:
@@ -90,9 +83,9 @@ def replay(
         return INTERRUPTED if found["interrupted"] else FAILED if found["differing"] else OK
     speed = parse_pace(pace or "1")
     rate = speed if isinstance(speed, float) else 0.0
-    options = ReplayOptions(start, end, rate, clock, start_paused, loop, wait, listen)
+    options = ReplayOptions(start, end, rate, start_paused, loop, wait, listen)
     with RunReader(run) as reader:
-        ports = selected_ports(reader, signals, exclude, nodes)
+        ports = selected_ports(reader, signals, nodes)
         figures = replay_recording(reader, out, line, ports, options)
     write_json(figures, json)
     return INTERRUPTED if figures["interrupted"] else OK

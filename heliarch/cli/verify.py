@@ -28,31 +28,25 @@ def verify(
     start: Start = None,
     end: End = None,
     tolerance: Tolerance = 0.0,
-    ignored: Annotated[str | None, Parameter("--ignore", metavar="FIELDS")] = None,
     accept: bool = False,
     json: Json = None,
 ) -> int:
     """Run the agents of a recording again on the inputs that they used, and compare the outputs.
 
-    Exit status 1: outputs differ. The first difference of each agent is shown with its inputs.
+    Exit status 1: outputs differ, or none could be compared. The first difference of each agent is
+    shown with its inputs, and the verdict says what share of the messages was compared.
     Agents run from cycle 0 on; --from and --to say which cycles are compared.
 
     Example: `heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'`
 
     Parameters
     ----------
-    ignored
-        Fields that may differ, with commas.
     accept
         Replace the recording by what the agents do now.
     """
-    from recordings.verify.equality import FIELDS, Equality
+    from recordings.verify.equality import Equality
 
-    runs, console = (run, *more), console_for(json)
-    names = frozenset(ignored.split(",")) if ignored else frozenset()
-    for name in names - FIELDS:
-        raise InputError(f"--ignore: expected fields of messages, got {name}")
-    equality = Equality(tolerance, names)
+    runs, console, equality = (run, *more), console_for(json), Equality(tolerance)
     if accept:
         from studies.golden import origin
 

@@ -80,19 +80,13 @@ class ReplayBus:
 
 
 def selected_ports(
-    reader: RunReader,
-    signals: str | None = None,
-    exclude: str | None = None,
-    nodes: str | None = None,
+    reader: RunReader, signals: str | None = None, nodes: str | None = None
 ) -> list[Port[Message]]:
     """Return the ports that are replayed: by default the recorded ones, and the replay's clock."""
-    excluded = [name.strip() for name in (exclude or "").split(",") if name.strip()]
-    left_out = find_signals((name for name in excluded if name != CLOCK.name), "--exclude")
-    recorded = reader.ports(*find_signals(signals or ""), nodes=nodes or "")
-    ports = [port for port in recorded if port.signal not in left_out]
+    ports = list(reader.ports(*find_signals(signals or ""), nodes=nodes or ""))
     if not ports:
-        raise InputError("--signals, --exclude, --nodes: expected some message, got none")
-    return ports if CLOCK.name in excluded else [*ports, CLOCK.of(ROOT)]
+        raise InputError("--signals, --nodes: expected some message, got none")
+    return [*ports, CLOCK.of(ROOT)]
 
 
 @contextmanager

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Any, Final, Protocol, TextIO
 
 from agents.process.interruption import Interruption, interruptible
@@ -23,7 +23,7 @@ from recordings.replay.keyboard import (
     has_keyboard,
     keyboard,
 )
-from recordings.replay.schedule import ClockKind, PlaybackClock, UpcomingMessages
+from recordings.replay.schedule import PlaybackClock, UpcomingMessages
 
 _LOOK_S: Final = 0.02
 """How often the keyboard is read."""
@@ -51,7 +51,6 @@ class ReplayOptions:
     start: str | None = None
     end: str | None = None
     rate: float = 1.0
-    clock: ClockKind | None = None
     start_paused: bool = False
     loop: bool = False
     wait: bool = False
@@ -69,53 +68,43 @@ def replay_recording(
     span = reader.clock.span(options.start, options.end)
     if options.end is None:  # The message that ends the run names the cycle after the last one.
         span = range(span.start, span.stop + 1)
-    # A lockstep cycle has no length of its own, so only simulated time shows the plant's run.
-    kind: ClockKind = options.clock or ("sim" if reader.plan.timing.lockstep else "wall")
     with (
         interruptible() as interruption,
         replay_bus(reader, ports, options.listen, out) as bus,
         keyboard() as keys,
     ):
-        say(out, f"clock {kind}")
         if has_keyboard():
             say(out, KEYS_IN_WORDS)
         clock = PlaybackClock(options.rate, paused=options.start_paused)
-        upcoming = UpcomingMessages(reader, ports, span, kind)
+        upcoming = UpcomingMessages(reader, ports, span)
         playback = Playback(upcoming, bus, clock, keys, interruption, line)
         if options.wait:
             await_subscriber(bus, interruption, out)
         began_at = time.monotonic()
         playback.play(loop=options.loop)
         wall_s = time.monotonic() - began_at
-    sent = playback.sent
-    say(out, f"replayed {sent.messages:,} messages of {sent.cycles:,} cycles in {wall_s:.1f} s")
-    if sent.latest_us is not None:
-        say(out, f"sent at most {sent.latest_us:,.0f} µs later than due")
+    messages, cycles, latest_us = playback.messages, playback.cycles, playback.latest_us
+    say(out, f"replayed {messages:,} messages of {cycles:,} cycles in {wall_s:.1f} s")
+    if latest_us is not None:
+        say(out, f"sent at most {latest_us:,.0f} µs later than due")
     return {
         "run_id": reader.plan.run_id,
         "recording": str(reader.path),
-        "messages": sent.messages,
-        "cycles": sent.cycles,
+        "messages": messages,
+        "cycles": cycles,
         "wall_s": wall_s,
         "pace": options.rate or "max",
-        "clock": kind,
-        "latest_us": sent.latest_us,
+        "latest_us": latest_us,
         "interrupted": bool(interruption),
     }
 
 
-@dataclass
-class Sent:
-    """How much was sent, and at most how late [µs]; None if nothing had a due time."""
-
-    messages: int = 0
-    cycles: int = 0
-    latest_us: float | None = None
-
-
 @dataclass(eq=False)
 class Playback:
-    """Sends messages when they are due. Steps and rate 0 have no due time."""
+    """Sends messages when they are due. Steps and rate 0 have no due time.
+
+    messages, cycles: How many were sent. latest_us: At most how late [µs]; None: nothing was due.
+    """
 
     upcoming: UpcomingMessages
     bus: ReplayBus
@@ -123,12 +112,12 @@ class Playback:
     keyboard: Keyboard
     interruption: Interruption
     line: StatusLine
-    sleep: Callable[[float], None] = time.sleep
-    sent: Sent = field(default_factory=Sent)
+    messages: int = 0
+    cycles: int = 0
+    latest_us: float | None = None
 
     def __post_init__(self) -> None:
         self._cycle = self._step_to = -1
-        self._quit = False
         self._look_at_ns = 0
 
     def play(self, *, loop: bool = False) -> None:
@@ -137,7 +126,7 @@ class Playback:
         self.clock.move_to(self.upcoming.position_ns)  # A wait for subscribers does not count.
         if self.clock.paused:
             self._announce()
-        while not (self._quit or self.interruption):
+        while not self.interruption:
             record = self.upcoming.next
             if record is None and not self.clock.paused:
                 if not loop or self._cycle < 0:
@@ -146,7 +135,8 @@ class Playback:
             elif record is not None and self._is_due(record):
                 self._send(record)
                 self.upcoming.advance()
-            self._obey_keys()
+            if self._obey_keys() == "q":
+                break
         self._show(self._cycle)
         self.line.end()
 
@@ -161,7 +151,7 @@ class Playback:
             return record.cycle <= self._step_to
         left_s = (self.clock.due_ns(self.upcoming.position_ns) - self.clock.now_ns()) / 1e9
         if left_s > 0.0:
-            self.sleep(min(left_s, _LOOK_S))
+            self.clock.sleep(min(left_s, _LOOK_S))
         return left_s <= 0.0
 
     def _seek(self, cycle: int) -> None:
@@ -173,27 +163,27 @@ class Playback:
     def _send(self, record: RecordedMessage) -> None:
         if record.cycle > self._cycle:
             self._cycle = record.cycle
-            self.sent.cycles += record.cycle <= self.upcoming.reader.last_cycle
+            self.cycles += record.cycle <= self.upcoming.reader.last_cycle
             self._announce()
         was_sent = self.bus.put(record.port, record.payload)
-        self.sent.messages += was_sent
+        self.messages += was_sent
         if self.clock.paused:
             self.clock.move_to(self.upcoming.position_ns)
         elif self.clock.rate and was_sent:
             late_ns = self.clock.now_ns() - self.clock.due_ns(self.upcoming.position_ns)
-            self.sent.latest_us = max(late_ns / 1e3, self.sent.latest_us or 0.0)
+            self.latest_us = max(late_ns / 1e3, self.latest_us or 0.0)
 
     def _announce(self) -> None:
         if self.upcoming.next is not None:
             clock = self.clock
             self.bus.announce(self.upcoming.next.cycle, rate=clock.rate, paused=clock.paused)
 
-    def _obey_keys(self) -> None:
-        """Read the keyboard if it is time to, and do what a key asks for."""
+    def _obey_keys(self) -> str:
+        """Read the keyboard if it is time to, and do what a key asks for; return the key."""
         clock, key = self.clock, ""
         # A step ends at the first message of a later cycle.
         if self.upcoming.next is not None and self.upcoming.next.cycle <= self._step_to:
-            return
+            return key
         if clock.paused:
             key = self.keyboard(_LOOK_S)
         elif clock.now_ns() >= self._look_at_ns:
@@ -205,6 +195,7 @@ class Playback:
             self._obey(key)
             self._announce()
             self._show(self._here)
+        return key
 
     def _obey(self, key: str) -> None:
         match key:
@@ -216,8 +207,6 @@ class Playback:
                 self.clock.set_rate(self.clock.rate * 2.0)
             case "-":
                 self.clock.set_rate(self.clock.rate / 2.0)
-            case "q":
-                self._quit = True
             case arrow if arrow in _SEEK_S:
                 self._seek_by(_SEEK_S[arrow])
 

@@ -6,16 +6,12 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from heapq import heappop, heappush
 from itertools import takewhile
-from typing import Final, Literal, TypeAlias
+from typing import Final
 
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from recordings.read.reader import RecordedMessage, RunReader
-
-ClockKind: TypeAlias = Literal["sim", "wall"]
-"""`sim`: a cycle begins at its simulated time; within it, messages are as far apart as when they
-were published. `wall`: all messages are as far apart as when they were published."""
 
 _REORDER_NS: Final = 1_000_000_000
 """Longest time from publication to recording for which messages are put back into order."""
@@ -31,20 +27,17 @@ class UpcomingMessages:
     position_ns: Its position on the clock, see `positions`.
     """
 
-    def __init__(
-        self, reader: RunReader, ports: Collection[Port[Message]], span: range, kind: ClockKind
-    ) -> None:
+    def __init__(self, reader: RunReader, ports: Collection[Port[Message]], span: range) -> None:
         self.reader = reader
         self.span = span
         self.position_ns = 0
         self._ports = ports
-        self._kind = kind
         self.seek(span.start)
 
     def seek(self, cycle: int) -> None:
         """Let the first message of a cycle be the next one."""
         records = in_publish_order(self.reader, self._ports, range(cycle, self.span.stop))
-        self._messages = positions(records, self.reader.plan, self._kind)
+        self._messages = positions(records, self.reader.plan)
         self.advance()
 
     def advance(self) -> None:
@@ -75,16 +68,17 @@ def in_publish_order(
 
 
 def positions(
-    records: Iterable[RecordedMessage], plan: RunPlan, kind: ClockKind
+    records: Iterable[RecordedMessage], plan: RunPlan
 ) -> Iterator[tuple[int, RecordedMessage]]:
     """Yield messages with their positions on a clock [ns]; only differences matter.
 
-    No position is before that of an earlier message.
+    In real time they are as far apart as when they were published. A cycle in lockstep has no
+    length of its own: it begins at its simulated time. No position is before an earlier message's.
     """
     cycle, began_ns, last_ns = -1, 0, -(1 << 62)
     for record in records:
         position_ns = record.publish_time_ns
-        if kind == "sim":
+        if plan.timing.lockstep:
             if record.cycle > cycle:
                 cycle, began_ns = record.cycle, record.publish_time_ns
             elapsed_ns = min(record.publish_time_ns - began_ns, plan.timing.cycle_ns)
@@ -102,11 +96,17 @@ class PlaybackClock:
     """
 
     def __init__(
-        self, rate: float, *, paused: bool = False, now_ns: Callable[[], int] = time.monotonic_ns
+        self,
+        rate: float,
+        *,
+        paused: bool = False,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.rate = rate
         self.paused = paused
         self.now_ns = now_ns
+        self.sleep = sleep
         self._position_ns = 0
         self._moment_ns = now_ns()
 

@@ -44,11 +44,9 @@ class Difference:
 
 @dataclass(slots=True)
 class AgentResult:
-    """The result of running one agent again.
+    """The result of running one agent again, from `from_cycle` to its failure, if it fails.
 
-    It counts messages in the recording, pairs that were compared, differences by kind, and recorded
-    messages that could not be compared. Nothing is compared before `from_cycle`, nor after the
-    failure of the agent.
+    It counts messages in the recording, pairs that were compared, and differences by kind.
     """
 
     recorded: int = 0
@@ -58,7 +56,6 @@ class AgentResult:
     last_cycle: int = -1
     failure: Difference | None = None
     not_compared: int = 0
-    not_compared_from: int | None = None
     from_cycle: int = 0
 
     def compare(
@@ -82,7 +79,7 @@ class AgentResult:
             if not fields:
                 return
             kind = "differs"
-        used = by_key(inputs or {})
+        used = {str(port): message for port, message in (inputs or {}).items()}
         self.add(Difference(kind, message.cycle, stage, str(port), fields, message, used))
 
     def add(self, difference: Difference) -> None:
@@ -93,15 +90,3 @@ class AgentResult:
             self.failure = difference
         if self.first is None or difference.cycle < self.first.cycle:
             self.first = difference
-
-    def leave_out(self, cycle: int, messages: int) -> None:
-        """Count messages of a cycle that are not compared."""
-        if messages and cycle >= self.from_cycle:
-            self.not_compared += messages
-            if self.not_compared_from is None:
-                self.not_compared_from = cycle
-
-
-def by_key(messages: Mapping[Port[Message], Message]) -> dict[str, Message]:
-    """Return messages by their keys."""
-    return {str(port): message for port, message in messages.items()}

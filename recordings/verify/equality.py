@@ -10,16 +10,13 @@ import msgspec
 
 from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Message
-from bus_schemas.signals import SIGNALS, Port
+from bus_schemas.signals import Port
 
 Value: TypeAlias = Any
 """A field's value as plain data: numbers, text and lists of them."""
 
 NOT_COMPARED: Final = ("ready_time_ns", "publish_time_ns", "sequence")
 """The driver sets these when it sends a message; the agent does not decide them."""
-
-FIELDS: Final = {name for signal in SIGNALS for name in signal.type.__struct_fields__}
-"""Names of all fields of messages."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Takeover
 from bus_schemas.signals import Port
-from bus_schemas.tree import RECORDER
 
 _READ_AHEAD: Final = 50_000
 _CYCLES_AHEAD: Final = 50
@@ -24,25 +23,22 @@ RecordedCycle: TypeAlias = dict[Port[Message], list[Message]]
 
 @dataclass(slots=True)
 class MessageCounts:
-    """How many messages were read, and how many of them are in no cycle.
+    """How many messages were read, and how many of them agents decide.
 
-    Those that no agent decides; misplaced ones, which belong to no cycle of the run or come long
-    after theirs; those that are cut off, of cycles at the end that did not take place or are
-    incomplete.
+    Misplaced ones belong to no cycle of the run, or come long after theirs.
     """
 
     recorded: int = 0
-    not_decided: int = 0
+    decided: int = 0
     misplaced: int = 0
-    cut_off: int = 0
 
 
 class RecordedCycles:
     """The cycles of a recording in order.
 
-    Without a `stop_cycle` the run broke off: incomplete cycles at its end are left out. `absences`
-    may be missing in the file, see `unrecorded_spans`. `takeovers` are the messages of standbys
-    that took over, by agent and incarnation.
+    Without a `stop_cycle` the run broke off: nothing is known of an agent from its newest cycle on.
+    `absences` may be missing in the file, see `unrecorded_spans`. `takeovers` are the messages of
+    standbys that took over, by agent and incarnation.
     """
 
     def __init__(
@@ -56,7 +52,7 @@ class RecordedCycles:
         self.takeovers: dict[tuple[str, int], Takeover] = {}
         self._deliveries = deliveries
         self._plan = plan
-        self._absences = absences
+        self._absences = list(absences)
         self._broke_off = stop_cycle is None
         self._end = plan.timing.cycles if stop_cycle is None else stop_cycle
         self._messages: dict[int, RecordedCycle] = {}
@@ -79,11 +75,6 @@ class RecordedCycles:
             newest <= cycle <= joined for (_, newest), (joined, _) in pairwise(processes)
         )
 
-    def was_killed_in(self, publisher: str, incarnation: int, cycle: int) -> bool:
-        """Whether a process of an agent published last in a cycle, and was replaced after it."""
-        newest = self._newest[publisher]
-        return max(newest, default=0) > incarnation and newest.get(incarnation, -1) <= cycle
-
     def was_away(self, publisher: str, first: int, last: int | None = None) -> bool:
         """Whether the recorder may have missed a publisher in a cycle, or in one of several."""
         last = first if last is None else last
@@ -99,20 +90,17 @@ class RecordedCycles:
         for port, message in self._deliveries:
             counts.recorded += 1
             if port.signal.decided:
+                counts.decided += 1
                 self._add(port, message)
-            else:
-                counts.not_decided += 1
-                if isinstance(message, Takeover):
-                    self.takeovers[port.publisher, message.incarnation] = message
+            elif isinstance(message, Takeover):
+                self.takeovers[port.publisher, message.incarnation] = message
             while self._waiting > most_waiting:
                 yield self._pop()
-        complete = self._end
         if self._broke_off:  # The agents may not have completed their last cycle.
-            own = self._newest.keys() - {RECORDER, *plan.access.external}
-            complete = min(max(self._newest[agent].values(), default=-1) for agent in own)
-        while self._next < complete and self._waiting:
+            for agent, newest in self._newest.items():
+                self._absences.append((agent, range(max(newest.values(), default=0), self._end)))
+        while self._waiting:
             yield self._pop()
-        counts.cut_off += self._waiting
 
     def _add(self, port: Port[Message], message: Message) -> None:
         cycle, agent = message.cycle, port.publisher
@@ -122,7 +110,7 @@ class RecordedCycles:
             newest = self._newest[agent]
             newest[message.incarnation] = max(cycle, newest.get(message.incarnation, -1))
         elif self._end <= cycle < self._plan.timing.cycles:
-            self.counts.cut_off += 1  # Agents may have begun a cycle that did not take place.
+            self.counts.decided -= 1  # Agents may have begun a cycle that did not take place.
         elif agent not in self._plan.access.external:  # A device may send anything.
             self.counts.misplaced += 1
 

@@ -19,19 +19,27 @@ _HEAD: Final = frozenset(Message.__struct_fields__)
 def verification_lines(
     verification: Verification, equality: Equality, wall_s: float
 ) -> Iterator[str]:
-    """Yield the result line by line."""
-    plan, agents = verification.plan, verification.agents
+    """Yield the result line by line; the last one is the verdict."""
+    plan, agents, messages = verification.plan, verification.agents, verification.messages
     speed = verification.cycles * plan.timing.cycle_ns / 1e9 / max(wall_s, 1e-9)
     yield (
-        f"{verification.cycles:,} cycles, {len(agents)} agents run again, "
-        f"{verification.total('compared'):,} of {verification.messages.recorded:,} messages "
-        "compared"
+        f"{verification.cycles:,} cycles, {len(agents)} agents run again in {wall_s:.1f} s, "
+        f"{speed:,.0f} x simulated time"
     )
-    yield f"{wall_s:.1f} s, {speed:,.0f} x simulated time"
-    yield from _remarks(verification)
+    for name, why in verification.left_out.items():
+        yield f"{name}: left out, {why}"
+    if verification.stop_cycle is None:
+        yield "the run or its recording broke off: the last cycle of each agent may be incomplete"
+    if verification.unrecorded_cycles is not None:
+        yield (
+            "the recorder was started again, or the file is damaged: "
+            f"{verification.unrecorded_cycles:,} cycles not recorded"
+        )
+    if later := verification.total("not_compared"):
+        yield f"{later:,} messages not compared: they rest on messages that are not recorded"
+    if count := messages.misplaced:
+        yield f"{count:,} messages belong to no cycle of the run, or come long after it"
     yield from difference_lines(agents, RunClock(plan, plan.timing.cycles - 1))
-    if verification.first is not None:
-        yield ""
     yield _verdict(verification, equality)
 
 
@@ -47,9 +55,6 @@ def difference_lines(agents: Mapping[str, AgentResult], clock: RunClock) -> Iter
         yield from _lines_of(agent, first)
         if failure is not None and failure is not first:
             yield f"  fails in cycle {failure.cycle:,}: {failure.text}"
-        if result.not_compared:
-            begin = result.not_compared_from
-            yield f"{agent}: {result.not_compared:,} messages not compared, from cycle {begin} on"
 
 
 def verification_data(verification: Verification, wall_s: float) -> dict[str, Any]:
@@ -73,41 +78,19 @@ def agents_data(agents: Mapping[str, AgentResult]) -> list[dict[str, Any]]:
     return [{"agent": name, **msgspec.to_builtins(result)} for name, result in agents.items()]
 
 
-def _remarks(verification: Verification) -> Iterator[str]:
-    for name, why in verification.left_out.items():
-        yield f"{name}: left out, {why}"
-    if verification.stop_cycle is None:
-        yield (
-            f"the run or its recording broke off: {verification.messages.cut_off:,} messages of "
-            "incomplete cycles left out"
-        )
-    if verification.unrecorded_cycles is not None:
-        yield (
-            "the recorder was started again, or the file is damaged: "
-            f"{verification.unrecorded_cycles:,} cycles not recorded"
-        )
-    later = sum(one.not_compared for one in verification.agents.values() if one.first is None)
-    if later:
-        yield (
-            f"{later:,} messages not compared: they follow from messages that are not in the "
-            "recording"
-        )
-    if misplaced := verification.messages.misplaced:
-        yield f"{misplaced:,} messages belong to no cycle of the run, or come long after it"
-
-
 def _verdict(verification: Verification, equality: Equality) -> str:
+    compared, decided = verification.total("compared"), verification.messages.decided
+    of = f"{compared:,} of {decided:,} messages compared ({compared / max(decided, 1):.1%})"
     if verification.first is not None:
         name, first = verification.first
         return (
             f"NOT equal: {verification.differences:,} differences, the first: {name} in cycle "
-            f"{first.cycle}, {first.message or first.text} ({first.kind})"
+            f"{first.cycle}, {first.message or first.text} ({first.kind}); {of}"
         )
     if not verification.equal:
-        return "NOT equal"
-    left_out = ", ".join([*sorted(equality.ignored), *NOT_COMPARED])
+        return f"NOT equal: {of}"
     within = f"within {equality.tolerance:g}" if equality.tolerance else "bit for bit"
-    return f"equal {within}; left out: {left_out}"
+    return f"equal {within}: {of}; left out: {', '.join(NOT_COMPARED)}"
 
 
 def _lines_of(agent: str, difference: Difference) -> Iterator[str]:

@@ -10,9 +10,9 @@ A killed process may have sent a part of its last messages. In the cycle in whic
 both processes may have published: outputs that do not follow from the message that the recorder
 heard first are not compared.
 
-Messages that are missing because the recorder was restarted are no difference, nor are those that a
-killed process sent to others but not to the recorder. An agent that remembers earlier cycles is not
-compared after that, until another process replaces it.
+Messages that are missing because the recorder was away are no difference, nor are those that a
+killed process sent to others but not to the recorder. What an agent remembers is unknown after
+that. Compared again is then only what follows from recorded messages, see `_is_known`.
 """
 
 from __future__ import annotations
@@ -21,106 +21,70 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from agents.agent import Agent, Stage
+import msgspec
+
+from agents.agent import Agent, Stage, Turn
 from agents.cycle import stage_of
-from agents.driver import Driver
-from agents.loop import Loop
+from agents.direct import DirectState
+from agents.inputs import Inputs
 from agents.plan import RunPlan
-from bus_schemas.bus import Arrival, Delivery
-from bus_schemas.memory_bus import VirtualClock
-from bus_schemas.messages import Message, parse_missing
+from bus_schemas.messages import Impp, Message, parse_missing
 from bus_schemas.signals import Port
-from recordings.verify.agent_result import AgentResult, Difference, by_key
+from recordings.verify.agent_result import AgentResult, Difference
 from recordings.verify.equality import Equality
 from recordings.verify.recorded_cycles import RecordedCycles
 
-Messages: TypeAlias = dict[Port[Message], Message]
+Messages: TypeAlias = Mapping[Port[Message], Message]
 
 
 @dataclass
 class Process:
-    """A process of an agent, that is, one incarnation; and its bus, which has recorded inputs only.
+    """A process of an agent, that is, one incarnation.
 
-    stage_of: The stage in which it publishes on each port.
     joined_in: Cycle in which it took over as standby, maybe after the first stage; -1: no standby.
-    is_uncertain: Whether its state is unknown from now on, so that nothing more is compared.
-    newest_used: Newest cycle of each input.
+    unknown_since: Cycle since which its memory is unknown; None: it is known.
     sequences: Number of the next message of each port, and the cycle of the last recorded one.
     """
 
-    loop: Loop[Any]
-    stage_of: Mapping[Port[Message], str]
+    agent: Agent[Any]
+    inputs: Inputs
+    incarnation: int
+    state: Any
     joined_in: int = -1
-    is_uncertain: bool = False
-    newest_used: dict[Port[Message], int] = field(default_factory=dict)
+    unknown_since: int | None = None
     sequences: dict[Port[Message], tuple[int, int]] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        self._remembers = self.loop.agent.initial_state() is not None
-        self._clock = VirtualClock()
-        self._driver = Driver([self.loop], self, self._clock)
-        self._inputs: list[Arrival] = []
-        self._sent: dict[tuple[int, str], list[Delivery]] = {}
-
-    def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
-        self._sent.setdefault((message.cycle, self.stage_of[port]), []).append((port, message))
-
-    def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
-        arrivals, self._inputs = self._inputs, []
-        return arrivals
-
-    def lose_track(self) -> None:
+    def lose_track(self, cycle: int) -> None:
         """Note that it used or sent a message that is not known."""
-        self.is_uncertain = self._remembers
-
-    def go_to(self, begin_ns: int) -> None:
-        """Go to the cycle that begins at a time, unless it is under way."""
-        self._clock.now_ns = max(self._clock.now_ns, begin_ns)
-        self._driver.join(self.loop)
-
-    def close(self, cycle: int, stage: str, inputs: Messages) -> None:
-        """Close a stage of a cycle on its inputs, and the following ones that await nothing."""
-        loop, open_stage = self.loop, (cycle, stage)
-        if (loop.cycle, loop.stage) == open_stage:
-            # What the stage awaits comes last, since that closes it.
-            ports = sorted(inputs, key=loop.waiting.__contains__)
-            self._inputs = [Arrival(loop.name, port, inputs[port], 0) for port in ports]
-            self._driver.turn()
-        if (loop.cycle, loop.stage) == open_stage:  # Nothing else will come: its deadline is now.
-            self._clock.now_ns += 1
-            loop.deadline_ns = self._clock.now_ns
-            self._driver.advance(loop)
-            self._driver.turn()
-
-    def sent(self, cycle: int, stage: str) -> list[Delivery]:
-        """Return what the agent has published in a stage of a cycle, and forget it."""
-        return self._sent.pop((cycle, stage), [])
+        if self.agent.initial_state() is not None:
+            self.unknown_since = cycle
 
 
 @dataclass
 class CycleUnderWay:
     """One cycle of one process.
 
-    incarnation: The process.
     recorded: What it published, by stage; what has been compared is removed.
     is_last: Whether no newer process published anything in this cycle.
-    inputs: The messages that the agent has used so far.
-    has_doubtful_inputs: Whether it may have used a message other than the recorded one.
+    used: The messages that the agent has used so far.
+    is_doubtful: Whether it may have used a message other than the recorded one.
     stage: The stage under way.
     """
 
     cycle: int
-    incarnation: int
-    recorded: dict[str, Messages]
+    recorded: dict[str, dict[Port[Message], Message]]
     is_last: bool
-    inputs: Messages = field(default_factory=dict)
-    has_doubtful_inputs: bool = False
+    used: dict[Port[Message], Message] = field(default_factory=dict)
+    is_doubtful: bool = False
     stage: str = ""
 
 
 @dataclass(eq=False)
 class AgentRerun:
-    """Takes one agent, made from the present code, through a recording."""
+    """Takes one agent, made from the present code, through a recording.
+
+    forgets_after: Cycles of known inputs after which it remembers nothing older; None: never.
+    """
 
     name: str
     make: Callable[[], Agent[Any]]
@@ -128,6 +92,7 @@ class AgentRerun:
     recorded: RecordedCycles
     equality: Equality
     result: AgentResult
+    forgets_after: int | None = None
 
     def __post_init__(self) -> None:
         plan, name = self.plan, self.name
@@ -136,7 +101,6 @@ class AgentRerun:
             for port in plan.wiring.published[name]
             if port.signal.logged and port.signal.decided
         }
-        self._period = {port: plan.control.period(port) for port in plan.wiring.heard.get(name, ())}
         self._processes: dict[int, Process] = {}
         self._newest_incarnation = 0
 
@@ -147,22 +111,23 @@ class AgentRerun:
             if self.result.failure is not None:
                 break
             self._newest_incarnation = incarnation
-            now = CycleUnderWay(cycle, incarnation, recorded, incarnation == max(outputs))
+            now = CycleUnderWay(cycle, recorded, incarnation == max(outputs))
             try:
-                self._run(now)
+                self._run(incarnation, now)
             except (Exception, SystemExit) as error:  # Any error of the tested code is a result.
                 text = f"{type(error).__name__}: {error}"
-                inputs = by_key(now.inputs)
-                self.result.add(Difference("fails", cycle, now.stage, inputs=inputs, text=text))
-        left = sum(len(messages) for one in outputs.values() for messages in one.values())
-        self.result.leave_out(cycle, left)
+                used = {str(port): message for port, message in now.used.items()}
+                self.result.add(Difference("fails", cycle, now.stage, inputs=used, text=text))
+        if cycle >= self.result.from_cycle:
+            left = (messages for one in outputs.values() for messages in one.values())
+            self.result.not_compared += sum(map(len, left))
 
-    def _outputs(self, cycle: int) -> dict[int, dict[str, Messages]]:
+    def _outputs(self, cycle: int) -> dict[int, dict[str, dict[Port[Message], Message]]]:
         """Return what each process of the agent published in a cycle, by stage.
 
         If none published anything, the newest one is there.
         """
-        outputs: dict[int, dict[str, Messages]] = {}
+        outputs: dict[int, dict[str, dict[Port[Message], Message]]] = {}
         is_compared = cycle >= self.result.from_cycle
         for port, stage in self._stage_of.items():
             for message in self.recorded.on(port, cycle):
@@ -175,83 +140,92 @@ class AgentRerun:
                     self.result.add(twice)
         return outputs or {self._newest_incarnation: {}}
 
-    def _begin(self, cycle: int) -> Process:
-        """Let a process of the agent join the run in a cycle."""
-        loop = Loop(self.make(), self.plan)
-        loop.begin(0, 0, cycle)
-        process = Process(loop, self._stage_of)
-        takeover = self.recorded.takeovers.get((self.name, cycle))
+    def _begin(self, incarnation: int) -> Process:
+        """Let a process of the agent join the run."""
+        agent, recorded = self.make(), self.recorded
+        inputs = Inputs(self.plan, agent.name, 0, lambda count, why: None)
+        process = Process(agent, inputs, incarnation, agent.initial_state())
+        takeover = recorded.takeovers.get((self.name, incarnation))
         if takeover is not None:
-            loop.resume(takeover)
-            process.joined_in = cycle
-        elif cycle and self.recorded.was_away(self.name, cycle):
-            process.lose_track()  # The recorder may have missed a takeover.
+            process.joined_in = incarnation
+            if process.state is not None:
+                kind = type(process.state)
+                process.state = msgspec.convert(takeover, kind, from_attributes=True)
+        elif incarnation and recorded.was_away(self.name, incarnation):
+            process.lose_track(incarnation)  # The recorder may have missed a takeover.
         return process
 
-    def _run(self, now: CycleUnderWay) -> None:
+    def _run(self, incarnation: int, now: CycleUnderWay) -> None:
         """Run a cycle of one process again."""
-        if now.incarnation not in self._processes:
-            self._processes[now.incarnation] = self._begin(now.incarnation)
-        process = self._processes[now.incarnation]
-        if not self.plan.timing.lockstep and not process.is_uncertain:
+        if incarnation not in self._processes:
+            self._processes[incarnation] = self._begin(incarnation)
+        process = self._processes[incarnation]
+        if not self.plan.timing.lockstep:
             self._find_lost_outputs(process, now)
-        if process.is_uncertain:
-            return
-        stages = list(process.loop.agent.stages(now.cycle))
+        stages = list(process.agent.stages(now.cycle))
         unknown = now.recorded.keys() - {stage.name for stage in stages}
         if not (self.plan.timing.lockstep and now.is_last):
             while stages and stages[-1].name not in now.recorded:
                 stages.pop()
-        if stages:
-            process.go_to(now.cycle * self.plan.timing.cycle_wall_ns)
-        for together in _closing_together(stages):
-            self._run_stages(process, now, together)
-            if process.is_uncertain:
-                return
-        for name in unknown:
-            now.stage = name
-            self._compare(process, now, [])
-
-    def _run_stages(self, process: Process, now: CycleUnderWay, stages: Sequence[Stage]) -> None:
-        """Run again the stages that close together."""
-        now.stage = first = stages[0].name
         if now.cycle == process.joined_in:  # Before it took over, a standby published nothing.
             stages = [stage for stage in stages if stage.name in now.recorded]
-        inputs: Messages = {}
-        certain = {stage.name for stage in stages if self._find_inputs(process, now, stage, inputs)}
-        now.inputs |= inputs
-        process.close(now.cycle, first, inputs)
         for stage in stages:
-            now.stage = stage.name
-            outputs = process.sent(now.cycle, stage.name)
-            recorded = now.recorded.get(stage.name, {})
-            if stage.name not in certain:
-                process.lose_track()
-            elif not recorded and not self.plan.timing.lockstep:
-                if not self.recorded.was_away(self.name, now.cycle):
-                    self.result.add(Difference("not recorded", now.cycle, stage.name))
-                process.lose_track()
-            elif now.has_doubtful_inputs and not self._are_equal(recorded, outputs):
-                process.lose_track()
-            else:
-                self._compare(process, now, outputs)
-            if process.is_uncertain:
-                return
+            self._run_stage(process, now, stage)
+        for name in unknown:
+            now.stage = name
+            self._compare(process, now, {})
 
-    def _find_inputs(
-        self, process: Process, now: CycleUnderWay, stage: Stage, inputs: Messages
-    ) -> bool:
-        """Add the messages that a stage used to `inputs`; return whether all are recorded."""
+    def _run_stage(self, process: Process, now: CycleUnderWay, stage: Stage) -> None:
+        now.stage, cycle = stage.name, now.cycle
+        recorded = now.recorded.get(stage.name, {})
+        is_certain = self._take_inputs(process, now, stage)
+        is_known = self._is_known(process, now)
+        used, missing = process.inputs.used(stage, cycle)
+        sim_time_ns = self.plan.timing.sim_time_ns(cycle)
+        stamp = (cycle, sim_time_ns, process.agent.name, missing, 0, 0, 0, process.incarnation)
+        turn = Turn(stage.name, cycle, sim_time_ns, stamp, used)
+        process.state, outputs = process.agent.step(process.state, turn)
+        new = dict(outputs)
+        if not is_certain or (process.unknown_since is not None and missing):
+            process.lose_track(cycle)
+        elif not recorded and not self.plan.timing.lockstep:
+            if is_known and not self.recorded.was_away(self.name, cycle):
+                self.result.add(Difference("not recorded", cycle, stage.name))
+            process.lose_track(cycle)
+        elif now.is_doubtful and not self._are_equal(recorded, new):
+            process.lose_track(cycle)
+        elif is_known:
+            self._compare(process, now, new)
+
+    def _is_known(self, process: Process, now: CycleUnderWay) -> bool:
+        """Whether a stage's outputs follow from recorded messages.
+
+        The plant forgets what it was commanded long ago. A direct controller commands by the IMPP
+        that it has just published; its next IMPP rests on older measurements.
+        """
+        since = process.unknown_since
+        if since is not None and self.forgets_after is not None:
+            if now.cycle - since > self.forgets_after:
+                process.unknown_since = None
+        elif since is not None and isinstance(process.state, DirectState):
+            for impp in now.recorded.get("estimate", {}).values():
+                if now.stage == "actuate" and isinstance(impp, Impp):
+                    estimate = process.state.estimate._replace(power_kw=impp.power_kw)
+                    process.state = DirectState(estimate, now.cycle)
+                    return True
+        return process.unknown_since is None
+
+    def _take_inputs(self, process: Process, now: CycleUnderWay, stage: Stage) -> bool:
+        """Take in the messages that a stage used; return whether all of them are recorded."""
         outputs = now.recorded.get(stage.name, {})
         if not outputs and not self.plan.timing.lockstep:
             return True  # It is unknown what it used.
-        missing = next(iter(outputs.values())).missing if outputs else ()
-        used_of = dict(map(parse_missing, missing))
+        used_of = dict(map(parse_missing, next(iter(outputs.values())).missing if outputs else ()))
         are_recorded = True
         for port in (*stage.awaits, *stage.uses):
-            due = now.cycle - now.cycle % self._period[port]
-            used = used_of.get(str(port), due)
-            if used is None or used <= process.newest_used.get(port, -1):
+            one = process.inputs.of[port]
+            used = used_of.get(str(port), now.cycle - now.cycle % one.period)
+            if used is None or used <= one.newest_cycle:
                 continue
             messages = self.recorded.on(port, used)
             if not messages:
@@ -260,9 +234,9 @@ class AgentRerun:
                     self.result.add(lost)
                 are_recorded = False
                 continue
-            now.has_doubtful_inputs |= self._may_be_another(port, messages)
-            process.newest_used[port] = used
-            inputs[port] = messages[0]
+            now.is_doubtful |= self._may_be_another(port, messages)
+            process.inputs.take(one, messages[0], now.cycle)
+            now.used[port] = messages[0]
         return are_recorded
 
     def _may_be_another(self, port: Port[Message], messages: Sequence[Message]) -> bool:
@@ -277,48 +251,35 @@ class AgentRerun:
         may_overlap = self.plan.timing.lockstep or port.publisher in self.plan.standbys
         return bool(others) or (joined and may_overlap)
 
-    def _are_equal(self, recorded: Messages, outputs: Sequence[Delivery]) -> bool:
-        new = dict(outputs)
+    def _are_equal(self, recorded: Messages, new: Messages) -> bool:
         return recorded.keys() == new.keys() and not any(
             self.equality.differences(port, recorded[port], new[port]) for port in new
         )
 
-    def _compare(self, process: Process, now: CycleUnderWay, outputs: Sequence[Delivery]) -> None:
+    def _compare(self, process: Process, now: CycleUnderWay, outputs: Messages) -> None:
         """Compare the outputs of the stage under way; remove what has been compared."""
         recorded = now.recorded.get(now.stage, {})
-        for port, new in outputs:
+        for port, new in outputs.items():
             old = recorded.pop(port, None)
             if old is None:  # If the recording lost it, its number is known to be missing.
-                sequence, cycle = process.sequences.get(port, (0, now.incarnation))
+                sequence, cycle = process.sequences.get(port, (0, process.incarnation))
                 process.sequences[port] = sequence + 1, cycle
-                if self.recorded.was_away(self.name, new.cycle) or self.recorded.was_killed_in(
-                    self.name, now.incarnation, new.cycle
-                ):
+                if self.recorded.may_lack(self.name, new.cycle):
                     continue
-            self.result.compare(self.equality, port, old, new, now.stage, now.inputs)
+            self.result.compare(self.equality, port, old, new, now.stage, now.used)
         for port, old in recorded.items():
-            self.result.compare(self.equality, port, old, None, now.stage, now.inputs)
+            self.result.compare(self.equality, port, old, None, now.stage, now.used)
         recorded.clear()
 
     def _find_lost_outputs(self, process: Process, now: CycleUnderWay) -> None:
         """Find gaps in the sequence numbers: the recording lost messages there."""
-        for stage, outputs in now.recorded.items():
-            for port, message in outputs.items():
-                expected, since = process.sequences.get(port, (0, message.incarnation))
-                if message.sequence > expected:
-                    if not self.recorded.was_away(self.name, since, now.cycle):
-                        key = str(port)
-                        lost = Difference("not recorded", now.cycle, stage, key, content=message)
-                        self.result.add(lost)
-                    process.lose_track()
-                process.sequences[port] = message.sequence + 1, now.cycle
-
-
-def _closing_together(stages: Sequence[Stage]) -> list[list[Stage]]:
-    """Return the stages of a cycle in lists: one stage, and those after it that await nothing."""
-    closing: list[list[Stage]] = []
-    for stage in stages:
-        if not closing or stage.awaits or stage.timed:
-            closing.append([])
-        closing[-1].append(stage)
-    return closing
+        outputs = [(stage, *pair) for stage, of in now.recorded.items() for pair in of.items()]
+        for stage, port, message in outputs:
+            expected, since = process.sequences.get(port, (0, message.incarnation))
+            if message.sequence > expected:
+                was_known = process.unknown_since is None
+                if was_known and not self.recorded.was_away(self.name, since, now.cycle):
+                    lost = Difference("not recorded", now.cycle, stage, str(port), content=message)
+                    self.result.add(lost)
+                process.lose_track(now.cycle)
+            process.sequences[port] = message.sequence + 1, now.cycle

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from math import ceil
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -69,8 +70,8 @@ class Verification:
 
     @property
     def equal(self) -> bool:
-        """Whether every agent publishes what it published, as far as that was recorded."""
-        return not (self.differences or self.messages.misplaced)
+        """Whether every agent publishes what it published, as far as that could be compared."""
+        return not (self.differences or self.messages.misplaced) and self.total("compared") > 0
 
 
 def verify(
@@ -99,7 +100,9 @@ def verify(
         recorded = RecordedCycles(reader.messages(), plan, stop_cycle, absences)
         results = {name: AgentResult(from_cycle=wanted.start) for name in team}
         reruns = [
-            AgentRerun(name, make, plan, recorded, equality, results[name])
+            AgentRerun(
+                name, make, plan, recorded, equality, results[name], _forgets_after(plan, name)
+            )
             for name, make in team.items()
         ]
         cycles = unrecorded = 0
@@ -122,9 +125,18 @@ def verify(
         results,
         left_out,
     )
-    if not verification.total("recorded") and verification.equal:
+    if not verification.total("recorded") and not verification.differences:
         raise InputError(f"{reader.path}: expected messages of {', '.join(team)}, got none")
     return verification
+
+
+def _forgets_after(plan: RunPlan, agent: str) -> int | None:
+    """Return the cycles after which the plant has done all that it was commanded before them."""
+    reverts = any(plan.site.settings_of(leaf).revert for leaf in plan.tree.leaves)
+    if agent != PLANT or (reverts and plan.control.actuator == "fraction"):
+        return None
+    slowest_s = max(map(plan.site.follows_within_s, plan.tree.leaves))
+    return ceil(slowest_s / plan.timing.cycle_s) + 2
 
 
 def run_profile(plan: RunPlan, recording: Path) -> Profile | None:

@@ -72,9 +72,9 @@ def replay_live(
         ):
             say(out, f"live: {', '.join(live)}; all others as recorded")
             server.ask(Start(str(path), tuple(live), str(folder), 0.0))
-            upcoming = UpcomingMessages(reader, reader.ports(), range(plan.timing.cycles), "wall")
-            clock = PlaybackClock(0.0 if plan.timing.lockstep else 1.0)
-            playback = Playback(upcoming, bus, clock, no_keyboard, interruption, line, bus.listen)
+            upcoming = UpcomingMessages(reader, reader.ports(), range(plan.timing.cycles))
+            clock = PlaybackClock(0.0 if plan.timing.lockstep else 1.0, sleep=bus.listen)
+            playback = Playback(upcoming, bus, clock, no_keyboard, interruption, line)
             bus.arm(reader)
             if wait:
                 await_subscriber(observers, interruption, out)

@@ -92,7 +92,7 @@ def in_the_file(folder: Path, plan: RunPlan, *signals: str) -> list[tuple[str, b
 @pytest.mark.parametrize(
     ("mode", "words", "signals"),
     [
-        ("peer", ("--clock", "wall"), ()),
+        ("peer", ("--pace", "10"), ()),
         ("client", ("--pace", "max", "--signals", "impp,help"), ("impp", "help")),
     ],
 )

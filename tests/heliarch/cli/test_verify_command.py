@@ -85,7 +85,6 @@ def test_a_difference_is_found_with_its_place_its_values_and_its_inputs(changed:
     [
         ("--nodes c1/*,c2", 0, range(8)),
         ("--nodes c2/d --tolerance 1", 0, range(8)),
-        ("--nodes c2/d --ignore power_kw,alpha", 0, range(8)),
         ("--nodes c2/d --from 4", 0, range(4, 8)),
         ("--nodes c2/d --to 2s", 0, range(2)),
     ],
@@ -106,6 +105,20 @@ def test_a_run_in_real_time_cannot_be_recorded_again(tmp_path: Path) -> None:
     folder = record(tmp_path / "run", plan, published(plan, profile), profile)
     assert outcome_of(folder)[0] == 0
     assert "lockstep" in refusal("verify", folder, "--accept")
+
+
+def test_the_verdict_says_what_share_was_compared_and_nothing_compared_is_not_equal(
+    run: Path,
+) -> None:
+    decided = len(PUBLISHED) - 2
+    assert f"{decided} of {decided} messages compared (100.0%)" in heliarch("verify", run).stdout
+    (run / PROFILE_NAME).unlink()
+    own = sum(port.publisher != "plant" for port, _ in PUBLISHED)
+    last = heliarch("verify", run).stdout.splitlines()[-1]
+    assert last.startswith("equal")
+    assert f"{own} of {decided} messages compared ({own / decided:.1%})" in last
+    record(run, PLAN, [pair for pair in PUBLISHED if pair[0].publisher == "c2/d"])
+    assert outcome_of(run)[0] == 1
 
 
 # What it refuses ----------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import pytest
 from clock_by_hand import ClockByHand
 from replayed_runs import CYCLE_NS, PLAN, run_in_memory, write
 
+from agents.plan import RunPlan, changed
 from agents.process.interruption import Interruption
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
@@ -22,9 +23,10 @@ from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus
 from recordings.replay.keyboard import DOWN, LEFT, RIGHT, UP, Keyboard
 from recordings.replay.playback import Playback
-from recordings.replay.schedule import ClockKind, PlaybackClock, UpcomingMessages, positions
+from recordings.replay.schedule import PlaybackClock, UpcomingMessages, positions
 
 SAID = run_in_memory()
+IN_REAL_TIME = changed(PLAN, timing={"cycle_wall_ns": CYCLE_NS})
 
 
 class Heard(ReplayBus):
@@ -70,7 +72,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         SAID[place]._replace(logged_ns=last_ns + rank * 1_000) for rank, place in enumerate(order)
     ]
     assert mixed[0].port is not SAID[0].port
-    return write(tmp_path_factory.mktemp("player") / "run", mixed)
+    return write(tmp_path_factory.mktemp("player") / "run", mixed, IN_REAL_TIME)
 
 
 def play(
@@ -90,13 +92,12 @@ def play(
     with RunReader(recorded) as reader:
         ports = [port for port in PLAN.wiring.ports if port.signal.logged]
         playback = Playback(
-            UpcomingMessages(reader, ports, span, "wall"),
+            UpcomingMessages(reader, ports, span),
             heard,
-            PlaybackClock(rate, paused=paused, now_ns=heard.clock),
+            PlaybackClock(rate, paused=paused, now_ns=heard.clock, sleep=heard.clock.sleep),
             keyboard,
             Interruption() if interruption is None else interruption,
             StatusLine(out or io.StringIO(), in_place=False),
-            heard.clock.sleep,
         )
         heard.clock.sleep(waited_s)
         playback.play(loop=loop)
@@ -124,8 +125,8 @@ def test_all_bytes_are_sent_on_their_ports_in_their_order(recorded: Path) -> Non
     played = play(recorded, heard, out=out)
     assert heard.payloads == payloads()
     assert heard.ports == [entry.port for entry in SAID]
-    assert (played.sent.messages, played.sent.cycles) == (len(SAID), 40)
-    assert played.sent.latest_us is None  # as fast as possible: nothing is due
+    assert (played.messages, played.cycles) == (len(SAID), 40)
+    assert played.latest_us is None  # as fast as possible: nothing is due
     # The message that ends the run names the cycle after the last one.
     assert heard.states == [(cycle, 0.0, False) for cycle in range(41)]
     assert "12:00:39 cycle 39 of 0 to 39" in out.getvalue().splitlines()[-1]
@@ -149,7 +150,7 @@ def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) ->
     said_ns = [entry.message.publish_time_ns for entry in SAID if 5 <= entry.message.cycle < 9]
     began_ns = heard.moments_ns[0]
     assert heard.moments_ns == [began_ns + 4 * (time_ns - said_ns[0]) for time_ns in said_ns]
-    assert played.sent.latest_us == 0.0
+    assert played.latest_us == 0.0
 
 
 @pytest.mark.parametrize(
@@ -171,7 +172,7 @@ def test_keys_step_by_a_cycle_and_seek_by_simulated_time_within_the_span(
     heard = Heard()
     played = play(recorded, heard, span=span, paused=True, keyboard=hands(*keys), rate=1.0)
     assert heard.payloads == sent
-    assert played.sent.latest_us is None, "a step has no due time"
+    assert played.latest_us is None, "a step has no due time"
 
 
 def test_plus_and_minus_change_the_rate(recorded: Path) -> None:
@@ -184,18 +185,20 @@ PUBLISHED = [(4, 1_000), (4, 1_300), (5, 1_400), (4, 1_350), (5, 1_700), (7, 2_0
 
 
 @pytest.mark.parametrize(
-    ("kind", "expected"),
+    ("plan", "expected"),
     [
-        ("wall", [0, 300, 400, 400, 700, 1_000, 3 * 10**9 - 1_000]),
-        ("sim", [0, 300, CYCLE_NS, CYCLE_NS, CYCLE_NS + 300, 3 * CYCLE_NS, 4 * CYCLE_NS]),
+        (IN_REAL_TIME, [0, 300, 400, 400, 700, 1_000, 3 * 10**9 - 1_000]),
+        (PLAN, [0, 300, CYCLE_NS, CYCLE_NS, CYCLE_NS + 300, 3 * CYCLE_NS, 4 * CYCLE_NS]),
     ],
 )
-def test_the_clock_says_how_far_messages_are_apart(kind: ClockKind, expected: list[int]) -> None:
+def test_in_lockstep_a_cycle_begins_at_its_simulated_time(
+    plan: RunPlan, expected: list[int]
+) -> None:
     records = (
         RecordedMessage(IMPP.of("c1/a"), cycle, 0, time_ns, time_ns, b"")
         for cycle, time_ns in PUBLISHED
     )
-    found = [position for position, _ in positions(records, PLAN, kind)]
+    found = [position for position, _ in positions(records, plan)]
     assert [position - found[0] for position in found] == expected
 
 
