@@ -200,7 +200,6 @@ class BudgetTable(_Table, frozen=True):
     loop_max_ms: The same, in the slowest cycle.
     decision_p99_ms: By tier. Default: each stage's slice, and the paper's upper bounds.
     lateness_p99_ms: By tier. Default: for the plant's tick 2 % of the cycle, at least 1 ms.
-    jitter_p99_ms: By tier, for each stage.
     age_p99_ms: By tier, for each stage.
     hop_p99_ms: By signal. Default: 10 ms.
     missed_deadlines: In the whole run, of all tiers.
@@ -216,7 +215,6 @@ class BudgetTable(_Table, frozen=True):
     loop_max_ms: Limit | None = None
     decision_p99_ms: dict[Tier, Limit] = {}
     lateness_p99_ms: dict[Tier, Limit] = {}
-    jitter_p99_ms: dict[Tier, Limit] = {}
     age_p99_ms: dict[Tier, Limit] = {}
     hop_p99_ms: dict[HopSignal, Limit] = {}
     missed_deadlines: NotNegative = 0

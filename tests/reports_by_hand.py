@@ -69,11 +69,10 @@ def reported(
     lost: int = 0,
     dropped: int = 0,
     plan: RunPlan = PLAN,
-    by_agent: bool = False,
 ) -> TimingReport:
     """A report on these cycles (default: two good ones) against the budgets of a TOML table."""
     folder.mkdir(exist_ok=True)
     scenario = f"{SCENARIO}[timing.budgets]\n{budgets}\n"
     recorded(folder, *(cycles or (cycle(0), cycle(1))), plan=plan, scenario=scenario)
     summary = summary_of(folder, plan, lost=lost, dropped=dropped)
-    return report_on(folder, summary, LOAD, by_agent=by_agent)
+    return report_on(folder, summary, LOAD)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
 
 from msgspec.structs import replace
-from plans_by_hand import plan_at_noon
+from plans_by_hand import plan_at_noon, with_changes
 from recordings_by_hand import SCENARIO, cycle_of_the_plant, write_messages
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Run
+from bus_schemas.messages import Run
 from bus_schemas.signals import RUN
 from bus_schemas.tree import ROOT
 from recordings.record.writer import ClockAnchor
@@ -108,18 +108,23 @@ def recorded(
     scenario: str = SCENARIO,
     driver: str = "launch",
     start: Run | None = None,
-    heard: Callable[[Message], int] = lambda message: message.publish_time_ns,
     ended: bool = True,
 ) -> Path:
-    """A recording of these cycles, each message logged when it was published, or `heard`."""
+    """A recording of these cycles, each message logged when it was published.
+
+    The plan has as many cycles unless it states how many.
+    """
     anchor = ClockAnchor(0, 1_700_000_000_000_000_000)
     first = replace(plan.run_message("start", 0, START_NS), publish_time_ns=START_NS - 200 * MS)
     run: list[Delivery] = [(RUN.of(ROOT), start or first), *chain(*cycles)]
     if ended:
-        last, at_ns = run[-1][1].cycle, max(message.publish_time_ns for _, message in run)
+        last = max(message.cycle for _, message in run)
+        at_ns = max(message.publish_time_ns for _, message in run)
+        if plan.timing.cycles == PLAN.timing.cycles:
+            plan = with_changes(plan, cycles=last + 1)
         stop = plan.run_message("stop", last + 1, START_NS)
         run.append((RUN.of(ROOT), replace(stop, publish_time_ns=at_ns)))
-    logged = ((port, one, max(heard(one), START_NS - 200 * MS)) for port, one in run)
+    logged = ((port, one, max(one.publish_time_ns, START_NS - 200 * MS)) for port, one in run)
     path = folder / "run.mcap"
     write_messages(path, logged, plan=plan, scenario=scenario, driver=driver, anchor=anchor)
     return folder

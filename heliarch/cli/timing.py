@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
-from rich.console import Console
 
 from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
 from heliarch.cli.options import (
@@ -26,13 +25,7 @@ from heliarch.cli.output import publish, say
 from results.tables import console_for
 
 if TYPE_CHECKING:
-    from launch_scripts.run_folder import RunRequest
-    from live_page.process import PageProcess
     from results.timing.report import TimingReport
-    from studies.timing.sweep import Rates
-
-_DURATION: Final = "60s"
-_SWEEP_DURATION: Final = "15s"
 
 
 def timing(
@@ -40,7 +33,6 @@ def timing(
     /,
     *,
     rate: Annotated[str | None, Parameter(metavar="RATES")] = None,
-    processes: bool = False,
     plant: PlantOptions = PlantOptions(),
     settings: Settings = None,
     span: TimeOptions = TimeOptions(),
@@ -67,77 +59,64 @@ def timing(
         Cycles a second: one rate (20; default 1), several (5,10,20), or a range (1..200, auto) in
         which to find the highest rate that the plant keeps up with. A run takes 60 s, or 15 s at
         each of several rates, unless --to or --duration says otherwise.
-    processes
-        Show each process as well as the tiers.
     """
     options = run_options(span, plant, machine)  # Wrong ones are refused at once.
     from heliarch.cli.live_view import view_for
     from heliarch.cli.run import page_beside, run_request
+    from launch_scripts.run_folder import new_run_id, run_folder
     from results.timing.report import report_on
-    from studies.timing.measured_run import measured_run, prepare_at, run_length_s
-    from studies.timing.sweep import parse_rates
+    from studies.timing import (
+        measured_run,
+        parse_rates,
+        prepare_at,
+        run_length_s,
+        sweep,
+        sweep_result,
+    )
 
     console = console_for(files.json)
     if is_run(path := Path(scenario)):
-        why = f"expected only --processes, --report or --json with the recorded run {path}"
-        given = {"--rate": rate, "--set": settings}
+        why = f"expected only --report or --json with the recorded run {path}"
         others = replace(files, report=None, json=None)
+        given = {"--rate": rate, "--set": settings}
         refuse_given(why, given, plant, span, machine, page, others)
-        return _publish_one(report_on(path, by_agent=processes), path, files)
-    rates = parse_rates(rate or "1")
+        return _publish(report_on(path), path, files)
+    rates, is_search = parse_rates(rate or "1")
     request = run_request(scenario, settings, files, options)
+    view = partial(view_for, console)
     with page_beside(page, console) as shown:
-        if rates.single_hz is None:
-            length_s = run_length_s(request, _SWEEP_DURATION)
-            return _time_several(rates, length_s, request, files, console, shown)
-        length_s = run_length_s(request, _DURATION)
-        preparation, folder = prepare_at(rates.single_hz, length_s, request, request.out)
+        if len(rates) == 1:
+            length_s = run_length_s(request, "60s")
+            preparation, place = prepare_at(rates[0], length_s, request, request.out)
+            if shown is not None:
+                say(console, f"page: {shown.show(place.path)}")
+            return _publish(measured_run(preparation, place, view), place.path, files)
+        length_s = run_length_s(request, "15s")
+        folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
+
+        def timed(rate_hz: float) -> TimingReport:
+            name = f"rate-{rate_hz:g}"
+            if (folder / name).exists():
+                name = f"{name}-again"
+            return measured_run(*prepare_at(rate_hz, length_s, request, folder / name), view)
+
         if shown is not None:
-            say(console, f"page: {shown.show(folder.path)}")
-        report = measured_run(preparation, folder, partial(view_for, console), by_agent=processes)
-        return _publish_one(report, folder.path, files)
+            say(console, f"page: {shown.show(folder, several=True)}")
+        found = sweep(rates, is_search, timed)
+    result = sweep_result(found, request.scenario.scenario.name)
+    publish(result, files, folder / "timing.html", f"recordings: {folder}")
+    if found.interrupted:
+        return INTERRUPTED
+    return FAILED if found.highest_clean_hz is None else OK
 
 
-def _publish_one(report: TimingReport, run: Path, files: FileOptions) -> int:
+def _publish(report: TimingReport, run: Path, files: FileOptions) -> int:
     from recordings.read.run_file import RECORDING_NAME
     from results.timing.results import timing_result
 
     recording = run / RECORDING_NAME if run.is_dir() else run
     page = recording.with_name("timing.html")
     publish(timing_result(report), files, page, f"recording: {recording}")
-    if report.interrupted:
+    if report.run.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
-
-
-def _time_several(
-    rates: Rates,
-    length_s: float,
-    request: RunRequest,
-    files: FileOptions,
-    console: Console,
-    shown: PageProcess | None,
-) -> int:
-    from heliarch.cli.live_view import view_for
-    from launch_scripts.run_folder import new_run_id, run_folder
-    from studies.timing.measured_run import measured_run, prepare_at
-    from studies.timing.sweep import sweep
-    from studies.timing.sweep_result import sweep_result
-
-    folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
-
-    def timed(rate_hz: float) -> TimingReport:
-        name = f"rate-{rate_hz:g}"
-        if (folder / name).exists():
-            name = f"{name}-again"
-        preparation, place = prepare_at(rate_hz, length_s, request, folder / name)
-        return measured_run(preparation, place, partial(view_for, console))
-
-    if shown is not None:
-        say(console, f"page: {shown.show(folder, several=True)}")
-    found = sweep(rates, timed)
-    result = sweep_result(found, request.scenario.scenario.name)
-    publish(result, files, folder / "timing.html", f"recordings: {folder}")
-    if found.interrupted:
-        return INTERRUPTED
-    return FAILED if found.highest_clean_hz is None else OK

@@ -8,92 +8,75 @@ two agents and the decision.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from agents.cycle import stage_of
+import numpy as np
+import pandas as pd
+
 from bus_schemas.errors import listed
-from bus_schemas.messages import Message
-from bus_schemas.signals import PRODUCTION, Port
+from bus_schemas.signals import PRODUCTION
 from bus_schemas.tree import ROOT
-from results.timing.stage_times import MessageTimes, StageTimes
-
-
-class Wait(NamedTuple):
-    """A stage of an agent, from what it waited for to its own last message.
-
-    It began when its `cause`, the input published last, was published, and ended with its last
-    message; both times are after the cycle's scheduled tick [ns]. Without a cause the clock closed
-    it. `without` are the keys of inputs that had not come at its deadline.
-    """
-
-    agent: str
-    stage: str
-    cause: Port[Message] | None
-    began_ns: int
-    ended_ns: int
-    without: tuple[str, ...]
-
-    @property
-    def length_ns(self) -> int:
-        return self.ended_ns - self.began_ns
-
-    def in_words(self) -> str:
-        """Return a phrase such as `c2/inv09 took 18.4 ms (estimate)`."""
-        took = f"{self.agent} took {self.length_ns / 1e6:.1f} ms ({self.stage})"
-        return f"{took}, without {listed(self.without, 3)}" if self.without else took
+from results.timing.stage_times import Block, RunGraph
 
 
 class CycleWaits(NamedTuple):
     """The waits of one cycle, from the scheduled tick to the plant's production.
 
-    The `chain` made it so long; `waits` has all stages that published, those of the chain included.
+    `waits` has a row for each stage that published: agent, name (of the stage), cause (a key;
+    empty: the clock closed it), began_ms and ended_ms after the tick, and text, a phrase such as
+    `c2/inv09 took 18.4 ms (estimate)`. `chain` has those that made the cycle so long, in order.
     """
 
     cycle: int
-    loop_ns: int
-    chain: tuple[Wait, ...]
-    waits: tuple[Wait, ...]
+    chain: pd.DataFrame
+    waits: pd.DataFrame
 
     @property
-    def slowest(self) -> Wait:
-        return max(self.chain, key=lambda wait: wait.length_ns)
+    def length_ms(self) -> float:
+        return float(self.chain.ended_ms.iloc[-1])
 
     def in_words(self) -> str:
         """Say which link made the cycle long."""
-        return f"cycle {self.cycle:,}: {self.loop_ns / 1e6:.1f} ms, {self.slowest.in_words()}"
+        slowest = (self.chain.ended_ms - self.chain.began_ms).to_numpy().argmax()
+        return f"cycle {self.cycle:,}: {self.length_ms:.1f} ms, {self.chain.text.iloc[slowest]}"
 
 
-def cycle_waits(messages: MessageTimes, stages: Iterable[StageTimes], cycle: int) -> CycleWaits:
+def cycle_waits(graph: RunGraph, block: Block, cycle: int) -> CycleWaits:
     """Return the waits of a cycle that the plant has ended.
 
-    The chain follows the causes from the plant's production back to the tick. A message that came
-    too late counts up to the moment when no agent waited for it any more.
+    A message that came too late counts up to the moment when no agent waited for it any more.
     """
-    publish_ns: dict[Any, float] = messages.publish_ns.loc[cycle].to_dict()
-    closed: list[tuple[str, str, Any]] = [
-        (stage.agent, stage.name, stage.closed.loc[cycle])
-        for stage in stages
-        if cycle in stage.closed.index
-    ]
-    waits: dict[tuple[str, str], Wait] = {}
-    for agent, stage, row in closed:
-        cause, ended_ns = row.cause, int(row.last_ns)
-        if not row.awaits:  # It follows the agent's stage before it.
-            before = [one for who, _, one in closed if who == agent and one.last_ns < row.first_ns]
-            cause = max(before, key=lambda one: one.last_ns).message if before else None
-        began_ns = 0 if cause is None else min(int(publish_ns[cause]), ended_ns)
-        waits[agent, stage] = Wait(agent, stage, cause, began_ns, ended_ns, row.without)
-    left, chain = dict(waits), list[Wait]()
-    message: Port[Message] | None = PRODUCTION.of(ROOT)
-    while message is not None:
-        wait = left.pop((message.publisher, stage_of(message, messages.plan.tree)), None)
-        if wait is None:
+    sent = block.messages[block.messages.cycle == cycle].set_index("port").publish_ns
+    sent_ms = (sent - cycle * graph.plan.timing.cycle_wall_ns) / 1e6
+    waits = block.closed[block.closed.cycle == cycle].sort_values("stage").set_index("stage")
+    # A stage that awaits nothing follows the agent's stage before it.
+    before = waits.groupby("agent").message.shift()
+    cause = waits.cause.where(waits.awaits, before)
+    waits["ended_ms"] = (waits.last_ns - waits.tick_ns) / 1e6
+    waits["began_ms"] = np.fmin(sent_ms.reindex(cause).fillna(0.0).to_numpy(), waits.ended_ms)
+    waits["cause"] = ["" if pd.isna(at) else str(graph.messages[int(at)]) for at in cause]
+    chain: list[pd.Series] = []
+    left, port, until_ms = set(waits.index), graph.messages.index(PRODUCTION.of(ROOT)), np.inf
+    while (stage := graph.ports.stage[port]) in left:
+        left.remove(stage)
+        until_ms = min(sent_ms[port], until_ms)
+        link = waits.loc[stage].copy()
+        link["began_ms"], link["ended_ms"] = min(link.began_ms, until_ms), until_ms
+        chain.insert(0, link)
+        if cause.isna()[stage]:
             break
-        ended_ns = int(publish_ns[message])
-        if chain:
-            ended_ns = min(ended_ns, chain[-1].ended_ns)
-        began_ns = min(wait.began_ns, ended_ns)
-        chain.append(wait._replace(began_ns=began_ns, ended_ns=ended_ns))
-        message = wait.cause
-    return CycleWaits(cycle, chain[0].ended_ns, tuple(chain[::-1]), tuple(waits.values()))
+        port = int(cause[stage])
+    without = block.late[block.late.cycle == cycle].groupby("stage").input.agg(list)
+    return CycleWaits(
+        cycle, *(_told(graph, table, without) for table in (pd.DataFrame(chain), waits))
+    )
+
+
+def _told(graph: RunGraph, waits: pd.DataFrame, without: pd.Series) -> pd.DataFrame:
+    """Return waits with their texts."""
+    texts = []
+    for stage, one in waits.iterrows():
+        took = f"{one.agent} took {one.ended_ms - one.began_ms:.1f} ms ({one['name']})"
+        missing = sorted(str(graph.messages[port]) for port in without.get(stage, ()))
+        texts.append(f"{took}, without {listed(missing, 3)}" if missing else took)
+    return waits[["agent", "name", "cause", "began_ms", "ended_ms"]].assign(text=texts)

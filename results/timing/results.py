@@ -1,34 +1,43 @@
-"""The result of a timed run, with its figures."""
+"""The result of a timed run: its lines, tables and figures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
-import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 
-from bus_schemas.errors import listed
-from bus_schemas.tree import CENTRAL, PLANT, ControlTree
+from bus_schemas.tree import CENTRAL, PLANT
 from results.report import style
 from results.report.decimation import extremes
 from results.report.result import Result
-from results.timing import tables
-from results.timing.budgets import Verdict
-from results.timing.cycle_waits import CycleWaits, Wait
-from results.timing.report import TimingReport
-from results.timing.run_timing import LOOP, WHOLE_LOOP, Times, curve_shares
+from results.report.tables import devices_tables
+from results.tables import Cell, Column, Table, counted, key_column, texts_table, word_column
+from results.timing.cycle_waits import CycleWaits
+from results.timing.report import FEW, Budget, TimingReport
+from results.timing.run_timing import WHOLE_LOOP
 
+_MEANINGS: Final = {
+    "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
+    "decision": "from the moment when a stage could close to its last message",
+    "hop": "from the publishing of the input that completed a stage to when the stage could close",
+    "lateness": "from the scheduled time of what the clock closes to its first message",
+    "age": "from the publishing of the oldest input to when the stage could close",
+    "response": "from the last input to the device's own last message, seen from outside",
+}
+"""What each measure is, in a few words; docs/timing.md has the definitions."""
+
+_FEW_NOTE: Final = f"of fewer than {FEW} durations the p99 is the longest one"
 _HOPS: Final = (
     "(each time begins when the agent's last input was published, so it includes the hop)"
 )
-
-_CURVES: Final = (
-    ("loop", "Loop time and lateness", (LOOP, "lateness", "response")),
-    ("decision", "Decision time by tier", ("decision",)),
-    ("hop", "Hop latency by signal", ("hop",)),
-)
+_STATISTICS: Final = {"min": "min_us", "p50": "p50_us", "p99": "p99_us", "p99.9": "p99_9_us"} | {
+    "max": "max_us"
+}
+_COUNTS: Final = ("missed_deadlines", "missing_inputs", "dropped", "overruns", "skipped_cycles")
+_DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
+"""Decimals of a budget's figures, by unit."""
 
 CURVES_PX: Final = 440
 _ROW_PX: Final = 17
@@ -39,60 +48,145 @@ ROUND_TICKS: Final = {
     "tickformat": ",~g",
 }
 
-_PERCENTILES: Final = (0.0, 50.0, 90.0, 99.0, 99.9, 99.99, 99.999)
-"""What the axis of percentiles shows."""
+
+def cycles_per_s(rate_hz: float) -> str:
+    """Say a rate: `20 cycles/s`."""
+    return f"{rate_hz:.4g} cycle{'' if rate_hz == 1.0 else 's'}/s"
 
 
 def timing_result(report: TimingReport) -> Result:
     """Return the timing of a run: what was run, how long it took, and whether it was in time."""
+    run = report.run
     slowest = [
         f"{'next' if place else 'slowest'} {one.in_words()}"
         for place, one in enumerate(report.slowest)
     ]
+    unkept = [one for one in report.budgets if not one.passed or one.by_one]
     return Result(
-        f"{report.scenario}: timing of run {report.run_id}",
-        tables.measured_tables(report),
+        f"{run.scenario}: timing of run {run.run_id}",
+        _tables(report),
         report.document(),
-        lines=tables.header_lines(report),
-        conclusions=[
-            *slowest,
-            *([_HOPS] if slowest else []),
-            *(f"not kept: {line}" for line in tables.failures(report)),
+        lines=[
+            f"{run.scenario} at {cycles_per_s(run.rate_hz)} in real time: "
+            f"{counted(run.cycles, 'cycle')} in {run.wall_s:.1f} s, {run.late_cycles:,} late"
+            f"{', interrupted' if run.interrupted else ''}",
+            *report.host,
+            *report.remarks,
         ],
-        verdict=(report.passed, tables.verdict_line(report)),
-        figures=lambda: run_figures(report),
+        conclusions=[*slowest, *([_HOPS] if slowest else []), *map(_exception, unkept)],
+        verdict=(report.passed, _verdict(report)),
+        figures=lambda: [
+            *(waits_figure(f"waits-{at}", one) for at, one in enumerate(report.slowest, start=1)),
+            *([loop_figure(report)] if run.cycles else []),
+        ],
     )
 
 
-def run_figures(report: TimingReport) -> list[style.ReportFigure]:
-    """Draw the slowest cycles of a run, its loop time and percentiles."""
+def _verdict(report: TimingReport) -> str:
+    """Return the verdict on the whole run."""
+    run, count = report.run, len(report.budgets)
+    failed = sum(not budget.passed for budget in report.budgets)
+    if not run.whole:
+        why = "the run broke off or has not ended yet"
+        if run.ended:
+            why = f"the run was interrupted after {run.cycles:,} of {run.planned_cycles:,} cycles"
+        return f"FAIL: {why}; in the recorded part {failed} of {count} budgets not kept"
+    if failed:
+        return f"FAIL: {failed} of {count} budgets not kept"
+    by_one = sum(budget.by_one for budget in report.budgets)
+    return f"PASS: all {count} budgets were kept{f', {by_one} but for one duration' * (by_one > 0)}"
+
+
+def _exception(budget: Budget) -> str:
+    """Say that a budget was not kept, or not by a single duration."""
+    line, value = budget.line, _amount(budget.value, budget.unit)
+    if budget.value is None:
+        return f"not kept: {line}: nothing was measured"
+    limit = f"(at most {_amount(budget.limit, budget.unit)})"
+    if not budget.by_one:
+        return f"not kept: {line} {value} {limit}"
+    few = f"fewer than {FEW} were measured, so one does not decide"
+    return f"one above its budget: {line.removesuffix(' p99')} {value} {limit}; {few}"
+
+
+def _amount(value: float | None, unit: str) -> str:
+    return "nothing" if value is None else f"{value:,.{_DECIMALS[unit]}f} {unit}".rstrip()
+
+
+def _tables(report: TimingReport) -> list[Table]:
+    """Return all tables: durations by measure, counts, health, and the other budgets."""
+    columns = (key_column("budget"), Column("measured"), Column("at most"), word_column(""))
+    rows = [
+        (one.line, _amount(one.value, one.unit), _amount(one.limit, one.unit), one.passed)
+        for one in report.budgets
+        if not one.measure or one.value is None
+    ]
     return [
-        *(
-            waits_figure(f"waits-{place}", cycle, report.tree)
-            for place, cycle in enumerate(report.slowest, start=1)
-        ),
-        *([loop_figure(report)] if report.cycles else []),
-        *(
-            percentile_figure(f"percentiles-{name}", heading, rows, report.verdicts)
-            for name, heading, measures in _CURVES
-            if (rows := [row for row in report.times if row.measure in measures])
-        ),
+        *_times_tables(report),
+        _counts_table(report.tiers),
+        *devices_tables(report.devices),
+        texts_table("Health of the run", report.health),
+        Table("Other budgets", columns, rows),
     ]
 
 
-def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> style.ReportFigure:
+def _times_tables(report: TimingReport) -> list[Table]:
+    """Return a table of durations for each measure, with its budgets."""
+    columns = (
+        key_column(""),
+        Column("count"),
+        *map(Column, _STATISTICS),
+        Column("p99 at most"),
+        word_column("budget"),
+    )
+    limits: dict[object, tuple[Cell, Cell]] = {
+        (one.measure, one.of): (one.limit, "one above" if one.by_one else one.passed)
+        for one in report.budgets
+    }
+    rows: dict[str, list[list[Any]]] = {}
+    for row in report.times.to_dict("records"):
+        figures = [row["count"], *(row[name] / 1e3 for name in _STATISTICS.values())]
+        limit = limits.get((row["measure"], row["of"]), (None, ""))
+        rows.setdefault(row["measure"], []).append([row["of"], *figures, *limit])
+    return [
+        Table(
+            f"{measure.capitalize()} [ms]",
+            columns,
+            own,
+            [_MEANINGS[measure], *([_FEW_NOTE] if any(row[1] < FEW for row in own) else [])],
+        )
+        for measure, own in rows.items()
+    ]
+
+
+def _counts_table(tiers: pd.DataFrame) -> Table:
+    columns = (
+        key_column("tier"),
+        Column("number", name="processes"),
+        *(Column(name.replace("_", " "), name=name, decimals=0) for name in _COUNTS),
+        Column("CPU", "% all", 1, name="cpu_percent"),
+        Column("CPU", "% most", 1, name="cpu_highest_percent"),
+        Column("memory", "MB", 1, name="resident_mb"),
+    )
+    rows = tiers[[column.name or column.title for column in columns]].to_dict("split")["data"]
+    note = "CPU in % of one core, of all processes and of the busiest; memory of the largest one"
+    return Table("Counts", columns, rows, [note])
+
+
+def waits_figure(anchor: str, cycle: CycleWaits) -> style.ReportFigure:
     """Draw who waited for whom in a cycle: a row for each agent, in the order of the tree."""
-    rows = [PLANT, CENTRAL, *sorted(path for path in tree.nodes if path)]
-    chain = {(wait.agent, wait.stage) for wait in cycle.chain}
-    others = [wait for wait in cycle.waits if (wait.agent, wait.stage) not in chain]
+    rows = [PLANT, CENTRAL, *sorted({*cycle.waits.agent} - {PLANT, CENTRAL})]
+    others = cycle.waits[~cycle.waits.index.isin(cycle.chain.index)]
     # The messages of the chain: from their publisher to the agent that waited for them.
     times_ms: list[float | None] = []
-    agents: list[str | None] = []
-    for earlier, later in pairwise(cycle.chain):
-        times_ms += [earlier.ended_ns / 1e6, earlier.ended_ns / 1e6, None]
-        agents += [earlier.agent, later.agent, None]
+    ends: list[str | None] = []
+    for (earlier, ended_ms), (later, _) in pairwise(
+        zip(cycle.chain.agent, cycle.chain.ended_ms, strict=True)
+    ):
+        times_ms += [ended_ms, ended_ms, None]
+        ends += [earlier, later, None]
     dotted = {"color": style.VERMILLION, "width": 1, "dash": "dot"}
-    messages = style.curve(times_ms, agents, "messages of the chain", dotted, hoverinfo="skip")
+    messages = style.curve(times_ms, ends, "messages of the chain", dotted, hoverinfo="skip")
     figure = go.Figure(
         [
             _bars(others, "others", style.faint(style.BLUE, 0.35)),
@@ -117,82 +211,39 @@ def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> style.Rep
         f"Who waited for whom in cycle {cycle.cycle:,}",
         f"A bar begins when the last input that an agent waited for was published and ends with "
         f"the agent's last message of that stage; it includes the hop. Orange: the chain from the "
-        f"tick to the plant's production, {cycle.loop_ns / 1e6:.1f} ms; the other bars did not "
-        f"delay the cycle. Longest link: {cycle.slowest.in_words()}.",
+        f"tick to the plant's production; the other bars did not delay the cycle. "
+        f"{cycle.in_words().capitalize()}.",
         figure,
     )
 
 
-def _bars(waits: Sequence[Wait], name: str, colour: str) -> go.Bar:
+def _bars(waits: pd.DataFrame, name: str, colour: str) -> go.Bar:
+    texts = waits.text + ", after " + waits.cause.replace("", "the tick")
     return go.Bar(
         orientation="h",
-        y=[wait.agent for wait in waits],
-        base=[wait.began_ns / 1e6 for wait in waits],
-        x=[wait.length_ns / 1e6 for wait in waits],
+        y=waits.agent.tolist(),
+        base=waits.began_ms.tolist(),
+        x=(waits.ended_ms - waits.began_ms).tolist(),
         name=name,
         marker={"color": colour, "line": {"color": "white", "width": 0.5}},
-        customdata=[
-            style.plain(f"{wait.in_words()}, after {wait.cause or 'the tick'}") for wait in waits
-        ],
+        customdata=texts.map(style.plain).tolist(),
         hovertemplate="%{customdata}<extra></extra>",
     )
 
 
 def loop_figure(report: TimingReport) -> style.ReportFigure:
-    loop_ms = report.loop_ns / 1e6
+    loop_ms = report.loop_ms
     drawn = loop_ms.iloc[extremes(loop_ms.to_numpy())]
-    seconds = (drawn.index / report.rate_hz).tolist()
+    seconds = (drawn.index / report.run.rate_hz).tolist()
     blue, hover = {"color": style.BLUE, "width": 1.2}, "%{x:,.1f} s: %{y:.2f} ms"
-    line = style.curve(seconds, drawn.tolist(), "loop time", blue, hovertemplate=hover)
-    ends = [seconds[0], seconds[-1]]
-    figure = go.Figure([line, *_budgets(report.verdicts, [(LOOP, WHOLE_LOOP)], ends)])
-    style.dress(figure, CURVES_PX)
+    lines = [style.curve(seconds, drawn.tolist(), "loop time", blue, hovertemplate=hover)]
+    budgets = [one for one in report.budgets if one.line.startswith(f"loop {WHOLE_LOOP}")]
+    for dash, one in zip(("dash", "dot"), budgets, strict=False):
+        look = {"color": style.BLACK, "width": 1.3, "dash": dash}
+        name = f"{one.line.split()[-1]} at most {one.limit:g} ms"
+        lines.append(style.curve([seconds[0], seconds[-1]], [one.limit] * 2, name, look))
+    figure = style.dress(go.Figure(lines), CURVES_PX)
     figure.update_xaxes(title_text="time since cycle 0 [s]")
     figure.update_yaxes(type="log", title_text="loop time [ms]", **ROUND_TICKS)
     caption = "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
     return style.ReportFigure("loop", "Loop time over time", caption, figure)
-
-
-def percentile_figure(
-    anchor: str, heading: str, rows: Sequence[Times], verdicts: Sequence[Verdict]
-) -> style.ReportFigure:
-    """Draw durations against their percentiles on axes that show the rare long ones."""
-    lines = []
-    for place, row in enumerate(rows):
-        shares, values_us = curve_shares(row.times.count), np.array(row.times.curve_us)
-        line = {**style.scheme_line(place), "width": 1.8, "shape": "hv"}
-        curve = style.curve(1.0 / shares, values_us / 1e3, f"{row.measure} {row.of}", line)
-        curve.customdata = 100.0 * (1.0 - shares)
-        curve.hovertemplate = "%{customdata:.4g} %: %{y:.3f} ms"
-        lines.append(curve)
-    judged = [(row.measure, row.of) for row in rows]
-    figure = go.Figure([*lines, *_budgets(verdicts, judged, [1.0, 100.0])])
-    style.dress(figure, CURVES_PX)
-    figure.update_layout(margin_t=46 + 22 * (len(figure.data) // 4))
-    figure.update_xaxes(
-        type="log",
-        tickvals=[1.0 / (1.0 - percent / 100.0) for percent in _PERCENTILES],
-        ticktext=[f"{percent:g}" for percent in _PERCENTILES],
-        title_text="percentile [%]",
-    )
-    figure.update_yaxes(type="log", title_text="duration [ms]", dtick=1, rangemode="normal")
-    caption = (
-        "Each step to the right leaves a tenth of the durations: at 99 % one in a hundred is "
-        "longer. Black: budgets of the 99th percentile; a curve must cross 99 % below its own."
-    )
-    return style.ReportFigure(anchor, heading, caption, figure)
-
-
-def _budgets(
-    verdicts: Sequence[Verdict], rows: Sequence[tuple[str, str]], ends: list[float]
-) -> list[go.Scatter]:
-    """Draw a line for each limit of these rows."""
-    judged = [one for one in verdicts if (one.measure, one.of) in rows]
-    lines = []
-    for place, limit_ms in enumerate(sorted({one.limit for one in judged})):
-        name, dash = f"budget {limit_ms:g} ms", ("dash", "dot", "solid")[place % 3]
-        whose = listed([one.line for one in judged if one.limit == limit_ms], 3)
-        look = {"color": style.BLACK, "width": 1.3, "dash": dash}
-        hover = f"{name}: {style.plain(whose)}<extra></extra>"
-        lines.append(style.curve(ends, [limit_ms, limit_ms], name, look, hovertemplate=hover))
-    return lines

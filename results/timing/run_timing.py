@@ -5,310 +5,175 @@ docs/timing.md defines each measure.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import groupby
-from operator import itemgetter
+from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
-import msgspec
 import numpy as np
 import pandas as pd
-from msgspec.structs import replace
-from numpy.typing import NDArray
 
-from agents.cycle import KINDS, Kind, kind_of, stage_place
-from agents.plan import RunPlan
 from bus_schemas.signals import COMMAND, PRODUCTION, SIGNALS
-from bus_schemas.tree import PLANT, ROOT, ControlTree, depth
+from bus_schemas.tree import PLANT
 from recordings.read.reader import RunReader
-from results.run_summary import ProcessAccount
-from results.timing.clocks import ACROSS, ClockOffset, clock_of, clock_offsets, on_one_clock
 from results.timing.cycle_waits import CycleWaits, cycle_waits
-from results.timing.stage_times import MessageTimes, StageTimes, read_message_times, stage_times
+from results.timing.stage_times import BLOCK_MESSAGES, Block, RunGraph, read_blocks
 
-LOOP: Final = "loop"
 WHOLE_LOOP: Final = "all commands"
-EVERY_COMMAND: Final = "each command"
+_EVERY_COMMAND: Final = "each command"
 
-MEASURES: Final = (LOOP, "decision", "hop", "lateness", "jitter", "age", "response")
+MEASURES: Final = ("loop", "decision", "hop", "lateness", "age", "response")
 """What is measured, in the order in which it is reported."""
 
 SLOWEST: Final = 3
 """How many of the slowest cycles are looked into."""
 
-_STEPS_PER_DECADE: Final = 12
-"""How finely a curve is drawn: between 90 and 99 % as between 99 and 99.9 %."""
-
-
-class Distribution(msgspec.Struct, frozen=True):
-    """A summary of durations. A percentile is the least one that so many percent do not exceed.
-
-    `curve_us` are those that shares of `curve_shares` exceed.
-    """
-
-    count: int
-    min_us: float
-    p50_us: float
-    p99_us: float
-    p99_9_us: float
-    max_us: float
-    curve_us: tuple[float, ...]
-
-
-class Times(msgspec.Struct, frozen=True):
-    """A row of durations: `decision` of `direct estimate`, `hop` of `residual`.
-
-    `kind` is that of the agents, or the signal, and names the budget if `of` does not.
-    """
-
-    measure: str
-    of: str
-    kind: str
-    times: Distribution
-
-
-def curve_shares(count: int) -> NDArray[np.float64]:
-    """Return shares from 1 down to half of one of so many, in equal steps of their logarithm."""
-    steps = np.arange(int(_STEPS_PER_DECADE * np.log10(2.0 * count)) + 1)
-    return np.asarray(10.0 ** (-steps / _STEPS_PER_DECADE))
-
-
-def distribution(durations_ns: NDArray[np.int64]) -> Distribution:
-    """Summarise one duration or more; below 0 counts as 0."""
-    count = len(durations_ns)
-    levels = np.concatenate(([0.0, 0.5, 0.99, 0.999, 1.0], 1.0 - curve_shares(count)))
-    found_ns = np.quantile(durations_ns.clip(0), levels, method="inverted_cdf")
-    min_us, p50_us, p99_us, p99_9_us, max_us, *curve_us = (found_ns / 1e3).tolist()
-    return Distribution(count, min_us, p50_us, p99_us, p99_9_us, max_us, tuple(curve_us))
-
-
-class Counts(msgspec.Struct, frozen=True, kw_only=True):
-    """What went wrong in the cycles of a process, or of all processes of a tier."""
-
-    missed_deadlines: int = 0
-    missing_inputs: int = 0
-    overruns: int = 0
-    skipped_cycles: int = 0
-
-
-class ProcessTiming(Counts, frozen=True, kw_only=True):
-    """Counts and resources of one process; None: known to its launcher alone.
-
-    Processor time is in % of one core.
-    """
-
-    agent: str
-    tier: str
-    kind: Kind
-    dropped: int | None = None
-    cpu_percent: float | None = None
-    resident_mb: float | None = None
-    times: tuple[Times, ...] = ()
-
-
-class TierTiming(Counts, frozen=True, kw_only=True):
-    """Sums over the processes of one tier, and the largest share and memory of one of them."""
-
-    tier: str
-    kind: Kind
-    processes: int
-    dropped: int | None
-    cpu_percent: float | None
-    cpu_highest_percent: float | None
-    resident_mb: float | None
+_SHARES: Final = {"min_us": 0.0, "p50_us": 0.5, "p99_us": 0.99, "p99_9_us": 0.999, "max_us": 1.0}
 
 
 class RunTiming(NamedTuple):
-    """The timing of a run; `processes` has no devices.
+    """The timing of a run.
 
-    In a late cycle one of Heliarch's agents missed a deadline, overran or published nothing.
-    `loop_ns` has the cycles that the plant ended.
+    durations: How often each duration occurred: measure, of, us (whole microseconds), count.
+    processes: Of each of Heliarch's agents: agent, tier, kind, and its counts missed_deadlines,
+        missing_inputs, overruns, skipped_cycles.
+    slowest: The slowest cycles, the slowest first.
+    late_cycles: In so many one of those agents missed a deadline, overran or published nothing.
+    loop_ms: How long the loop took, by cycle; only those that the plant ended.
     """
 
-    times: tuple[Times, ...]
-    processes: tuple[ProcessTiming, ...]
+    durations: pd.DataFrame
+    processes: pd.DataFrame
     slowest: tuple[CycleWaits, ...]
     late_cycles: int
-    loop_ns: pd.Series
-    clocks: tuple[ClockOffset, ...] = ()
-
-    @property
-    def cycles(self) -> int:
-        return len(self.loop_ns)
+    loop_ms: pd.Series
 
 
-def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
-    """Work out the timing of a run; with `by_agent` each agent has rows of its own too."""
-    messages = read_message_times(reader)
-    stages = stage_times(messages)
-    if clocks := clock_offsets(messages, stages):
-        messages = on_one_clock(messages, clocks)
-        stages = stage_times(messages)
-    plan = messages.plan
-    production = PRODUCTION.of(ROOT)
-    loop_ns = messages.publish_ns[production].dropna()
-    slowest = loop_ns.nlargest(SLOWEST).index
-    if PLANT not in plan.access.external:
-        loop_ns = messages.ready_ns[production].loc[loop_ns.index]
-    durations = [*_loop_durations(messages, loop_ns)]
-    processes: list[ProcessTiming] = []
-    late: set[int] = set()
-    for agent, group in groupby(stages, key=lambda stage: stage.agent):
-        own = list(group)
-        durations += _stage_durations(plan, own, {clock.name for clock in clocks})
-        if agent in plan.access.external:
-            continue
-        closed = pd.concat([stage.closed for stage in own])
-        silent = messages.publish_ns.index.difference(closed.index)
-        late.update(silent, closed.index[closed.lacking | closed.overran])
-        rows = [one for one in durations if by_agent and one.agent == agent]
-        processes.append(
-            ProcessTiming(
-                agent=agent,
-                tier=tier_of(agent, plan.tree),
-                kind=kind_of(agent, plan.tree),
-                missed_deadlines=int(closed.lacking.sum()),
-                missing_inputs=messages.missed.missing[agent].total(),
-                overruns=int(closed.overran.sum()),
-                skipped_cycles=len(silent),
-                times=_rows(rows),
-            )
-        )
+def run_timing(reader: RunReader, *, block_messages: int = BLOCK_MESSAGES) -> RunTiming:
+    """Work out the timing of a run, in memory that does not grow with its length."""
+    graph = RunGraph(reader.plan)
+    production = graph.messages.index(PRODUCTION.of(""))
+    loop_from = "publish_ns" if PLANT in graph.plan.access.external else "ready_ns"
+    names = pd.Index(row_names(graph))
+    durations = pd.DataFrame(columns=["measure", "of", "us", "count"], dtype=np.int64)
+    agents = graph.stages[~graph.stages.device].drop_duplicates("agent").set_index("agent")
+    processes = agents[["tier", "kind"]].assign(
+        missed_deadlines=0, missing_inputs=0, overruns=0, skipped_cycles=0
+    )
+    slowest: list[CycleWaits] = []
+    loops_ms, late_cycles = [pd.Series(dtype=float)], 0
+    before: pd.DataFrame | None = None
+    for block in read_blocks(reader, graph, block_messages):
+        ended = block.messages[block.messages.port == production].set_index("cycle")
+        ended = ended.sub(ended.index * graph.plan.timing.cycle_wall_ns, axis="index") / 1e6
+        loops_ms.append(ended[loop_from])
+        slow = [cycle_waits(graph, block, at) for at in ended.publish_ns.nlargest(SLOWEST).index]
+        slowest = sorted([*slowest, *slow], key=lambda one: -one.length_ms)[:SLOWEST]
+        # Whether an agent was busy depends on what it did before the block.
+        closed = pd.concat([before, block.closed]) if before is not None else block.closed
+        closed = closed.sort_values(["cycle", "stage"], ignore_index=True)
+        before = closed.drop_duplicates("stage", keep="last")
+        loop = ("loop", WHOLE_LOOP, ended[loop_from] * 1e6)
+        durations = _merged(durations, [loop, *_durations(graph, block, closed)], names)
+        late_cycles += _count(processes, block)
+    durations["measure"] = np.array(MEASURES)[durations.measure]
+    durations["of"] = names[durations.of]
     return RunTiming(
-        times=_rows(durations),
-        processes=tuple(processes),
-        slowest=tuple(cycle_waits(messages, stages, cycle) for cycle in slowest.tolist()),
-        late_cycles=len(late),
-        loop_ns=loop_ns,
-        clocks=clocks,
+        durations, processes.reset_index(), tuple(slowest), late_cycles, pd.concat(loops_ms)
     )
 
 
-class _Durations(NamedTuple):
-    """Durations of one agent, and the row in which they are reported with those of others.
+def row_names(graph: RunGraph) -> list[str]:
+    """Return what can be measured, in the order in which it is reported."""
+    stages, signals = (
+        graph.stages.sort_values("place", kind="stable"),
+        [one.name for one in SIGNALS],
+    )
+    devices = graph.plan.access.external
+    own = stages[stages.device]
+    names = [WHOLE_LOOP, _EVERY_COMMAND, *stages.row.unique().tolist(), *signals]
+    names += [f"{signal} of {device}" for signal in signals for device in devices]
+    return list(dict.fromkeys([*names, *(own.agent + " " + own.name)]))
 
-    `order` is that of the row among the rows of its measure.
+
+def _durations(
+    graph: RunGraph, block: Block, closed: pd.DataFrame
+) -> Iterator[tuple[str, object, pd.Series]]:
+    """Yield measures, their rows (one for all or one for each), and durations; NaN: none.
+
+    Of a device only what can be seen from outside is measured.
     """
-
-    measure: str
-    order: int
-    of: str
-    kind: str
-    agent: str
-    ns: pd.Series
-
-
-def _loop_durations(messages: MessageTimes, loop_ns: pd.Series) -> Iterator[_Durations]:
-    yield _Durations(LOOP, 0, WHOLE_LOOP, "", PLANT, loop_ns)
-    for leaf in messages.plan.tree.leaves:
-        command_ns = messages.publish_ns[COMMAND.of(leaf)]
-        yield _Durations(LOOP, 1, EVERY_COMMAND, "", leaf, command_ns)
-
-
-def _stage_durations(
-    plan: RunPlan, stages: Sequence[StageTimes], clocks: set[str]
-) -> Iterator[_Durations]:
-    """Measure the stages of an agent; of a device only what can be seen from outside."""
-    agent = stages[0].agent
-    tier, kind = tier_of(agent, plan.tree), kind_of(agent, plan.tree)
-    ticks_ns = {one.name: one.closed.index * plan.timing.cycle_wall_ns for one in stages}
-    # When the agent had last published before each stage of each cycle.
-    spoke_ns = pd.DataFrame({one.name: one.closed.last_ns + ticks_ns[one.name] for one in stages})
-    latest_ns = spoke_ns.stack().dropna().cummax().shift().unstack()
-    before_ns = pd.DataFrame(latest_ns, spoke_ns.index, spoke_ns.columns)
-    for stage in stages:
-        closed, order = stage.closed, stage_place(agent, stage.name, plan.tree)
-        row = order, f"{tier} {stage.name}", kind, agent
-        yield _Durations("jitter", *row, closed.first_ns.diff().abs())
-        if agent in plan.access.external:
-            answered = closed if stage.timed else closed[closed.completed_ns.notna()]
-            took_ns = answered.last_ns - answered.completed_ns.fillna(0.0)
-            yield _Durations("response", order, f"{agent} {stage.name}", kind, agent, took_ns)
-            continue
-        yield _Durations("decision", *row, closed.last_ns - closed.ready_ns)
-        by_clock = closed if stage.timed else closed[closed.lacking]
-        yield _Durations("lateness", *row, by_clock.first_ns - stage.deadline_ns)
-        yield _Durations("age", *row, closed.ready_ns - closed.oldest_ns)
-        was_busy = before_ns[stage.name].loc[closed.index] > closed.ready_ns + ticks_ns[stage.name]
-        yield from _hop_durations(plan, agent, closed[~was_busy & ~closed.lacking], clocks)
+    signal, agent = graph.ports.signal.to_numpy(), graph.ports.agent.to_numpy()
+    cycle_ns = graph.plan.timing.cycle_wall_ns
+    commands = block.messages[signal[block.messages.port] == COMMAND.name]
+    yield "loop", _EVERY_COMMAND, commands.publish_ns - commands.cycle * cycle_ns
+    # When the agent had last published before each stage.
+    spoke_ns = closed.groupby("agent").last_ns.cummax().groupby(closed.agent).shift()
+    is_new = closed.cycle >= block.cycles.start
+    was_busy = (spoke_ns > closed.ready_ns)[is_new]
+    new = closed[is_new]
+    own = new[~new.device]
+    yield "decision", own.row, own.last_ns - own.ready_ns
+    yield "age", own.row, own.ready_ns - own.oldest_ns
+    by_clock = own[own.timed | own.lacking]
+    yield "lateness", by_clock.row, by_clock.first_ns - by_clock.tick_ns - by_clock.deadline_ns
+    device = new[new.device]
+    answered_ns = device.last_ns - device.completed_ns.fillna(device.tick_ns.where(device.timed))
+    yield "response", device.agent + " " + device.name, answered_ns
+    waited = own[~was_busy[own.index] & ~own.lacking & ~own.across]
+    waited = waited.dropna(subset=["cause", "completed_ns"])
+    cause, hop_ns = waited.cause.astype(int), waited.ready_ns - waited.completed_ns
+    yield "hop", signal[cause], hop_ns
+    devices = pd.Series(agent[cause], waited.index)
+    devices = devices[devices.isin(set(graph.plan.access.external) - {PLANT})]
+    of_devices = pd.Series(signal[cause], waited.index)[devices.index] + " of " + devices
+    yield "hop", of_devices, hop_ns[devices.index]
 
 
-def _hop_durations(
-    plan: RunPlan, agent: str, waited: pd.DataFrame, clocks: set[str]
-) -> Iterator[_Durations]:
-    """Measure the hop of the input that completed a stage, if the agent waited for it."""
-    hops_ns = (waited.ready_ns - waited.completed_ns).dropna()
-    for port, hop_ns in hops_ns.groupby(waited.cause, sort=False):
-        signal, publisher = port.signal.name, port.publisher
-        order = SIGNALS.index(port.signal)
-        ends = {clock_of(one, plan) for one in (agent, publisher)}
-        mark = ACROSS if len(ends) > 1 and ends & clocks else ""
-        kind = f"{signal}{mark}"
-        yield _Durations("hop", order, kind, kind, agent, hop_ns)
-        if publisher in plan.access.external and publisher != PLANT:
-            of = f"{signal} of {publisher}{mark}"
-            yield _Durations("hop", order, of, kind, publisher, hop_ns)
+def _merged(
+    durations: pd.DataFrame, measured: Iterable[tuple[str, object, pd.Series]], names: pd.Index
+) -> pd.DataFrame:
+    """Add durations to those counted so far; below 0 counts as 0."""
+    tables = [durations]
+    for measure, of, ns in measured:
+        table = pd.DataFrame({"of": of, "us": ns / 1e3}).dropna()
+        table["of"] = names.get_indexer(pd.Index(table.of))
+        table["us"] = table.us.clip(0).round().astype(np.int64)
+        tables.append(table.assign(measure=MEASURES.index(measure), count=1))
+    by = ["measure", "of", "us"]
+    return pd.concat(tables).groupby(by)["count"].sum().reset_index()
 
 
-def _rows(durations: Iterable[_Durations]) -> tuple[Times, ...]:
-    """Return the rows of durations: by measure, then by order and name."""
-    rows: dict[tuple[int, int, str, str], list[pd.Series]] = defaultdict(list)
-    for measure, order, of, kind, _, ns in durations:
-        if len(known_ns := ns.dropna()):
-            rows[MEASURES.index(measure), order, of, kind].append(known_ns)
-    times = []
-    for (number, _, of, kind), many_ns in sorted(rows.items(), key=itemgetter(0)):
-        summary = distribution(np.concatenate(many_ns).astype(np.int64))
-        times.append(Times(MEASURES[number], of, kind, summary))
-    return tuple(times)
-
-
-def tier_of(agent: str, tree: ControlTree) -> str:
-    """Return an agent's kind; supervisors of several tiers have a number, 1 below the centre."""
-    kind = kind_of(agent, tree)
-    several = len({depth(path) for path in tree.parents if path}) > 1
-    return f"{kind} {depth(agent)}" if kind == "supervisor" and several else kind
-
-
-def with_accounts(
-    processes: Iterable[ProcessTiming],
-    accounts: Iterable[ProcessAccount],
-    wall_s: float,
-    tree: ControlTree,
-) -> tuple[ProcessTiming, ...]:
-    """Add what the launcher knows of each process; the recorder is known to it alone."""
-    by_agent = {process.agent: process for process in processes}
-    for account in accounts:
-        name, cpu_s = account.agent, account.cpu_s
-        bare = ProcessTiming(agent=name, tier=tier_of(name, tree), kind=kind_of(name, tree))
-        by_agent[name] = replace(
-            by_agent.get(name, bare),
-            dropped=sum(account.dropped.values()),
-            resident_mb=account.resident_mb,
-            cpu_percent=None if cpu_s is None or wall_s <= 0.0 else 100.0 * cpu_s / wall_s,
-        )
-    return tuple(by_agent.values())
-
-
-def tier_timings(processes: Iterable[ProcessTiming]) -> tuple[TierTiming, ...]:
-    def tier(process: ProcessTiming) -> tuple[int, str]:
-        return KINDS.index(process.kind), process.tier
-
-    return tuple(_tier(list(members)) for _, members in groupby(sorted(processes, key=tier), tier))
-
-
-def _tier(members: Sequence[ProcessTiming]) -> TierTiming:
-    cpu = [one.cpu_percent for one in members if one.cpu_percent is not None]
-    memory = [one.resident_mb for one in members if one.resident_mb is not None]
-    dropped = [one.dropped for one in members if one.dropped is not None]
-    return TierTiming(
-        tier=members[0].tier,
-        kind=members[0].kind,
-        processes=len(members),
-        **{name: sum(getattr(one, name) for one in members) for name in Counts.__struct_fields__},
-        dropped=sum(dropped) if dropped else None,
-        cpu_percent=sum(cpu) if cpu else None,
-        cpu_highest_percent=max(cpu, default=None),
-        resident_mb=max(memory, default=None),
+def _count(processes: pd.DataFrame, block: Block) -> int:
+    """Add what went wrong in the cycles of a block; return how many of them were late."""
+    closed = block.closed[~block.closed.device]
+    cycles, missing = len(block.cycles), block.closed.iloc[:0]
+    by_agent = closed.groupby("agent")
+    missing = block.late.merge(closed[["cycle", "stage", "agent"]], on=["cycle", "stage"])
+    found = pd.DataFrame(
+        {
+            "missed_deadlines": by_agent.lacking.sum(),
+            "missing_inputs": missing.groupby("agent").size(),
+            "overruns": by_agent.overran.sum(),
+            "skipped_cycles": cycles - by_agent.cycle.nunique(),
+        },
+        index=processes.index,
     )
+    found["skipped_cycles"] = found.skipped_cycles.fillna(cycles)
+    found = found.fillna(0).astype(int)
+    processes[found.columns] += found
+    wrong = (closed.lacking | closed.overran).groupby(closed.cycle).any()
+    complete = closed.groupby("cycle").agent.nunique() == len(processes)
+    return cycles - int((complete & ~wrong).sum())
+
+
+def percentiles(durations: pd.DataFrame) -> pd.DataFrame:
+    """Summarise the durations of each row: measure, of, count, and min, p50, p99, p99.9, max [us].
+
+    A percentile is the least duration that so many percent do not exceed.
+    """
+    rows = durations.groupby(["measure", "of"], sort=False)
+    reached, count = rows["count"].cumsum(), rows["count"].transform("sum")
+    table = {"count": rows["count"].sum()}
+    for name, share in _SHARES.items():
+        enough = durations[reached >= share * count - 1e-6]
+        table[name] = enough.groupby(["measure", "of"], sort=False).us.first()
+    return pd.DataFrame(table).reset_index()

@@ -2,247 +2,249 @@
 
 Every message states when its stage could close (`ready_time_ns`) and when it went out
 (`publish_time_ns`). All that `heliarch timing` reports follows from these two; docs/timing.md
-defines each measure. The tick of cycle k is `run.start_time_ns + k x cycle_wall_ns`. Arming rounds
-do not count.
+defines each measure. Tables here count both from the tick of cycle 0 [ns]; the tick of cycle k is
+k x `cycle_wall_ns` after it. Arming rounds do not count.
 """
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from agents.agent import Stage
-from agents.cycle import STAGES, kind_of, stage_of
+from agents.cycle import STAGES, kind_of, stage_of, stage_place
 from agents.plan import RunPlan
 from agents.team import stages_of_agents
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message, Run, parse_missing
-from bus_schemas.signals import COMMAND, PRODUCTION, RUN, Port
-from bus_schemas.tree import PLANT, ROOT
-from recordings.read.gaps import MissedInputs
+from bus_schemas.messages import Run, parse_missing
+from bus_schemas.signals import COMMAND, PRODUCTION, RUN
+from bus_schemas.tree import PLANT, ROOT, ControlTree, depth
 from recordings.read.reader import RunReader
 
+BLOCK_MESSAGES: Final = 150_000
+"""A recording is read in blocks of cycles with about so many messages, to bound the memory."""
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MessageTimes:
-    """The times of the messages of a run, up to the last cycle that the plant ended.
 
-    `ready_ns` and `publish_ns` have a row for each cycle and a column for each port: the times that
-    the messages state, from the scheduled tick of their cycle; NaN: no message, or no time in it.
-    `missing` has a row for each input older than due that they state: cycle and port (its number)
-    of the message and the input, and the cycle of what was used `instead`, -1 for nothing. `missed`
-    is how many inputs each agent missed; `fastest_ns` is the shortest time from publishing to the
-    recorder.
+def tier_of(agent: str, tree: ControlTree) -> str:
+    """Return an agent's kind; supervisors of several tiers have a number, 1 below the centre."""
+    kind = kind_of(agent, tree)
+    several = len({depth(path) for path in tree.parents if path}) > 1
+    return f"{kind} {depth(agent)}" if kind == "supervisor" and several else kind
+
+
+class RunGraph:
+    """The ports and stages of a run, by their numbers.
+
+    ports: Columns agent (the publisher), stage (its number), signal, period (in cycles).
+    stages: Columns agent, name, kind, tier, place, device (whether it is one's own device),
+        across (whether it awaits inputs from another host, whose clock is another), deadline_ns,
+        grace_ns (how much later it may publish), timed, and row (what it is reported under).
+    inputs: A row for each input of each variant of a stage: stage, variant, input (number of the
+        port), awaited.
+    variants: Which variant of a stage holds in a cycle, by stage and cycle until that repeats;
+        -1: the stage does not close in it. Shape (stages, longest period).
     """
 
-    plan: RunPlan
-    ports: Sequence[Port[Message]]
-    ready_ns: pd.DataFrame
-    publish_ns: pd.DataFrame
-    missing: pd.DataFrame
-    missed: MissedInputs
-    fastest_ns: dict[Port[Message], int]
+    def __init__(self, plan: RunPlan) -> None:
+        self.plan = plan
+        tree, deadlines = plan.tree, plan.deadlines
+        self.messages = [
+            port for port in plan.wiring.ports if port.signal.is_cyclic and port.signal.logged
+        ]
+        number = {port: at for at, port in enumerate(self.messages)}
+        turns = stages_of_agents(plan)
+        names = [(agent, name) for agent in turns for name in STAGES[kind_of(agent, tree)]]
+        stage_numbers = {name: at for at, name in enumerate(names)}
+        self.ports = pd.DataFrame(
+            {
+                "agent": [port.publisher for port in self.messages],
+                "stage": [stage_numbers[p.publisher, stage_of(p, tree)] for p in self.messages],
+                "signal": [port.signal.name for port in self.messages],
+                "period": [plan.control.period(port) for port in self.messages],
+            }
+        )
+        stages, inputs = [], []
+        self.variants = np.full((len(names), plan.control.periods.longest), -1, dtype=np.int16)
+        for row, (agent, name) in enumerate(names):
+            found: dict[object, int] = {}
+            for turn, several in enumerate(turns[agent]):
+                for stage in (one for one in several if one.name == name):
+                    known = len(found)
+                    variant = found.setdefault((stage.awaits, stage.uses), known)
+                    self.variants[row, turn], timed = variant, stage.timed
+                    if variant == known:
+                        for port in dict.fromkeys((*stage.awaits, *stage.uses)):
+                            inputs.append((row, variant, number[port], port in stage.awaits))
+            deadline_ns, slice_ns = deadlines.deadline_ns(agent, name), 0
+            if timed:  # The plant's tick is when its first stage begins, not when it must end.
+                slice_ns = deadlines.slice_ns(agent, name)
+            kind, tier = kind_of(agent, tree), tier_of(agent, tree)
+            place, device = stage_place(agent, name, tree), agent in plan.access.external
+            stages.append((agent, name, kind, tier, place, device, deadline_ns, slice_ns, timed))
+        columns = ["agent", "name", "kind", "tier", "place", "device"]
+        columns += ["deadline_ns", "grace_ns", "timed"]
+        self.stages = pd.DataFrame(stages, columns=columns)
+        self.stages["row"] = self.stages.tier + " " + self.stages.name
+        self.inputs = pd.DataFrame(inputs, columns=["stage", "variant", "input", "awaited"])
+        host = {agent: plan.access.addresses.get(agent, "") for agent in turns}
+        there = self.ports.agent[self.inputs.input].map(host).to_numpy()
+        here = self.stages.agent[self.inputs.stage].map(host).to_numpy()
+        self.stages["across"] = self.stages.index.isin(
+            self.inputs.stage[self.inputs.awaited & (there != here)]
+        )
+
+    @cached_property
+    def history(self) -> int:
+        """For how many cycles a message can be used."""
+        return self.plan.control.periods.longest + self.plan.control.hold_cycles
 
 
-class StageTimes(NamedTuple):
-    """One stage of one agent; `closed` has a row for each cycle in which it published anything.
+class Block(NamedTuple):
+    """The messages of some cycles, and the stages that published them.
 
-    Its columns, with times from the scheduled tick of the cycle (NaN: none):
+    `messages` has a row for each message: cycle, port (its number), ready_ns, publish_ns. `closed`
+    has one for each cycle in which a stage published anything; NaN: there is none.
 
+    cycle, stage, and the columns of the stage.
     first_ns, last_ns, message: When its first and last messages went out, and the last one's port.
     ready_ns: When it could close.
     completed_ns: When the last awaited input that came in time went out.
     oldest_ns: When the oldest message that it used went out, perhaps in an earlier cycle.
+    cause: Port that it waited for last: the input that completed it, or that came too late.
     awaits, lacking, overran: Whether it awaits anything in this cycle; whether it closed without an
         awaited input; whether it had them all, but published after its deadline.
-    without: Keys of the inputs that had not come.
-    cause: What it waited for last: the input that completed it, or that came too late. None: that
-        is not known.
+
+    `late` has a row for each awaited input that a stage closed without: cycle, stage, input.
     """
 
-    agent: str
-    name: str
-    deadline_ns: int
-    timed: bool
+    cycles: range
+    messages: pd.DataFrame
     closed: pd.DataFrame
+    late: pd.DataFrame
 
 
-def read_message_times(reader: RunReader) -> MessageTimes:
-    plan, start_ns = reader.plan, _start_ns(reader)
-    ports = [port for port in plan.wiring.ports if port.signal.is_cyclic and port.signal.logged]
-    columns = {port: column for column, port in enumerate(ports)}
-    cycles, numbers, readies, publishes = (array("q") for _ in range(4))
-    fastest_ns: dict[Port[Message], int] = {}
-    missing: dict[tuple[int, int], tuple[str, ...]] = {}
-    missed = MissedInputs(plan)
-    for record in reader.records(columns, range(_end_cycle(reader))):
-        port, cycle = record.port, record.cycle
+def read_blocks(reader: RunReader, graph: RunGraph, block_messages: int) -> Iterator[Block]:
+    """Yield the run block by block, up to the last cycle that the plant ended."""
+    start_ns, end = _start_ns(reader), _end_cycle(reader)
+    length = max(block_messages // len(graph.ports), 1)
+    before: pd.DataFrame | None = None
+    for begin in range(0, end, length):
+        cycles = range(begin, min(begin + length, end))
+        messages, missing = _read(reader, graph, cycles, start_ns)
+        known = messages if before is None else pd.concat([before, messages], ignore_index=True)
+        closed = _closed(messages, graph)
+        inputs = _inputs(closed, known, missing, graph)
+        _add_inputs(closed, inputs)
+        late = inputs.loc[inputs.awaited & inputs.late, ["cycle", "stage", "input"]]
+        yield Block(cycles, messages, closed, late)
+        before = known[known.cycle >= cycles.stop - graph.history]
+
+
+def _read(
+    reader: RunReader, graph: RunGraph, cycles: range, start_ns: int
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Read the messages of some cycles, and what they state as missing.
+
+    The second table has a row for each input older than due: cycle, message and input (numbers of
+    ports), and the cycle of what was used `instead`, -1 for nothing.
+    """
+    numbers = {port: number for number, port in enumerate(graph.messages)}
+    keys = {str(port): number for port, number in numbers.items()}
+    cycle_ns = graph.plan.timing.cycle_wall_ns
+    columns = tuple(array("q") for _ in range(4))
+    missing: list[tuple[int, int, int, int]] = []
+    for record in reader.records(numbers, cycles):
         message = record.message()
-        missed.count(port, message)
         # A device without this host's clock states 0, one with another clock an impossible time.
-        earliest_ns = max(start_ns + (cycle - 1) * plan.timing.cycle_wall_ns, 1)
+        earliest_ns = max(start_ns + (record.cycle - 1) * cycle_ns, 1)
         if record.publish_time_ns > record.log_time_ns or message.publish_time_ns < earliest_ns:
             continue
-        travel_ns = record.log_time_ns - record.publish_time_ns
-        fastest_ns[port] = min(fastest_ns.get(port, travel_ns), travel_ns)
-        cycles.append(cycle)
-        numbers.append(columns[port])
-        readies.append(message.ready_time_ns)
-        publishes.append(message.publish_time_ns)
-        if message.missing:
-            missing.setdefault((cycle, columns[port]), message.missing)
-    times = {"cycle": cycles, "port": numbers, "ready_ns": readies, "publish_ns": publishes}
+        port, times_ns = numbers[record.port], (message.ready_time_ns, message.publish_time_ns)
+        for column, value in zip(columns, (record.cycle, port, *times_ns), strict=True):
+            column.append(value)
+        for key, instead in map(parse_missing, message.missing):
+            if key in keys:
+                used = -1 if instead is None else instead
+                missing.append((record.cycle, port, keys[key], used))
+    names = ["cycle", "port", "ready_ns", "publish_ns"]
+    frame = pd.DataFrame({name: np.array(one) for name, one in zip(names, columns, strict=True)})
     # The first of two copies of a message is kept.
-    frame = pd.DataFrame(times, dtype=np.int64).drop_duplicates(["cycle", "port"])
-    ended = frame.cycle[frame.port == columns[PRODUCTION.of(ROOT)]]
-    length = int(ended.max()) + 1 if len(ended) else 0
-    frame = frame.set_index(["cycle", "port"])
-    tick_ns = start_ns + frame.index.get_level_values("cycle") * plan.timing.cycle_wall_ns
+    frame = frame.drop_duplicates(["cycle", "port"], ignore_index=True)
+    frame["ready_ns"] = (frame.ready_ns - start_ns).where(frame.ready_ns > 0)
+    frame["publish_ns"] = (frame.publish_ns - start_ns).astype(float)
+    stated = pd.DataFrame(missing, columns=["cycle", "message", "input", "instead"], dtype=np.int64)
+    return frame, stated.drop_duplicates(["cycle", "message", "input"], keep="last")
 
-    def table(time_ns: pd.Series) -> pd.DataFrame:
-        """Lay times out by cycle and port, from the tick of their cycle."""
-        shown = (time_ns - tick_ns).where(time_ns > 0).unstack().reindex(range(length))
-        return shown.reindex(columns=range(len(ports))).set_axis(ports, axis=1).rename_axis(None)
 
-    return MessageTimes(
-        plan,
-        ports,
-        table(frame.ready_ns),
-        table(frame.publish_ns),
-        _missing({str(port): number for port, number in columns.items()}, missing),
-        missed,
-        fastest_ns,
+def _closed(messages: pd.DataFrame, graph: RunGraph) -> pd.DataFrame:
+    """Return the stages that published, with what follows from their own messages alone."""
+    table = messages.sort_values("publish_ns", kind="stable").rename(columns={"port": "message"})
+    table["stage"] = graph.ports.stage.to_numpy()[table.message]
+    table["variant"] = graph.variants[table.stage, table.cycle % graph.variants.shape[1]]
+    table = table[table.variant >= 0]
+    table["first_ns"] = table.groupby(["cycle", "stage"]).publish_ns.transform("min")
+    closed = table.drop_duplicates(["cycle", "stage"], keep="last", ignore_index=True)
+    closed = closed.rename(columns={"publish_ns": "last_ns"})
+    return closed.join(graph.stages, on="stage").assign(
+        tick_ns=closed.cycle * graph.plan.timing.cycle_wall_ns
     )
-
-
-def _missing(
-    numbers: Mapping[str, int], stated: Mapping[tuple[int, int], tuple[str, ...]]
-) -> pd.DataFrame:
-    """Return a row for each input that a message states as missing; keys of no port are ignored."""
-    rows = [
-        (cycle, message, numbers[key], -1 if instead is None else instead)
-        for (cycle, message), entries in stated.items()
-        for key, instead in map(parse_missing, entries)
-        if key in numbers
-    ]
-    names = ["cycle", "message", "port", "instead"]
-    table = pd.DataFrame(rows, columns=names, dtype=np.int64)
-    return table.drop_duplicates(names[:3], keep="last")
-
-
-def stage_times(messages: MessageTimes) -> list[StageTimes]:
-    """Return every stage of every agent: the plant first, the stages of an agent in their order."""
-    plan = messages.plan
-    outputs: dict[tuple[str, str], list[int]] = {}
-    for number, port in enumerate(messages.ports):
-        outputs.setdefault((port.publisher, stage_of(port, plan.tree)), []).append(number)
-    return [
-        _stage(
-            messages,
-            agent,
-            [next((one for one in stages if one.name == name), None) for stages in pattern],
-            outputs[agent, name],
-        )
-        for agent, pattern in stages_of_agents(plan).items()
-        for name in STAGES[kind_of(agent, plan.tree)]
-    ]
-
-
-def _stage(
-    messages: MessageTimes,
-    agent: str,
-    pattern: Sequence[Stage | None],
-    outputs: Sequence[int],
-) -> StageTimes:
-    """Return a stage; `pattern` is the stage in each cycle until that repeats, None: not there.
-
-    `outputs` are the numbers of its ports.
-    """
-    plan = messages.plan
-    name, timed = next((stage.name, stage.timed) for stage in pattern if stage is not None)
-    deadline_ns = plan.deadlines.deadline_ns(agent, name)
-    # The plant's tick is when its first stage begins, not when it must end.
-    grace_ns = plan.deadlines.slice_ns(agent, name) if timed else 0
-
-    closes = np.array([stage is not None for stage in pattern])
-    publish_ns = messages.publish_ns.iloc[:, list(outputs)].dropna(how="all")
-    publish_ns = publish_ns[closes[publish_ns.index % len(pattern)]]
-    last = np.array(outputs)[np.nanargmax(publish_ns.to_numpy(), axis=1)]
-    closed = pd.DataFrame({"first_ns": publish_ns.min(axis=1), "last_ns": publish_ns.max(axis=1)})
-    closed["message"] = [messages.ports[number] for number in last]
-    closed["ready_ns"] = _at(messages.ready_ns, closed.index, last)
-
-    inputs = _inputs(messages, closed.assign(message=last), pattern)
-    awaited = inputs[inputs.awaited]
-    late, in_time = awaited[awaited.late], awaited[~awaited.late & (awaited.ns < awaited.last_ns)]
-    lacking = closed.index.isin(late.cycle)
-    # A stage that lacked anything waited for that; one that did not, for the last of its inputs.
-    waited_for = pd.concat([late, in_time[~in_time.cycle.isin(late.cycle)]]).dropna(subset="ns")
-    last_come = waited_for.sort_values("ns", ascending=False, kind="stable").drop_duplicates(
-        "cycle"
-    )
-    causes = dict(zip(last_come.cycle, last_come.port, strict=True))
-    without = late.groupby("cycle").port.agg(list)
-    closed["completed_ns"] = in_time.groupby("cycle").ns.max()
-    closed["oldest_ns"] = inputs.groupby("cycle").used_ns.min()
-    closed["awaits"] = closed.index.isin(awaited.cycle)
-    closed["lacking"] = lacking
-    closed["overran"] = ~lacking & (closed.last_ns > deadline_ns + grace_ns)
-    closed["without"] = [
-        tuple(sorted(str(messages.ports[number]) for number in without.get(cycle, ())))
-        for cycle in closed.index
-    ]
-    cause = [messages.ports[causes[cycle]] if cycle in causes else None for cycle in closed.index]
-    closed["cause"] = pd.Series(cause, closed.index, dtype=object)
-    return StageTimes(agent, name, deadline_ns, timed, closed)
 
 
 def _inputs(
-    messages: MessageTimes, closed: pd.DataFrame, pattern: Sequence[Stage | None]
+    closed: pd.DataFrame, known: pd.DataFrame, missing: pd.DataFrame, graph: RunGraph
 ) -> pd.DataFrame:
-    """Return a row for each cycle of a stage and each of its inputs, with the number of its port.
+    """Return a row for each input of each closed stage, `at` being the stage's row.
 
-    awaited, late: Whether the stage awaits it in this cycle, and closed without it.
-    ns: When the message of this cycle went out.
+    late: Whether the stage's last message states that it had not come.
+    came_ns: When the message of this cycle went out.
     used_ns: When the message went out that the stage used, perhaps of an earlier cycle.
     """
-    plan, cycle = messages.plan, closed.index.to_numpy()
-    numbers = {port: number for number, port in enumerate(messages.ports)}
-    stages = [stage for stage in pattern if stage is not None]
-    ports = list(dict.fromkeys(port for one in stages for port in (*one.awaits, *one.uses)))
-    awaits = [[stage is not None and port in stage.awaits for stage in pattern] for port in ports]
-    awaited = np.array(awaits, dtype=bool).reshape(len(ports), len(pattern))
-    period = np.array([plan.control.period(port) for port in ports], dtype=np.int64)[:, None]
-    table = pd.DataFrame(
-        {
-            "cycle": np.tile(cycle, len(ports)),
-            "port": np.repeat([numbers[port] for port in ports], len(cycle)).astype(np.int64),
-            "awaited": awaited[:, cycle % len(pattern)].ravel(),
-            "due": (cycle // period * period).ravel(),
-        }
-    )
-    table = table.merge(closed[["last_ns", "message"]], left_on="cycle", right_index=True)
-    # A stage's last message states what was missing, and the cycle of what it used instead.
-    table = table.merge(messages.missing, how="left", on=["cycle", "message", "port"])
+    own = closed[["cycle", "stage", "variant", "message", "last_ns"]].rename_axis("at")
+    table = own.reset_index().merge(graph.inputs, on=["stage", "variant"])
+    table = table.merge(missing, how="left", on=["cycle", "message", "input"])
+    period = graph.ports.period.to_numpy()[table.input]
     table["late"] = table.instead.notna()
-    used = table.instead.fillna(table.due).astype(np.int64)
-    table["ns"] = _at(messages.publish_ns, table.cycle, table.port)
-    used_ns = _at(messages.publish_ns, used, table.port)
-    table["used_ns"] = used_ns + (used - table.cycle) * plan.timing.cycle_wall_ns
+    used = table.instead.fillna(table.cycle // period * period).astype(np.int64)
+    first = int(known.cycle.min()) if len(known) else 0
+    sent_ns = np.full(
+        (int(known.cycle.max() if len(known) else 0) - first + 1, len(graph.ports)), np.nan
+    )
+    sent_ns[known.cycle - first, known.port] = known.publish_ns
+
+    def sent(cycles: ArrayLike) -> NDArray[np.float64]:
+        row = np.asarray(cycles) - first
+        there = (row >= 0) & (row < len(sent_ns))
+        return np.where(there, sent_ns[np.where(there, row, 0), table.input], np.nan)
+
+    table["came_ns"], table["used_ns"] = sent(table.cycle), sent(used)
     return table
 
 
-def _at(times_ns: pd.DataFrame, cycles: ArrayLike, ports: ArrayLike) -> NDArray[np.float64]:
-    """Return the times of messages by cycle and number of their port; NaN: there is none."""
-    row, values = np.asarray(cycles), times_ns.to_numpy()
-    known = (row >= 0) & (row < len(values))
-    return np.where(known, values[np.where(known, row, 0), np.asarray(ports)], np.nan)
+def _add_inputs(closed: pd.DataFrame, inputs: pd.DataFrame) -> None:
+    """Add to closed stages what follows from their inputs."""
+    awaited = inputs[inputs.awaited]
+    late, in_time = (
+        awaited[awaited.late],
+        awaited[~awaited.late & (awaited.came_ns < awaited.last_ns)],
+    )
+    closed["awaits"] = closed.index.isin(awaited["at"])
+    closed["lacking"] = closed.index.isin(late["at"])
+    closed["overran"] = ~closed.lacking & (
+        closed.last_ns > closed.tick_ns + closed.deadline_ns + closed.grace_ns
+    )
+    closed["completed_ns"] = in_time.groupby("at").came_ns.max()
+    closed["oldest_ns"] = inputs.groupby("at").used_ns.min()
+    # A stage that lacked anything waited for that; one that did not, for the last of its inputs.
+    waited_for = pd.concat([late, in_time[~in_time["at"].isin(late["at"])]]).dropna(
+        subset="came_ns"
+    )
+    last = waited_for.sort_values("came_ns", kind="stable").drop_duplicates("at", keep="last")
+    closed["cause"] = last.set_index("at").input
 
 
 def _start_ns(reader: RunReader) -> int:
@@ -261,13 +263,18 @@ def _start_ns(reader: RunReader) -> int:
 
 
 def _end_cycle(reader: RunReader) -> int:
-    """Return the first cycle that does not count.
+    """Return the first cycle that does not count: the plant did not end it.
 
     An external plant goes on after Ctrl-C, when the controllers have left it.
     """
-    plan = reader.plan
-    if PLANT not in plan.access.external:
-        return plan.timing.cycles
-    own = [COMMAND.of(leaf) for leaf in plan.tree.leaves if leaf not in plan.access.external]
-    last = {record.port: record.cycle for record in reader.records(own)}
-    return min(last.values(), default=plan.timing.cycles - 1) + 1
+    plan, end = reader.plan, reader.plan.timing.cycles
+    if PLANT in plan.access.external:
+        own = [COMMAND.of(leaf) for leaf in plan.tree.leaves if leaf not in plan.access.external]
+        last = {record.port: record.cycle for record in reader.records(own)}
+        end = min(last.values(), default=end - 1) + 1
+    newest = min(reader.last_cycle + 1, end)
+    for begin in (max(newest - 1000, 0), 0):  # The whole file is read only if it must be.
+        ended = [one.cycle for one in reader.records([PRODUCTION.of(ROOT)], range(begin, end))]
+        if ended:
+            return max(ended) + 1
+    return 0

@@ -141,14 +141,10 @@ def test_hosts_with_keys_a_slow_network_and_another_clock(
             assert (run.wait(170), other.wait(60)) == (0, 0)
     assert "clock is ahead by 10000" in (tmp_path / "node" / "logs" / "c2.log").read_text()
     report = report_on(folder)
-    (clock,) = report.clocks
-    assert (clock.name, len(clock.agents)) == (there, 3)
-    # The node's clock is set by messages that took so long.
-    assert 0.9 * HOP_MS <= clock.within_us / 1e3 < 2.0 * HOP_MS
-    assert clock.ahead_us / 1e3 == pytest.approx(-HOP_MS, abs=0.7 * HOP_MS)
-    across = [row for row in report.times if row.measure == "hop" and row.of.endswith(" *")]
-    assert {"residual *", "command *"} <= {row.of for row in across}
-    assert all(row.times.p50_us / 1e3 > 0.9 * HOP_MS for row in across)
+    # Each host has a clock of its own: no hop between the two is measured, but the loop is.
+    loop = report.times[report.times.measure == "loop"]
+    assert (loop.p50_us / 1e3 > 4 * 0.9 * HOP_MS).any()
+    assert {"command", "setpoint"} - set(report.times.of) == {"command"}
     assert verify(folder).equal
 
 

@@ -77,7 +77,7 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
     assert_equal_as_far_as_recorded(run, found)
     with RunReader(run.folder) as reader:
         inspected = sum(one.inputs for one in read_overview(reader).health.misses)
-        timed = sum(one.missing_inputs for one in run_timing(reader).processes)
+        timed = run_timing(reader).processes.missing_inputs.sum()
     assert summary.missing_inputs == inspected == timed
 
 

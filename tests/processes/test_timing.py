@@ -38,17 +38,17 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -
     assert result.exit_code == 1, result.output
     report: dict[str, Any] = json.loads(result.stdout)
 
-    rows = {(row["measure"], row["of"]): row["times"] for row in report["times"]}
+    rows = {(row["measure"], row["of"]): row for row in report["times"]}
     decided = {of for measure, of in rows if measure == "decision"}
     assert decided == {f"{tier} {stage}" for tier in STAGES for stage in STAGES[tier]}
-    assert {measure for measure, _ in rows} >= {"loop", "lateness", "jitter", "age", "hop"}
+    assert {measure for measure, _ in rows} >= {"loop", "lateness", "age", "hop"}
     assert rows["loop", "all commands"]["count"] == CYCLES
-    assert {row["times"]["min_us"] >= 0.0 for row in report["times"]} == {True}
+    assert {row["min_us"] >= 0 for row in report["times"]} == {True}
     counts = {tier["tier"]: tier["processes"] for tier in report["tiers"]}
     assert counts == {"plant": 1, "central": 1, "supervisor": 2, "direct": 4, "recorder": 1}
     (recorder,) = [tier for tier in report["tiers"] if tier["tier"] == "recorder"]
     assert 0.0 < recorder["cpu_percent"] < 100.0 * (os.cpu_count() or 1)
-    (failed,) = [v for v in report["verdicts"] if v["line"] == "loop all commands p99"]
+    (failed,) = [v for v in report["budgets"] if v["line"] == "loop all commands p99"]
     assert (failed["passed"], report["passed"]) == (False, False)
     assert "loop all commands p99" in result.stderr
     assert (folder / "timing.html").exists()

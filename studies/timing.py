@@ -1,0 +1,246 @@
+"""Plants run in real time and timed: at one rate, or at several to find how fast they can go."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import msgspec
+import psutil
+
+from agents.process.interruption import interruptible
+from bus_schemas.errors import InputError
+from launch_scripts.launch import check_processes, launch
+from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
+from launch_scripts.supervision import ForkServerProcess, RunFailure
+from launch_scripts.view import ViewFor
+from results.report.result import Result
+from results.tables import Column, Table, attributes, key_column, word_column
+from results.timing.report import TimingReport, report_on
+from results.timing.results import cycles_per_s
+from results.timing.run_timing import WHOLE_LOOP
+from scenarios.preparation import Preparation
+from scenarios.times import parse_duration_s
+
+HIGHEST_HZ: Final = 1000.0
+LOWEST_HZ: Final = 1.0 / 3600.0
+_AUTO: Final = f"5..{HIGHEST_HZ:g}"
+
+_CLOSE_ENOUGH: Final = 1.1
+"""The search ends where the lowest rate that fails is no further above the highest clean one."""
+
+_EXPECTED: Final = (
+    "cycles a second such as 20, several such as 5,10,20, 1..200 or auto, each from one cycle an "
+    f"hour (0.000278) to {HIGHEST_HZ:g}"
+)
+
+
+def run_length_s(request: RunRequest, default: str) -> float:
+    """Return how long a run lasts: up to `--to`, or for `--duration` or its default [s]."""
+    if request.options.end is None:
+        return parse_duration_s(request.options.duration or default, "--duration")
+    plan = prepare_run(request)[0].plan
+    return plan.timing.cycles * plan.timing.cycle_ns / 1e9
+
+
+def prepare_at(
+    rate_hz: float, length_s: float, request: RunRequest, out: Path | None
+) -> tuple[Preparation, RunFolder]:
+    """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet."""
+    if length_s * rate_hz < 1.0:
+        raise InputError(
+            f"--duration {length_s:g} s: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
+            f"more at {cycles_per_s(rate_hz)}"
+        )
+    cycle_s = 1.0 / rate_hz
+    duration = f"{round(length_s * rate_hz) * cycle_s:.9f}"
+    options = replace(request.options, pace="1", cycle_s=cycle_s, duration=duration, end=None)
+    preparation, folder = prepare_run(RunRequest(request.scenario, options, out))
+    check_processes(preparation.plan)
+    return preparation, folder
+
+
+def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor) -> TimingReport:
+    """Run a plant that `prepare_at` has prepared, and report on it."""
+    plan, scenario = preparation.plan, preparation.scenario.scenario
+    duration_s = plan.timing.cycles * plan.timing.cycle_wall_ns / 1e9
+    began_at, load_before = time.monotonic(), psutil.getloadavg()[0]
+    with ForkServerProcess() as server, view_for(plan) as view:
+        view.say(scenario.title)
+        view.say(f"{cycles_per_s(1e9 / plan.timing.cycle_wall_ns)} for {round(duration_s, 2):g} s")
+        summary = launch(preparation, folder, view, began_at, server)
+        with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
+            folder.write_summary(summary.as_json())
+    try:
+        return report_on(folder.path, summary, (load_before, psutil.getloadavg()[0]))
+    except InputError as error:  # The disk was full, for instance.
+        raise RunFailure(f"{summary.recording_ended or 'not measured'}: {error}") from None
+
+
+# Several rates ------------------------------------------------------------------------------------
+
+
+class RateRow(msgspec.Struct, frozen=True):
+    """The run at one rate; `reason` says why it failed, or what was late or lost in which tier.
+
+    Of a rate that was interrupted nothing is proved.
+    """
+
+    rate_hz: float
+    outcome: Literal["clean", "not clean", "failed", "interrupted"]
+    reason: str = ""
+    cycles: int = 0
+    late_cycles: int = 0
+    lost_messages: int = 0
+    loop_p50_ms: float | None = None
+    loop_p99_ms: float | None = None
+    loop_max_ms: float | None = None
+    host: tuple[str, ...] = ()
+
+
+class Sweep(msgspec.Struct, frozen=True):
+    """Runs at several rates, ascending; `highest_clean_hz` is None if none was clean.
+
+    `too_fast_hz` is the lowest rate above it that proved too fast, if there is one.
+    """
+
+    rows: tuple[RateRow, ...]
+    highest_clean_hz: float | None
+    too_fast_hz: float | None
+
+    @property
+    def interrupted(self) -> bool:
+        return any(row.outcome == "interrupted" for row in self.rows)
+
+
+def parse_rates(text: str) -> tuple[tuple[float, ...], bool]:
+    """Read the value of `--rate`: the rates [1/s], and whether they are the ends of a search."""
+    is_range = text == "auto" or ".." in text
+    parts = (_AUTO if text == "auto" else text).split(".." if is_range else ",")
+    try:
+        rates = tuple(map(float, parts))
+        ascending = not is_range or (len(rates) == 2 and rates[0] < rates[1])
+        if not ascending or not all(LOWEST_HZ <= rate <= HIGHEST_HZ for rate in rates):
+            raise ValueError
+    except ValueError:
+        raise InputError(f"--rate: expected {_EXPECTED}, got {text}") from None
+    if len(set(rates)) < len(rates):
+        raise InputError(f"--rate: expected each rate once, got {text}")
+    return rates, is_range
+
+
+def sweep(
+    rates: tuple[float, ...], is_search: bool, timed: Callable[[float], TimingReport]
+) -> Sweep:
+    """Run at the listed rates; or search for the highest clean one, doubling, then halving steps.
+
+    A search runs a rate that was not clean once more, and the second run counts: one stall of the
+    machine must not end it. A later rate may be refused because stated deadlines do not fit
+    into its cycle, or its run may fail: that rate has failed, and the others still count. Only if
+    the very first rate is refused, so is the sweep.
+    """
+    rows: dict[float, RateRow] = {}
+    for rate_hz in _search(rates[0], rates[1], rows) if is_search else rates:
+        for _ in range(2 if is_search else 1):
+            try:
+                row = rate_row(timed(rate_hz))
+            except KeyboardInterrupt:
+                row = RateRow(rate_hz, "interrupted")
+            except (RunFailure, InputError) as failure:
+                if not rows and isinstance(failure, InputError):
+                    raise
+                row = RateRow(rate_hz, "failed", str(failure).splitlines()[0])
+            rows[rate_hz] = row
+            if row.outcome != "not clean":
+                break
+        if row.outcome == "interrupted":
+            break
+    return _swept(rows)
+
+
+def _swept(rows: dict[float, RateRow]) -> Sweep:
+    clean_hz = max((hz for hz, row in rows.items() if row.outcome == "clean"), default=None)
+    proved = (hz for hz, row in rows.items() if row.outcome in {"failed", "not clean"})
+    too_fast_hz = min((hz for hz in proved if hz > (clean_hz or 0.0)), default=None)
+    return Sweep(tuple(rows[hz] for hz in sorted(rows)), clean_hz, too_fast_hz)
+
+
+def _search(rate_hz: float, highest_hz: float, rows: dict[float, RateRow]) -> Iterator[float]:
+    """Yield rates to try; each is run, and has its row, before the next one is asked for."""
+    yield rate_hz
+    while rows[rate_hz].outcome == "clean" and rate_hz < highest_hz:
+        rate_hz = min(2.0 * rate_hz, highest_hz)
+        yield rate_hz
+    while (done := _swept(rows)).highest_clean_hz is not None and done.too_fast_hz is not None:
+        if done.too_fast_hz <= done.highest_clean_hz * _CLOSE_ENOUGH:
+            return
+        rate_hz = float(f"{(done.highest_clean_hz * done.too_fast_hz) ** 0.5:.3g}")
+        yield rate_hz
+
+
+def rate_row(report: TimingReport) -> RateRow:
+    run, tiers = report.run, report.tiers
+    counts = ["missed_deadlines", "overruns", "skipped_cycles"]
+    reasons = [
+        f"{one.tier}: missed deadlines {one.missed_deadlines}, overruns {one.overruns}, "
+        f"skipped cycles {one.skipped_cycles}"
+        for one in tiers[tiers[counts].any(axis=1)].itertuples()
+    ]
+    if run.lost_messages:
+        reasons.append(f"messages not recorded: {run.lost_messages:,}")
+    loop: Any = next(
+        (one for one in report.times.to_dict("records") if one["of"] == WHOLE_LOOP), {}
+    )
+    return RateRow(
+        rate_hz=run.rate_hz,
+        outcome="interrupted" if run.interrupted else "clean" if run.clean else "not clean",
+        reason=", ".join(reasons),
+        cycles=run.cycles,
+        late_cycles=run.late_cycles,
+        lost_messages=run.lost_messages or 0,
+        host=report.host,
+        **{f"loop_{name}_ms": loop[f"{name}_us"] / 1e3 for name in ("p50", "p99", "max") if loop},
+    )
+
+
+def sweep_result(done: Sweep, scenario: str) -> Result:
+    """Return the rates, the machine, and the highest clean rate."""
+    hosts = [row.host for row in done.rows if row.host]
+    reasons = [
+        f"{cycles_per_s(row.rate_hz)} {row.outcome}: {row.reason}"
+        for row in done.rows
+        if row.reason
+    ]
+    columns = (
+        key_column("rate", "rate_hz"),
+        Column("cycles"),
+        *(Column(f"loop {name}", "ms", name=f"loop_{name}_ms") for name in ("p50", "p99", "max")),
+        Column("late cycles", name="late_cycles"),
+        Column("lost", name="lost_messages"),
+        word_column("", "outcome"),
+    )
+    rows = [(f"{row[0]:.4g}", *row[1:]) for row in attributes(done.rows, columns)]
+    return Result(
+        f"{scenario}: loop time against rate",
+        [Table("Rates [cycles/s]", columns, rows)],
+        done,
+        lines=hosts[-1] if hosts else (),
+        conclusions=reasons,
+        verdict=(done.highest_clean_hz is not None, _conclusion(done)),
+    )
+
+
+def _conclusion(done: Sweep) -> str:
+    """Say how fast the plant can go."""
+    if done.highest_clean_hz is not None:
+        at_least = "at least " if done.too_fast_hz is None else ""
+        return (
+            f"PASS: highest clean rate {at_least}{cycles_per_s(done.highest_clean_hz)} (at most "
+            "1 % of the cycles late, no message lost)"
+        )
+    if done.interrupted:
+        return "FAIL: interrupted before a rate was found to be clean"
+    return f"FAIL: no rate was clean: {len(done.rows)} tried, try lower ones"

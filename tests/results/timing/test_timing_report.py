@@ -1,0 +1,253 @@
+"""The report on a timed run: budgets, verdict, tables and page."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import msgspec
+import plotly.graph_objects as go
+import pytest
+from msgspec.structs import replace
+from plans_by_hand import with_changes
+from printing import printed
+from reports_by_hand import MISSED, missed, reported, summary_of
+from timed_recordings import PLAN, TIMES_MS, cycle, recorded, without
+
+from agents.process.machine import MachineSettings
+from recordings.inspect.health import WrongMessages
+from results.report.page import html_page
+from results.report.result import print_result
+from results.timing.report import TimingReport, p99_limits_ms, report_on
+from results.timing.results import timing_result
+from scenarios.scenario import BudgetTable
+
+TIERED = with_changes(PLAN, tier_deadlines_ns=(6_000_000, 50_000_000, 60_000_000))
+
+
+def failed(report: TimingReport) -> set[str]:
+    return {budget.line for budget in report.budgets if not budget.passed}
+
+
+def verdict_of(report: TimingReport) -> str:
+    verdict = timing_result(report).verdict
+    assert verdict is not None
+    assert verdict[0] == report.passed == verdict[1].startswith("PASS")
+    return verdict[1]
+
+
+def text_of(found: TimingReport) -> str:
+    return printed(lambda console: print_result(console, timing_result(found)))
+
+
+def row(text: str, name: str) -> list[str]:
+    """The figures of the first row of this name."""
+    return str(re.findall(rf"^{name} +(\d.*?) *$", text, re.MULTILINE)[0]).split()
+
+
+# Budgets ------------------------------------------------------------------------------------------
+
+
+def test_default_budgets_follow_the_length_of_the_cycle() -> None:
+    fast = p99_limits_ms(PLAN, BudgetTable())  # 100 ms: 33.75 for the first stage, 11.25 each.
+    assert fast["loop", "all commands"] == pytest.approx(50.0)
+    assert fast["decision", "direct actuate"] == pytest.approx(11.25)
+    assert fast["lateness", "plant sense"] == pytest.approx(2.0)
+    slow = p99_limits_ms(with_changes(PLAN, cycle_wall_ns=800_000_000_000), BudgetTable())
+    # 90 s for each stage: the paper's upper bounds are nearer.
+    expected_ms = {"plant apply": 90_000, "central solve": 60_000, "supervisor report": 10_000}
+    expected_ms |= {"supervisor solve": 10_000, "direct estimate": 1_000, "direct actuate": 1_000}
+    found = {stage: slow["decision", stage] for stage in expected_ms}
+    assert found == pytest.approx(expected_ms)
+
+
+def test_budgets_of_decisions_follow_the_deadlines_of_the_tiers() -> None:
+    # Three stages share the 6 ms up to the central controller's last message, the first has three
+    # parts; cycles last 100 ms.
+    expected_ms = {"direct estimate": 3.6, "central solve": 1.2, "supervisor solve": 44.0}
+    expected_ms |= {"direct actuate": 10.0, "plant apply": 20.0}
+    found = p99_limits_ms(TIERED, BudgetTable())
+    assert {stage: found["decision", stage] for stage in expected_ms} == pytest.approx(expected_ms)
+    stated = p99_limits_ms(TIERED, BudgetTable(decision_p99_ms={"direct": 3.0}))
+    assert stated["decision", "direct estimate"] == 3.0
+    # The response of a device has the budget of its own stage.
+    device = p99_limits_ms(with_changes(TIERED, external=("c2/d",)), BudgetTable())
+    assert device["response", "c2/d estimate"] == pytest.approx(3.6)
+
+
+def test_a_budget_of_the_scenario_takes_the_place_of_the_default(tmp_path: Path) -> None:
+    budgets = """
+        loop_p99_ms = 13
+        loop_max_ms = 13.5
+        hop_p99_ms = { residual = 0.35, setpoint = 1 }
+        decision_p99_ms = { direct = 1.05 }
+        age_p99_ms = { supervisor = 20 }
+        cpu_percent = { direct = 5 }
+        resident_mb = { central = 39, plant = 41 }
+    """
+    report = reported(tmp_path, budgets=budgets)
+    assert failed(report) == {
+        "loop all commands p99",
+        "loop all commands max",
+        "hop residual p99",
+        "decision direct estimate p99",
+        "CPU of a direct",
+        "memory of a central",
+    }
+    (budget,) = [entry for entry in report.budgets if entry.line == "hop residual p99"]
+    assert (budget.value, budget.limit) == (0.5, 0.35)
+
+
+def test_missed_deadlines_overruns_skipped_cycles_and_losses_are_counted(tmp_path: Path) -> None:
+    silent = {key: times for key, times in MISSED.items() if key[:4] != "c2/d"}
+    slow = {**TIMES_MS, "c1/a/help": (2.0, 34.0)}
+    cycles = [
+        list(cycle(0)),
+        list(missed(1)),
+        list(cycle(2, silent, {"production": ("c2/d/command",)})),
+        list(cycle(3, slow)),
+    ]
+    kept = "overruns = 1\nskipped_cycles = 1\nmissed_deadlines = 2\nlost_messages = 4"
+    strict = reported(tmp_path / "strict", *cycles, lost=4, dropped=1)
+    counts = {"missed deadlines", "overruns", "skipped cycles", "messages not recorded"}
+    assert failed(strict) & {*counts, "dropped messages"} == counts
+    lenient = reported(tmp_path / "lenient", *cycles, lost=4, dropped=1, budgets=kept)
+    assert not failed(lenient) & counts
+    dropped = reported(tmp_path / "dropped", dropped=1, budgets="dropped_messages = 8")
+    assert failed(dropped) == {"dropped messages"}
+
+
+def test_what_was_not_measured_although_it_must_be_is_not_kept(tmp_path: Path) -> None:
+    # The commands never complete the plant's stage, and a device tells no time of its own.
+    plan = with_changes(PLAN, external=("c1/a",))
+    estimates = ("c1/a/impp", "c1/a/residual", "c1/a/help")
+    late = {key: (0.0, -5_000.0) if key in estimates else MISSED[key] for key in MISSED}
+    lack = {"production": ("c2/d/command",)}
+    stated = "hop_p99_ms = { command = 10 }"
+    report = reported(tmp_path, cycle(0, late, lack), plan=plan, budgets=stated)
+    absent = {budget.line for budget in report.budgets if budget.value is None}
+    assert absent == {"hop command p99", "response c1/a estimate p99"}
+    assert absent <= failed(report)
+
+
+@pytest.mark.parametrize(
+    ("cycles", "slow", "passed"), [(60, 1, True), (60, 2, False), (200, 2, True), (200, 3, False)]
+)
+def test_one_slow_cycle_of_fewer_than_a_hundred_is_named_and_does_not_decide(
+    cycles: int, slow: int, passed: bool, tmp_path: Path
+) -> None:
+    late = {**TIMES_MS, "production": (60.0, 60.5)}
+    run = (cycle(k, late if k < slow else TIMES_MS) for k in range(cycles))
+    report = reported(tmp_path, *run)
+    loop = "loop all commands"
+    assert (f"{loop} p99" not in failed(report)) == passed
+    is_named = f"one above its budget: {loop} 60.000 ms (at most 50.000 ms)" in text_of(report)
+    assert is_named == (slow == 1) == ("but for one duration" in verdict_of(report))
+
+
+# The verdict --------------------------------------------------------------------------------------
+
+
+def test_a_run_that_was_interrupted_does_not_pass(tmp_path: Path) -> None:
+    kept = recorded(tmp_path, cycle(0), cycle(1))
+    assert verdict_of(report_on(kept)).startswith("PASS")
+    stopped = replace(summary_of(kept), interrupted=True)
+    assert "interrupted after 2 of 2 cycles" in verdict_of(report_on(kept, stopped))
+    (short := tmp_path / "short").mkdir()
+    recorded(short, cycle(0), cycle(1), plan=with_changes(PLAN, cycles=60))
+    assert "interrupted after 2 of 60 cycles" in verdict_of(report_on(short))
+    (cut := tmp_path / "cut").mkdir()
+    recorded(cut, cycle(0), cycle(1), ended=False)
+    assert "broke off" in verdict_of(report_on(cut))
+
+
+def test_without_a_summary_what_only_the_launcher_knew_is_not_zero(tmp_path: Path) -> None:
+    report = report_on(recorded(tmp_path, cycle(0), cycle(1)))
+    assert report.passed
+    lines = {budget.line for budget in report.budgets}
+    assert not lines & {"messages not recorded", "dropped messages", "CPU of a direct"}
+    text = text_of(report)
+    assert row(text, "direct").count("-") == 4
+    assert "summary.json" in text
+    document = json.loads(msgspec.json.encode(report.document()))
+    assert document["run"]["lost_messages"] is None
+    assert document["tiers"][0]["cpu_percent"] is None
+    assert document["processes"][0]["dropped"] is None
+
+
+def test_the_summary_beside_a_recording_is_used_if_it_is_of_that_run(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    live = reported(folder, dropped=2)
+    assert live.tiers.cpu_percent[0] == pytest.approx(10.0)
+    summary = summary_of(folder, dropped=2).as_json()
+    (folder / "summary.json").write_bytes(summary)
+    assert report_on(folder).tiers.equals(live.tiers)
+    (folder / "summary.json").write_bytes(summary.replace(b"by-hand-2", b"another"))
+    assert report_on(folder / "run.mcap").tiers.cpu_percent.isna().all()
+
+
+# Tables and page ----------------------------------------------------------------------------------
+
+
+def test_each_row_has_its_figures_its_budget_and_its_verdict(tmp_path: Path) -> None:
+    text = text_of(reported(tmp_path, budgets="hop_p99_ms = { residual = 0.35 }"))
+    count, *times_ms, limit_ms, verdict = row(text, "residual")
+    assert (count, limit_ms, verdict) == ("6", "0.350", "FAIL")
+    assert [float(time) for time in times_ms] == [0.3, 0.4, 0.5, 0.5, 0.5]
+    assert row(text, "central solve")[-2:] == ["11.250", "PASS"]
+
+
+def test_counts_and_resources_are_added_up_by_tier(tmp_path: Path) -> None:
+    missing = {
+        "c1/a/help": ("c1/a/telemetry", "dispatch"),
+        "c1/a/command": ("dispatch@0",),
+        "c2/c/residual": ("c2/c/telemetry",),
+    }
+    silent = without("c2/d/impp", "c2/d/residual", "c2/d/command")
+    cycles = cycle(0), cycle(1, missing=missing), cycle(2, silent)
+    tiers = reported(tmp_path, *cycles, dropped=2).tiers.set_index("tier")
+    direct, recorder = tiers.loc["direct"], tiers.loc["recorder"]
+    assert (direct.processes, direct.missed_deadlines, direct.skipped_cycles) == (4, 2, 1)
+    assert (direct.missing_inputs, direct.dropped) == (3, 8)
+    # Each process took 1 s of 10 s, and 40 MB.
+    assert (direct.cpu_percent, direct.cpu_highest_percent) == pytest.approx((40.0, 10.0))
+    assert (direct.resident_mb, recorder.resident_mb) == (40.0, 40.0)
+    assert (recorder.processes, recorder.missed_deadlines) == (1, 0)
+
+
+def test_the_header_tells_what_was_asked_of_the_machine_and_what_it_refused(tmp_path: Path) -> None:
+    machine = MachineSettings(cpus=(0,), cpus_of={"direct": (1,)}, priority=7)
+    recorded(tmp_path, cycle(0), plan=with_changes(PLAN, machine=machine))
+    wrong = WrongMessages("c2/d/command", "not msgpack", 3, "b'x'")
+    summary = replace(summary_of(tmp_path), remarks=("memory: not locked",), wrong=(wrong,))
+    text = text_of(report_on(tmp_path, summary))
+    assert "SCHED_FIFO 7, direct on CPU 1, others on CPU 0" in text
+    assert "memory: not locked" in text
+    assert "3 not msgpack on c2/d/command" in text
+
+
+def test_the_page_begins_with_the_verdict_and_the_slowest_cycle(tmp_path: Path) -> None:
+    page = html_page(timing_result(reported(tmp_path / "kept")))
+    verdict = page.index('<p class="verdict pass">PASS: all ')
+    assert verdict < page.index("2 cycles") < page.index('<section id="waits-1"')
+    sections = re.findall(r'<section id="([a-z0-9-]+)"', page)
+    assert sections[:3] == ["waits-1", "waits-2", "loop"]
+    failed_page = html_page(timing_result(reported(tmp_path / "late", cycle(0), missed(1))))
+    assert '<p class="verdict fail">FAIL: ' in failed_page
+    assert "not kept: " in failed_page
+
+
+def test_the_page_draws_the_loop_and_who_waited_for_whom(tmp_path: Path) -> None:
+    result = timing_result(reported(tmp_path))
+    figures: dict[str, go.Figure] = {one.anchor: one.figure for one in result.figures()}
+    loop, budget = figures["loop"].data
+    assert (list(loop.x), list(loop.y)) == ([0.0, 0.1], [13.6, 13.6])
+    assert set(budget.y) == {50.0}
+    others, chain, messages = figures["waits-1"].data
+    assert list(chain.y) == ["plant", "c2/c", "c2", "central", "c2", "c2/d", "plant"]
+    assert "c1/a" in list(others.y)
+    assert "c2/c took 7.9 ms (estimate), after c2/c/telemetry" in chain.customdata[1]
+    assert list(messages.y)[:2] == ["plant", "c2/c"]
+    rows = figures["waits-1"].layout.yaxis.categoryarray
+    assert rows == ("plant", "central", "c1", "c1/a", "c1/b", "c2", "c2/c", "c2/d")
