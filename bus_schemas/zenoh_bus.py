@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from heapq import heappop, heappush
 from itertools import count
@@ -49,18 +50,24 @@ class ZenohBus(AgentSessions):
         settings: SessionSettings,
         patience_s: float,
         clock: HostClock | None = None,
+        starts: int = 0,
     ) -> None:
-        super().__init__(wiring, settings)
+        super().__init__(wiring, settings, starts)
         self.now_ns = time.monotonic_ns if clock is None else clock.now_ns
         self._clock = clock
         self.inbox = Inbox()
         self._process = process
         self._patience_s = patience_s
+        self._newest: dict[Port[Message], bytes] = {}
+        self._puts: dict[Port[Message], list[Callable[[bytes], None]]] = {}
+        self._declare()
+
+    def _declare(self) -> None:
+        wiring, agent, settings = self._wiring, agent_of(self._process), self._settings
         devices = set(() if settings.devices is None else settings.devices.peers)
-        agent = agent_of(process)
         published, heard = wiring.published[agent], wiring.heard.get(agent, [])
         many = _signals_of_many(published)
-        self._puts: dict[Port[Message], list[Callable[[bytes], None]]] = {}
+        puts: dict[Port[Message], list[Callable[[bytes], None]]] = {}
         for port in published:
             # The session for devices needs only what is heard there; the recorder hears all.
             hears_there = not devices.isdisjoint({RECORDER, *wiring.processes[port]})
@@ -68,12 +75,13 @@ class ZenohBus(AgentSessions):
             control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
             how: dict[str, Any] = {"encoding": ENCODING, "congestion_control": control}
             key = zenoh.KeyExpr(wiring.key(port))
-            self._puts[port] = [
+            puts[port] = [
                 partial(session.put, key, **how)
                 if port.signal in many
                 else session.declare_publisher(key, **how).put
                 for session in self._sessions[: 2 if hears_there else 1]
             ]
+        self._puts = puts
         many = _signals_of_many(heard)
         hear_of = {wiring.key(port): self.inbox.callback(port) for port in heard}
 
@@ -93,7 +101,6 @@ class ZenohBus(AgentSessions):
             for session in self._sessions
             for key, callback in subscribed.items()
         )
-        self._newest: dict[Port[Message], bytes] = {}
         if settings.lockstep:
             self._declared += (
                 session.declare_queryable(
@@ -101,7 +108,7 @@ class ZenohBus(AgentSessions):
                 )
                 for session in self._sessions
             )
-        self._show_token(process)
+        self._show_token(self._process)
 
     @property
     def dropped(self) -> Counter[tuple[str, str]]:
@@ -113,8 +120,9 @@ class ZenohBus(AgentSessions):
         self.outbox.stamp(port, message, now_ns)
         payload = encode(message)
         self._newest[port] = payload
-        for put in self._puts[port]:
-            put(payload)
+        with suppress(zenoh.ZError):  # The session has been closed, to be opened anew.
+            for put in self._puts[port]:
+                put(payload)
 
     def newest(self) -> list[Arrival]:
         """Return the newest messages of those that are heard in lockstep, the dispatch first."""

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
+import socket
+import struct
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import zenoh
 
@@ -19,6 +23,8 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import LARGEST_PAYLOAD, Message
 from bus_schemas.signals import Port
 from bus_schemas.wiring import Wiring
+
+log = logging.getLogger(__name__)
 
 ENCODING: Final = "application/msgpack"
 
@@ -38,9 +44,12 @@ what a plant of 1,000 inverters sends at once."""
 
 _MOST_LINKS: Final = 10_000
 
-_LEASE_MS: Final = 60_000
-"""How long nothing may come over a link [ms]. A process that ends closes its links at once; one
-that is frozen for less keeps them. Among 1,000 inverters a short lease costs a processor."""
+LONGEST_LEASE_S: Final = 60.0
+_CONFIRM_S: Final = 5.0
+"""How long a token may take to be seen by a session that was opened anew."""
+
+SESSIONS_OF_A_START: Final = 4
+"""Ids for the sessions that one process opens, one after the other, before it uses them again."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +90,9 @@ class SessionSettings:
     listen, connect: Endpoints, for instance `tcp/127.0.0.1:7447`.
     lockstep: Whether a publisher waits for a listener that falls behind. In real time a message
         that cannot go out within 20 ms is dropped instead.
+    lease_s: How long nothing may come over a link before both ends close it.
+    open_s: How long a link may take to open. After that, the end that connects tries anew.
+    ids: Ids of the sessions that the agent opens, one after the other; empty: any.
     further: Further settings, by Zenoh's own names.
     peers: Agents at the other ends of its links.
     devices: Of the agent's second session, for devices, which have no password; None: no devices.
@@ -90,12 +102,17 @@ class SessionSettings:
     listen: list[str]
     connect: list[str]
     lockstep: bool = True
+    lease_s: float = LONGEST_LEASE_S
+    open_s: float = LONGEST_LEASE_S
+    ids: tuple[str, ...] = ()
     further: dict[str, object] = field(default_factory=dict)
     peers: tuple[str, ...] = ()
     devices: SessionSettings | None = None
 
-    def config(self) -> zenoh.Config:
+    def config(self, number: int = 0) -> zenoh.Config:
+        """Return the settings of the agent's session of this number."""
         config = zenoh.Config()
+        lease_ms = round(self.lease_s * 1e3)
         settings: dict[str, object] = {
             "mode": "peer",
             "namespace": self.namespace,
@@ -115,45 +132,73 @@ class SessionSettings:
             # By default 1,000 and 100: plant and recorder are linked with everybody.
             "transport/unicast/max_sessions": _MOST_LINKS,
             "transport/unicast/accept_pending": _MOST_LINKS,
-            # By default 10 s. Plant and recorder open 1,000 links one after the other; one that
-            # was given up half open would look whole to the other end, and carry nothing.
-            "transport/unicast/accept_timeout": _LEASE_MS,
-            "transport/unicast/open_timeout": _LEASE_MS,
+            # The end that connects gives up first. A link that the other end gave up half open
+            # would look whole, and carry nothing.
+            "transport/unicast/open_timeout": round(self.open_s * 1e3),
+            "transport/unicast/accept_timeout": lease_ms,
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20000,
             # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
             "transport/link/tx/queue/size/data": 16,
-            "transport/link/tx/lease": _LEASE_MS,
+            "transport/link/tx/lease": lease_ms,
             "transport/link/rx/max_message_size": LARGEST_PAYLOAD,
             "transport/link/protocols": ["tcp"],
         }
         if self.lockstep:
             # By default a listener who stands still for 5 s is cut off, and lacks what is sent.
             settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = (
-                _LEASE_MS * 1000
+                lease_ms * 1000
             )
+        if self.ids:
+            settings["id"] = self.ids[number % len(self.ids)]
         for key, value in (settings | self.further).items():
             config.insert_json5(key, json.dumps(value))
         return config
 
 
-def open_session(settings: SessionSettings) -> zenoh.Session:
+def open_session(settings: SessionSettings, number: int = 0) -> zenoh.Session:
     os.environ.setdefault("ZENOH_RUNTIME", ZENOH_RUNTIME)
-    return zenoh.open(settings.config())
+    return zenoh.open(settings.config(number))
 
 
-def open_sessions(settings: SessionSettings) -> list[zenoh.Session]:
+def open_sessions(settings: SessionSettings, number: int = 0) -> list[zenoh.Session]:
     """Open an agent's session, and then that with devices if it has one."""
-    return [open_session(each) for each in (settings, settings.devices) if each is not None]
+    return [open_session(each, number) for each in (settings, settings.devices) if each is not None]
+
+
+def _abort_links() -> None:
+    """Abort all TCP links of this process.
+
+    A link over which nothing goes keeps a session from closing for 10 s, and Zenoh's only thread
+    waits meanwhile.
+    """
+    for entry in Path("/proc/self/fd").iterdir():
+        with suppress(OSError):  # Closed in the meantime, or not connected.
+            if not str(entry.readlink()).startswith("socket:"):
+                continue
+            with socket.socket(fileno=os.dup(int(entry.name))) as link:
+                if link.type == socket.SOCK_STREAM and link.family != socket.AF_UNIX:
+                    link.getpeername()
+                    link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                    link.shutdown(socket.SHUT_RDWR)
 
 
 class TokenWatch:
     """The liveliness tokens of all agents, as an agent's sessions see them."""
 
-    def __init__(self, sessions: Sequence[zenoh.Session], wiring: Wiring) -> None:
+    def __init__(self, key: str) -> None:
+        self._key = key
         self._alive: set[str] = set()
+        self._unconfirmed: set[str] = set()
+        self._confirm_until = 0.0
+        self._subscribers: list[Any] = []
+
+    def listen(self, sessions: Sequence[zenoh.Session]) -> None:
+        """Go on with new sessions: tokens that they do not see soon have disappeared."""
+        self._unconfirmed = set(self._alive)
+        self._confirm_until = time.monotonic() + _CONFIRM_S
         self._subscribers = [
             session.liveliness().declare_subscriber(
-                wiring.alive_key("**"), zenoh.handlers.FifoChannel(QUEUE_LENGTH), history=True
+                self._key, zenoh.handlers.FifoChannel(QUEUE_LENGTH), history=True
             )
             for session in sessions
         ]
@@ -162,37 +207,76 @@ class TokenWatch:
         """Yield the key of each token that has appeared (True) or disappeared (False)."""
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:
-                yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+                key, is_there = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+                self._unconfirmed.discard(key)
+                if is_there != (key in self._alive):
+                    self._alive ^= {key}
+                    yield key, is_there
+        if self._unconfirmed and time.monotonic() > self._confirm_until:
+            self._alive -= self._unconfirmed
+            while self._unconfirmed:
+                yield self._unconfirmed.pop(), False
 
     def alive(self) -> set[str]:
-        for key, is_there in self.changes():
-            (self._alive.add if is_there else self._alive.discard)(key)
+        for _ in self.changes():
+            pass
         return self._alive
 
 
 class AgentSessions:
-    """An agent's sessions, open until the context is left."""
+    """An agent's sessions, open until the context is left.
 
-    def __init__(self, wiring: Wiring, settings: SessionSettings) -> None:
+    starts: How many processes the agent had before.
+    """
+
+    def __init__(self, wiring: Wiring, settings: SessionSettings, starts: int = 0) -> None:
         self.outbox = Outbox()
         self._wiring = wiring
-        self._sessions = open_sessions(settings)
+        self._settings = settings
+        self._number = starts * SESSIONS_OF_A_START
+        self._sessions = open_sessions(settings, self._number)
         # A subscriber, queryable or token ends with the last reference to it.
         self._declared: list[object] = []
+        self._watches: list[TokenWatch] = []
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         """Close the sessions: an open one can hang the interpreter's exit."""
+        self._close()
+
+    def reopen(self) -> None:
+        """Open the sessions anew: nobody hears the agent. What it knows and does stays.
+
+        A new session has another id: to the others, the old one may still be there.
+        """
+        _abort_links()
+        self._close()
+        self._declared = []
+        self._number += 1
+        self._sessions = open_sessions(self._settings, self._number)
+        self._declare()
+        for watch in self._watches:
+            watch.listen(self._sessions)
+        log.warning("nobody hears this process: its sessions were opened anew")
+
+    def watch_tokens(self) -> TokenWatch:
+        watch = TokenWatch(self._wiring.alive_key("**"))
+        watch.listen(self._sessions)
+        self._watches.append(watch)
+        return watch
+
+    def _declare(self) -> None:
+        """Declare what the sessions publish and hear."""
+        raise NotImplementedError
+
+    def _close(self) -> None:
         for session in self._sessions:
             # With 1,000 links on a busy machine this takes longer than Zenoh waits. Every message
             # is already out.
             with suppress(zenoh.ZError):
                 session.close()
-
-    def watch_tokens(self) -> TokenWatch:
-        return TokenWatch(self._sessions, self._wiring)
 
     def _show_token(self, process: str) -> None:
         """Let others see that the process is there."""
@@ -207,35 +291,50 @@ class RunSubscriber(AgentSessions):
     When it is full, publishers wait or drop, see `SessionSettings.lockstep`.
     """
 
-    def __init__(self, agent: str, wiring: Wiring, settings: SessionSettings) -> None:
-        super().__init__(wiring, settings)
+    def __init__(
+        self, agent: str, wiring: Wiring, settings: SessionSettings, starts: int = 0
+    ) -> None:
+        super().__init__(wiring, settings, starts)
+        self._agent = agent
+        self._kept: deque[tuple[str, bytes]] = deque()
+        self._declare()
+
+    def _declare(self) -> None:
         self._subscribers = [
             session.declare_subscriber(
-                f"{wiring.plant}/**",
+                f"{self._wiring.plant}/**",
                 zenoh.handlers.FifoChannel(QUEUE_LENGTH),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
             for session in self._sessions
         ]
-        self._show_token(agent)
+        self._show_token(self._agent)
 
-    def __exit__(self, *error: object) -> None:
+    def _close(self) -> None:
         # A session does not close while Zenoh's thread waits for room in a queue.
-        closing = threading.Thread(target=super().__exit__, args=error)
+        closing = threading.Thread(target=super()._close)
         closing.start()
+        kept: deque[tuple[str, bytes]] = deque()
         while closing.is_alive():
-            for subscriber in self._subscribers:
-                with suppress(zenoh.ZError):  # Its session has closed.
-                    while subscriber.try_recv() is not None:
-                        pass
+            with suppress(zenoh.ZError):  # A session has closed.
+                kept.extend(self.drain())
             closing.join(0.01)
+        self._kept = kept
 
     def publish(self, port: Port[Message], message: Message) -> None:
+        """Send a message, which must arrive: this waits for listeners that have fallen behind."""
         self.outbox.stamp(port, message, time.monotonic_ns())
         for session in self._sessions:
-            session.put(self._wiring.key(port), encode(message), encoding=ENCODING)
+            session.put(
+                self._wiring.key(port),
+                encode(message),
+                encoding=ENCODING,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
+        while self._kept:
+            yield self._kept.popleft()
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:
                 yield str(sample.key_expr), sample.payload.to_bytes()

@@ -126,6 +126,7 @@ class AgentProcess:
             session_settings(plan, name),
             patience_s=min(plan.timing.stall_timeout_s, ALIVE_S),
             clock=HostClock() if is_away else None,
+            starts=link.starts,
         )
         self.loop = Loop(agent, plan, log_drop, name)
         self.driver: Driver = EagerDriver(self.loop, self._bus)
@@ -165,6 +166,10 @@ class AgentProcess:
             if was_silent and not loop.standby.silent:
                 self.link.tell(TookOver(loop.standby.incarnation))
             self.tell_alive()
+            # Controllers act on the bus's thread meanwhile: what they publish is lost.
+            if self.link.unheard:
+                self.link.unheard = False
+                self._bus.reopen()
             was_silent = loop.standby.silent
             yield
 

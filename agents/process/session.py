@@ -14,12 +14,30 @@ from typing import TypeAlias
 from agents.plan import RunPlan
 from bus_schemas.tree import RECORDER, agent_of
 from bus_schemas.wiring import Links
-from bus_schemas.zenoh_session import SUBSCRIBER_BATCH_BYTES, KeyFiles, SessionSettings
+from bus_schemas.zenoh_session import (
+    LONGEST_LEASE_S,
+    SESSIONS_OF_A_START,
+    SUBSCRIBER_BATCH_BYTES,
+    KeyFiles,
+    SessionSettings,
+)
 
 _LARGEST_BYTES = 65_536
 _BYTES_PER_INVERTER = 64
 """A message is not larger than this: the plant's `production` has two numbers for each inverter,
 and `missing` names a few inputs of each child."""
+
+_LEASE_S = 8.0
+_OPEN_S = 3.0
+_PER_PROCESS_S = 0.05
+"""In real time: how long nothing may come over a link, and how long it may take to open; for each
+process if there are many. What was cut off is heard 5 s after its link has healed; a process that
+is frozen for less than 8 s keeps its links. Among 1,000 inverters a short lease costs a processor,
+and plant and recorder open 1,000 links one after the other. In lockstep, where a link that closes
+loses what others wait for, both are 60 s."""
+
+_SESSIONS = 8 * SESSIONS_OF_A_START
+"""Ids of each agent that listens: eight processes one after the other within a lease."""
 
 _LONGEST_COMMON_NAME = 64
 """Characters, by RFC 5280."""
@@ -51,24 +69,26 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
 def _with_passwords(plan: RunPlan, agent: str) -> SessionSettings:
     """Ask every process of ours for its password.
 
-    A session asks everybody who connects, or nobody. Devices have no password, so an agent that
-    talks to one has a second session for it, in which nobody can tell a device from a stranger.
+    Who connects proves itself by its password, and who listens by the id of its session. A session
+    asks everybody who connects, or nobody. Devices have no password, so an agent that talks to one
+    has a second session for it, in which nobody can tell a device from a stranger.
     """
     links, access = plan.agent_links, plan.access
     subjects: Subjects = {
-        peer: {"zids": [session_id(access.secret, peer)]} for peer in links.peers(agent)
+        top: {"zids": [*session_ids(access.secret, top)]}
+        for top, below in links.pairs
+        if below == agent
     }
-    for top, below in links.pairs:
-        if top == agent:
-            subjects[below]["usernames"] = [below]
+    subjects |= {below: {"usernames": [below]} for top, below in links.pairs if top == agent}
     own: dict[str, object] = {
-        "id": session_id(access.secret, agent),
         "transport/auth/usrpwd/user": agent,
         "transport/auth/usrpwd/password": password(access.secret, agent),
         "transport/auth/usrpwd/dictionary_file": access.users_file,
     }
     ports = access.agent_ports or access.tcp_ports
     settings = _settings(plan, agent, links, ports, subjects | {"": {}}, own)
+    if agent in links.listening:
+        settings = replace(settings, ids=session_ids(access.secret, agent))
     without_devices = {*links.pairs}
     to_devices = Links(tuple(pair for pair in plan.links.pairs if pair not in without_devices))
     devices = to_devices.peers(agent)
@@ -90,14 +110,25 @@ def _settings(
     listen, connect = links.endpoints(agent, tcp_ports, plan.access.host_of)
     largest_bytes = _LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters)
     further = {"transport/link/rx/max_message_size": largest_bytes, **(further or {})}
+    lease_s = open_s = LONGEST_LEASE_S
+    if not plan.timing.lockstep:
+        among_many_s = _PER_PROCESS_S * len(plan.processes)
+        lease_s, open_s = max(_LEASE_S, among_many_s), max(_OPEN_S, among_many_s)
     if plan.access.external:  # zenoh-pico closes a link that is idle for 10 s.
-        further["transport/link/tx/keep_alive"] = 12
+        further["transport/link/tx/keep_alive"] = max(4, round(lease_s / 5.0))
     if agent == RECORDER:
         further["transport/link/tx/batch_size"] = SUBSCRIBER_BATCH_BYTES
     if subjects is not None:
         further["access_control"] = _access_rules(plan, agent, links, subjects)
     return SessionSettings(
-        plan.bus_namespace, listen, connect, plan.timing.lockstep, further, links.peers(agent)
+        plan.bus_namespace,
+        listen,
+        connect,
+        plan.timing.lockstep,
+        lease_s,
+        open_s,
+        further=further,
+        peers=links.peers(agent),
     )
 
 
@@ -154,9 +185,14 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
     }
 
 
-def session_id(secret: str, agent: str) -> str:
-    """Return the Zenoh id of an agent's session. Whoever connects to the agent learns it."""
-    return f"a{_digest(secret, f'id of {agent}')}"  # Zenoh accepts no leading zero.
+def session_ids(secret: str, agent: str) -> tuple[str, ...]:
+    """Return the Zenoh ids of an agent's sessions, which it uses one after the other.
+
+    Whoever connects to the agent learns the one in use. Two sessions with one id cannot be linked
+    with the same peer, and a peer may take an old one for alive as long as its lease lasts.
+    """
+    # Zenoh accepts no leading zero.
+    return tuple(f"a{_digest(secret, f'id {number} of {agent}')}" for number in range(_SESSIONS))
 
 
 def password(secret: str, agent: str) -> str:

@@ -66,7 +66,8 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
         path, earlier = _new_file(folder / RECORDING_NAME)
         anchor = earlier.anchor if earlier else None
         writer = RunWriter(path, plan, scenario, driver="launch", anchor=anchor, on_end=on_end)
-        with RunSubscriber(RECORDER, plan.wiring, session_settings(plan, RECORDER)) as subscriber:
+        settings = session_settings(plan, RECORDER)
+        with RunSubscriber(RECORDER, plan.wiring, settings, link.starts) as subscriber:
             link.tell(Joined())
             if not plan.timing.lockstep:
                 stand_back()
@@ -117,6 +118,9 @@ class Recorder:
         closing, listener, position = self._closing, self._listener, self._listener.position
         now = flush_at = status_at = self._now_s()
         while not closing.is_over(now, listener.own_heard, others_done=self._others_done()):
+            if self._link.unheard:
+                self._link.unheard = False
+                self._subscriber.reopen()
             # Flush and status must have their turn, however much comes.
             heard = list(islice(self._subscriber.drain(), _MOST_AT_ONCE))
             own_before = listener.own_heard

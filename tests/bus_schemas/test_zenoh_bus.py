@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from typing import Any
 
 import pytest
 import zenoh
 from running import REPOSITORY
 
 from bus_schemas.codec import encode
-from bus_schemas.messages import Telemetry
+from bus_schemas.messages import Impp, Ready, Telemetry
+from bus_schemas.signals import IMPP, READY
 from bus_schemas.tcp_ports import reserved_ports
-from bus_schemas.tree import PLANT, RECORDER, ControlTree
+from bus_schemas.tree import PLANT, RECORDER, ROOT, ControlTree
 from bus_schemas.wiring import Wiring
 from bus_schemas.zenoh_bus import ZenohBus
-from bus_schemas.zenoh_session import RunSubscriber, SessionSettings
+from bus_schemas.zenoh_session import RunSubscriber, SessionSettings, open_session
 
 TREE = ControlTree((("a", 100.0),))
 KEY = "pair/a/telemetry"
@@ -62,6 +67,116 @@ def test_a_message_that_comes_after_it_is_heard(linked: tuple[zenoh.Session, Zen
         session.put(KEY, payload)
     (arrival,) = bus.receive(None)
     assert (arrival.agent, str(arrival.port), arrival.message.cycle) == ("a", "a/telemetry", 0)
+
+
+# Links that carry nothing -------------------------------------------------------------------------
+
+
+class Proxy:
+    """Forwards to a port, until it is `cut`: the links that there are stay open, and carry nothing.
+
+    A new link is whole again, as after a host has lost its power.
+    """
+
+    def __init__(self, target: int) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
+        self._target = target
+        self._cuts = 0
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def cut(self) -> None:
+        self._cuts += 1
+
+    def _accept(self) -> None:
+        while True:
+            near, _ = self._server.accept()
+            far = socket.create_connection(("127.0.0.1", self._target))
+            for ends in ((near, far), (far, near)):
+                threading.Thread(target=self._carry, args=(*ends, self._cuts), daemon=True).start()
+
+    def _carry(self, source: socket.socket, sink: socket.socket, cuts: int) -> None:
+        with suppress(OSError):
+            while data := source.recv(65_536):
+                if self._cuts == cuts:
+                    sink.sendall(data)
+
+
+@pytest.mark.parametrize("starts", [0, 1])
+def test_who_opens_its_sessions_anew_or_starts_again_is_heard_beside_its_old_links(
+    starts: int,
+) -> None:
+    wiring, ids = Wiring("pair", TREE), ("a1", "a2", "a3", "a4", "a5")
+    with ExitStack() as stack:
+        (port,) = stack.enter_context(reserved_ports([PLANT])).values()
+        plant = stack.enter_context(
+            open_session(SessionSettings("cut", [f"tcp/127.0.0.1:{port}"], []))
+        )
+        heard = plant.declare_subscriber(wiring.key(IMPP.of("a")))
+        proxy = Proxy(port)
+        settings = SessionSettings("cut", [], [proxy.endpoint], ids=ids)
+        bus = stack.enter_context(ZenohBus("a", wiring, settings, 60))
+        until_heard(bus, heard)
+        proxy.cut()
+        if starts:
+            bus = stack.enter_context(ZenohBus("a", wiring, settings, 60, starts=starts))
+        else:
+            bus.reopen()
+        while heard.try_recv() is not None:
+            pass
+        until_heard(bus, heard)
+        plant.put(KEY, GOOD)
+        assert bus.receive(None), "it hears, too"
+
+
+def until_heard(bus: ZenohBus, heard: zenoh.Subscriber[Any]) -> None:
+    """Let an inverter's controller speak until it is heard."""
+    give_up_at = time.monotonic() + 30.0  # Half of a lease.
+    while heard.try_recv() is None:
+        assert time.monotonic() < give_up_at
+        bus.publish(IMPP.of("a"), Impp(0, 0, "a", (), power_kw=1.0, stale_cycles=0), 0)
+        time.sleep(0.02)
+
+
+LISTEN = """
+import sys, zenoh
+from bus_schemas.zenoh_session import SessionSettings
+session = zenoh.open(SessionSettings("stopped", [], sys.argv[1:2], lockstep=False).config())
+count = 0
+def hear(sample):
+    global count
+    count += 1
+    if count == int(sys.argv[2]):
+        print("all", flush=True)
+subscriber = session.declare_subscriber("pair/ready", zenoh.handlers.Callback(hear, indirect=False))
+token = session.liveliness().declare_token("pair/plant/alive")
+sys.stdin.read()
+"""
+
+
+def test_what_the_recorder_answers_waits_for_a_plant_that_stands_still() -> None:
+    number, filler = 400, (("x" * 1000),) * 50  # Together more than the buffers between them.
+    wiring = Wiring("pair", TREE)
+    with reserved_ports([RECORDER]) as ports:
+        endpoint = f"tcp/127.0.0.1:{ports[RECORDER]}"
+        settings = SessionSettings("stopped", [endpoint], [], lockstep=False)
+        words = [sys.executable, "-c", LISTEN, endpoint, str(number)]
+        pipe = subprocess.PIPE
+        with (
+            RunSubscriber(RECORDER, wiring, settings) as subscriber,
+            subprocess.Popen(words, cwd=REPOSITORY, stdin=pipe, stdout=pipe) as plant,
+        ):
+            tokens = subscriber.watch_tokens()
+            while wiring.alive_key(PLANT) not in tokens.alive():
+                time.sleep(0.01)
+            plant.send_signal(signal.SIGSTOP)
+            # Not a thread of ours: a message that waits keeps the interpreter to itself.
+            subprocess.Popen(["sh", "-c", f"sleep 1; kill -CONT {plant.pid}"])
+            for cycle in range(number):
+                subscriber.publish(READY.of(ROOT), Ready(-cycle, 0, RECORDER, filler))
+            assert plant.stdout is not None
+            assert plant.stdout.readline() == b"all\n"
+            plant.kill()
 
 
 FLOOD = f"""

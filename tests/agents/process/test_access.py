@@ -21,7 +21,7 @@ import zenoh
 from plans_by_hand import plan_of, with_changes
 
 from agents.plan import RunPlan
-from agents.process.session import password, session_id, session_settings, users
+from agents.process.session import password, session_ids, session_settings, users
 from bus_schemas.signals import CLOCK
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER
@@ -211,7 +211,7 @@ def with_keys(keys: Path) -> Iterator[Team]:
 def test_without_keys_nobody_hears_a_stranger(without_keys: Team, mode: str) -> None:
     assert without_keys.intrude(mode) == set()
     # Whoever links with an agent is told the id of its session.
-    plants_id = session_id(BARE.access.secret, PLANT)
+    plants_id = session_ids(BARE.access.secret, PLANT)[0]
     assert without_keys.intrude(mode, session_id=plants_id) == set()
     # Of each session there is one: as long as the plant lives, nobody can take its place.
     plants_password = password(BARE.access.secret, PLANT)
@@ -228,7 +228,7 @@ def test_beside_a_device_a_stranger_can_say_what_the_device_may_and_is_heard_by_
     assert with_a_device.intrude(mode) == everything
     for agent in (PLANT, "c1", DEVICE):
         assert (
-            with_a_device.intrude(mode, session_id=session_id(BARE.access.secret, agent))
+            with_a_device.intrude(mode, session_id=session_ids(BARE.access.secret, agent)[0])
             == everything
         )
 
