@@ -55,7 +55,7 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
 
 
 class Agent(Protocol[S]):
-    """One member of the team. The plant may not skip cycles that are over: its clouds move on."""
+    """One member of the team. The plant may not skip cycles, unless it is far behind."""
 
     may_skip: bool
 

@@ -18,6 +18,7 @@ from agents.control.impp import (
     Estimate,
     curtailment_level,
     estimate_impp,
+    is_lost,
     stale,
 )
 from agents.control.share import residual_kw
@@ -85,9 +86,13 @@ class DirectController:
         if telemetry is not None and telemetry.cycle > state.telemetry_cycle + 1:
             last = last._replace(is_seen=False)  # After a gap its change tells no trend.
         estimate = self._estimate_now(telemetry, last)
-        share_kw = own_share_kw(turn.get(self._dispatch), self._rating_kw) or 0.0
-        residual = residual_kw(estimate.power_kw, share_kw)
-        outputs = own_report(self.name, turn, estimate.power_kw, estimate.stale_cycles, residual)
+        share_kw = own_share_kw(turn.get(self._dispatch), self._rating_kw)
+        impp_kw = estimate.power_kw
+        # Where the dispatch has expired too, it is the plant that is not heard.
+        if share_kw is not None and is_lost(estimate, self._control.hold_cycles):
+            impp_kw = 0.0
+        residual = residual_kw(impp_kw, share_kw or 0.0)
+        outputs = own_report(self.name, turn, impp_kw, estimate.stale_cycles, residual)
         measured = state.telemetry_cycle if telemetry is None else telemetry.cycle
         return DirectState(estimate, measured), outputs
 
@@ -109,17 +114,22 @@ class DirectController:
 
         Where the dispatch has expired too, nothing is sent: the inverter decides for itself. Nor is
         anything before the first telemetry, since that would wipe a limit which the inverter has.
+        An inverter that is lost has a setpoint of 0 kW: it is commanded its share instead, so that
+        it shows itself if it lives.
         """
         if state.telemetry_cycle == _NEVER:
             return []
         setpoint = turn.get(self._setpoint)
         share_kw = own_share_kw(turn.get(self._dispatch), self._rating_kw)
-        target_kw = share_kw if setpoint is None else setpoint.power_kw
+        lost = share_kw is not None and is_lost(state.estimate, self._control.hold_cycles)
+        target_kw = share_kw if setpoint is None or lost else setpoint.power_kw
         if target_kw is None:
             return []
         impp_kw = state.estimate.power_kw
         alpha = curtailment_level(target_kw, impp_kw, self._control.alpha_floor)
         power_kw = alpha * impp_kw if alpha < 1.0 else self._rating_kw
+        if lost:
+            power_kw = target_kw
         revert_kw = share_kw if self._reverts else None
         command = Command(*turn.stamp, alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
         return [(self._command, command)]

@@ -10,8 +10,8 @@ from bus_schemas.signals import HELP, IMPP, RESIDUAL
 
 
 def own_share_kw(dispatch: Dispatch | None, rating_kw: float) -> float | None:
-    """Return a node's share (eq. 3) [kW], None where no dispatch is heard or it has no rating."""
-    if dispatch is None or dispatch.plant_rating_kw == 0.0:
+    """Return a node's share (eq. 3) [kW]; None where no dispatch is heard."""
+    if dispatch is None:
         return None
     plant_rating_kw = dispatch.plant_rating_kw
     usable_kw = usable_dispatch_kw(dispatch.power_kw, plant_rating_kw)

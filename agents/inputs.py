@@ -79,6 +79,7 @@ class Inputs:
         self.missing = 0
         self.old = 0
         self._hold_cycles = plan.control.hold_cycles
+        self._cycles = plan.timing.cycles
         self._horizon = horizon
         self._on_drop = on_drop
 
@@ -89,32 +90,43 @@ class Inputs:
             one.forget()
             one.ahead = kept
 
-    def take(self, one: Input, message: Message, cycle: int) -> bool:
-        """Make a message the newest of its input in a cycle of the agent; return whether it is."""
-        port, of = one.port, message.cycle
-        if of <= one.newest_cycle:
-            cause = "duplicate" if of == one.newest_cycle else "late"
-            self.drop(cause, port, message, f"came after that of cycle {one.newest_cycle}", cycle)
-            return False
-        if of >= 0 and of % one.period:
-            self.drop("wrong_cycle", port, message, "is not of a turn of its sender", cycle)
-            return False
-        one.newest_cycle = of
-        if is_within(message, one.bounds):
-            one.newest = message
-        else:
-            self.drop("out_of_range", port, message, "has a number that cannot be", cycle)
-        return True
+    def admits(self, one: Input, message: Message, cycle: int, enters: bool) -> bool:
+        """Whether a message can be of its publisher's newest process, and of a cycle near by.
 
-    def keep(self, one: Input, message: Message, cycle: int) -> None:
-        """Keep a message of a cycle to come, one of each cycle."""
-        of, horizon = message.cycle, self._horizon
-        if len(one.ahead) > horizon or of > max(cycle, 0) + horizon:
-            self.drop("wrong_cycle", one.port, message, f"is too far from {cycle}", cycle)
+        Nothing changes before. `enters`: The message takes the agent into its cycle.
+        """
+        of, incarnation = message.cycle, message.incarnation
+        joined = f"is of a process that joined in cycle {incarnation}"
+        if incarnation < one.incarnation:
+            cause, why = "wrong_sender", f"{joined}, since replaced"
+        elif incarnation > max(of, 0):
+            cause, why = "out_of_range", f"{joined}, which is yet to come"
+        elif of >= self._cycles or (of > max(cycle, 0) + self._horizon and not enters):
+            cause, why = "wrong_cycle", f"is too far from {cycle}"
+        elif of <= one.newest_cycle:
+            cause = "duplicate" if of == one.newest_cycle else "late"
+            why = f"came after that of cycle {one.newest_cycle}"
         elif of in one.ahead:
-            self.drop("duplicate", one.port, message, "came twice", cycle)
+            cause, why = "duplicate", "came twice"
+        elif len(one.ahead) > self._horizon and of > cycle:
+            cause, why = "wrong_cycle", "is one of too many that are ahead"
+        elif of >= 0 and of % one.period:
+            cause, why = "wrong_cycle", "is not of a turn of its sender"
         else:
-            one.ahead[of] = message
+            return True
+        self.drop(cause, one.port, message, why, cycle)
+        return False
+
+    def take(self, one: Input, message: Message, cycle: int) -> None:
+        """Make a message the newest of its input; with a bad number it keeps nobody waiting."""
+        if message.cycle <= one.newest_cycle or message.incarnation < one.incarnation:
+            self.drop("late", one.port, message, "was overtaken", cycle)
+            return
+        one.newest_cycle = message.cycle
+        if is_within(message, one.bounds):
+            one.newest, one.incarnation = message, message.incarnation
+        else:
+            self.drop("out_of_range", one.port, message, "has a number that cannot be", cycle)
 
     def go_to(self, cycle: int) -> None:
         """Take the messages that came before their cycle began."""

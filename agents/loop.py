@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from math import ceil
 from typing import Final, Generic, TypeVar
 
 import msgspec
 
 from agents.agent import Agent, Stage, Turn
-from agents.inputs import Inputs
+from agents.inputs import Input, Inputs
 from agents.plan import RunPlan
 from agents.run_times import RunTimes
 from agents.standby import Standby
+from bus_schemas.bounds import is_within
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Run, Takeover
 from bus_schemas.signals import DISPATCH, RUN, TAKEOVER, Port
@@ -33,7 +35,18 @@ BEFORE_ARMING: Final = -(2**31)
 _PLANT_HORIZON: Final = 1_000
 """Cycles by which controllers may be ahead of a plant that stood still."""
 
+_SUSPENDED_S: Final = 2.0
+
 _DISPATCH: Final = DISPATCH.of(ROOT)
+
+
+def most_behind(plan: RunPlan) -> int:
+    """Return how many cycles the plant may be behind and still go through each of them.
+
+    After that, as when its machine was suspended, it goes to the cycle under way as all others do.
+    """
+    at_once = ceil(_SUSPENDED_S * 1e9 / max(plan.timing.cycle_wall_ns, 1))
+    return max(plan.control.hold_cycles, at_once)
 
 
 class Loop(Generic[S]):
@@ -61,6 +74,7 @@ class Loop(Generic[S]):
         # The plant, which goes through every cycle, hears controllers that did not wait for it.
         horizon = plan.control.periods.longest + 1 if agent.may_skip else _PLANT_HORIZON
         self.inputs = Inputs(plan, agent.name, horizon, on_drop)
+        self._most_behind = 0 if agent.may_skip else most_behind(plan)
         self.times = RunTimes(plan.timing, plan.deadlines, agent.name)
         self.standby = Standby(plan, agent.name, self.name)
         self.cycle = BEFORE_ARMING
@@ -95,31 +109,34 @@ class Loop(Generic[S]):
 
     def hear(self, port: Port[Message], message: Message, time_ns: int) -> None:
         """Take in a message that came at a time of the run's clock."""
-        inputs, standby = self.inputs, self.standby
+        one = self.inputs.of.get(port)
         if message.source != port.publisher:
             why = f"is from {message.source!r}"
-            inputs.drop("wrong_sender", port, message, why, self.cycle)
-            return
-        if isinstance(message, Run):
+            self.inputs.drop("wrong_sender", port, message, why, self.cycle)
+        elif isinstance(message, Run):
             self._hear_run(port, message, time_ns)
+        elif one is not None and not message.cycle < 0 <= self.cycle:  # None of an arming round.
+            self._hear_input(one, message, time_ns)
+
+    def _hear_input(self, one: Input, message: Message, time_ns: int) -> None:
+        inputs, standby, port = self.inputs, self.standby, one.port
+        # A dispatch takes a controller into another round, or into a run that is under way.
+        enters = port is _DISPATCH and self.cycle < 0 and message.cycle > self.cycle
+        if not inputs.admits(one, message, self.cycle, enters):
             return
-        one = inputs.of.get(port)
-        if one is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
-            return
-        if port in standby.heard and not standby.silent and not standby.yield_to(message):
-            return
-        if message.incarnation < one.incarnation:
-            why = f"is of a process that joined in cycle {message.incarnation}, since replaced"
-            inputs.drop("wrong_sender", port, message, why, self.cycle)
-            return
-        one.incarnation = message.incarnation
-        if port is _DISPATCH:
-            self._follow_dispatch(message, time_ns)
-        if message.cycle > self.cycle:
-            inputs.keep(one, message, self.cycle)
-            return
-        is_new = inputs.take(one, message, self.cycle)
-        if is_new and message.cycle == self.cycle and port in self.waiting:
+        if port in standby.heard and not standby.silent:
+            silences = is_within(message, one.bounds) and standby.yield_to(message)
+            if not silences:
+                return
+        if enters and is_within(message, one.bounds):
+            self._follow(message, time_ns)
+        if message.cycle <= self.cycle:
+            inputs.take(one, message, self.cycle)
+        else:
+            one.ahead[message.cycle] = message
+        if port is _DISPATCH and self.times.end_cycle <= message.cycle:
+            self._forget_false_stop(message, time_ns)
+        if message.cycle == self.cycle and port in self.waiting:
             self.waiting.discard(port)
             if not self.waiting:
                 self._ready_ns = time_ns
@@ -135,15 +152,12 @@ class Loop(Generic[S]):
         elif self.cycle < 0:
             self.begin(self.times.on_this_clock(run.start_time_ns, time_ns), time_ns)
 
-    def _follow_dispatch(self, dispatch: Message, time_ns: int) -> None:
-        """Go where the plant is: to another round, into a run under way, or on with this one."""
-        if self.cycle < 0 and dispatch.cycle > self.cycle:
-            if dispatch.cycle < 0:
-                self.enter(dispatch.cycle, time_ns)
-            elif dispatch.cycle > 0:
-                self._join(dispatch, time_ns)
-        if self.times.end_cycle <= dispatch.cycle < self.times.timing.cycles:
-            self._forget_false_stop(dispatch, time_ns)
+    def _follow(self, dispatch: Message, time_ns: int) -> None:
+        """Go where the plant is: to another round, or into a run under way."""
+        if dispatch.cycle < 0:
+            self.enter(dispatch.cycle, time_ns)
+        elif dispatch.cycle > 0:
+            self._join(dispatch, time_ns)
 
     def _forget_false_stop(self, dispatch: Message, now_ns: int) -> None:
         """Go on with the run: the plant has begun a cycle that a stop said would not take place."""
@@ -165,7 +179,10 @@ class Loop(Generic[S]):
     def _join(self, dispatch: Message, now_ns: int) -> None:
         """Join a run that is under way: the dispatch says in which cycle it is, and since when."""
         cycle, cycle_wall_ns = dispatch.cycle, self.times.timing.cycle_wall_ns
-        began_ns = self.times.on_this_clock(dispatch.ready_time_ns, now_ns)
+        # A plant may be far behind: when it sent the dispatch tells whose clock it has.
+        began_ns = self.times.on_this_clock(
+            dispatch.ready_time_ns, now_ns, dispatch.publish_time_ns
+        )
         self.standby.join(cycle)
         self.begin(began_ns - cycle * cycle_wall_ns, now_ns, cycle)
 
@@ -183,11 +200,11 @@ class Loop(Generic[S]):
 
     def catch_up(self, now_ns: int) -> bool:
         """Go to the cycle under way if the agent's own is over; return whether it was."""
-        if self.finished or not self.agent.may_skip:
+        under_way = None if self.finished else self.times.cycle_at(now_ns)
+        if under_way is None or under_way <= self.cycle + self._most_behind:
             return False
-        under_way = self.times.cycle_at(now_ns)
-        if under_way is None or under_way <= self.cycle:
-            return False
+        if not self.agent.may_skip:
+            log.warning("cycles %d to %d are missed: they were over", self.cycle, under_way - 1)
         self.times.skipped_cycles += under_way - self.cycle
         self._go_to(under_way, now_ns)
         return True

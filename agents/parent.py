@@ -31,6 +31,7 @@ from bus_schemas.messages import (
     Notice,
     Residual,
     Setpoint,
+    Takeover,
 )
 from bus_schemas.signals import DISPATCH, IMPP, METER, NOTICE, RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT, ControlTree, agent_name, parent_of
@@ -87,17 +88,20 @@ class Parent:
             (0, help_order(alike))
         ]
 
-    def reports(self, turn: Turn) -> list[Report]:
+    def reports(self, turn: Turn, target_kw: float = 0.0) -> list[Report]:
         """Return what each child reports.
 
         The inverters of an expired child serve their own shares, since they do not hear of
-        setpoints either. A residual counts only if it belongs to the same cycle as the IMPP.
+        setpoints either; of a target, if there is one, where the dispatch has expired too. A
+        residual counts only if it belongs to the same cycle as the IMPP.
         """
         dispatch = turn.get(_DISPATCH)
         reports = []
         for child in self._children:
             impp, residual = turn.get(child.impp), turn.get(child.residual)
-            share_kw = own_share_kw(dispatch, child.rating_kw) or 0.0
+            share_kw = own_share_kw(dispatch, child.rating_kw)
+            if share_kw is None:
+                share_kw = target_kw * (child.rating_kw / self._rating_kw)
             if impp is None:
                 expired = self._control.hold_cycles + 1
                 reports.append(Report(share_kw, 0.0, expired, is_old=True, is_expired=True))
@@ -176,15 +180,14 @@ class Supervisor(Parent):
         return self._with_parent if parent_acts else self._alone
 
     def step(self, state: None, turn: Turn) -> tuple[None, list[Delivery]]:
-        reports = self.reports(turn)
         if turn.stage == "report":
-            return None, self.report_up(turn, reports)
+            return None, self.report_up(turn, self.reports(turn))
         setpoint = turn.get(self._setpoint)
         share_kw = own_share_kw(turn.get(_DISPATCH), self._rating_kw)
         target_kw = share_kw if setpoint is None else setpoint.power_kw
         if target_kw is None:
             return None, []
-        return None, self.setpoints(turn, target_kw, reports)
+        return None, self.setpoints(turn, target_kw, self.reports(turn, target_kw))
 
 
 class CentralState(msgspec.Struct, frozen=True, gc=False):
@@ -196,6 +199,10 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     readings: int = 0
     meter_cycle: int = 0
     clamped: int = 0
+
+
+# A standby that takes over says its state in these fields, and `verify` goes on from them.
+assert {*CentralState.__struct_fields__} <= {*Takeover.__struct_fields__}
 
 
 class CentralController(Parent):

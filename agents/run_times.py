@@ -32,9 +32,12 @@ class RunTimes:
         if not self.timing.lockstep:
             self.start_ns = start_ns
 
-    def on_this_clock(self, start_ns: int, now_ns: int) -> int:
-        """Return when a cycle began; now, where the time must be of another host's clock."""
-        if self.timing.is_on_clock(start_ns, now_ns):
+    def on_this_clock(self, start_ns: int, now_ns: int, said_ns: int | None = None) -> int:
+        """Return when a cycle began; now, where the time must be of another host's clock.
+
+        said_ns: When it was said; by default the beginning itself must be near.
+        """
+        if self.timing.is_on_clock(start_ns if said_ns is None else said_ns, now_ns):
             return start_ns
         log.warning("the cycle begins now, not at %d: that is another clock", start_ns)
         return now_ns

@@ -43,7 +43,11 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
         Bound("revert_kw", 0.0, _ROUNDING),
     ),
     # An operator may ask for more than there is, or for less than nothing.
-    Dispatch: (Bound("power_kw", -LARGEST, LARGEST), Bound("plant_rating_kw", 1e-3, 1e3)),
+    Dispatch: (
+        Bound("power_kw", -LARGEST, LARGEST),
+        # The rating of the plan: one in MW would make every share a thousandth.
+        Bound("plant_rating_kw", 1.0 - 1e-6, 1.0 + 1e-6),
+    ),
 }
 """Bounds by message type; those of powers are multiples of the rating of the message's node.
 

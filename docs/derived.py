@@ -406,7 +406,7 @@ _VECTOR: Final[tuple[tuple[dict[str, float] | None, ...], ...]] = (
         {"power_kw": 9000.0},
         {"power_kw": 301.0},
     ),
-    ({"power_kw": -3.0, "alpha": 1.0}, {"power_kw": 3900.0}, {"power_kw": 7.0}),
+    ({"power_kw": -30.0, "alpha": 1.0}, {"power_kw": 3900.0}, {"power_kw": 7.0}),
     (None, {"power_kw": 3800.0}, None),
     ({"power_kw": 310.0, "alpha": 1.0}, None, None),
     ({"power_kw": 320.0, "alpha": 1.0}, {"power_kw": 3700.0}, None),

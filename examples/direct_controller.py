@@ -21,7 +21,10 @@ import msgpack
 import zenoh
 
 PROTOCOL = 2  # Version of docs/wire.md that it was written from.
-METER_TOLERANCE = 0.05  # Share of the rating by which a meter may read above the rating.
+METER_TOLERANCE = (
+    0.05  # Share of the rating by which a meter may read above the rating, or below 0.
+)
+SAME = 1e-6  # Share by which the rating in a dispatch may differ from the plan's.
 ROUNDING = 1e-9
 BEFORE_ALL = -(2**31)  # No cycle has begun: each message takes it further.
 EARLIER = 0.98  # It closes a stage by so much of its time: its cycle begins with a message.
@@ -39,6 +42,7 @@ class DirectController:
     def __init__(self, plan: dict[str, Any], node: str, session: zenoh.Session) -> None:
         self.plan, self.node, self.session = plan, node, session
         self.rating_kw: float = dict(plan["inverters"])[node]
+        self.plant_rating_kw: float = sum(dict(plan["inverters"]).values())
         self.parent_period: int = plan["control"]["period_cycles"][node.count("/")]
         self.parent = node.rpartition("/")[0] or "central"
         self.prefix = f"{plan['plant']}/{node}"
@@ -74,16 +78,15 @@ class DirectController:
             return  # Only the plant begins a cycle.
         if signal == "setpoint" and cycle >= 0 and cycle % self.parent_period:
             return  # It is not the parent's turn.
-        if cycle > self.cycle:
-            self.enter(cycle)
         if incarnation < self.processes.get(signal, 0):
             return  # It is of a process that has been replaced.
-        self.processes[signal] = incarnation
         if cycle <= self.heard.get(signal, BEFORE_ALL):
             return  # It comes a second time, or after a newer one.
+        if cycle > self.cycle:
+            self.enter(cycle)
         self.heard[signal] = cycle
         if self.is_usable(signal, message):
-            self.newest[signal] = message
+            self.newest[signal], self.processes[signal] = message, incarnation
         self.advance()
 
     def is_usable(self, signal: str, message: dict[str, Any]) -> bool:
@@ -93,8 +96,8 @@ class DirectController:
             highest_kw: float = self.rating_kw * (1.0 + ROUNDING)
             return 0.0 <= power_kw <= highest_kw
         if signal == "dispatch":
-            plant_rating_kw: float = message["plant_rating_kw"]
-            return math.isfinite(power_kw) and 0.0 < plant_rating_kw < math.inf
+            off_kw: float = abs(message["plant_rating_kw"] - self.plant_rating_kw)
+            return math.isfinite(power_kw) and off_kw <= SAME * self.plant_rating_kw
         return True
 
     def enter(self, cycle: int) -> None:
@@ -107,7 +110,8 @@ class DirectController:
 
     def leave(self) -> None:
         """Forget a run whose plant has gone without a stop: the next one may begin."""
-        self.cycle, self.stage = BEFORE_ALL, ""
+        self.cycle = BEFORE_ALL
+        self.forget()
 
     # Stages --------------------------------------------------------------------------------------
 
@@ -163,8 +167,9 @@ class DirectController:
         if telemetry is not None and 0 <= telemetry["cycle"] <= last:
             telemetry = None  # The estimate rests on it already.
         self.measure(telemetry)
-        residual_kw = self.impp_kw - (self.share_kw(dispatch) or 0.0)
-        self.publish("impp", power_kw=self.impp_kw, stale_cycles=self.stale_cycles)
+        impp_kw = 0.0 if self.is_lost(dispatch) else self.impp_kw
+        residual_kw = impp_kw - (self.share_kw(dispatch) or 0.0)
+        self.publish("impp", power_kw=impp_kw, stale_cycles=self.stale_cycles)
         self.publish("residual", power_kw=residual_kw)
         if residual_kw < 0.0:
             self.publish("help", missing_kw=-residual_kw)
@@ -176,13 +181,19 @@ class DirectController:
             return
         self.measured_cycle = telemetry["cycle"]
         power_kw, alpha = telemetry["power_kw"], telemetry["alpha"]
+        lowest_kw = -METER_TOLERANCE * self.rating_kw
         highest_kw = self.rating_kw * (1.0 + METER_TOLERANCE)
-        if 0.0 <= power_kw <= highest_kw and 0.0 < alpha <= 1.0:  # Not so if one is NaN.
-            maximum_kw = power_kw / alpha
+        if lowest_kw <= power_kw <= highest_kw and 0.0 < alpha <= 1.0:  # Not so if one is NaN.
+            maximum_kw = max(power_kw, 0.0) / alpha
             available_kw = telemetry.get("available_kw")  # Some inverters state it.
             if alpha < 1.0 and available_kw is not None and 0.0 <= available_kw <= highest_kw:
                 maximum_kw = available_kw
             self.impp_kw, self.stale_cycles = min(maximum_kw, self.rating_kw), 0
+
+    def is_lost(self, dispatch: dict[str, Any] | None) -> bool:
+        """Whether the plant is heard, but for too long nothing usable of the inverter."""
+        hold_cycles: int = self.plan["control"]["hold_cycles"]
+        return dispatch is not None and self.stale_cycles > hold_cycles
 
     def share_kw(self, dispatch: dict[str, Any] | None) -> float | None:
         """Return the inverter's share of the dispatch by rating (eq. 3); None if none is heard."""
@@ -202,13 +213,16 @@ class DirectController:
             return
         setpoint, dispatch = self.inputs("setpoint", "dispatch")
         share_kw = self.share_kw(dispatch)
-        target_kw = share_kw if setpoint is None else setpoint["power_kw"]
+        lost = self.is_lost(dispatch)
+        target_kw = share_kw if setpoint is None or lost else setpoint["power_kw"]
         if target_kw is None:
             return
         alpha = 1.0
         if target_kw < self.impp_kw * (1.0 - ROUNDING):
             alpha = min(max(target_kw / self.impp_kw, self.plan["control"]["alpha_min"]), 1.0)
         power_kw = alpha * self.impp_kw if alpha < 1.0 else self.rating_kw
+        if lost:
+            power_kw = target_kw
         # Where to an inverter goes that hears no more of us.
         revert_kw = share_kw if self.plan["site"].get("revert") is not None else None
         self.publish("command", alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)

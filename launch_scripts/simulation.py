@@ -182,7 +182,9 @@ class MemoryRun:
         if what == "thaw":
             return next((one for one in both if one in self._frozen), name)
         there = [one for one in both if one in self._driver.loops]
-        return min(there, key=lambda one: self.loops[one].standby.silent, default=name)
+        loops = self.loops  # One that has not joined yet does not speak either.
+        key = [(loops[one].standby.silent or loops[one].cycle < 0, one) for one in there]
+        return min(key, default=(False, name))[1]
 
     @property
     def restarts(self) -> dict[str, int]:

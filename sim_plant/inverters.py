@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from math import ceil, inf
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.control.allocation import total
+from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.settings import Revert
 from bus_schemas.messages import Command
@@ -21,7 +23,7 @@ class PlantState:
 
     `ordered_alpha` and `ordered_kw` are its commands of the last intervals, the newest first, shape
     (1 + longest delay, n). `renewed` is the cycle of the last command, `revert_kw` the limit that
-    it goes to when its revert time is over.
+    it goes to when its revert time is over. `cycle` is that of the interval.
     """
 
     alpha: Floats
@@ -31,6 +33,7 @@ class PlantState:
     ordered_kw: Floats
     renewed: NDArray[np.int64]
     revert_kw: Floats
+    cycle: int = -1
 
 
 class Inverters:
@@ -44,22 +47,28 @@ class Inverters:
         ramps = [entry.ramp_percent_per_s or inf for entry in settings]
         self.rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in leaves])
         self._limits = plan.control.actuator == "limit"
-        self._revert_cycles = np.array([revert.after_s for revert in reverts]) / cycle_s
+        self._revert_cycles = np.array([_cycles(revert.after_s, cycle_s) for revert in reverts])
         self._revert_is_commanded = [revert.to == "share" for revert in reverts]
         self._revert_kw = self.rating_kw * shares
-        self._delay = np.array([ceil((entry.delay_s or 0.0) / cycle_s) for entry in settings])
+        delays = [_cycles(entry.delay_s or 0.0, cycle_s) for entry in settings]
+        self._delay = np.array(delays, dtype=np.int64)
         self._step = np.array(ramps) / 100.0 * cycle_s
 
-    def uncurtailed(self, power_kw: Floats) -> PlantState:
-        """Return the state in which every inverter delivers its maximum."""
+    def uncurtailed(self, power_kw: Floats, dispatch_kw: float) -> PlantState:
+        """Return the state before a run: every inverter has delivered its maximum.
+
+        From now on, and until it hears a command, it holds its share of the first dispatch.
+        """
         free = np.ones_like(power_kw)
         kept = (1 + max(self._delay), 1)
+        plant_kw = total(self.rating_kw.tolist())
+        share_kw = self.rating_kw * (usable_dispatch_kw(dispatch_kw, plant_kw) / plant_kw)
         return PlantState(
             alpha=free,
             limit_kw=self.rating_kw,
             power_kw=power_kw,
             ordered_alpha=np.tile(free, kept),
-            ordered_kw=np.tile(self.rating_kw, kept),
+            ordered_kw=np.tile(share_kw, kept),
             renewed=np.zeros(len(power_kw), dtype=np.int64),
             revert_kw=self._revert_kw,
         )
@@ -75,25 +84,30 @@ class Inverters:
             if command is not None and (cycle < 0 or command.cycle >= renewed[position]):
                 alpha[position] = command.alpha
                 renewed[position] = max(command.cycle, 0)
-                if self._limits:
-                    limit_kw[position] = min(command.power_kw, self.rating_kw[position])
+                # By a fraction nothing but alpha limits it: a limit that it reverted to is over.
+                commanded_kw = command.power_kw if self._limits else inf
+                limit_kw[position] = min(commanded_kw, self.rating_kw[position])
                 if command.revert_kw is not None and self._revert_is_commanded[position]:
                     revert_kw[position] = min(command.revert_kw, self.rating_kw[position])
         renewed_in, reverts_to_kw = np.array(renewed), np.array(revert_kw)
-        ordered_alpha = np.vstack([alpha, state.ordered_alpha[:-1]])
-        ordered_kw = np.vstack([limit_kw, state.ordered_kw[:-1]])
+        passed = max(cycle - state.cycle, 1)  # More than one after cycles that were missed.
+        ordered_alpha = _ordered(alpha, state.ordered_alpha, passed)
+        ordered_kw = _ordered(limit_kw, state.ordered_kw, passed)
         is_over = cycle - renewed_in >= self._revert_cycles
         ordered_alpha[:, is_over] = 1.0
         ordered_kw[:, is_over] = reverts_to_kw[is_over]
-        every, step_kw = np.arange(len(self._delay)), self._step * self.rating_kw
+        every, step = np.arange(len(self._delay)), self._step * passed
         return replace(
             state,
-            alpha=_towards(ordered_alpha[self._delay, every], state.alpha, self._step),
-            limit_kw=_towards(ordered_kw[self._delay, every], state.limit_kw, step_kw),
+            alpha=_towards(ordered_alpha[self._delay, every], state.alpha, step),
+            limit_kw=_towards(
+                ordered_kw[self._delay, every], state.limit_kw, step * self.rating_kw
+            ),
             ordered_alpha=ordered_alpha,
             ordered_kw=ordered_kw,
             renewed=renewed_in,
             revert_kw=reverts_to_kw,
+            cycle=cycle,
         )
 
     def power_kw(self, state: PlantState, mpp_kw: Floats) -> Floats:
@@ -104,6 +118,17 @@ class Inverters:
         """
         share = np.ones_like(state.alpha) if self._limits else state.alpha
         return np.minimum(share * mpp_kw, state.limit_kw)
+
+
+def _cycles(time_s: float, cycle_s: float) -> float:
+    """Return how many cycles a time takes; a part of one is one, but no rounding error is."""
+    return float(np.ceil(round(time_s / cycle_s, 9)))
+
+
+def _ordered(now: list[float], before: Floats, passed: int) -> Floats:
+    """Put what is ordered now before what was ordered until some cycles ago."""
+    meanwhile = [before[:1]] * min(passed - 1, len(before))
+    return np.vstack([[now], *meanwhile, before])[: len(before)]
 
 
 def _towards(wanted: Floats, now: Floats, step: Floats) -> Floats:

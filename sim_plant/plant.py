@@ -24,7 +24,8 @@ from sim_plant.profile import Profile
 class Plant:
     """All inverters of a plant, and the operator who dispatches it.
 
-    Before the run begins the inverters stand under the first sample, uncurtailed.
+    Before the run begins the inverters stand under the first sample, uncurtailed. One that hears no
+    command then holds its share.
     """
 
     name = PLANT
@@ -40,7 +41,9 @@ class Plant:
         self._stages = (Stage("sense", (), timed=True), Stage("apply", self._commands))
 
     def initial_state(self) -> PlantState:
-        return self._inverters.uncurtailed(self._profile.mpp_kw[0])
+        profile = self._profile
+        dispatch_kw = float(profile.commitment_kw[0] + profile.regulation_kw[0])
+        return self._inverters.uncurtailed(profile.mpp_kw[0], dispatch_kw)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         return self._stages

@@ -17,6 +17,7 @@ from pvlib import inverter, irradiance, pvsystem, solarposition, temperature
 
 from bus_schemas.errors import InputError
 from sim_plant import Floats
+from sim_plant.time_steps import step_ns
 
 _SAPM = temperature.TEMPERATURE_MODEL_PARAMETERS["sapm"]["open_rack_glass_polymer"]
 
@@ -73,7 +74,7 @@ def ac_power_kw(
     ghi_wm2 : numpy.ndarray, shape (T, N)
         Global horizontal irradiance at each inverter [W/m^2].
     times : pandas.DatetimeIndex, length T
-        Time stamps with a time zone.
+        Beginnings of the steps, with a time zone. The sun stands where it is at their middle.
     lat_deg, lon_deg : numpy.ndarray, shape (N,)
         Coordinates of the inverters [degree], north and east positive.
     rating_kw : numpy.ndarray, shape (N,)
@@ -84,7 +85,8 @@ def ac_power_kw(
     numpy.ndarray, shape (T, N)
         AC power [kW], from 0 to the rating; 0 while the sun is below the horizon.
     """
-    sun = solarposition.get_solarposition(times, float(lat_deg.mean()), float(lon_deg.mean()))
+    middle = times + pd.Timedelta(step_ns(times) // 2, unit="ns")
+    sun = solarposition.get_solarposition(middle, float(lat_deg.mean()), float(lon_deg.mean()))
     _check_night_is_dark(ghi_wm2, times, sun)
     is_up = sun["apparent_zenith"].to_numpy()[:, None] < 90.0
     poa_wm2 = np.where(is_up, np.maximum(_poa_wm2(ghi_wm2, times, sun, settings), 0.0), 0.0)

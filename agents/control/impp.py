@@ -101,13 +101,19 @@ def measured_maximum_kw(
     """Return the maximum that a plausible measurement shows: P / alpha, or what is stated."""
     if alpha < 1.0 and is_stated(available_kw, rating_kw):
         return min(available_kw, rating_kw)
-    return min(power_kw / alpha, rating_kw)
+    return min(max(power_kw, 0.0) / alpha, rating_kw)  # A tripped one draws standby power.
 
 
 def is_plausible(power_kw: float, alpha: float, rating_kw: float) -> bool:
     """Whether an inverter of this rating can have measured this power under this alpha."""
     # NaN fails every comparison: it needs no test of its own.
-    return 0.0 <= power_kw <= rating_kw * (1.0 + METER_TOLERANCE) and 0.0 < alpha <= 1.0
+    lowest_kw, highest_kw = -METER_TOLERANCE * rating_kw, rating_kw * (1.0 + METER_TOLERANCE)
+    return lowest_kw <= power_kw <= highest_kw and 0.0 < alpha <= 1.0
+
+
+def is_lost(last: Estimate, hold_cycles: int) -> bool:
+    """Whether measurements have failed for so long that the inverter is not counted on."""
+    return last.stale_cycles > hold_cycles
 
 
 def is_stated(available_kw: float, rating_kw: float) -> bool:

@@ -226,17 +226,23 @@ static void measure(void) { /* Its maximum (eq. 1); without a new usable measure
     if (!new || (self.cycle >= 0 && new->integer[CYCLE] <= self.measured_cycle)) return;
     self.measured_cycle = new->integer[CYCLE];
     double power_kw = new->number[POWER], alpha = new->number[ALPHA], available_kw = new->number[AVAILABLE];
-    if (!(power_kw >= 0.0 && power_kw <= most_kw && alpha > 0.0 && alpha <= 1.0)) return; /* Or NAN. */
+    double least_kw = -METER_TOLERANCE * plan.rating_kw;
+    if (!(power_kw >= least_kw && power_kw <= most_kw && alpha > 0.0 && alpha <= 1.0)) return; /* Or NAN. */
     bool is_stated = alpha < 1.0 && available_kw >= 0.0 && available_kw <= most_kw;
-    self.impp_kw = fmin(is_stated ? available_kw : power_kw / alpha, plan.rating_kw);
+    self.impp_kw = fmin(is_stated ? available_kw : fmax(power_kw, 0.0) / alpha, plan.rating_kw);
     self.stale_cycles = 0;
+}
+
+static bool is_lost(void) { /* The plant is heard, but for too long nothing usable of the inverter. */
+    return input(DISPATCH) && self.stale_cycles > plan.hold;
 }
 
 static void estimate(void) {
     measure();
-    double wanted_kw = share_kw(), residual_kw = self.impp_kw - (isnan(wanted_kw) ? 0.0 : wanted_kw);
+    double impp_kw = is_lost() ? 0.0 : self.impp_kw;
+    double wanted_kw = share_kw(), residual_kw = impp_kw - (isnan(wanted_kw) ? 0.0 : wanted_kw);
     mp_writer impp = begin(IMPP, 2), residual = begin(RESIDUAL, 1);
-    mp_number(&impp, "power_kw", self.impp_kw);
+    mp_number(&impp, "power_kw", impp_kw);
     mp_integer(&impp, "stale_cycles", self.stale_cycles);
     mp_number(&residual, "power_kw", residual_kw);
     put(&impp, IMPP, PARENT), put(&residual, RESIDUAL, PARENT);
@@ -252,14 +258,16 @@ static void estimate(void) {
    telemetry, the inverter decides. */
 static void actuate(void) {
     const message *setpoint = input(SETPOINT);
-    double wanted_kw = share_kw(), target_kw = setpoint ? setpoint->number[POWER] : wanted_kw, alpha = 1.0;
+    bool lost = is_lost();
+    double wanted_kw = share_kw(), alpha = 1.0;
+    double target_kw = setpoint && !lost ? setpoint->number[POWER] : wanted_kw;
     if (isnan(target_kw) || self.measured_cycle == BEFORE_ALL) return;
     if (target_kw < self.impp_kw * (1.0 - ROUNDING))
         alpha = fmin(fmax(target_kw / self.impp_kw, plan.alpha_min), 1.0);
     bool reverts = plan.reverts && !isnan(wanted_kw);
     mp_writer command = begin(COMMAND, reverts ? 3 : 2);
     mp_number(&command, "alpha", alpha);
-    mp_number(&command, "power_kw", alpha < 1.0 ? alpha * self.impp_kw : plan.rating_kw);
+    mp_number(&command, "power_kw", lost ? target_kw : alpha < 1.0 ? alpha * self.impp_kw : plan.rating_kw);
     if (reverts) mp_number(&command, "revert_kw", wanted_kw);
     put(&command, COMMAND, PLANT), put(&command, COMMAND, RECORDER);
 }
@@ -300,12 +308,11 @@ static void take_in(const message *new) {
     if (signal == SETPOINT && cycle >= 0 && cycle % plan.parent_period) return; /* Not its turn. */
     if (cycle > self.cycle) enter(cycle);
     if (new->integer[INCARNATION] < self.process[signal]) return; /* Of a process that was replaced. */
-    self.process[signal] = new->integer[INCARNATION];
     if (cycle <= self.heard[signal]) return; /* It comes again, or after a newer one. */
     self.heard[signal] = cycle;
     bool is_usable = signal != SETPOINT || (power_kw >= 0.0 && power_kw <= plan.rating_kw * (1.0 + ROUNDING));
     if (signal == DISPATCH) is_usable = isfinite(power_kw) && plant_kw > 0.0 && isfinite(plant_kw);
-    if (is_usable) self.newest[signal] = *new;
+    if (is_usable) self.newest[signal] = *new, self.process[signal] = new->integer[INCARNATION];
     advance(false);
 }
 

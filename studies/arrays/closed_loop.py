@@ -17,7 +17,13 @@ from numpy.typing import NDArray
 from agents.control.allocation import allocate, total
 from agents.control.correction import corrected
 from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp
-from agents.control.impp import NOTHING_KNOWN, Estimate, curtailment_level, estimate_impp
+from agents.control.impp import (
+    NOTHING_KNOWN,
+    Estimate,
+    curtailment_level,
+    estimate_impp,
+    is_lost,
+)
 from agents.control.share import residual_kw, share_kw, usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
@@ -41,6 +47,7 @@ class LoopSettings(NamedTuple):
     is_corrected: bool
     alpha_min: float
     cycle_s: float
+    hold_cycles: int
 
 
 class LoopResult(NamedTuple):
@@ -80,6 +87,7 @@ def loop_inputs(
         is_corrected=is_corrected(plan, scheme),
         alpha_min=HIDDEN_ALPHA_MIN if is_forecast and is_limited else plan.control.alpha_min,
         cycle_s=plan.timing.cycle_ns / 1e9,
+        hold_cycles=plan.control.hold_cycles,
     )
     return (
         control_arrays(plan, profile.cycles),
@@ -136,7 +144,8 @@ def closed_loop(
                 tree.rating_kw[node],
                 estimates[i],
             )
-            node_impp_kw[node] = estimates[i].power_kw
+            is_gone = is_lost(estimates[i], settings.hold_cycles)
+            node_impp_kw[node] = 0.0 if is_gone else estimates[i].power_kw
         report_up(tree, node_impp_kw)
         heard_kw = usable_dispatch_kw(dispatch_kw[cycle], plant_rating_kw)
         if cycle > 0:
@@ -161,11 +170,13 @@ def closed_loop(
             own_kw = share_kw(heard_kw, tree.rating_kw[node], plant_rating_kw)
             residuals_kw[cycle, i] = residual_kw(node_impp_kw[node], own_kw)
             impp_kw[cycle, i] = node_impp_kw[node]
-            level[i] = curtailment_level(target_kw[node], node_impp_kw[node], settings.alpha_min)
+            is_gone = is_lost(estimates[i], settings.hold_cycles)
+            known_kw, wanted_kw_now = estimates[i].power_kw, own_kw if is_gone else target_kw[node]
+            level[i] = curtailment_level(wanted_kw_now, known_kw, settings.alpha_min)
             alpha[cycle, i] = share = level[i]
             if settings.is_limited:
-                is_free = share >= 1.0
-                limit_kw[i] = tree.rating_kw[node] if is_free else share * node_impp_kw[node]
+                limit_kw[i] = tree.rating_kw[node] if share >= 1.0 else share * known_kw
+                limit_kw[i] = own_kw if is_gone else limit_kw[i]
                 share = 1.0
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
     return LoopResult(power_kw, impp_kw, residuals_kw, alpha)

@@ -101,8 +101,8 @@ def test_clamped_dispatches_are_counted_together() -> None:
     assert counts == [1, 2]
 
 
-@pytest.mark.parametrize("rating_kw", [0.0, -400.0, math.nan, math.inf, 5e-324])
-def test_a_dispatch_without_a_rating_to_share_by_is_not_used(rating_kw: float) -> None:
+@pytest.mark.parametrize("rating_kw", [0.0, -400.0, math.nan, math.inf, 0.4, 400_000.0, 399.0])
+def test_a_dispatch_with_another_rating_than_the_plans_is_not_used(rating_kw: float) -> None:
     central = AtWork(PLAN, "central")
     central.hear(dispatch(0, 200.0, rating_kw), meter(0, 0.0))
     central.hear(*report("a", 0, 100.0, 0.0))

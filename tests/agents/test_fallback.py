@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import pytest
@@ -9,7 +10,7 @@ from plans_by_hand import REAL_TIME, plan_of
 from plants_by_hand import AtWork, at, dispatch, impp, report, setpoint, telemetry
 
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Setpoint
+from bus_schemas.messages import Command, Message, Setpoint
 from bus_schemas.signals import COMMAND, HELP, IMPP, RESIDUAL, Port
 from bus_schemas.tree import ROOT
 
@@ -168,15 +169,52 @@ def test_without_its_residual_a_report_counts_and_the_residual_is_worked_out() -
 # An inverter unheard ------------------------------------------------------------------------------
 
 
-def test_without_telemetry_the_last_impp_holds_and_its_age_is_counted() -> None:
+Blind = list[tuple[float, int, tuple[float, float] | None]]
+"""For each cycle: the IMPP and its age, then alpha and power of the command."""
+
+
+@pytest.mark.parametrize(
+    ("power_kw", "hears_dispatch", "expected"),
+    [
+        # Its last maximum holds for a while. Then it is not counted on, and given its own share.
+        *(
+            (kw, True, [*((80.0, n, (0.25, 20.0)) for n in (1, 2)), (0.0, 3, (0.625, 50.0))])
+            for kw in (None, math.nan, 80_000.0)
+        ),
+        # Where the whole plant is not heard, nothing says that this inverter is lost.
+        (
+            None,
+            False,
+            [*((80.0, n, (0.25, 20.0)) for n in (1, 2)), (80.0, 3, (0.25, 20.0))],
+        ),
+    ],
+)
+def test_an_inverter_without_usable_telemetry_is_counted_on_for_the_hold_alone(
+    power_kw: float | None, hears_dispatch: bool, expected: Blind
+) -> None:
     work = AtWork(CLUSTER, "c1/a")
     outputs_in(work, 0, setpoint_kw=20.0)
-    found = []
-    for cycle in (1, 2, 3):
-        work.hear(dispatch(cycle, 100.0, 200.0))
-        found.append(at(work.at_deadline("estimate"), IMPP.of("c1/a")))
-        work.hear(setpoint("c1/a", cycle, 20.0))
-    assert [(sent.power_kw, sent.stale_cycles) for sent in found] == [(80.0, n) for n in (1, 2, 3)]
+    found: Blind = []
+    for cycle in range(1, HOLD + 2):
+        heard = [] if power_kw is None else [telemetry("c1/a", cycle, power_kw)]
+        sent = work.hear(*heard, *([dispatch(cycle, 100.0, 200.0)] if hears_dispatch else []))
+        own = at(sent or work.at_deadline("estimate"), IMPP.of("c1/a"))
+        # Its parent no longer counts on it either.
+        sent = work.hear(setpoint("c1/a", cycle, 20.0 if own.power_kw else 0.0))
+        command = sent.get(COMMAND.of("c1/a"))
+        assert command is None or isinstance(command, Command)
+        levels = None if command is None else (command.alpha, command.power_kw)
+        found.append((own.power_kw, own.stale_cycles, levels))
+    assert found == expected
+    assert outputs_in(work, HOLD + 2, setpoint_kw=20.0) == (0.25,)
+
+
+def test_a_silent_child_is_not_set_to_0_kw_because_no_dispatch_is_heard() -> None:
+    """c1 hears its setpoint, and c1/a; but neither a dispatch nor, ever, c1/b."""
+    work = AtWork(CLUSTER, "c1")
+    work.hear(*report("c1/a", 0, 90.0, 0.0))
+    work.at_deadline("report")
+    assert setpoints_kw(work.hear(setpoint("c1", 0, 60.0))) == (30.0, 30.0)
 
 
 def test_before_the_first_telemetry_there_is_no_power_to_count_on() -> None:

@@ -8,6 +8,7 @@ import re
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -141,7 +142,7 @@ BEFORE = " / ".join(f"a{cycle} b{cycle} s0" for cycle in range(TURN))
             f"{BEFORE} / a5 b5 s0! / a6 b6 s0! / a7 b7 s0! / a8 b8 s-",
             "",
         ),
-        (LOCKSTEP, "s3 a0 b0", "a0 b0 s-", ""),
+        (LOCKSTEP, "s3 a0 b0", "a0 b0 s-", "s wrong_cycle 1"),
         (LOCKSTEP, "a0 b0 a1 b1 s1 a2 b2", "a0 b0 s- / a1 b1 s- / a2 b2 s-", "s wrong_cycle 1"),
     ],
     ids=[
@@ -282,14 +283,51 @@ def test_whoever_wakes_late_goes_to_the_cycle_under_way() -> None:
 
 
 @pytest.mark.parametrize(
-    ("run_plan", "may_skip"), [(ON_THE_CLOCK, False), (LOCKSTEP, True)], ids=["plant", "lockstep"]
+    ("run_plan", "may_skip", "under_way", "goes_to"),
+    [
+        (ON_THE_CLOCK, False, HOLD, 0),  # The plant goes through every cycle,
+        (ON_THE_CLOCK, False, 90, 90),  # unless its machine was suspended.
+        (LOCKSTEP, True, 90, 0),
+    ],
 )
-def test_the_plant_does_not_skip_and_in_lockstep_nobody_does(
-    run_plan: RunPlan, may_skip: bool
+def test_the_plant_skips_only_after_a_long_stop_and_in_lockstep_nobody_does(
+    run_plan: RunPlan, may_skip: bool, under_way: int, goes_to: int
 ) -> None:
     clerk = AtWork(run_plan, Clerk(may_skip=may_skip))
-    assert not clerk.loop.catch_up(33 * REAL_TIME)
-    assert clerk.loop.cycle == 0
+    clerk.loop.catch_up(under_way * REAL_TIME)
+    assert (clerk.loop.cycle, clerk.loop.times.skipped_cycles) == (goes_to, goes_to)
+
+
+def test_one_that_joins_a_plant_that_is_far_behind_keeps_the_clock_of_the_run() -> None:
+    """The plant sends the dispatch of cycle 20, which began 30 s ago, only now."""
+    loop, start_ns, now_ns = Loop(Clerk(), ON_THE_CLOCK), 7, 50 * REAL_TIME
+    port, message = dispatch(20, 1.0, 200.0)
+    message.ready_time_ns, message.publish_time_ns = start_ns + 20 * REAL_TIME, now_ns
+    loop.hear(port, message, now_ns)
+    assert (loop.cycle, loop.times.start_ns) == (20, start_ns)
+
+
+@pytest.mark.parametrize(
+    ("what", "cause"),
+    [
+        ({"incarnation": 10**9}, "out_of_range"),
+        ({"cycle": 50, "incarnation": 50}, "wrong_cycle"),
+        ({"cycle": 100, "incarnation": 50}, "wrong_cycle"),
+        ({"cycle": 1, "incarnation": 1, "power_kw": math.nan}, "out_of_range"),
+    ],
+)
+def test_a_message_that_is_refused_does_not_shut_out_its_publisher(
+    what: dict[str, Any], cause: str
+) -> None:
+    clerk = AtWork(ON_THE_CLOCK, Clerk())
+    clerk.hear(*both(0))
+    port, message = impp("c1/a", 1, 1.0)
+    clerk.hear((port, replace(message, **what)))
+    if what.get("cycle") == 1:
+        clerk.at_deadline("report")
+    cycle = clerk.loop.cycle
+    assert at(clerk.hear(*both(cycle)), SENT).missing == ("c1/setpoint", "dispatch")
+    assert {name for _, name in clerk.loop.inputs.dropped} == {cause}
 
 
 @pytest.mark.parametrize("off_ns", [START_WITHIN_NS + 1, -START_WITHIN_NS - 1])

@@ -161,10 +161,64 @@ def followed(cycles: int = 4, **changes: object) -> list[tuple[float, float]]:
 def test_a_command_takes_effect_after_its_delay_and_as_fast_as_the_ramp_allows() -> None:
     at_once = followed()
     assert at_once == [(100.0, 100.0)] + [(50.0, 50.0)] * 3
-    # A part of a cycle is a cycle.
-    assert followed(delay_s=1.5) == [(100.0, 100.0)] * 3 + [(50.0, 50.0)]
+    # A part of a cycle is a cycle. Until the first command acts, they hold their shares.
+    assert followed(delay_s=1.5) == [(50.0, 50.0)] * 2 + [(100.0, 100.0)] + [(50.0, 50.0)]
     assert [kw for kw, _ in followed(ramp_percent_per_s=20.0)] == [100.0, 80.0, 60.0, 50.0]
-    assert [kw for kw, _ in followed(delay_s=1.0, ramp_percent_per_s=40.0)] == [100, 100, 60, 50]
+    assert [kw for kw, _ in followed(delay_s=1.0, ramp_percent_per_s=40.0)] == [60, 100, 60, 50]
+
+
+@pytest.mark.parametrize("actuator", ["fraction", "limit"])
+def test_an_inverter_that_hears_no_command_in_cycle_0_holds_its_share(actuator: str) -> None:
+    plant = PlantAtWork(FLAT, actuator=actuator, cycle_wall_ns=CYCLE_NS)
+    plant.begin()
+    plant.at_deadline()
+    assert powers_kw(plant.at_deadline()) == (50.0, 50.0)
+
+
+def test_a_delay_and_a_revert_time_of_whole_cycles_take_these_and_not_one_more() -> None:
+    """4.2 s are 6 cycles of 0.7 s, though 4.2 / 0.7 is a little more than 6."""
+    common = {"cycle_ns": 700_000_000, "cycle_wall_ns": CYCLE_NS}
+    for changes, expected_kw in (
+        ({"delay_s": 4.2}, [50.0] * 6 + [20.0] * 3),
+        ({"revert": Revert(after_s=4.2, to=0.3)}, [20.0] * 6 + [30.0] * 3),
+    ):
+        plant = PlantAtWork(FLAT, **common, **changes)
+        plant.begin()
+        found = []
+        for cycle in range(9):
+            plant.at_deadline()
+            found.append(powers_kw(plant.command(0.2, 0.2) if not cycle else plant.at_deadline()))
+        assert [kw for kw, _ in found] == expected_kw
+
+
+@pytest.mark.parametrize("actuator", ["fraction", "limit"])
+def test_a_fresh_command_undoes_a_revert(actuator: str) -> None:
+    plant = PlantAtWork(
+        FLAT, actuator=actuator, cycle_wall_ns=CYCLE_NS, revert=Revert(after_s=2.0, to=0.2)
+    )
+    plant.begin()
+    found = []
+    for cycle in range(6):
+        plant.at_deadline()
+        heard = cycle in {0, 4}
+        sent = plant.command(0.7, 0.7, power_kw=(70.0, 70.0)) if heard else plant.at_deadline()
+        found.append(powers_kw(sent))
+    assert [kw for kw, _ in found] == [70.0] * 2 + [20.0] * 2 + [70.0] * 2
+
+
+def test_cycles_that_were_missed_count_for_delays_ramps_and_reverts() -> None:
+    plant = PlantAtWork(
+        FLAT, cycle_wall_ns=CYCLE_NS, delay_s=3.0, revert=Revert(after_s=8.0, to=0.1)
+    )
+    plant.begin()
+    plant.at_deadline()
+    plant.command(0.4, 0.4)
+    plant.loop.catch_up(6 * CYCLE_NS)
+    plant.at_deadline()
+    assert powers_kw(plant.at_deadline()) == (40.0, 40.0)
+    plant.loop.catch_up(11 * CYCLE_NS)
+    plant.at_deadline()
+    assert powers_kw(plant.at_deadline()) == (10.0, 10.0)
 
 
 def test_inverters_may_be_set_otherwise_and_the_last_entry_counts() -> None:
@@ -172,7 +226,7 @@ def test_inverters_may_be_set_otherwise_and_the_last_entry_counts() -> None:
         InverterSettings(nodes="c1/*", delay_s=9.0, ramp_percent_per_s=20.0),
         InverterSettings(nodes="c1/a", delay_s=0.0),
     )
-    assert followed(settings=settings) == [(100, 100), (80, 100), (60, 100), (50, 100)]
+    assert followed(settings=settings) == [(100, 80), (80, 60), (60, 50), (50, 50)]
 
 
 def test_each_inverter_reverts_after_its_own_time_to_its_own_limit() -> None:
@@ -203,7 +257,7 @@ def test_a_revert_forgets_commands_that_had_not_yet_taken_effect() -> None:
         plant.at_deadline()
         found.append(powers_kw(plant.command(0.5, 0.5) if cycle in {0, 6} else plant.at_deadline()))
     # The command of cycle 0 acts from cycle 2 on, is over in cycle 3, and that of 6 acts in 8.
-    assert [kw for kw, _ in found] == [100.0] * 2 + [50.0] + [20.0] * 5
+    assert [kw for kw, _ in found] == [50.0] * 3 + [20.0] * 5
 
 
 # Profiles ----------------------------------------------------------------------------------------

@@ -15,6 +15,8 @@ LAT_DEG = np.array([21.31, 21.312])
 LON_DEG = np.array([-158.08, -158.085])
 RATING_KW = np.array([400.0, 500.0])
 DAY = pd.date_range("2010-04-01 10:00", periods=24 * 60, freq="60s", tz="UTC")
+MIDDLES = DAY + pd.Timedelta("30s")
+"""Where the sun stands in each minute."""
 
 
 def bell_wm2(peak_wm2: float) -> np.ndarray:
@@ -31,7 +33,7 @@ def power_kw(ghi_wm2: np.ndarray, settings: PvSettings) -> np.ndarray:
 def test_a_flat_array_by_hand() -> None:
     # 1000 W/m2 at 20 degrees and no wind: Sandia's cell is at 20 + 1000 exp(-3.56) + 3 = 51.44
     # degrees, 26.44 above reference, so DC is 1 - 0.0035 * 26.44 of its rating.
-    noon = pd.DatetimeIndex(["2010-04-01 22:30"], tz="UTC")
+    noon = pd.DatetimeIndex(["2010-04-01 22:30"], tz="UTC", freq="1s")
     found = ac_power_kw(
         np.array([[1000.0, 500.0]]), noon, LAT_DEG, LON_DEG, np.array([100.0, 100.0]), PvSettings()
     )
@@ -65,11 +67,11 @@ def test_the_chain_is_that_of_pvlib(settings: PvSettings) -> None:
     chain = modelchain.ModelChain(
         system, site, aoi_model="no_loss", spectral_model="no_loss", losses_model="no_loss"
     )
-    sun = site.get_solarposition(DAY)
-    sky = modelchain.pvlib.irradiance.erbs(ghi_wm2[:, 0], sun["zenith"], DAY)
+    sun = site.get_solarposition(MIDDLES)
+    sky = modelchain.pvlib.irradiance.erbs(ghi_wm2[:, 0], sun["zenith"], MIDDLES)
     air = {"temp_air": settings.temp_air_c, "wind_speed": settings.wind_speed_ms}
     light = {"ghi": ghi_wm2[:, 0], "dni": sky["dni"], "dhi": sky["dhi"]}
-    chain.run_model(pd.DataFrame(light | air, index=DAY))
+    chain.run_model(pd.DataFrame(light | air, index=MIDDLES))
     # The chain lifts the sun by refraction after GHI is split, which lets the beam on a flat array
     # differ a little from the GHI it came from when the sun is low.
     high = (sun["zenith"] < 80.0).to_numpy()
@@ -83,10 +85,21 @@ def test_the_chain_is_that_of_pvlib(settings: PvSettings) -> None:
 def test_no_power_while_the_sun_is_below_the_horizon() -> None:
     stray_light_wm2 = np.full((len(DAY), 2), 40.0)
     found = power_kw(stray_light_wm2, PvSettings())
-    sun = Location(float(LAT_DEG.mean()), float(LON_DEG.mean())).get_solarposition(DAY)
+    sun = Location(float(LAT_DEG.mean()), float(LON_DEG.mean())).get_solarposition(MIDDLES)
     up = (sun["apparent_zenith"] < 90.0).to_numpy()
     assert (found[~up] == 0.0).all()
     assert (found[up] > 0.0).all()
+
+
+def test_the_sun_of_an_hourly_value_stands_where_it_is_in_the_middle_of_the_hour() -> None:
+    """So a tilted array that faces south sees a day that is alike before and after noon."""
+    noon = pd.Timestamp("2010-04-01 22:36", tz="UTC")  # The sun is highest there and then.
+    hours = noon + pd.to_timedelta(np.arange(-4, 4), unit="h")
+    ghi_wm2 = np.array([300.0, 500.0, 700.0, 800.0, 800.0, 700.0, 500.0, 300.0])[:, None]
+    found = ac_power_kw(
+        ghi_wm2, hours, LAT_DEG[:1], LON_DEG[:1], RATING_KW[:1], PvSettings(tilt_deg=40.0)
+    )[:, 0]
+    np.testing.assert_allclose(found, found[::-1], rtol=0.01)
 
 
 def test_daylight_at_midnight_is_refused() -> None:

@@ -27,6 +27,7 @@ def estimated(
         (60.0, 0.5, RATING_KW),  # 120 kW would be more than it can convert
         (1e-3, 5e-324, RATING_KW),  # the least alpha above zero does not overflow
         (RATING_KW, 1.0, RATING_KW),
+        (-0.02, 0.5, 0.0),  # tripped, it draws standby power
     ],
 )
 def test_equation_1_divides_the_measured_power_by_the_alpha_applied_with_it(
@@ -39,7 +40,7 @@ def test_equation_1_divides_the_measured_power_by_the_alpha_applied_with_it(
     ("power_kw", "alpha"),
     [
         (math.nan, 1.0),
-        (-0.001, 1.0),
+        (-5.001, 1.0),
         (105.001, 1.0),
         (50.0, math.nan),
         (50.0, 0.0),

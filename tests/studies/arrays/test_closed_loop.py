@@ -66,7 +66,12 @@ def absurd_meters(preparation: Preparation) -> Preparation:
     error = np.zeros_like(preparation.profile.mpp_kw)
     error[10:14, 3] = 5.0
     error[50:53, 7] = -2.0
+    error[70:100, 5] = 5.0  # For longer than it is counted on.
     return with_profile(preparation, meter_error=error)
+
+
+def absurd_meters_behind_limits(preparation: Preparation) -> Preparation:
+    return with_plan(absurd_meters(preparation), actuator="limit")
 
 
 def available_power_stated(preparation: Preparation) -> Preparation:
@@ -93,7 +98,11 @@ def test_loop_and_agents_give_the_same(
 
 @pytest.mark.parametrize("scheme", get_args(Scheme))
 @pytest.mark.parametrize(
-    "odd", [night, absurd_dispatch, absurd_meters, available_power_stated, next_hour]
+    "odd",
+    [
+        *(night, absurd_dispatch, absurd_meters, absurd_meters_behind_limits),
+        *(available_power_stated, next_hour),
+    ],
 )
 def test_loop_and_agents_give_the_same_at_night_with_absurd_inputs_and_into_the_next_hour(
     oahu: Preparation, scheme: Scheme, odd: Callable[[Preparation], Preparation]
