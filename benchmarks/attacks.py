@@ -245,7 +245,7 @@ def column(
 ) -> list[str]:
     power_kw = read_plant_series(out / RECORDING_NAME).delivered_kw
     beyond_kw = power_kw - undisturbed_kw[: len(power_kw)]
-    wrong = {entry["key"] for entry in document["wrong"]} if document else set()
+    wrong = {entry["key"] for entry in document["launcher"]["wrong"]} if document else set()
     cells = []
     for number, attack in enumerate(ATTACKS):
         first = FIRST + 2 * ATTACK * number
@@ -256,7 +256,7 @@ def column(
         cells.append(f"{most}, named" if named else most)
     if document is None:
         return [*cells, str(status), "-", "-"]
-    memory = {each["kind"]: each["resident_median_mb"] for each in document["memory"]}
+    memory = {each["kind"]: each["resident_mb"] for each in document["processes"]}
     return [
         *cells,
         str(status),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -154,15 +155,14 @@ def launch(heliarch: Path, scenario: str, cycles: int, keep: Path | None = None)
 
 def _read(summary: dict[str, Any], watched: Watched) -> Launch:
     """Take the figures out of a summary: the one place that knows its names."""
-    of_direct = (each for each in summary["memory"] if each["kind"] == "direct")
-    memory: dict[str, Any] = next(of_direct, {})
+    direct_mb = [each["own_mb"] for each in summary["processes"] if each["kind"] == "direct"]
     began = watched.started + summary["startup_s"]
     ended = began + summary["wall_s"]
     messages = sum(each["published"] for each in summary["messages"])
     seen = watched.figures(began, ended, summary["cycles"], messages, summary["messages_lost"])
     return Launch(
         **msgspec.structs.asdict(seen),
-        own_mb=memory.get("own_median_mb") or nan,
+        own_mb=statistics.median(direct_mb) or nan if direct_mb else nan,
     )
 
 

@@ -13,11 +13,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import get_args
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agents.settings import Scheme
-from results.metrics import run_metrics
+from results.figures import run_figures
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
-from studies.arrays.schemes import SCHEMES, ReferenceGroups, run_scheme
+from studies.arrays.schemes import SCHEMES, reference_groups, run_scheme
 from studies.compare.by_agents import run_by_agents
 
 PAPER_S = 14.144
@@ -42,7 +45,7 @@ def line(name: str, times: tuple[float, float]) -> None:
     sys.stdout.write(f"{name:44}{wall_s:9.2f} s{processor_s:9.2f} s\n")
 
 
-def of_arrays(name: str, day: Preparation, groups: ReferenceGroups) -> None:
+def of_arrays(name: str, day: Preparation, groups: list[NDArray[np.bool_]]) -> None:
     run_scheme(name, day.plan, day.profile, day.plan.control.actuator, groups)
 
 
@@ -50,7 +53,7 @@ def main() -> None:
     began = time.perf_counter()
     day = prepare(load_scenario("oahu-day"), RunOptions(), "bench")
     prepared_s = time.perf_counter() - began
-    one_group = ReferenceGroups((4,), 1)
+    one_group = [*reference_groups(len(day.plan.tree.leaves), [4])][:1]
     for name in SCHEMES:  # Compiled, or the compiled code loaded, before the clock runs.
         of_arrays(name, day, one_group)
     sys.stdout.write(f"{day.plan.timing.cycles:,} cycles, {len(day.plan.tree.leaves)} inverters; ")
@@ -64,7 +67,7 @@ def main() -> None:
         times = timed(partial(of_arrays, name, day, one_group))
         line(f"arrays, {name}" + (" (one group)" if name == "grouping" else ""), times)
     (series,) = run_scheme("predictive", day.plan, day.profile, "fraction", one_group)
-    line("figures of merit of one scheme", timed(partial(run_metrics, series)))
+    line("figures of merit of one scheme", timed(partial(run_figures, series)))
 
 
 if __name__ == "__main__":

@@ -27,8 +27,7 @@ from scenarios.scenario import ScenarioFile, load_scenario
 from scenarios.settings import Setting, with_settings
 from studies.arrays.schemes import SCHEMES
 from studies.compare.cases import cases
-from studies.compare.results import result_rows
-from studies.compare.study import SchemeChoice, run_case
+from studies.compare.study import run_case
 from studies.workers import share_work
 
 
@@ -127,11 +126,12 @@ def compare(
     -------
     DataFrame
         A row for each case, scheme and actuator. Its columns are what cases differ in (fields of
-        `settings` by name, `fault`, `day`, `seed`), scheme, actuator and each figure of merit.
+        `settings` by name, `fault`, `day`, `seed`), scheme, actuator, each figure of merit, and
+        remarks: what must be known about the data, such as hindsight.
     """
-    choice = SchemeChoice(tuple(schemes), actuators=tuple(actuators))
-    _check_names("schemes", choice.schemes, tuple(SCHEMES))
-    _check_names("actuators", choice.actuators, get_args(Actuator))
+    names, acting = tuple(schemes), tuple(actuators)
+    _check_names("schemes", names, tuple(SCHEMES))
+    _check_names("actuators", acting, get_args(Actuator))
     listed = cases(
         _loaded(scenario),
         RunOptions(start, duration, end),
@@ -140,7 +140,8 @@ def compare(
         tuple(days),
         tuple(seeds),
     )
-    return pd.DataFrame(result_rows(share_work(partial(run_case, choice), listed, workers)))
+    results = share_work(partial(run_case, names, acting), listed, workers)
+    return pd.DataFrame([row for rows in results for row in rows])
 
 
 class ComparedRuns(NamedTuple):

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import statistics
-from collections import Counter, defaultdict
+from collections import Counter
 from dataclasses import dataclass, field
 
 from agents.process.events import Finished, Recorded
+from bus_schemas.errors import InputError
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import Child, Memory
-from recordings.inspect.health import Health, WrongMessages
+from launch_scripts.supervision import Child
+from recordings.inspect.health import Health, LauncherAccount, WrongMessages
 from results.run_summary import (
-    MemoryUse,
     MessageCount,
     ProcessAccount,
+    RunFacts,
     RunSummary,
+    recorded_figures,
     recorded_health,
-    recorded_metrics,
+    recorded_messages,
 )
 from scenarios.preparation import Preparation
 from sunspec.process import DeviceAccount
@@ -30,7 +31,6 @@ class RunAccount:
     published: Messages of Heliarch's processes, by signal.
     is_complete: Whether every process has said what it published.
     dropped: Messages that processes could not use: port, cause and number.
-    memory: Of the processes, by kind.
     restarts: How often each process was started again.
     takeovers: How often a standby took each agent over.
     """
@@ -44,7 +44,6 @@ class RunAccount:
     is_complete: bool = True
     dropped: list[tuple[str, str, int]] = field(default_factory=list)
     processes: list[ProcessAccount] = field(default_factory=list)
-    memory: dict[str, list[Memory]] = field(default_factory=lambda: defaultdict(list))
     restarts: Counter[str] = field(default_factory=Counter)
     takeovers: Counter[str] = field(default_factory=Counter)
 
@@ -57,14 +56,12 @@ class RunAccount:
             ProcessAccount(
                 child.agent,
                 child.kind,
-                dropped=_by_cause(finished.dropped),
-                resident_mb=child.memory.resident_mb,
+                _by_cause(finished.dropped),
+                *child.memory,
                 skipped_cycles=finished.skipped_cycles,
                 cpu_s=None if before_s is None or cpu_s is None else cpu_s - before_s,
             )
         )
-        if child.memory.resident_mb:  # A short run may be over before all were looked at.
-            self.memory[child.kind].append(child.memory)
 
     def summary(
         self,
@@ -74,50 +71,61 @@ class RunAccount:
         interrupted: bool,
         devices: tuple[DeviceAccount, ...] = (),
     ) -> RunSummary:
-        """Return the document of the run, which has ended."""
-        preparation, plan = self.preparation, self.preparation.plan
-        health = recorded_health(self.folder.recording, plan)
+        """Return the document of the run, which has ended. Its recording is opened and counted."""
+        preparation, plan, path = self.preparation, self.preparation.plan, self.folder.recording
+        found, fault = recorded_messages(path, recorded.recorded)
+        figures = health = None
+        if found:
+            try:
+                figures = recorded_figures(path) if recorded.cycles else None
+                health = recorded_health(path, plan)
+            except InputError as error:
+                fault = fault or f"the recording cannot be read: {error}"
         dropped = _by_cause(self.dropped)
         if recorded.foreign:
             dropped["at the recorder"] = recorded.foreign
         return RunSummary(
             run_id=plan.run_id,
-            scenario=plan.plant,
-            driver=self.driver,
-            folder=str(self.folder.path),
-            sim_start=preparation.local_start(),
+            run=RunFacts(
+                scenario=plan.plant,
+                driver=self.driver,
+                folder=str(self.folder.path),
+                sim_start=preparation.local_start(),
+                planned_cycles=plan.timing.cycles,
+                cycle_s=plan.timing.cycle_ns / 1e9,
+                hindsight_neighbours=preparation.hindsight,
+                remarks=preparation.remarks,
+            ),
+            launcher=LauncherAccount(
+                dropped=dropped,
+                restarts=dict(self.restarts),
+                takeovers=dict(self.takeovers),
+                skipped_cycles=sum(process.skipped_cycles for process in self.processes),
+                recording_ended=recorded.ended_early or fault,
+                wrong=self._wrong_messages(recorded),
+                interrupted=interrupted,
+            ),
             cycles=recorded.cycles,
-            cycle_s=plan.timing.cycle_ns / 1e9,
             wall_s=wall_s,
             startup_s=self.armed_at - self.asked_at,
-            metrics=recorded_metrics(self.folder.recording),
-            messages=self._messages(recorded, health),
-            restarts=dict(self.restarts),
-            takeovers=dict(self.takeovers),
-            dropped=dropped,
-            missing_inputs=health.missing_inputs if health else 0,
-            memory=tuple(_memory_use(kind, values) for kind, values in self.memory.items()),
-            hindsight_neighbours=preparation.hindsight,
-            remarks=preparation.remarks,
-            interrupted=interrupted,
-            recording_ended=recorded.ended_early,
-            faults=health.faults if health else {},
-            skipped_cycles=sum(process.skipped_cycles for process in self.processes),
+            figures=figures,
+            messages=self._messages(recorded, found, health),
             processes=tuple(self.processes),
             external=recorded.external,
             devices=devices,
-            wrong=self._wrong_messages(recorded),
             health=health,
         )
 
-    def _messages(self, recorded: Recorded, health: Health | None) -> tuple[MessageCount, ...]:
+    def _messages(
+        self, recorded: Recorded, found: Counter[str], health: Health | None
+    ) -> tuple[MessageCount, ...]:
         """Return what Heliarch's processes published, and what of that is recorded.
 
         What a process that died had published is unknown: the sequence numbers of the recorded
         messages show the least that it can be.
         """
         plan, published = self.preparation.plan, self.published
-        heard = Counter(recorded.recorded)
+        heard = Counter(found)
         for account in recorded.external:
             heard.subtract(account.recorded)
         heard.subtract(recorded.extra)  # Of strangers, on keys of the processes.
@@ -137,8 +145,8 @@ class RunAccount:
     def _wrong_messages(self, recorded: Recorded) -> tuple[WrongMessages, ...]:
         """Return the wrong messages by key and cause, the most frequent first.
 
-        The recorder complains of what it hears, and agents drop what they cannot use. Both may have
-        counted the same message: the larger count holds. Of what was dropped only that of external
+        The recorder complains of what it hears, and agents drop what they cannot use. All may have
+        counted the same message: the largest count holds. Of what was dropped only that of external
         agents counts: other late messages are the machine's fault.
         """
         plan = self.preparation.plan
@@ -146,7 +154,7 @@ class RunAccount:
         counts: Counter[tuple[str, str]] = Counter()
         for port, cause, count in self.dropped:
             if publishers.get(port) in plan.access.external:
-                counts[port, cause] += count
+                counts[port, cause] = max(counts[port, cause], count)
         examples = dict.fromkeys(counts, "dropped by an agent")
         for complaint in recorded.complaints:
             of = (complaint.key.removeprefix(f"{plan.plant}/"), complaint.cause)
@@ -163,7 +171,3 @@ def _by_cause(dropped: list[tuple[str, str, int]]) -> dict[str, int]:
     for _, cause, number in dropped:
         counts[cause] += number
     return dict(counts)
-
-
-def _memory_use(kind: str, values: list[Memory]) -> MemoryUse:
-    return MemoryUse(kind, len(values), *map(statistics.median, zip(*values, strict=True)))

@@ -33,7 +33,7 @@ from launch_scripts.supervision import RunFailure, memory_of, who_waits
 from launch_scripts.view import View
 from recordings.record.monitor import RunMonitor
 from recordings.record.writer import ClockAnchor, RunWriter
-from results.run_summary import RunSummary
+from results.run_summary import ProcessAccount, RunSummary
 from scenarios.preparation import Preparation
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
@@ -246,7 +246,8 @@ def simulate(
     wall_s = time.monotonic() - account.armed_at
     account.published.update(run.bus.outbox.published)
     account.restarts.update(run.restarts)
-    account.memory["simulation"].append(memory_of(os.getpid()))
+    memory = memory_of(os.getpid())
+    account.processes.append(ProcessAccount("simulation", "simulation", {}, *memory))
     for loop in run.loops.values():
         account.dropped += [(*of, number) for of, number in loop.inputs.dropped.items()]
     recorded = Recorded(dict(writer.recorded), 0, monitor.cycles, writer.ended_early)

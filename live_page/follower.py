@@ -26,7 +26,7 @@ from recordings.inspect.health import FAILURE_NAME
 from recordings.read.mcap_file import Chunk, walk_on
 from recordings.read.reader import CycleHead, RunReader, head_of
 from recordings.read.series import RunSeries
-from results.metrics import RunMetrics, run_metrics
+from results.figures import Figures, run_figures
 from results.report.decimation import extremes
 
 State: TypeAlias = Literal["waiting", "running", "stalled", "over", "failed"]
@@ -131,10 +131,10 @@ class RunFollower:
         thinned = {name: values[rows].round(2).tolist() for name, values in columns.items()}
         return {"cycle": (rows + begin).tolist()} | thinned
 
-    def metrics(self) -> RunMetrics | None:
+    def metrics(self) -> Figures | None:
         """Return the figures of merit so far; None before the first cycle."""
         series = self._series.between(0, self.cycles)
-        return run_metrics(series) if series.known.any() else None
+        return run_figures(series) if series.known.any() else None
 
     def _next_chunk(self) -> Chunk | None:
         """Return the next chunk that is there as a whole."""

@@ -19,8 +19,7 @@ from live_page.plant_state import PlantState, columns
 from recordings.export.viewer_layout import viewer_layout
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
-from results.metrics import RunMetrics
-from results.metrics.figures_of_merit import COMMITMENT, Shown, shown_in
+from results.figures import Figures, Shown, shown_in
 from sunspec.process import read_accounts
 
 _UPDATE_S: Final = 0.1
@@ -43,13 +42,22 @@ _NODE_MESSAGES: Final = 300_000
 """Messages to read at most for the history of a node."""
 
 
+class _Facts(msgspec.Struct):
+    sim_start: str = ""
+    cycle_s: float = 0.0
+
+
+class _Launcher(msgspec.Struct):
+    interrupted: bool = False
+
+
 class _Summary(msgspec.Struct):
     """What the list shows of a run's summary."""
 
-    sim_start: str = ""
+    run: _Facts = msgspec.field(default_factory=_Facts)
+    launcher: _Launcher = msgspec.field(default_factory=_Launcher)
     cycles: int = 0
-    cycle_s: float = 0.0
-    figures: dict[str, float | None] = {}
+    figures: dict[str, float | None] | None = None
 
 
 def recordings_in(folder: Path) -> dict[str, Path]:
@@ -65,7 +73,7 @@ def recordings_in(folder: Path) -> dict[str, Path]:
 
 def run_list(folder: Path) -> dict[str, Any]:
     """Return the runs in a folder, the newest first, and the figures that are shown of them."""
-    figures = shown_in(Shown.COMPARE, COMMITMENT)
+    figures = shown_in(Shown.COMPARE, Shown(0))
     return {
         "folder": str(folder),
         "figures": [{"heading": one.heading, "decimals": one.decimals} for one in figures],
@@ -81,15 +89,16 @@ def _row(name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
     summary, state = _Summary(), "failed" if (folder / FAILURE_NAME).exists() else ""
     with suppress(OSError, msgspec.DecodeError):
         document = (folder / SUMMARY_NAME).read_bytes()
-        summary, state = msgspec.json.decode(document, type=_Summary), "over"
+        summary = msgspec.json.decode(document, type=_Summary)
+        state = "interrupted" if summary.launcher.interrupted else "over"
     return {
         "name": name,
         "state": state,
         "recorded_ms": written.st_mtime * 1e3,
         "size_mb": written.st_size / 1e6,
-        "start": summary.sim_start,
-        "simulated_s": summary.cycles * summary.cycle_s,
-        "figures": [summary.figures.get(figure) for figure in figures],
+        "start": summary.run.sim_start,
+        "simulated_s": summary.cycles * summary.run.cycle_s,
+        "figures": [(summary.figures or {}).get(figure) for figure in figures],
     }
 
 
@@ -238,12 +247,12 @@ class RunView:
             await asyncio.sleep(_UPDATE_S if up_to_date else _READING_S / 3)
 
 
-def _figures(metrics: RunMetrics | None) -> list[dict[str, str]]:
+def _figures(found: Figures | None) -> list[dict[str, str]]:
     """Return the figures that a summary shows, as texts."""
-    if metrics is None:
+    if found is None:
         return []
     return [
         {"title": figure.title, "unit": figure.unit, "value": f"{value:,.{figure.decimals}f}"}
         for figure in shown_in(Shown.SUMMARY)
-        if (value := figure.read(metrics)) is not None
+        if (value := found[figure.name]) is not None
     ]

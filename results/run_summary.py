@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
 from agents.plan import RunPlan
 from agents.process.events import ExternalAccount
-from bus_schemas.errors import InputError
-from bus_schemas.signals import PRODUCTION
-from recordings.inspect.health import Health, LauncherAccount, WrongMessages
+from bus_schemas.errors import InputError, listed
+from recordings.inspect.health import Health, RunDocument, WrongMessages
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import read_plant_series
-from results.metrics import RunMetrics, run_metrics
-from results.metrics.figures_of_merit import figures_json
+from results.figures import Figures, run_figures
 from sunspec.process import DeviceAccount
+
+_MOST_REFUSED: Final = 0.1
+"""Share of its messages that may be refused of an external agent: more is a failure."""
 
 
 class MessageCount(msgspec.Struct, frozen=True):
@@ -32,19 +36,12 @@ class MessageCount(msgspec.Struct, frozen=True):
         return self.published - self.recorded
 
 
-class MemoryUse(msgspec.Struct, frozen=True):
-    """Memory of the median process of one kind [MB]: resident in all, and its own."""
-
-    kind: str
-    processes: int
-    resident_median_mb: float
-    own_median_mb: float
-
-
 class ProcessAccount(msgspec.Struct, frozen=True):
     """What a process reported at its end, and the resources it used.
 
     dropped: Messages that it could not use, by cause.
+    resident_mb, own_mb: Its memory, and the part of it that it shares with no other process; 0 in a
+        short run, which is over before all were looked at.
     skipped_cycles: Cycles that were over before it came to them.
     cpu_s: Processor time from cycle 0 on [s].
     """
@@ -53,38 +50,41 @@ class ProcessAccount(msgspec.Struct, frozen=True):
     kind: str
     dropped: dict[str, int]
     resident_mb: float
+    own_mb: float = 0.0
     skipped_cycles: int = 0
     cpu_s: float | None = None
 
 
-class RunSummary(LauncherAccount, frozen=True, kw_only=True):
-    """The figures of a run.
-
-    `messages` are those of Heliarch's processes, `external` what was heard of external agents.
-    `takeovers` counts how often a standby took each agent over. `health` is None if the recording
-    was not read.
-    """
+class RunFacts(msgspec.Struct, frozen=True):
+    """What was run: of `planned_cycles` cycles, with clusters maybe chosen in hindsight."""
 
     scenario: str
     driver: str
     folder: str
     sim_start: str
-    cycles: int
+    planned_cycles: int
     cycle_s: float
+    hindsight_neighbours: bool = False
+    remarks: tuple[str, ...] = ()
+
+
+class RunSummary(RunDocument, frozen=True, kw_only=True):
+    """The figures of a run.
+
+    `cycles` were completed. `figures` is None if none of them can be read in the recording.
+    `messages` are those of Heliarch's processes, `external` what was heard of external agents.
+    `health` is None if the recording was not read for it.
+    """
+
+    run: RunFacts
+    cycles: int
     wall_s: float
     startup_s: float
-    metrics: RunMetrics | None
+    figures: Figures | None
     messages: tuple[MessageCount, ...]
-    missing_inputs: int
-    memory: tuple[MemoryUse, ...]
-    hindsight_neighbours: bool
-    remarks: tuple[str, ...]
-    interrupted: bool
-    faults: dict[str, int] = msgspec.field(default_factory=dict)
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
     devices: tuple[DeviceAccount, ...] = ()
-    takeovers: dict[str, int] = msgspec.field(default_factory=dict)
     health: Health | None = None
 
     @property
@@ -92,11 +92,8 @@ class RunSummary(LauncherAccount, frozen=True, kw_only=True):
         return self.cycles / self.wall_s if self.wall_s > 0.0 else 0.0
 
     @property
-    def recorded_cycles(self) -> int:
-        """Cycles whose production is in the recording."""
-        name = PRODUCTION.name
-        own = sum(count.recorded for count in self.messages if count.signal == name)
-        return own + sum(account.recorded.get(name, 0) for account in self.external)
+    def missing_inputs(self) -> int:
+        return self.health.missing_inputs if self.health else 0
 
     @property
     def lost(self) -> int:
@@ -109,47 +106,76 @@ class RunSummary(LauncherAccount, frozen=True, kw_only=True):
         return sum(abs(count.lost) for count in self.messages)
 
     @property
-    def two_senders(self) -> tuple[WrongMessages, ...]:
-        """Keys of Heliarch's processes on which another program sent messages as well."""
-        external = {account.agent for account in self.external}
-        return tuple(
-            wrong
-            for wrong in self.wrong
-            if wrong.cause == "conflicting" and wrong.publisher not in external
-        )
-
-    @property
     def is_incomplete(self) -> bool:
         """Whether messages, inputs or agents were missing at some time."""
-        counts = self.lost, self.missing_inputs, self.skipped_cycles, self.recording_ended
-        events = self.dropped, self.faults, self.wrong, self.restarts, self.takeovers
+        launcher = self.launcher
+        counts = self.lost, self.missing_inputs, launcher.skipped_cycles, launcher.recording_ended
+        events = launcher.dropped, launcher.wrong, launcher.restarts, launcher.takeovers
         return any((*counts, *events, *(device.is_troubled for device in self.devices)))
 
+    def refused(self, account: ExternalAccount) -> int:
+        """Return how many messages of an external agent were refused, but for those too late."""
+        wrong = (one for one in self.launcher.wrong if one.publisher == account.agent)
+        return sum(one.count for one in wrong if one.cause not in {"late", "duplicate"})
+
+    def failures(self) -> Iterator[str]:
+        """Yield in a line each why the run cannot be relied on; nothing if it can."""
+        launcher = self.launcher
+        if launcher.recording_ended:
+            yield launcher.recording_ended
+        if attacked := self._two_senders():
+            text = listed([f"{one.key}: {one.example}" for one in attacked])
+            yield f"more than one program sent messages on {text}"
+        if self.lost_by_processes and not launcher.recording_ended:
+            lost = ", ".join(count.signal for count in self.messages if count.lost)
+            yield f"messages were lost: {lost}"
+        for account in self.external:
+            refused = self.refused(account)
+            of = max(sum(account.recorded.values()), account.expected, refused)
+            if refused > _MOST_REFUSED * of:
+                yield f"external agent {account.agent}: {refused:,} of {of:,} messages refused"
+
+    def _two_senders(self) -> list[WrongMessages]:
+        """Return keys of Heliarch's processes on which another program sent messages as well."""
+        external = {account.agent for account in self.external}
+        conflicting = (one for one in self.launcher.wrong if one.cause == "conflicting")
+        return [one for one in conflicting if one.publisher not in external]
+
     def as_json(self) -> bytes:
-        """Return the summary as JSON, with the figures that follow from others."""
-        document = msgspec.to_builtins(self)
-        del document["health"]  # It follows from the recording: see `inspect`.
-        document["cycles_per_s"] = self.cycles_per_s
-        if self.metrics is not None:
-            document["figures"] = figures_json(self.metrics)
-        document["messages_lost"] = self.lost
+        """Return the summary as JSON, with the numbers that follow from others."""
+        derived = {
+            "cycles_per_s": self.cycles_per_s,
+            "missing_inputs": self.missing_inputs,
+            "messages_lost": self.lost,
+        }
+        document = msgspec.to_builtins(self) | derived
         return msgspec.json.format(msgspec.json.encode(document), indent=2)
 
 
-def recorded_metrics(recording: Path) -> RunMetrics | None:
-    """Read the figures of merit; None if the recording has no complete cycle."""
+def recorded_messages(recording: Path, told: dict[str, int]) -> tuple[Counter[str], str]:
+    """Count the messages of each signal in a recording that its recorder has closed.
+
+    Returns what is wrong with it, too: that it cannot be read, or holds less than was `told`.
+    """
     try:
-        return run_metrics(read_plant_series(recording))
-    except InputError:
-        return None
+        with RunReader(recording) as run:
+            found = run.counts()
+    except (InputError, OSError) as error:
+        return Counter(), f"the recording cannot be read: {error}"
+    if Counter(told) - found:
+        of = f"{found.total():,} of {sum(told.values()):,} messages that were recorded"
+        return found, f"{recording}: it holds {of}"
+    return found, ""
+
+
+def recorded_figures(recording: Path) -> Figures:
+    """Read the figures of merit. Raises InputError: The recording has none to show."""
+    return run_figures(read_plant_series(recording))
 
 
 def recorded_health(recording: Path, plan: RunPlan) -> Health | None:
     """Read the health of a run; None in lockstep, unless a process may be replaced or external."""
     if plan.timing.lockstep and not plan.restarts and not plan.elsewhere:
         return None
-    try:
-        with RunReader(recording) as run:
-            return read_overview(run).health
-    except InputError:
-        return None
+    with RunReader(recording) as run:
+        return read_overview(run).health

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from bus_schemas.errors import InputError
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, read_series
-from results.metrics import run_metrics
-from results.metrics.figures_of_merit import Shown, runs_as_columns, shown_in
+from results.figures import Shown, run_figures, runs_as_columns, shown_in
 from results.report.run_report import run_line, when
 from results.report.style import clock_text
 from results.tables import Cell, Column, Number, Table, key_column, word_column
@@ -45,7 +44,7 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
     first, second = (one.between(0, cycles) for one in series)
     if first.inverters != second.inverters:
         raise InputError(f"{paths[1]}: expected the inverters of {paths[0]}, got others")
-    if (first.start_time_ns, first.cycle_s) != (second.start_time_ns, second.cycle_s):
+    if (first.plant.start_time_ns, first.cycle_s) != (second.plant.start_time_ns, second.cycle_s):
         raise InputError(f"{paths[1]}: expected {when(first)} as in {paths[0]}, got {when(second)}")
     both = first.known & second.known
     if not both.any():
@@ -76,7 +75,7 @@ def _differ(first: RunSeries, second: RunSeries, name: str) -> NDArray[np.bool_]
 
 def two_runs_tables(first: RunSeries, second: RunSeries) -> list[Table]:
     """Return the figures of merit side by side, and where the runs first differ."""
-    runs = [(one.label, run_metrics(one)) for one in (first, second)]
+    runs = [(one.label, run_figures(one)) for one in (first, second)]
     figures = shown_in(Shown.REPORT | Shown.COMPARE)
     merits = runs_as_columns("Figures of merit, B less A", runs, figures, difference=True)
     return [merits, _differences(first, second)]

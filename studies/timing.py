@@ -77,7 +77,7 @@ def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor)
     try:
         return report_on(folder.path, summary, (load_before, psutil.getloadavg()[0]))
     except InputError as error:  # The disk was full, for instance.
-        raise RunFailure(f"{summary.recording_ended or 'not measured'}: {error}") from None
+        raise RunFailure(f"{summary.launcher.recording_ended or 'not measured'}: {error}") from None
 
 
 # Several rates ------------------------------------------------------------------------------------

@@ -9,12 +9,11 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any, Final, TypeVar
 
 from agents.process.machine import die_with_parent
-from bus_schemas.errors import FailureError, InputError
+from bus_schemas.errors import FailureError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -105,33 +104,3 @@ def _signals_held() -> Iterator[None]:
             signal.signal(number, handler)
         for number in came:
             signal.raise_signal(number)
-
-
-def share_over_cluster(
-    function: Callable[[Item], Result],
-    items: Sequence[Item],
-    scheduler: str,
-    done: Callable[[], object] = lambda: None,
-) -> list[Result]:
-    """As `share_work`, over the workers of a Dask scheduler.
-
-    They must have Heliarch installed and see the data under the same paths.
-
-    Raises WorkerLostError: The cluster gave up.
-    """
-    distributed: Any = import_module("distributed")
-    try:
-        client = distributed.Client(scheduler, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise InputError(f"--scheduler {scheduler}: no Dask scheduler there ({error})") from None
-    try:
-        with client:
-            futures = client.map(function, items, pure=False)
-            for _ in distributed.as_completed(futures, raise_errors=False):
-                done()
-            results: list[Result] = client.gather(futures)
-            return results
-    except InputError:
-        raise
-    except Exception as error:  # A cluster can fail in many ways.
-        raise WorkerLostError(f"--scheduler {scheduler}: {type(error).__name__}: {error}") from None

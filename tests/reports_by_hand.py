@@ -11,7 +11,8 @@ from timed_recordings import PLAN, TIMES_MS, cycle, recorded
 from agents.cycle import kind_of
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from results.run_summary import MessageCount, ProcessAccount, RunSummary
+from recordings.inspect.health import LauncherAccount
+from results.run_summary import MessageCount, ProcessAccount, RunFacts, RunSummary
 from results.timing.report import TimingReport, report_on
 
 LOAD = (0.5, 0.75)
@@ -42,22 +43,13 @@ def summary_of(
     ]
     return RunSummary(
         run_id=plan.run_id,
-        scenario=plan.plant,
-        driver="launch",
-        folder=str(folder),
-        sim_start="",
+        run=RunFacts(plan.plant, "launch", str(folder), "", planned_cycles=2, cycle_s=0.1),
+        launcher=LauncherAccount(),
         cycles=2,
-        cycle_s=0.1,
         wall_s=10.0,
         startup_s=0.0,
-        metrics=None,
+        figures=None,
         messages=(MessageCount("impp", 10 + lost, 10),),
-        dropped={},
-        missing_inputs=0,
-        memory=(),
-        hindsight_neighbours=False,
-        remarks=(),
-        interrupted=False,
         processes=tuple(accounts),
     )
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from agents.plan import RunPlan
-from results.metrics import commitment_metrics
+from results.figures import energy_figures
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
 from sim_plant.profile import Profile
-from studies.arrays.schemes import ReferenceGroups, run_scheme
+from studies.arrays.schemes import run_scheme
 
 
 def hope_hour(folder: Path, share: float) -> tuple[RunPlan, Profile]:
@@ -38,7 +38,7 @@ def test_the_hope_hour_gives_what_an_independent_calculation_gave(
     data_folder: Path, share: float, unavoidable_percent: float, control_caused_percent: float
 ) -> None:
     plan, profile = hope_hour(data_folder / "hope-melpitz-1s", share)
-    (run,) = run_scheme("paper", plan, profile, plan.control.actuator, ReferenceGroups())
-    energy = commitment_metrics(run.dispatch_kw, run.available_kw, run.delivered_kw, 1.0)
-    found = energy.percent(energy.unavoidable_kwh), energy.percent(energy.control_caused_kwh)
+    (run,) = run_scheme("paper", plan, profile, plan.control.actuator)
+    figures = energy_figures(run.dispatch_kw, run.available_kw, run.delivered_kw, 1.0)
+    found = figures["unavoidable"], figures["control-caused"]
     assert found == pytest.approx((unavoidable_percent, control_caused_percent), abs=6e-4)

@@ -39,7 +39,6 @@ _BAD_PATH: Final = (
 )
 _EXTRAS: Final = {
     "cryptography": "keys",
-    "distributed": "cluster",
     "pymodbus": "modbus",
     "sunspec2": "modbus",
 }

@@ -30,9 +30,8 @@ from results.report.result import Result
 from results.tables import json_rows as table_rows
 
 if TYPE_CHECKING:
-    from studies.arrays.schemes import ReferenceGroups
     from studies.compare.cases import Case
-    from studies.compare.study import CaseResult, SchemeChoice
+    from studies.compare.study import Row
 
 _SETTINGS: Final = (
     "A field of the scenario and its values; each combination is a case. Whole numbers may be a "
@@ -50,10 +49,8 @@ def compare(
     seeds: Annotated[str | None, Parameter(metavar="SEEDS")] = None,
     schemes: Annotated[str | None, Parameter(metavar="NAMES")] = None,
     actuator: Annotated[str | None, Parameter(metavar="NAMES")] = None,
-    reference: Annotated[str | None, Parameter(metavar="GROUPS")] = None,
     show: Annotated[str | None, Parameter(metavar="FIGURES")] = None,
     workers: Workers = 1,
-    scheduler: Annotated[str | None, Parameter(metavar="ADDRESS")] = None,
     settings: Annotated[Settings, Parameter(metavar="FIELD=VALUES", help=_SETTINGS)] = None,
     span: TimeOptions = TimeOptions(),
     faults: Annotated[list[str] | None, Parameter("--fault", metavar="RULES", group=FAULTS)] = None,
@@ -82,19 +79,15 @@ def compare(
         physical-limit. Default: all.
     actuator
         Actuators to run each scheme with: fraction,limit. Default: the scenario's.
-    reference
-        Reference groups of grouping control: sizes (1,4,8), or inverters (inv01,inv07).
     show
-        Figures of merit to show for many cases, with commas: dispatched-energy, available-energy,
-        delivered-energy, satisfied, shortfall-energy, unavoidable-energy, control-caused-energy,
-        over-delivered-energy, shortfall, unavoidable, control-caused, over-delivered, rmse, mae,
-        mileage-total, mileage, mileage-per-minute, curtailed-energy, mean-headroom,
-        ancillary-potential, rise, fall, ramp, ramp-limit, above-ramp-limit, outside-help,
-        outside-help-able, missed-inputs, reverted, capacity, offered, signal-mileage, regd-strict,
-        regd, regd-feasible-strict, regd-feasible, accuracy, delay, precision, score,
-        score-unclipped. Default: control-caused,over-delivered.
-    scheduler
-        Dask scheduler that shares the cases.
+        Figures of merit to show for many cases, with commas: cycles, planned-cycles,
+        dispatched-energy, available-energy, delivered-energy, unknown-energy, satisfied,
+        shortfall-energy, unavoidable-energy, control-caused-energy, over-delivered-energy,
+        shortfall, unavoidable, control-caused, over-delivered, rmse, mae, mileage-total, mileage,
+        mileage-per-minute, curtailed-energy, mean-headroom, ancillary-potential, rise, fall, ramp,
+        ramp-limit, above-ramp-limit, outside-help, outside-help-able, missed-inputs, reverted,
+        capacity, offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible,
+        accuracy, delay, precision, score, score-unclipped. Default: control-caused,over-delivered.
     faults
         A rule as for `simulate`, several that act together (delay=1s;loss=5%), or none. May be
         given several times: each is a case.
@@ -104,8 +97,8 @@ def compare(
     if other is not None:
         others = {
             **{"--days": days, "--seeds": seeds, "--set": settings, "--fault": faults},
-            **{"--schemes": schemes, "--actuator": actuator, "--reference": reference},
-            **{"--show": show, "--workers": workers > 1, "--scheduler": scheduler, "--csv": csv},
+            **{"--schemes": schemes, "--actuator": actuator},
+            **{"--show": show, "--workers": workers > 1, "--csv": csv},
         }
         why = "expected only --report or --json with two recorded runs"
         refuse_given(why, others, span, replace(files, report=None, json=None))
@@ -113,19 +106,16 @@ def compare(
         return
     if is_run(Path(scenario)):
         raise InputError(f"{scenario}: expected two runs, or one scenario")
-    from results.metrics.figures_of_merit import FIGURES_OF_MERIT
+    from results.figures import FIGURES
     from scenarios.scenario import load_scenario
     from scenarios.settings import parse_setting
     from studies.arrays.schemes import SCHEMES
     from studies.compare.cases import cases, parse_days, parse_seeds
-    from studies.compare.study import SchemeChoice, run_case
+    from studies.compare.study import run_case
 
-    shown = _names("--show", show or _SHOWN, FIGURES_OF_MERIT)
-    choice = SchemeChoice(
-        tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES),
-        _groups(reference),
-        cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator))),
-    )
+    shown = _names("--show", show or _SHOWN, FIGURES)
+    names = tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES)
+    actuators = cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator)))
     found = cases(
         load_scenario(scenario, files.data),
         run_options(span),
@@ -135,16 +125,13 @@ def compare(
         () if seeds is None else parse_seeds(seeds),
     )
     if len(found) == 1:
-        if scheduler is not None:
-            raise InputError(
-                "--scheduler: expected cases to share (--seeds, --days, --set, --fault), got one"
-            )
-        result, *results = _one_case(found[0], choice)
+        result, rows = _one_case(found[0], names, actuators)
+        results = [rows]
     else:
         if files.report is not None:
             many = f"{len(found):,}; see --csv and --json"
             raise InputError(f"--report: expected one case, got {many}")
-        results = shared(partial(run_case, choice), found, workers, "cases", scheduler)
+        results = shared(partial(run_case, names, actuators), found, workers, "cases")
         result = _many_cases(results, shown)
     do_all(
         partial(_write_summary, results, csv),
@@ -161,50 +148,44 @@ def _names(option: str, text: str | None, known: Collection[str]) -> tuple[str, 
     return tuple(names)
 
 
-def _groups(text: str | None) -> ReferenceGroups:
-    from studies.arrays.schemes import ReferenceGroups
-
-    if text is None:
-        return ReferenceGroups()
-    names = tuple(name.strip() for name in text.split(","))
-    if all(name.isdecimal() for name in names):
-        return ReferenceGroups(sizes=tuple(int(name) for name in names))
-    return ReferenceGroups(members=names)
-
-
-def _one_case(case: Case, choice: SchemeChoice) -> tuple[Result, CaseResult]:
-    """Run one case; return the paper's tables and figures."""
+def _one_case(
+    case: Case, schemes: Sequence[str], actuators: Sequence[Actuator]
+) -> tuple[Result, list[Row]]:
+    """Run one case; return the paper's tables and figures, and its rows."""
     from results.report.run_report import runs_result
-    from results.report.tables import metrics_tables
+    from results.report.tables import figures_tables
     from scenarios.preparation import prepare
     from studies.compare.frontier import frontier
-    from studies.compare.results import case_tables, json_rows
-    from studies.compare.study import CaseResult, remarks_of, run_schemes
+    from studies.compare.results import case_tables
+    from studies.compare.study import remarks_of, run_schemes
 
     preparation = prepare(case.scenario, case.options, "compare")
-    remarks = remarks_of(preparation)
-    schemes, series = zip(*run_schemes(preparation, choice), strict=True)
-    found = CaseResult(case.columns, schemes, remarks)
+    found, series = zip(*run_schemes(preparation, schemes, actuators), strict=True)
+    rows = [{**case.columns, **row} for row in found]
     title = preparation.title()
-    lines = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
-    tables, document = case_tables(title, schemes), json_rows([found])
-    result = runs_result(title, series, tables, lines, document)
+    lines = [f"Scenario: {preparation.scenario.scenario.title}.", remarks_of(preparation)]
+    result = runs_result(
+        title, series, case_tables(title, rows), [*filter(None, lines)], _json([rows])
+    )
     return replace(
         result,
-        figures=lambda: [frontier(schemes), *result.figures()],
-        details=metrics_tables(series),
-    ), found
+        figures=lambda: [frontier(rows), *result.figures()],
+        details=figures_tables(series),
+    ), rows
 
 
-def _many_cases(results: Sequence[CaseResult], shown: Sequence[str]) -> Result:
-    from studies.compare.results import cases_tables, json_rows
+def _many_cases(results: Sequence[Sequence[Row]], shown: Sequence[str]) -> Result:
+    from studies.compare.results import cases_tables
 
-    return Result(
-        f"{len(results):,} cases",
-        cases_tables(shown, results),
-        json_rows(results),
-        lines=list(dict.fromkeys(line for one in results for line in one.remarks)),
-    )
+    remarks = dict.fromkeys(row["remarks"] for rows in results for row in rows if row["remarks"])
+    title = f"{len(results):,} cases"
+    return Result(title, cases_tables(shown, results), _json(results), lines=list(remarks))
+
+
+def _json(results: Sequence[Sequence[Row]]) -> list[Row]:
+    from studies.compare.results import case_label
+
+    return [{"case": case_label(row), **row} for rows in results for row in rows]
 
 
 def _two_runs(paths: tuple[Path, Path]) -> Result:
@@ -223,7 +204,7 @@ def _two_runs(paths: tuple[Path, Path]) -> Result:
     return runs_result(f"{paths[0].name} and {paths[1].name}", series, tables, lines, document)
 
 
-def _write_summary(results: Sequence[CaseResult], csv: str | None) -> None:
+def _write_summary(results: Sequence[Sequence[Row]], csv: str | None) -> None:
     """Write the summary of the cases as CSV, where it is asked for."""
     if csv is not None:
         from studies.compare.results import summaries

@@ -45,18 +45,15 @@ def shared(
     items: Sequence[Item],
     workers: int,
     description: str,
-    scheduler: str | None = None,
 ) -> list[Outcome]:
-    """Apply a function to each item in a pool of processes, or on a Dask cluster.
+    """Apply a function to each item in a pool of processes.
 
     Returns the results in the order of the items; shows in a terminal how many are done.
     """
-    from studies.workers import share_over_cluster, share_work
+    from studies.workers import share_work
 
     numbers = count(1)
     with progress_bar(description, len(items)) as progress:
-        if scheduler is not None:
-            return share_over_cluster(function, items, scheduler, lambda: progress(next(numbers)))
         return share_work(function, items, workers, lambda: progress(next(numbers)))
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from bus_schemas.errors import FailureError, InputError, listed
+from bus_schemas.errors import FailureError, InputError
 from heliarch.cli.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from heliarch.cli.live_view import view_for
 from heliarch.cli.options import FileOptions, PageOptions, changed_scenario
@@ -66,7 +66,7 @@ def _print_result(
     document = summary.as_json()
 
     def write_page() -> None:
-        if files.report is not None and summary.cycles:
+        if files.report is not None and summary.figures:
             from results.report.run_report import write_run_report  # Plotly is slow to import.
 
             page = Path(files.report) if files.report else None
@@ -79,15 +79,8 @@ def _print_result(
         partial(say, console, f"recording: {folder.recording}"),
         write_page,
     )
-    if summary.recording_ended:
-        return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
-    if attacked := summary.two_senders:
-        text = listed([f"{one.key}: {one.example}" for one in attacked])
-        return complain(f"more than one program sent messages on {text}", FAILED)
-    if summary.lost_by_processes:
-        lost = ", ".join(count.signal for count in summary.messages if count.lost)
-        return complain(f"messages were lost: {lost}", FAILED)
-    return INTERRUPTED if summary.interrupted else OK
+    failures = [complain(failure, FAILED) for failure in summary.failures()]
+    return max(failures) if failures else INTERRUPTED if summary.launcher.interrupted else OK
 
 
 def run(

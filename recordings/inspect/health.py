@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 
 import msgspec
+from msgspec.structs import replace
 
 from agents.faults import Fault, Freeze, Kill
 from agents.plan import RunPlan
@@ -20,7 +21,7 @@ from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import FaultTally
 from bus_schemas.signals import TELEMETRY, Port
-from bus_schemas.tree import RECORDER
+from bus_schemas.tree import RECORDER, standby_of
 from recordings.read.gaps import LISTED_GAPS, MissedInputs, RunGaps, due_step
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
@@ -66,21 +67,30 @@ class WrongMessages(msgspec.Struct, frozen=True):
 
 
 class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
-    """The part of a run's health that only the launcher knows, from the run's summary.
+    """The part of a run's health that only the launcher knows.
 
-    `dropped`: messages that agents could not use, by cause. `skipped_cycles` were over before a
-    process came to them. `recording_ended`: why the recording stops before the run's end.
+    `dropped`: messages that agents could not use, by cause. `takeovers` counts how often a standby
+    took each agent over. `skipped_cycles` were over before a process came to them.
+    `recording_ended`: why the recording does not hold the run as a whole.
     """
 
-    run_id: str
     dropped: dict[str, int] = {}
     restarts: dict[str, int] = {}
+    takeovers: dict[str, int] = {}
     skipped_cycles: int = 0
     recording_ended: str = ""
     wrong: tuple[WrongMessages, ...] = ()
+    interrupted: bool = False
 
 
-Account = TypeVar("Account", bound=LauncherAccount)
+class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """What the health of a run takes from its summary."""
+
+    run_id: str
+    launcher: LauncherAccount
+
+
+Document = TypeVar("Document", bound=RunDocument)
 
 
 class Absence(msgspec.Struct, frozen=True):
@@ -108,9 +118,9 @@ class Health(msgspec.Struct, frozen=True):
     """How a run fared.
 
     `faults` counts what all rules did to messages, by kind. `lost` counts messages that the
-    sequence numbers leave out, by port, most first. `misses` are by agent, most first. `ended`: the
-    recording goes up to the run's end. `failure`: why the launcher gave up. `launcher` is None
-    without a summary beside the recording.
+    sequence numbers leave out, by port, most first. `misses` are by agent, most first. The run
+    ended before the `stop_cycle`; None: that is not recorded. `failure`: why the launcher gave up.
+    `launcher` is None without a summary beside the recording.
     """
 
     fault_effects: tuple[FaultEffect, ...]
@@ -119,7 +129,7 @@ class Health(msgspec.Struct, frozen=True):
     repeated: int
     misses: tuple[Misses, ...]
     absences: tuple[Absence, ...]
-    ended: bool
+    stop_cycle: int | None
     failure: str
     launcher: LauncherAccount | None
     more_absences: int = 0
@@ -235,6 +245,7 @@ class HealthWatch:
             for agent, at in missed.cycles.items()
         ]
         lost = Counter({str(port): gaps.lost for port, gaps in ports.items() if gaps.lost})
+        document = summary_in(run.path.parent, run.plan, RunDocument)
         return Health(
             fault_effects=tuple(self._effects(run.last_cycle)),
             faults=dict(+self._tally),
@@ -242,9 +253,9 @@ class HealthWatch:
             repeated=sum(gaps.repeated for gaps in ports.values()),
             misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
             absences=tuple(self._absences.longest),
-            ended=run.stop_cycle is not None,
+            stop_cycle=run.stop_cycle,
             failure=_failure(run.path.parent),
-            launcher=summary_in(run.path.parent, run.plan, LauncherAccount),
+            launcher=document.launcher if document else None,
             more_absences=self._absences.more,
         )
 
@@ -279,7 +290,7 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", _dropped(launcher)
     yield "inputs", _missed_text(health, clock)
-    by_weight = sorted(health.absences, key=lambda one: one.weight, reverse=True)
+    by_weight = sorted(_true_absences(health, clock.plan), key=lambda one: one.weight, reverse=True)
     for absence in by_weight[:_NAMED]:
         yield "absent", _absence_text(absence, clock)
     if others := len(by_weight[_NAMED:]) + health.more_absences:
@@ -289,10 +300,29 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "absent", f"{RECORDER}: restarted ({recorder:,})"
     elif not by_weight:
         yield "absent", "none"
-    end = "ended in order" if health.ended else "the recording stops before the run's end"
+    end, planned = "ended in order", clock.plan.timing.cycles
     if health.failure:
         end = f"failed: {health.failure}"
+    elif health.stop_cycle is None:
+        end = "the recording stops before the run's end"
+    elif health.stop_cycle < planned:
+        end = f"interrupted after {health.stop_cycle:,} of {planned:,} cycles"
     yield "run", launcher.recording_ended if launcher and launcher.recording_ended else end
+
+
+def _true_absences(health: Health, plan: RunPlan) -> Iterator[Absence]:
+    """Yield the absences, without restarts that another program has made up.
+
+    The launcher knows which of its own processes it started again, and which took over.
+    """
+    launcher = health.launcher
+    replaced = {*launcher.restarts, *launcher.takeovers, *plan.elsewhere} if launcher else set()
+    for absence in health.absences:
+        is_known = launcher is None or replaced & {absence.agent, standby_of(absence.agent)}
+        if is_known or not absence.restarted:
+            yield absence
+        elif absence.cycles:
+            yield replace(absence, restarted=False)
 
 
 def _effect_text(effect: FaultEffect, clock: RunClock) -> str:
@@ -347,7 +377,7 @@ def _absence_text(absence: Absence, clock: RunClock) -> str:
     return f"{absence.agent}: {gone}{how} in cycle {absence.back_in:,}"
 
 
-def summary_in(folder: Path, plan: RunPlan, kind: type[Account]) -> Account | None:
+def summary_in(folder: Path, plan: RunPlan, kind: type[Document]) -> Document | None:
     """Return the summary in a folder, or a part of it; None if there is none of this run."""
     try:
         summary = msgspec.json.decode((folder / SUMMARY_NAME).read_bytes(), type=kind)

@@ -44,6 +44,7 @@ class Overview(msgspec.Struct, frozen=True):
     last_cycle: int
     complete_cycles: int
     planned_cycles: int
+    interrupted: bool
     wall_s: float
     signals: tuple[SignalCount, ...]
     gaps: tuple[Gap, ...]
@@ -73,6 +74,7 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         last_cycle=wanted.stop - 1,
         complete_cycles=production.messages,
         planned_cycles=run.plan.timing.cycles,
+        interrupted=(run.stop_cycle or run.plan.timing.cycles) < run.plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
             _count(signal, watch.gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
@@ -114,7 +116,9 @@ def facts(run: RunReader, overview: Overview) -> Iterator[tuple[str, str]]:
     yield (
         "cycles",
         f"{first:,} to {overview.last_cycle:,} of {plan.timing.cycle_ns / 1e9:g} s, "
-        f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
+        f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned"
+        + ", interrupted"
+        * overview.interrupted,
     )
     versions = [
         f"{name.removeprefix('version ')} {text}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
@@ -195,6 +196,16 @@ class RunReader:
                 yield RecordedMessage(
                     port, cycle, sequence, logged_ns, published_ns, payload, head.incarnation
                 )
+
+    def counts(self) -> Counter[str]:
+        """Count the messages of each signal; those in damaged chunks are not among them."""
+        of_channel: Counter[int] = Counter()
+        for chunk in self.followed_chunks():
+            of_channel.update(raw[0] for raw in self.messages_of(chunk, self.channels))
+        counts: Counter[str] = Counter()
+        for channel, count in of_channel.items():
+            counts[self.channels[channel].signal.name] += count
+        return counts
 
     def frame(
         self,

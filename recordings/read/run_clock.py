@@ -27,7 +27,7 @@ class RunClock:
     """Turns times of a run into cycles, and cycles into local time."""
 
     def __init__(self, plan: RunPlan, last_cycle: int) -> None:
-        self._plan = plan
+        self.plan = plan
         self._zone = ZoneInfo(plan.timing.timezone)
         self._end = last_cycle + 1
 
@@ -61,7 +61,7 @@ class RunClock:
 
     def local(self, cycle: int) -> datetime:
         """Return the local time at the beginning of a cycle."""
-        seconds, rest_ns = divmod(self._plan.timing.sim_time_ns(cycle), _SECOND_NS)
+        seconds, rest_ns = divmod(self.plan.timing.sim_time_ns(cycle), _SECOND_NS)
         try:
             # Adding to a local time would be ambiguous where clocks are put back.
             local = datetime.fromtimestamp(seconds, self._zone)
@@ -72,9 +72,9 @@ class RunClock:
     def text(self, cycle: int) -> str:
         """Return the local time of day of a cycle, as exact as the cycles need."""
         whole = (
-            self._plan.timing.cycle_ns % _SECOND_NS
+            self.plan.timing.cycle_ns % _SECOND_NS
             == 0
-            == self._plan.timing.start_time_ns % _SECOND_NS
+            == self.plan.timing.start_time_ns % _SECOND_NS
         )
         return self.local(cycle).strftime("%H:%M:%S" if whole else "%H:%M:%S.%f")[:12]
 
@@ -95,7 +95,7 @@ class RunClock:
         since_start_s = duration_s(text)
         if since_start_s is not None:
             return (
-                round(min(since_start_s, 2 * LONGEST_S) * _SECOND_NS) // self._plan.timing.cycle_ns
+                round(min(since_start_s, 2 * LONGEST_S) * _SECOND_NS) // self.plan.timing.cycle_ns
             )
         moment = read_time(text)
         if moment is None:
@@ -107,4 +107,4 @@ class RunClock:
 
     def _cycle_of(self, local: datetime) -> int:
         moment_ns = round(local.timestamp() * 1e6) * 1000
-        return (moment_ns - self._plan.timing.start_time_ns) // self._plan.timing.cycle_ns
+        return (moment_ns - self.plan.timing.start_time_ns) // self.plan.timing.cycle_ns

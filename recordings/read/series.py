@@ -10,7 +10,7 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 from math import isnan, nan
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -18,16 +18,55 @@ from numpy.typing import NDArray
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual
-from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port, Signal
+from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual, Telemetry
+from bus_schemas.signals import (
+    COMMAND,
+    DISPATCH,
+    IMPP,
+    PRODUCTION,
+    RESIDUAL,
+    TELEMETRY,
+    Port,
+    Signal,
+)
+from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 
 _MOST_APART: Final = 1000
 """A series has at least one cycle of so many; the rest would be gaps alone."""
 
-_OF_PLANT: Final = ("commitment_kw", "regulation_kw")
+_LOOK_BACK: Final = 100
+"""Cycles in which the last clear number of a sender is looked for."""
+
+_OF_DISPATCH: Final = ("commitment_kw", "regulation_kw")
+_OF_PLANT: Final = (*_OF_DISPATCH, "assumed_kw")
 _OF_INVERTERS: Final = ("mpp_kw", "power_kw", "impp_kw", "residual_kw", "alpha")
 """Fields of a `RunSeries` with a row for each cycle, and those that have columns too."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeriesPlant:
+    """The plant of a series, and the time of its cycles.
+
+    inverters, rating_kw: Paths of the n inverters in the control tree (`c2/inv07`), and their AC
+        ratings, shape (n,).
+    timezone: Local time of the plant, an IANA name.
+    start_time_ns: Simulated time of the first cycle, ns since 1970-01-01 UTC.
+    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0 if there is no
+        regulation.
+    ramp_limit_percent_per_min: Ramp limit in % of the plant's rating per minute, if a grid code
+        sets one.
+    planned_cycles: How many cycles the run was to have; 0: as many as the series has.
+    """
+
+    inverters: tuple[str, ...]
+    rating_kw: NDArray[np.float64]
+    timezone: str
+    start_time_ns: int
+    cycle_s: float
+    regulation_capacity_kw: float = 0.0
+    ramp_limit_percent_per_min: float | None = None
+    planned_cycles: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,39 +76,28 @@ class RunSeries:
     A row stands for the cycle of its number. What no message says is NaN.
 
     label: What to call it in a table or a legend, for instance the control scheme.
-    inverters, rating_kw: Paths of the inverters in the control tree (`c2/inv07`), and their AC
-        ratings, shape (n,).
-    timezone: Local time of the plant, an IANA name.
-    start_time_ns: Simulated time of the first cycle, ns since 1970-01-01 UTC.
     commitment_kw, regulation_kw: What the operator wanted in each cycle, shape (T,): the power
         promised, and the regulation on top of it (0 throughout if there is none).
-    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0 if there is no
-        regulation.
     mpp_kw, power_kw, impp_kw, residual_kw, alpha: Of each inverter, shape (T, n): true maximum
         power, power that it delivered, IMPP, IMPP less share, and the curtailment level in [0, 1]
         that it applied.
-    ramp_limit_percent_per_min: Ramp limit in % of the plant's rating per minute, if a grid code
-        sets one.
+    assumed_kw: The part of the delivered power that nobody measured, since the real inverters that
+        it is counted for did not answer, shape (T,).
     missed_inputs: How many inputs had not come at a deadline; None: not counted.
     reverted_percent: Share of the inverters' cycles without a command for the revert time; None:
         not counted.
     """
 
     label: str
-    inverters: tuple[str, ...]
-    rating_kw: NDArray[np.float64]
-    timezone: str
-    start_time_ns: int
-    cycle_s: float
+    plant: SeriesPlant
     commitment_kw: NDArray[np.float64]
     regulation_kw: NDArray[np.float64]
-    regulation_capacity_kw: float
     mpp_kw: NDArray[np.float64]
     power_kw: NDArray[np.float64]
     impp_kw: NDArray[np.float64]
     residual_kw: NDArray[np.float64]
     alpha: NDArray[np.float64]
-    ramp_limit_percent_per_min: float | None = None
+    assumed_kw: NDArray[np.float64]
     missed_inputs: int | None = None
     reverted_percent: float | None = None
 
@@ -80,9 +108,7 @@ class RunSeries:
         Those of inverters that are not given are unknown.
         """
         leaves = plan.tree.leaves
-        unknown = dict.fromkeys(_OF_INVERTERS, np.full_like(values["mpp_kw"], nan))
-        return cls(
-            label=label,
+        plant = SeriesPlant(
             inverters=leaves,
             rating_kw=np.array([plan.tree.rating_kw(leaf) for leaf in leaves]),
             timezone=plan.timing.timezone,
@@ -90,10 +116,20 @@ class RunSeries:
             cycle_s=plan.timing.cycle_ns / 1e9,
             regulation_capacity_kw=plan.site.regulation_capacity_kw,
             ramp_limit_percent_per_min=plan.site.ramp_limit_percent_per_min,
-            missed_inputs=None,
-            reverted_percent=None,
-            **(unknown | values),
+            planned_cycles=plan.timing.cycles,
         )
+        unknown = dict.fromkeys(_OF_INVERTERS, np.full_like(values["mpp_kw"], nan))
+        unknown["assumed_kw"] = np.zeros(len(values["mpp_kw"]))
+        arrays: dict[str, Any] = unknown | values
+        return cls(label, plant, **arrays)
+
+    @property
+    def inverters(self) -> tuple[str, ...]:
+        return self.plant.inverters
+
+    @property
+    def cycle_s(self) -> float:
+        return self.plant.cycle_s
 
     @property
     def cycles(self) -> int:
@@ -127,26 +163,35 @@ class RunSeries:
     @property
     def times(self) -> pd.DatetimeIndex:
         """Local time of the beginning of each cycle, length T."""
-        first = pd.Timestamp(self.start_time_ns, tz="UTC").tz_convert(self.timezone)
+        first = pd.Timestamp(self.plant.start_time_ns, tz="UTC").tz_convert(self.plant.timezone)
         return pd.date_range(first, periods=self.cycles, freq=pd.Timedelta(seconds=self.cycle_s))
 
     def between(self, first: int, end: int) -> RunSeries:
         """Return the cycles from the first one on to before the end alone."""
         part = {name: getattr(self, name)[first:end] for name in (*_OF_PLANT, *_OF_INVERTERS)}
-        begin_ns = self.start_time_ns + round(first * self.cycle_s * 1e9)
-        return replace(self, start_time_ns=begin_ns, **part)
+        begin_ns = self.plant.start_time_ns + round(first * self.cycle_s * 1e9)
+        return replace(self, plant=replace(self.plant, start_time_ns=begin_ns), **part)
 
 
 class SeriesCollector:
-    """Turns the messages of a run, live or from a recording, into a `RunSeries`."""
+    """Turns the messages of a run, live or from a recording, into a `RunSeries`.
+
+    Of two messages of an inverter in a cycle the first one counts. Where two of dispatch or
+    production contradict each other, another program has sent one of them: that one counts which
+    goes on with the numbering of its sender; if both do, or neither, the cycle is unknown.
+    """
 
     def __init__(self, plan: RunPlan) -> None:
         self._plan = plan
         self._column = {leaf: column for column, leaf in enumerate(plan.tree.leaves)}
-        self._of_plant = {name: np.full(plan.timing.cycles, nan) for name in _OF_PLANT}
+        self._of_plant = {name: np.full(plan.timing.cycles, nan) for name in _OF_DISPATCH}
         self._of_inverters = defaultdict[str, NDArray[np.float64]](
             lambda: np.full((plan.timing.cycles, len(self._column)), nan)
         )
+        cycles = plan.timing.cycles
+        self._has_answered = {leaf: np.zeros(cycles, bool) for leaf, _ in plan.site.devices}
+        # How the sender of dispatch and of production numbered each cycle; None: that is not clear.
+        self._numbers = defaultdict[Port[Message], dict[int, tuple[int, int] | None]](dict)
         self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
@@ -156,24 +201,55 @@ class SeriesCollector:
             return
         match message:
             case Dispatch():
-                for name, values in self._of_plant.items():
-                    _enter(values, cycle, getattr(message, name))
+                rows = {name: np.array(getattr(message, name)) for name in _OF_DISPATCH}
+                self._enter_of_plant(port, message, self._of_plant, rows)
             case Production():
                 self._cycles = max(self._cycles, cycle + 1)
                 made = {"mpp_kw": message.inverter_mpp_kw, "power_kw": message.inverter_power_kw}
+                rows = {name: np.full(len(self._column), nan) for name in made}
                 for name, listed in made.items():
                     # An external plant may list too few or too many inverters.
-                    for column, value in zip(self._column.values(), listed, strict=False):
-                        _enter(self._of_inverters[name], (cycle, column), value)
+                    rows[name][: len(listed)] = listed[: len(self._column)]
+                self._enter_of_plant(port, message, self._of_inverters, rows)
             case Impp() if port.node in self._column:
                 self._enter_of(port, "impp_kw", cycle, message.power_kw)
             case Residual() if port.node in self._column:
                 self._enter_of(port, "residual_kw", cycle, message.power_kw)
             case Command():
                 self._enter_of(port, "alpha", cycle, message.alpha)
+            case Telemetry() if port.node in self._has_answered:
+                self._has_answered[port.node][cycle] = True
 
     def _enter_of(self, port: Port[Message], name: str, cycle: int, value: float) -> None:
-        _enter(self._of_inverters[name], (cycle, self._column[port.node]), value)
+        """Enter a number, unless an earlier message gave one."""
+        index = cycle, self._column[port.node]
+        if isnan(self._of_inverters[name][index]):
+            self._of_inverters[name][index] = value
+
+    def _enter_of_plant(
+        self,
+        port: Port[Message],
+        message: Message,
+        values: dict[str, NDArray[np.float64]],
+        rows: dict[str, NDArray[np.float64]],
+    ) -> None:
+        cycle, numbers = message.cycle, self._numbers[port]
+        due_before = cycle // (due_step(self._plan, port) or 1)
+        number: tuple[int, int] | None = (message.incarnation, message.sequence - due_before)
+        if cycle in numbers:
+            first = numbers[cycle]
+            entered = ((values[name][cycle], row) for name, row in rows.items())
+            if first is None or all(np.array_equal(*two, equal_nan=True) for two in entered):
+                return
+            earlier = range(cycle - 1, max(cycle - _LOOK_BACK, -1), -1)
+            before = next((numbers[at] for at in earlier if numbers.get(at)), (0, 0))
+            if first == before != number:
+                return
+            if not number == before != first:
+                number, rows = None, dict.fromkeys(rows, np.array(nan))
+        numbers[cycle] = number
+        for name, row in rows.items():
+            values[name][cycle] = row
 
     def series(self, label: str) -> RunSeries:
         """Return the cycles up to the last one that the plant completed."""
@@ -181,7 +257,7 @@ class SeriesCollector:
             raise InputError("expected a run with at least one complete cycle, got none")
         columns = self._of_plant | self._of_inverters
         values = {name: column[: self._cycles] for name, column in columns.items()}
-        series = RunSeries.of(self._plan, label, **values)
+        series = replace(RunSeries.of(self._plan, label, **values), assumed_kw=self._assumed_kw())
         known = int(series.known.sum())
         if known * _MOST_APART <= series.cycles:
             raise InputError(
@@ -190,11 +266,13 @@ class SeriesCollector:
             )
         return series
 
-
-def _enter(values: NDArray[np.float64], index: int | tuple[int, int], value: float) -> None:
-    """Enter a number, unless an earlier message gave one."""
-    if isnan(values[index]):
-        values[index] = value
+    def _assumed_kw(self) -> NDArray[np.float64]:
+        """Return what the plant counts for real inverters that do not answer, shape (T,)."""
+        assumed_kw = np.zeros(self._cycles)
+        for leaf, has_answered in self._has_answered.items():
+            power_kw = self._of_inverters["power_kw"][: self._cycles, self._column[leaf]]
+            assumed_kw += np.where(has_answered[: self._cycles], 0.0, np.nan_to_num(power_kw))
+        return assumed_kw
 
 
 def read_series(path: Path) -> RunSeries:
@@ -209,7 +287,8 @@ def read_plant_series(path: Path) -> RunSeries:
 def _read(path: Path, *signals: Signal[Message]) -> RunSeries:
     with RunReader(path) as reader:
         collector = SeriesCollector(reader.plan)
-        for port, message in reader.messages(*signals):
+        devices = {TELEMETRY.of(leaf) for leaf, _ in reader.plan.site.devices}
+        for port, message in reader.on(reader.ports(*signals) | devices):
             collector.see(port, message)
         try:
             return collector.series(reader.plan.run_id)

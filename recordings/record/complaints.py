@@ -25,7 +25,8 @@ UNKNOWN: Final = "unknown"
 _RECORDED: Final = frozenset({OUT_OF_RANGE, DUPLICATE, CONFLICTING})
 
 _MOST_KINDS: Final = 500
-"""Keys and causes that are counted apart: a stranger may invent keys without end."""
+_MOST_UNKNOWN: Final = 5
+"""Keys and causes that are counted apart, and among them keys that a stranger has invented."""
 
 _LONGEST: Final = 300
 """Characters of a key or an example that are kept."""
@@ -40,8 +41,11 @@ class Complaints:
 
     def add(self, key: str, cause: str, example: str) -> None:
         key, example = printable(key[:_LONGEST]), printable(example[:_LONGEST])
-        if (key, cause) not in self._by_kind and len(self._by_kind) >= _MOST_KINDS:
-            key = "other keys"
+        if (key, cause) not in self._by_kind:
+            unknown = sum(one == UNKNOWN for _, one in self._by_kind)
+            is_one_more = cause == UNKNOWN and unknown >= _MOST_UNKNOWN
+            if is_one_more or len(self._by_kind) >= _MOST_KINDS:
+                key = "other keys"
         before = self._by_kind.get((key, cause))
         if before is None:
             complaint = Complaint(key, cause, 1, example)

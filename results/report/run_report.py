@@ -33,7 +33,7 @@ from results.report.plant_figures import (
 )
 from results.report.result import Result
 from results.report.style import ReportFigure
-from results.report.tables import devices_tables, health_table, metrics_tables
+from results.report.tables import devices_tables, figures_tables, health_table
 from results.tables import Table, counted
 from sunspec.process import read_accounts
 
@@ -50,7 +50,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
             series = replace(read_series(run), label=f"hierarchical ({plan.control.scheme})")
             health = read_overview(reader).health
-            tables = [health_table(health, reader.clock), *metrics_tables([series])]
+            tables = [health_table(health, reader.clock), *figures_tables([series])]
             tables += devices_tables(read_accounts(reader.path.parent))
     with console.status("drawing"):
         title = f"{plan.plant}: run {plan.run_id}"
@@ -112,7 +112,7 @@ def run_line(plan: RunPlan) -> str:
 def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
     """Say which time the runs cover, and whether cycles of them are missing."""
     first = series[0]
-    lines = [f"{first.rating_kw.sum():,.0f} kW AC rating. {when(first)}, local time."]
+    lines = [f"{first.plant.rating_kw.sum():,.0f} kW AC rating. {when(first)}, local time."]
     for one in series:
         missing = one.cycles - int(one.known.sum())
         if missing:

@@ -8,14 +8,7 @@ from typing import Final
 from recordings.inspect.health import Health, health_lines
 from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
-from results.metrics import run_metrics
-from results.metrics.figures_of_merit import (
-    COMMITMENT,
-    REGULATION,
-    Shown,
-    runs_as_columns,
-    shown_in,
-)
+from results.figures import Shown, run_figures, runs_as_columns, shown_in
 from results.tables import Column, Table, attributes, key_column, texts_table
 from sunspec.process import DeviceAccount
 
@@ -31,10 +24,12 @@ _REGULATION_NOTE: Final = (
 )
 
 
-def metrics_tables(series: Sequence[RunSeries]) -> list[Table]:
+def figures_tables(series: Sequence[RunSeries]) -> list[Table]:
     """Return the tables of figures of merit: how the commitment was kept, and regulation if any."""
-    runs = [(one.label, run_metrics(one)) for one in series]
-    commitment, regulation = (shown_in(Shown.REPORT, group) for group in (COMMITMENT, REGULATION))
+    runs = [(one.label, run_figures(one)) for one in series]
+    commitment, regulation = (
+        shown_in(Shown.REPORT, group) for group in (Shown(0), Shown.REGULATION)
+    )
     tables = [
         runs_as_columns("How the commitment was kept", runs, commitment, (_COMMITMENT_NOTE,)),
         runs_as_columns(

@@ -175,8 +175,9 @@ def report_on(
     wall_s = summary.wall_s if summary else len(timing.loop_ms) * plan.timing.cycle_wall_ns / 1e9
     remarks: tuple[str, ...] = (_NO_SUMMARY,)
     if summary is not None:
-        remarks = (*summary.remarks, *filter(None, [summary.recording_ended]))
-        health = replace(health, launcher=summary)
+        ended_early = summary.launcher.recording_ended
+        remarks = (*summary.run.remarks, *filter(None, [ended_early]))
+        health = replace(health, launcher=summary.launcher)
     lost = None if summary is None else summary.lost
     processes = _with_accounts(timing.processes, summary, wall_s, plan)
     tiers = _tiers(processes)
@@ -192,7 +193,7 @@ def report_on(
             late_cycles=timing.late_cycles,
             wall_s=wall_s,
             ended=stop_cycle is not None,
-            interrupted=stopped_early or (summary is not None and summary.interrupted),
+            interrupted=stopped_early or (summary is not None and summary.launcher.interrupted),
             lost_messages=lost,
         ),
         host=_host(metadata, plan.supervision.machine, load),

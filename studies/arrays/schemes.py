@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Final, cast, get_args
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,64 +20,48 @@ from studies.arrays.closed_loop import run_loop
 SCHEMES: Final = {
     "uncontrolled": "every inverter at its maximum",
     "uniform-cap": "each inverter held to its share of the dispatch by rating",
-    "grouping": "reference group at full power, the rest curtailed alike; see --reference",
+    "grouping": "reference group at full power, the rest curtailed alike",
     "paper": "hierarchical, IMPP of the last cycle (eq. 1)",
     "predictive": "hierarchical, IMPP forecast with a margin",
     "physical-limit": "the least of dispatch and available power: no controller does better",
 }
 """Name and one line of each scheme."""
 
+Groups: TypeAlias = Iterable[NDArray[np.bool_]] | None
+"""Reference groups of grouping control, as masks over the inverters."""
+
 BOUNDS: Final = ("uncontrolled", "physical-limit")
 """Schemes that command nothing: they have no actuator, and say what is possible."""
 
 _SIZES: Final = (1, 2, 3, 4, 6, 8)
-"""Sizes of the reference groups that are tried if none are given."""
+_CHOICES: Final = 12
+"""Sizes of the reference groups that are tried, and how many of each."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReferenceGroups:
-    """The reference groups that grouping control is tried with.
+def reference_groups(inverters: int, sizes: Sequence[int] = _SIZES) -> Iterator[NDArray[np.bool_]]:
+    """Yield the groups that grouping control is tried with, each as a mask over the inverters.
 
-    So many choices of each size are drawn at random; of size 1, every single inverter. Without
-    sizes, all that the plant is large enough for are tried. `members` names the inverters of one
-    group in place of all these.
+    Of each size that the plant is large enough for, some groups are drawn at random; of size 1,
+    every single inverter.
     """
-
-    sizes: tuple[int, ...] = ()
-    choices: int = 12
-    seed: int = 1
-    members: tuple[str, ...] = ()
-
-    def groups(self, names: Sequence[str]) -> Iterator[NDArray[np.bool_]]:
-        """Yield each group as a mask over the inverters of these names."""
-        inverters = len(names)
-        if inverters < 2:
-            raise InputError("--schemes: expected two inverters or more with grouping, got one")
-        if self.members:
-            for name in self.members:
-                if name not in names:
-                    raise InputError(f"--reference: expected {', '.join(names)}, got {name}")
-            if len(set(self.members)) == inverters:
-                raise InputError("--reference: expected fewer than all inverters")
-            yield np.isin(names, self.members)
-            return
-        generator = np.random.default_rng(self.seed)
-        for size in self.sizes or [size for size in _SIZES if size < inverters]:
-            if not 0 < size < inverters:
-                raise InputError(
-                    f"--reference: expected groups of 1 to {inverters - 1} inverters, got {size}"
-                )
-            for choice in range(inverters if size == 1 else self.choices):
-                members = [choice] if size == 1 else generator.choice(inverters, size, False)
-                mask = np.zeros(inverters, dtype=bool)
-                mask[members] = True
-                yield mask
+    if inverters < 2:
+        raise InputError("--schemes: expected two inverters or more with grouping, got one")
+    generator = np.random.default_rng(1)
+    for size in (size for size in sizes if size < inverters):
+        for choice in range(inverters if size == 1 else _CHOICES):
+            members = [choice] if size == 1 else generator.choice(inverters, size, False)
+            mask = np.zeros(inverters, dtype=bool)
+            mask[members] = True
+            yield mask
 
 
 def run_scheme(
-    name: str, plan: RunPlan, profile: Profile, actuator: Actuator, groups: ReferenceGroups
+    name: str, plan: RunPlan, profile: Profile, actuator: Actuator, groups: Groups = None
 ) -> list[RunSeries]:
-    """Run one of `SCHEMES`; grouping control gives one series for each reference group."""
+    """Run one of `SCHEMES`; grouping control gives one series for each reference group.
+
+    By default these are `reference_groups`.
+    """
     if name in get_args(Scheme):
         results = [run_loop(plan, profile, cast(Scheme, name), actuator)._asdict()]
     else:
@@ -95,7 +78,7 @@ def run_scheme(
 
 
 def _powers_kw(
-    name: str, plan: RunPlan, profile: Profile, actuator: Actuator, groups: ReferenceGroups
+    name: str, plan: RunPlan, profile: Profile, actuator: Actuator, groups: Groups
 ) -> Iterator[NDArray[np.float64]]:
     match name:
         case "uncontrolled":
@@ -111,11 +94,11 @@ def _powers_kw(
 
 
 def _grouping(
-    plan: RunPlan, profile: Profile, actuator: Actuator, groups: ReferenceGroups
+    plan: RunPlan, profile: Profile, actuator: Actuator, groups: Groups
 ) -> Iterator[NDArray[np.float64]]:
     rating_kw = _rating_kw(plan)
     measured_kw = _measured_maximum_kw(profile)
-    for mask in groups.groups([leaf.rpartition("/")[2] for leaf in plan.tree.leaves]):
+    for mask in reference_groups(len(rating_kw)) if groups is None else groups:
         seen = measured_kw[:, mask].sum(axis=1), _dispatch_kw(profile), rating_kw, mask
         if actuator == "limit":
             yield np.minimum(profile.mpp_kw, grouping_limits_kw(*seen))

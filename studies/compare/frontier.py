@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 import plotly.graph_objects as go
 
-from results.metrics.figures_of_merit import FIGURES_OF_MERIT
+from results.figures import FIGURES
 from results.report.style import BLUE, GREY, VERMILLION, ReportFigure, curve, dress, plain
 from studies.compare.results import AXES
-from studies.compare.study import SchemeResult
+from studies.compare.study import Row
 
 _LEAST_PERCENT: Final = 1e-3
 """Where the logarithmic axes begin: less is drawn as this."""
@@ -22,16 +22,16 @@ _LOOKS: Final = {
 """Symbol, colour and place of the label."""
 
 
-def frontier(schemes: Sequence[SchemeResult]) -> ReportFigure:
+def frontier(rows: Sequence[Row]) -> ReportFigure:
     """Draw control-caused shortfall against over-delivery, and the frontier of the two."""
-    missing, beyond, rmse = (FIGURES_OF_MERIT[name] for name in AXES)
+    missing, beyond, rmse = AXES
     figure = go.Figure()
     for actuator, (symbol, colour, place) in _LOOKS.items():
-        entries = [entry for entry in schemes if entry.actuator == actuator]
+        entries = [row for row in rows if row["actuator"] == actuator]
         figure.add_scatter(
-            x=[max(beyond.read(one.metrics) or 0.0, _LEAST_PERCENT) for one in entries],
-            y=[max(missing.read(one.metrics) or 0.0, _LEAST_PERCENT) for one in entries],
-            text=[f"{plain(one.scheme)}, {rmse.read(one.metrics):,.0f} kW" for one in entries],
+            x=[max(row[beyond] or 0.0, _LEAST_PERCENT) for row in entries],
+            y=[max(row[missing] or 0.0, _LEAST_PERCENT) for row in entries],
+            text=[f"{plain(row['scheme'])}, {row[rmse]:,.0f} kW" for row in entries],
             mode="markers+text",
             name=actuator,
             textposition=place,
@@ -45,8 +45,8 @@ def frontier(schemes: Sequence[SchemeResult]) -> ReportFigure:
     figure.add_trace(curve([x for x, _ in points], least, "frontier", line))
     dress(figure, 480)
     figure.update_layout(hovermode="closest", margin_r=180)
-    figure.update_xaxes(title_text=beyond.heading, type="log", dtick=1)
-    figure.update_yaxes(title_text=missing.heading, type="log", dtick=1)
+    figure.update_xaxes(title_text=FIGURES[beyond].heading, type="log", dtick=1)
+    figure.update_yaxes(title_text=FIGURES[missing].heading, type="log", dtick=1)
     return ReportFigure(
         "frontier",
         "Control-caused shortfall against over-delivery",

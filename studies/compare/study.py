@@ -2,63 +2,38 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import cast, get_args
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, TypeAlias, cast, get_args
 
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from recordings.read.series import RunSeries
-from results.metrics import RunMetrics, run_metrics
+from results.figures import Figures, run_figures
 from scenarios.preparation import Preparation, prepare
-from studies.arrays.schemes import BOUNDS, ReferenceGroups, run_scheme
+from studies.arrays.schemes import BOUNDS, run_scheme
 from studies.compare.by_agents import run_by_agents
 from studies.compare.cases import Case, label
 
-
-@dataclass(frozen=True, slots=True)
-class SchemeResult:
-    """Figures of merit of one scheme in one case; a bound has no actuator."""
-
-    scheme: str
-    actuator: Actuator | None
-    metrics: RunMetrics
+Row: TypeAlias = dict[str, Any]
+"""One scheme in one case: what cases differ in, `scheme`, `actuator` (None for a bound), every
+figure of merit by name, and `remarks`."""
 
 
-@dataclass(frozen=True, slots=True)
-class CaseResult:
-    """The results of all schemes in one case, each with one actuator after the other."""
-
-    columns: Mapping[str, object]
-    schemes: tuple[SchemeResult, ...]
-    remarks: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class SchemeChoice:
-    """What is compared: names of `SCHEMES`, each with all actuators, or with the scenario's."""
-
-    schemes: tuple[str, ...]
-    groups: ReferenceGroups = field(default_factory=ReferenceGroups)
-    actuators: tuple[Actuator, ...] = ()
-
-
-def run_case(choice: SchemeChoice, case: Case) -> CaseResult:
+def run_case(schemes: Sequence[str], actuators: Sequence[Actuator], case: Case) -> list[Row]:
     """Run the schemes on one case; InputError where one does not fit the plant or its data."""
     try:
         preparation = prepare(case.scenario, case.options, "study")
-        results = tuple(result for result, _ in run_schemes(preparation, choice))
+        return [{**case.columns, **row} for row, _ in run_schemes(preparation, schemes, actuators)]
     except InputError as error:
         name = label(case.columns)
         raise InputError(f"{name}: {error}" if name else str(error)) from None
-    return CaseResult(case.columns, results, remarks_of(preparation))
 
 
 def run_schemes(
-    preparation: Preparation, choice: SchemeChoice
-) -> Iterator[tuple[SchemeResult, RunSeries]]:
-    """Yield the result and the series of each scheme of a prepared run.
+    preparation: Preparation, schemes: Sequence[str], actuators: Sequence[Actuator] = ()
+) -> Iterator[tuple[Row, RunSeries]]:
+    """Yield the row and the series of each scheme with each actuator, by default the scenario's.
 
     Where the network has faults, the agents themselves run; otherwise arrays give the same. Only
     the hierarchical schemes have a network.
@@ -67,33 +42,32 @@ def run_schemes(
     over-delivered energy: a group that trades one for the other does not win.
     """
 
-    def missed_kwh(run: tuple[RunMetrics, RunSeries]) -> float:
-        energy = run[0].commitment
-        return energy.control_caused_kwh + energy.over_delivered_kwh
+    def missed_kwh(run: tuple[Figures, RunSeries]) -> float:
+        return sum(run[0][f"{name}-energy"] or 0.0 for name in ("control-caused", "over-delivered"))
 
-    plan, profile = preparation.plan, preparation.profile
-    actuators = choice.actuators or (plan.control.actuator,)
-    for name in choice.schemes:
+    plan, profile, remarks = preparation.plan, preparation.profile, remarks_of(preparation)
+    actuators = actuators or (plan.control.actuator,)
+    for name in schemes:
         for actuator in (None,) if name in BOUNDS else actuators:
             inverters = actuator or plan.control.actuator
             if plan.faults.rules and name in get_args(Scheme):
                 series = [run_by_agents(plan, profile, cast(Scheme, name), inverters)]
             else:
-                series = run_scheme(name, plan, profile, inverters, choice.groups)
-            runs = sorted(((run_metrics(one), one) for one in series), key=missed_kwh)
+                series = run_scheme(name, plan, profile, inverters)
+            runs = sorted(((run_figures(one), one) for one in series), key=missed_kwh)
             named = {name: runs[0]}
             if len(runs) > 1:
                 ranks = {"best": 0, "median": len(runs) // 2, "worst": -1}
                 named = {f"{name} {rank}": runs[place] for rank, place in ranks.items()}
-            for its_name, (metrics, one) in named.items():
+            for its_name, (figures, one) in named.items():
                 title = f"{its_name}, {actuator}" if actuator and len(actuators) > 1 else its_name
-                result = SchemeResult(its_name, actuator, metrics)
-                yield result, dataclasses.replace(one, label=title)
+                row = {"scheme": its_name, "actuator": actuator, **figures, "remarks": remarks}
+                yield row, replace(one, label=title)
 
 
-def remarks_of(preparation: Preparation) -> tuple[str, ...]:
+def remarks_of(preparation: Preparation) -> str:
     """Return what a reader must know about the data of a study."""
     perfect = "Faults act on paper and predictive; the other schemes have no network."
     hindsight = "Clusters and neighbours were chosen from the run's own data: hindsight."
     more = [perfect] * bool(preparation.plan.faults.rules) + [hindsight] * preparation.hindsight
-    return (*preparation.remarks, *more)
+    return " ".join([*preparation.remarks, *more])

@@ -66,14 +66,14 @@ def _look(summary: RunSummary, folder: RunFolder, findings: Findings) -> None:
     for name in ("arming", "cycles", "head", "bounds", "links", "stop"):
         findings.try_(name)
     (account,) = summary.external
-    kind = "missing" if summary.skipped_cycles or summary.missing_inputs else "cycles"
+    kind = "missing" if summary.launcher.skipped_cycles or summary.missing_inputs else "cycles"
     findings.try_(kind)
     if account.answered < account.expected:
         count = account.expected - account.answered
         findings.fail(kind, f"{count:,} of {account.expected:,} messages did not come")
     if account.lost:
         findings.fail("head", f"sequence: {account.lost:,} numbers are missing")
-    for wrong in summary.wrong:
+    for wrong in summary.launcher.wrong:
         of = "bounds" if wrong.cause in _OF_NUMBERS else "cycles"
         findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
     found = verify(folder.path)

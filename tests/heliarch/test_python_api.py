@@ -23,7 +23,7 @@ def test_a_simulation_returns_its_summary_and_its_recording_and_prints_nothing(
     run = heliarch.simulate(plant, start="12:00", end="12:00:20", settings=settings, out=out)
     assert capsys.readouterr() == ("", "")
     assert (run.summary.cycles, run.folder) == (20, out)
-    assert run.summary.metrics is not None
+    assert run.summary.figures is not None
     with heliarch.open_run(run.folder) as recording:
         assert len(recording.plan.inverters) == 4
         assert "share = 0.4" in recording.scenario

@@ -186,7 +186,7 @@ def test_a_recording_with_deaths_is_repeated_and_says_who_took_over_or_came_back
     words += ["--set", 'standby=["central","supervisors"]']
     run = tmp_path / "run"
     done("simulate", "oahu", "--duration", "30s", *words, "--out", run)
-    takeovers = json.loads((run / "summary.json").read_bytes())["takeovers"]
+    takeovers = json.loads((run / "summary.json").read_bytes())["launcher"]["takeovers"]
     assert takeovers == {"central": 1, "c1": 1, "c2": 1}
     done("verify", run)
     inspected = " ".join(done("inspect", run).split())

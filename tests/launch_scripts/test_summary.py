@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,21 @@ from reports_by_hand import summary_of
 from agents.process.events import Complaint, ExternalAccount, Recorded
 from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
-from results.run_summary import MessageCount, ProcessAccount, RunSummary
+from recordings.inspect.health import LauncherAccount, WrongMessages
+from recordings.read.reader import RunReader
+from results.figures import FIGURES
+from results.run_summary import MessageCount, ProcessAccount, RunFacts, RunSummary
 from results.summary_table import summary_table
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
 
-SUMMARY = replace(summary_of(Path("runs/r")), cycles=3600, cycle_s=1.0, processes=())
+SUMMARY = replace(
+    summary_of(Path("runs/r")),
+    run=RunFacts("field", "launch", "runs/r", "", planned_cycles=3600, cycle_s=1.0),
+    cycles=3600,
+    processes=(),
+    messages=(),
+)
 
 
 def rows_of(summary: RunSummary) -> dict[str, list[str]]:
@@ -32,18 +43,24 @@ BUSY = (
     ProcessAccount("c1/b", "direct", {}, 40.0),
 )
 DEVICE = ExternalAccount("c1/inv01", {"impp": 5}, lost=100, expected=20, answered=5)
-SEEN = MessageCount("production", 3600, 3589)
+HALF = dict.fromkeys(FIGURES) | {"cycles": 35, "planned-cycles": 3600, "unknown-energy": 2.0}
 
 
 @pytest.mark.parametrize(
     ("changes", "row", "cells"),
     [
-        ({}, "Figures of merit", ["-"]),
+        ({}, "Figures of merit", ["-", "", "of no cycle"]),
         ({}, "Tracking RMSE", None),
+        ({"figures": HALF}, "Figures of merit", ["-", "", "35 of 3,600 cycles"]),
+        ({"figures": HALF}, "Delivered energy, assumed", ["2.0", "kWh", "nobody has measured"]),
         ({"processes": BUSY}, "Processor time per cycle", ["2.00", "ms"]),
-        ({"missing_inputs": 13}, "Inputs missed at deadlines", ["13"]),
-        ({"messages": (SEEN,)}, "Cycles", ["3,600", "", "3,589 of them recorded"]),
-        ({"messages": (SEEN,)}, "Cycle rate", ["360.0"]),
+        ({"processes": BUSY}, "Memory, direct", ["40.0", "MB", "the median of 2"]),
+        ({}, "Cycle rate", ["360.0"]),
+        ({"cycles": 9}, "Cycles", ["9", "", "ended early: 3,600 were planned"]),
+        (
+            {"cycles": 9, "launcher": LauncherAccount(interrupted=True)},
+            *("Cycles", ["9", "", "interrupted: 3,600 were planned"]),
+        ),
         ({"external": (DEVICE,)}, "Missing in the recording", ["100"]),
         ({"external": (DEVICE,)}, "External c1/inv01", ["5", "", "100"]),
     ],
@@ -56,6 +73,32 @@ def test_a_row_tells_what_the_run_defines(
     assert all(part in cell for part, cell in zip(cells or (), rows.get(row, ()), strict=False))
 
 
+def wrong(cause: str, count: int, publisher: str) -> WrongMessages:
+    return WrongMessages(f"{publisher}/impp", cause, count, "it is odd", publisher)
+
+
+@pytest.mark.parametrize(
+    ("messages", "found", "failure"),
+    [
+        ((), (), None),
+        ((), (wrong("conflicting", 1, "c2/d"),), "c2/d/impp"),
+        ((MessageCount("impp", 11, 10),), (), "impp"),
+        ((), (wrong("out_of_range", 3, "c1/inv01"),), "c1/inv01: 3 of 20 messages"),
+        ((), (wrong("out_of_range", 2, "c1/inv01"),), None),
+        # Of lateness the machine may be the cause.
+        ((), (wrong("late", 9, "c1/inv01"), wrong("duplicate", 9, "c1/inv01")), None),
+    ],
+)
+def test_what_makes_a_run_unreliable_is_a_failure_in_one_line(
+    messages: tuple[MessageCount, ...], found: tuple[WrongMessages, ...], failure: str | None
+) -> None:
+    launcher = LauncherAccount(wrong=found)
+    summary = replace(SUMMARY, messages=messages, launcher=launcher, external=(DEVICE,))
+    failures = [*summary.failures()]
+    assert len(failures) == (failure is not None)
+    assert all(failure and failure in line and "\n" not in line for line in failures)
+
+
 def test_the_figures_of_merit_are_those_that_the_run_defines(plant: str, tmp_path: Path) -> None:
     words = ("simulate", plant, "--duration", "20", "--json", "-", "--out", tmp_path / "run")
     result = heliarch(*words)
@@ -65,12 +108,14 @@ def test_the_figures_of_merit_are_those_that_the_run_defines(plant: str, tmp_pat
     assert "PJM performance score" not in rows
 
 
-def test_of_recorder_and_listeners_the_larger_count_holds_and_processes_may_be_late(
-    plant: str, tmp_path: Path
-) -> None:
+@pytest.fixture
+def account(plant: str, tmp_path: Path) -> RunAccount:
     options = RunOptions(duration="5", external=["c1/inv01"])
     preparation = prepare(load_scenario(plant), options, "counted")
-    account = RunAccount(preparation, RunFolder(tmp_path / "run"), "launch", 0.0)
+    return RunAccount(preparation, RunFolder(tmp_path / "run"), "launch", 0.0)
+
+
+def test_of_recorder_and_listeners_the_largest_count_holds(account: RunAccount) -> None:
     account.dropped += [
         ("c1/inv01/impp", "duplicate", 4),
         ("c1/inv01/impp", "late", 2),
@@ -79,9 +124,38 @@ def test_of_recorder_and_listeners_the_larger_count_holds_and_processes_may_be_l
     ]
     complaint = Complaint("small/c1/inv01/impp", "duplicate", 5, "it came twice in cycle 3")
     found = account.summary(Recorded({}, 0, 0, complaints=(complaint,)), 1.0, interrupted=False)
-    assert [(wrong.key, wrong.cause, wrong.count) for wrong in found.wrong] == [
+    assert [(wrong.key, wrong.cause, wrong.count) for wrong in found.launcher.wrong] == [
         ("c1/inv01/impp", "duplicate", 5),
-        ("c1/inv01/impp", "late", 3),
+        ("c1/inv01/impp", "late", 2),
     ]
-    assert found.wrong[0].example == "it came twice in cycle 3"
-    assert found.dropped == {"duplicate": 4, "late": 12}
+    assert found.launcher.wrong[0].example == "it came twice in cycle 3"
+    assert found.launcher.dropped == {"duplicate": 4, "late": 12}
+
+
+def cut(recording: Path) -> None:
+    os.truncate(recording, recording.stat().st_size // 2)
+
+
+def empty(recording: Path) -> None:
+    os.truncate(recording, 0)
+
+
+@pytest.mark.parametrize("harm", [cut, empty, Path.unlink, None])
+def test_a_recording_that_holds_less_than_was_recorded_is_a_failure(
+    plant: str, tmp_path: Path, harm: Callable[[Path], None] | None
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    heliarch("simulate", plant, "--duration", "300", "--out", folder.path)
+    preparation = prepare(load_scenario(plant), RunOptions(duration="300"), "counted")
+    account = RunAccount(preparation, folder, "launch", 0.0)
+    with RunReader(folder.recording) as run:
+        told = Recorded(dict(run.counts()), 0, 300)
+    account.published.update(told.recorded)
+    if harm is not None:
+        harm(folder.recording)
+    summary = account.summary(told, 1.0, interrupted=False)
+    failures = [*summary.failures()]
+    assert len(failures) == (harm is not None)
+    covered = summary.figures["cycles"] if summary.figures else 0
+    assert covered == 300 if harm is None else 0 <= (covered or 0) < 300
+    assert harm is None or str(folder.recording) in failures[0]

@@ -25,7 +25,7 @@ from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from live_page.plant_state import PlantState
 from recordings.read.series import read_plant_series
-from results.metrics import run_metrics
+from results.figures import run_figures
 
 
 def followed(path: Path) -> RunFollower:
@@ -61,10 +61,10 @@ def test_a_recording_is_followed_while_it_is_written(tmp_path: Path) -> None:
 def test_figures_so_far_are_those_of_the_metrics(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_run(path, whole_run(90))
-    found, expected = followed(path).metrics(), run_metrics(read_plant_series(path))
+    found, expected = followed(path).metrics(), run_figures(read_plant_series(path))
     assert found is not None
-    assert found.commitment.shortfall_kwh == pytest.approx(expected.commitment.shortfall_kwh)
-    assert found.tracking == expected.tracking
+    assert found["shortfall-energy"] == pytest.approx(expected["shortfall-energy"])
+    assert found["rmse"] == expected["rmse"]
 
 
 def test_a_frame_has_the_powers_the_help_and_the_shares(tmp_path: Path) -> None:

@@ -104,7 +104,12 @@ def test_other_hosts_need_the_token(run: Path) -> None:
 def test_the_runs_of_a_folder_are_listed_with_their_figures(run: Path, tmp_path: Path) -> None:
     (run / "summary.json").write_text(
         json.dumps(
-            {"scenario": "field", "cycles": CYCLES, "cycle_s": 1.0, "figures": {"rmse": 4.2}}
+            {
+                "run": {"scenario": "field", "cycle_s": 1.0},
+                "launcher": {"interrupted": True},
+                "cycles": CYCLES,
+                "figures": {"rmse": 4.2},
+            }
         )
     )
     other = tmp_path / "runs" / "rates" / "rate-1"
@@ -115,6 +120,7 @@ def test_the_runs_of_a_folder_are_listed_with_their_figures(run: Path, tmp_path:
         rows = {row["name"]: row for row in found["runs"]}
         assert set(rows) == {"one", "rates~rate-1"}
         assert 4.2 in rows["one"]["figures"]
+        assert rows["one"]["state"] == "interrupted"
         assert page.get("run/rates~rate-1/plan")["plant"] == "field"
         assert page.status("run/two/plan") == 404
         assert page.status("run/..~..~one/plan") == 404

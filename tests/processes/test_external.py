@@ -45,7 +45,7 @@ def controller(device: Device, folder: Path) -> subprocess.Popen[bytes]:
 
 
 def wrong(summary: RunSummary) -> dict[tuple[str, str], int]:
-    return {(entry.key, entry.cause): entry.count for entry in summary.wrong}
+    return {(entry.key, entry.cause): entry.count for entry in summary.launcher.wrong}
 
 
 def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
@@ -59,7 +59,7 @@ def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
     summary = summary_of(folder)
     (account,) = summary.external
     assert (account.agent, account.lost, account.expected, account.answered) == (NODE, 0, 75, 75)
-    assert (summary.lost, summary.wrong) == (0, ())
+    assert (summary.lost, summary.launcher.wrong) == (0, ())
     found = verify(folder)
     assert found.equal
     assert list(found.left_out) == [NODE]
@@ -150,7 +150,9 @@ def test_a_device_that_does_everything_wrong_is_named_and_contained(
 ) -> None:
     folder = tmp_path / "run"
     device(WRONG, "everything", folder / "plan.json", NODE)
-    output = done("launch", plant, *LOCKSTEP, "--external", NODE, "--out", folder)
+    result = command_line.heliarch("launch", plant, *LOCKSTEP, "--external", NODE, "--out", folder)
+    assert result.exit_code == 1, "most of its messages were refused"
+    output = result.stdout
     contained(decisions(folder), our_decisions(plant))
     summary = summary_of(folder)
     found = wrong(summary)
@@ -165,7 +167,7 @@ def test_a_device_that_does_everything_wrong_is_named_and_contained(
     assert summary.lost_by_processes == 0
     assert "is from 'central'" in (folder / "logs" / "c1.log").read_text()
     assert f"wrong message on small/{NODE}/impp: " in output
-    largest_mb = max(use.resident_median_mb for use in summary.memory)
+    largest_mb = max(process.resident_mb for process in summary.processes)
     assert largest_mb < 150.0, "a flood fills no memory"
     assert verify(folder).equal
     assert_none_left(folder)

@@ -86,7 +86,7 @@ def test_processes_decide_bit_for_bit_what_one_process_decides_and_all_is_record
     counts = {count.signal: count.recorded for count in summary.messages}
     assert counts["telemetry"] == counts["command"] == CYCLES * 4
     assert {name: recorded.count(name) for name in counts} == counts
-    assert (summary.lost, summary.dropped) == (0, {})
+    assert (summary.lost, summary.launcher.dropped) == (0, {})
 
 
 def test_so_do_they_by_the_clock_if_they_have_the_time(plant: str, tmp_path: Path) -> None:
@@ -94,9 +94,9 @@ def test_so_do_they_by_the_clock_if_they_have_the_time(plant: str, tmp_path: Pat
     for pace in ("4", "1", "0.2"):  # One that this machine keeps up with.
         ours = decided(tmp_path / pace, "launch", *words, "--pace", pace)
         summary = summary_of(tmp_path / pace)
-        if not (summary.missing_inputs or summary.skipped_cycles or summary.lost):
+        if not (summary.missing_inputs or summary.launcher.skipped_cycles or summary.lost):
             break
-    assert (summary.missing_inputs, summary.skipped_cycles, summary.lost) == (0, 0, 0)
+    assert (summary.missing_inputs, summary.launcher.skipped_cycles, summary.lost) == (0, 0, 0)
     assert ours == decided(tmp_path / "simulated", "simulate", *words)
 
 
@@ -109,7 +109,7 @@ def test_two_plants_side_by_side_do_not_hear_each_other(
     assert other.wait() == 0, other.error_text()
     for folder in (other.folder, tmp_path / "run"):
         summary = summary_of(folder)
-        assert (summary.cycles, summary.lost, summary.dropped) == (CYCLES, 0, {})
+        assert (summary.cycles, summary.lost, summary.launcher.dropped) == (CYCLES, 0, {})
     assert decisions(other.folder) != decisions(tmp_path / "run")
 
 

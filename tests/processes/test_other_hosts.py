@@ -51,7 +51,7 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
     assert found.equal
     assert not found.left_out
     summary = summary_of(run.folder)
-    assert (summary.lost, summary.wrong) == (0, ())
+    assert (summary.lost, summary.launcher.wrong) == (0, ())
 
 
 def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
@@ -74,7 +74,7 @@ def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
     assert "c2 (process" in said
     assert "c2/inv04 (process" not in said, "nobody else is killed"
     summary = summary_of(run.folder)
-    assert summary.takeovers["c2"] >= 1
+    assert summary.launcher.takeovers["c2"] >= 1
     assert summary.lost_by_processes == 0
 
 

@@ -72,7 +72,7 @@ def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
     assert run.interrupt() == 1
     assert "messages were lost" in run.error_text()
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
-    assert summary["restarts"] == {"recorder": 2}
+    assert summary["launcher"]["restarts"] == {"recorder": 2}
     with RunReader(run.folder) as reader:
         health = read_overview(reader).health
         recorded = [message.cycle for _, message in reader.messages(PRODUCTION)]

@@ -51,7 +51,7 @@ def test_killed_controllers_are_started_again_and_the_run_goes_on(
     for victim in VICTIMS:
         run.until_back(victim)
     ended(run)
-    assert summary_of(run.folder).restarts == dict.fromkeys(VICTIMS, 1)
+    assert summary_of(run.folder).launcher.restarts == dict.fromkeys(VICTIMS, 1)
     assert_equal_as_far_as_recorded(run, verify(run.folder))
 
 
@@ -71,8 +71,8 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
         until_taken_over(run, "central", number)
     ended(run)
     summary = summary_of(run.folder)
-    assert summary.takeovers["central"] >= 2
-    assert summary.restarts == {"central": 1, "central+standby": 1}
+    assert summary.launcher.takeovers["central"] >= 2
+    assert summary.launcher.restarts == {"central": 1, "central+standby": 1}
     found = verify(run.folder)
     assert_equal_as_far_as_recorded(run, found)
     with RunReader(run.folder) as reader:

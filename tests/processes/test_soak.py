@@ -83,10 +83,10 @@ def test_a_kill_every_ten_seconds_leaves_no_orphan_no_leak_and_nothing_unaccount
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
     with capsys.disabled():
         print(f"\nseed {seed}: {kills.total()} kills in {cycles:,} cycles, {uses}")
-    assert summary["restarts"] == kills
+    assert summary["launcher"]["restarts"] == kills
     assert summary["cycles"] == cycles
     assert summary["messages_lost"] == 0
-    assert set(summary["dropped"]) <= {"wrong_sender", "duplicate", "late"}
+    assert set(summary["launcher"]["dropped"]) <= {"wrong_sender", "duplicate", "late"}
     for name, found in uses.items():
         early, late = found[1 : 2 + len(found) // 3], found[-len(found) // 3 :]
         assert max(use.files for use in late) <= max(use.files for use in early), name

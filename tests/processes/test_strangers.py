@@ -51,7 +51,7 @@ def test_nothing_that_a_stranger_says_is_heard(heliarch: Start, plant: str) -> N
         assert not attacker.heard
     summary = ended(run)
     assert run.process.returncode == 130, run.error_text()
-    assert summary.wrong == ()
+    assert summary.launcher.wrong == ()
     assert_right(run, plant, summary.cycles)
 
 
@@ -71,7 +71,7 @@ def test_beside_a_device_what_a_stranger_forges_reaches_no_agent_and_is_named(
         summary = ended(run)
     assert run.process.returncode == 1
     assert "more than one program sent messages on" in run.error_text()
-    found = {(wrong.key, wrong.cause) for wrong in summary.wrong}
+    found = {(wrong.key, wrong.cause) for wrong in summary.launcher.wrong}
     assert {("run", "conflicting"), ("c1/setpoint", "conflicting")} <= found
     assert_right(run, plant, summary.cycles)
 
@@ -116,7 +116,7 @@ def test_a_process_that_is_started_again_reads_renewed_certificates(
     run.until_back(NODE)
     run.process_of("c1").kill()
     run.until_back("c1")
-    assert ended(run).wrong == ()
+    assert ended(run).launcher.wrong == ()
 
 
 @pytest.mark.soak

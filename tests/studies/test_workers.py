@@ -7,7 +7,6 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from operator import neg
 from pathlib import Path
 
 import psutil
@@ -15,7 +14,7 @@ import pytest
 from command_line import process, python
 
 from bus_schemas.errors import InputError
-from studies.workers import WorkerLostError, share_over_cluster, share_work
+from studies.workers import WorkerLostError, share_work
 
 
 def die_on_three(number: int) -> int:
@@ -87,7 +86,6 @@ def test_no_worker_outlives_a_comparison_that_is_killed(comparison: psutil.Proce
 SIGNAL_AT_A_START = """
 import _thread, signal
 from multiprocessing import util
-from operator import neg
 from heliarch.cli.boundary import boundary
 from studies.workers import share_work
 
@@ -102,26 +100,10 @@ def spawn_and_interrupt(path, words, files):
 
 util.spawnv_passfds = spawn_and_interrupt
 with boundary():
-    share_work(neg, range(4), 2)
+    share_work(abs, range(4), 2)
 """
 
 
 @pytest.mark.processes
 def test_a_signal_while_a_worker_starts_ends_the_study_without_a_traceback() -> None:
     assert python(SIGNAL_AT_A_START, status=143).stderr == ""
-
-
-@pytest.mark.processes
-def test_a_dask_cluster_gives_the_same() -> None:
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
-    ) as cluster:
-        found = share_over_cluster(neg, range(5), cluster.scheduler_address)
-        assert found == [0, -1, -2, -3, -4]
-
-
-def test_a_scheduler_that_is_no_address_is_refused() -> None:
-    pytest.importorskip("distributed", reason="Dask is not installed")
-    with pytest.raises(InputError, match="--scheduler nowhere"):
-        share_over_cluster(neg, range(5), "nowhere")

@@ -64,10 +64,8 @@ def test_energies_are_those_of_simulated_inverters(
     plain, real = heliarch(*span), heliarch(*span, *served_inverters)
     assert (plain.wait(), real.wait()) == (0, 0), real.error_text()
     expected, found = (_summary(run.folder) for run in (plain, real))
-    for energy in ("dispatched_kwh", "available_kwh", "delivered_kwh"):
-        assert found["metrics"]["commitment"][energy] == pytest.approx(
-            expected["metrics"]["commitment"][energy], rel=0.1
-        )
+    for energy in ("dispatched-energy", "available-energy", "delivered-energy"):
+        assert found["figures"][energy] == pytest.approx(expected["figures"][energy], rel=0.1)
     assert [device["node"] for device in found["devices"]] == [
         "c1/inv01", "c1/inv02", "c2/inv03", "c2/inv04"
     ]  # fmt: skip

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from heliarch.cli.app import COMMANDS
 from heliarch.cli.live_view import view_for
-from results.metrics.figures_of_merit import FIGURES_OF_MERIT
+from results.figures import FIGURES
 from results.tables import Table, key_column, print_table
 from scenarios.scenario import shipped_scenarios
 from studies.arrays.schemes import SCHEMES
@@ -45,7 +45,7 @@ def test_help_at_80_columns_shows_an_example_and_cuts_no_word(
 
 def test_the_help_of_compare_lists_every_scheme_and_figure_of_merit() -> None:
     words = {word.strip("│,.:") for word in help_of("compare").split()}
-    assert {*SCHEMES, *FIGURES_OF_MERIT} <= words
+    assert {*SCHEMES, *FIGURES} <= words
 
 
 @pytest.mark.parametrize("words", [["--help"], ["launch", "--help"], ["compare", "--help"]])

@@ -18,8 +18,6 @@ from running import small_plant
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Production
 
-GROUPS = ("--schemes", "paper,grouping", "--reference", "inv01,inv03")
-
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> str:
@@ -48,7 +46,8 @@ def test_one_case_shows_regulation_and_what_faults_did() -> None:
 
 def test_many_cases_have_a_row_each_and_a_summary_as_csv(small: str, tmp_path: Path) -> None:
     summary, document = tmp_path / "summary.csv", tmp_path / "rows.json"
-    words = ("--set", "commitment.share=0.3,0.5", "--seeds", "1,2", "--show", "rmse", *GROUPS)
+    schemes = ("--schemes", "paper,uniform-cap")
+    words = ("--set", "commitment.share=0.3,0.5", "--seeds", "1,2", "--show", "rmse", *schemes)
     text = done("compare", small, "--duration", "60", *words, "--json", document, "--csv", summary)
     assert all(f"share={share}" in text for share in ("0.3", "0.5"))
     cases = json.loads(document.read_bytes())
@@ -56,12 +55,13 @@ def test_many_cases_have_a_row_each_and_a_summary_as_csv(small: str, tmp_path: P
         (f"share={share} seed={seed}", scheme)
         for share in ("0.3", "0.5")
         for seed in (1, 2)
-        for scheme in ("paper", "grouping")
+        for scheme in ("paper", "uniform-cap")
     ]
     rmse = [row["rmse"] for row in cases if row["scheme"] == "paper"]
     rows = csv.DictReader(summary.open(encoding="utf-8"))
     means = [row for row in rows if (row["figure"], row["scheme"]) == ("rmse", "paper")]
     assert [row["cases"] for row in means] == ["2", "2"]
+    assert all("hindsight" in row["remarks"] for row in means)
     assert float(means[0]["mean"]) == pytest.approx(sum(rmse[:2]) / 2.0)
 
 

@@ -153,8 +153,7 @@ BAD: Final = {
     "--signals imp, --signals ,, --listen 7447, --plan plan.json, --live c1/x, "
     "--live plant",
     "compare": "--schemes magic, --show beauty, --workers 0, --workers 1.5, --seeds x, --days x, "
-    "--set x, "
-    "--scheduler x, --actuator magic, --fault magic",
+    "--set x, --actuator magic, --fault magic",
     "campaign": "--seeds x, --duration 1m",
     "export": "--format xlsx, --signals residuals, --nodes c1/inv99, --from 18:00, --clock sim, "
     "--out run",
@@ -207,7 +206,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "compare run run --seeds 1,2",
         "compare small.toml --seeds 1,2 --report",
         "compare small.toml --seeds 1,2 --csv -",
-        "compare small.toml --schemes grouping --reference few",
         "compare small.toml --days 2010-04-01 --from 2010-04-01T12:00",
         "timing small.toml --rate 0.1..5 --duration 5s",
         "timing small.toml --rate 5,10 --out run",

@@ -62,6 +62,8 @@ def test_the_exit_status_tells_kept_not_kept_and_interrupted(
     lost: int, interrupted: bool, ended: bool, status: int, tmp_path: Path
 ) -> None:
     folder = recorded(tmp_path, cycle(0), cycle(1), ended=ended)
-    summary = replace(summary_of(folder, lost=lost), interrupted=interrupted)
+    summary = summary_of(folder, lost=lost)
+    launcher = replace(summary.launcher, interrupted=interrupted)
+    summary = replace(summary, launcher=launcher)
     (folder / "summary.json").write_bytes(summary.as_json())
     assert heliarch("timing", folder).exit_code == status

@@ -53,7 +53,7 @@ def written(
 def test_a_sound_run_has_nothing_to_report(tmp_path: Path) -> None:
     health, text = written(tmp_path)
     assert (health.messages_lost, health.repeated, health.misses, health.absences) == (0, 0, (), ())
-    assert (health.ended, health.failure, health.launcher) == (True, "", None)
+    assert (health.stop_cycle, health.failure, health.launcher) == (CYCLES, "", None)
     assert "not recorded" in text, "how many messages were dropped, only the launcher knows"
 
 
@@ -114,6 +114,25 @@ def test_a_restart_is_told_once_whenever_a_rare_message_follows(tmp_path: Path) 
     assert "c1/a: restarted in cycle 20" in text
 
 
+@pytest.mark.parametrize(("restarts", "is_named"), [({"c1/a": 1}, True), ({}, False)])
+def test_a_restart_that_the_launcher_does_not_know_is_forged(
+    tmp_path: Path, restarts: dict[str, int], is_named: bool
+) -> None:
+    document = {"run_id": PLAN.run_id, "launcher": {"restarts": restarts}}
+    (tmp_path / SUMMARY_NAME).write_text(json.dumps(document))
+    write_messages(tmp_path / "run.mcap", joined_in_cycle_20("c1/a", lambda pair: True))
+    _, text = health_of(tmp_path)
+    assert ("c1/a: restarted in cycle 20" in text) == is_named
+
+
+@pytest.mark.parametrize(("cycles", "text"), [(1000, "ended in order"), (60, "60 of 1,000")])
+def test_a_run_that_ended_before_its_last_cycle_was_interrupted(
+    tmp_path: Path, cycles: int, text: str
+) -> None:
+    write_run(tmp_path / "run.mcap", whole_run(cycles))
+    assert text in health_of(tmp_path)[1].splitlines()[-1]
+
+
 @pytest.mark.parametrize("standby", [(), ("c2",)])
 def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(
     tmp_path: Path, standby: tuple[str, ...]
@@ -128,13 +147,13 @@ def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(
 @pytest.mark.parametrize("run_id", [PLAN.run_id, "another-run"])
 def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, run_id: str) -> None:
     summary: dict[str, Any] = {
-        "run_id": run_id,
         "dropped": {"late": 3},
         "restarts": {"recorder": 2},
         "skipped_cycles": 2,
         "wrong": [{"key": "c1/a/impp", "cause": "out_of_range", "count": 5, "example": "x"}],
     }
-    (tmp_path / SUMMARY_NAME).write_text(json.dumps(summary))
+    document = {"run_id": run_id, "launcher": summary}
+    (tmp_path / SUMMARY_NAME).write_text(json.dumps(document))
     (tmp_path / FAILURE_NAME).write_text("c1/a ended\nwith status 1\n")
     health, text = written(tmp_path)
     assert health.failure == "c1/a ended with status 1"

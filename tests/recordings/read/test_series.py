@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recordings_by_hand import PLAN, whole_run, write_run
+from msgspec.structs import replace
+from plans_by_hand import with_changes
+from recordings_by_hand import PLAN, numbered, whole_run, write_run
 
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
+from bus_schemas.messages import Dispatch
 from recordings.read.series import RunSeries, SeriesCollector, read_plant_series, read_series
-from results.metrics import run_metrics
+from results.figures import run_figures
 
 CYCLES = 30
 
@@ -31,8 +33,9 @@ def test_a_missing_message_leaves_its_row_empty(tmp_path: Path, lacking: str) ->
     assert series.times[7].second == 7
     assert np.isnan(series.delivered_kw[7]) == (lacking == "production")
     assert np.isnan(series.dispatch_kw[7]) == (lacking == "dispatch")
-    metrics = run_metrics(series)
-    assert metrics.commitment.dispatched_kwh == pytest.approx(240.0 * (CYCLES - 1) / 3600)
+    figures = run_figures(series)
+    assert figures["dispatched-energy"] == pytest.approx(240.0 * (CYCLES - 1) / 3600)
+    assert (figures["cycles"], figures["planned-cycles"]) == (CYCLES - 1, PLAN.timing.cycles)
 
 
 def test_a_series_ends_with_the_last_completed_cycle(tmp_path: Path) -> None:
@@ -60,8 +63,36 @@ def test_of_several_messages_in_a_cycle_the_first_one_counts() -> None:
     assert np.array_equal(once.series("").impp_kw, twice.series("").impp_kw)
 
 
+@pytest.mark.parametrize("is_first", [True, False])
+@pytest.mark.parametrize(("sequence", "known"), [(99, CYCLES), (None, CYCLES - 3)])
+def test_a_forged_dispatch_does_not_count(is_first: bool, sequence: int | None, known: int) -> None:
+    collector = SeriesCollector(PLAN)
+    for port, message in numbered(whole_run(CYCLES)):
+        pair = [message]
+        if isinstance(message, Dispatch) and message.cycle in {0, 7, 8}:
+            number = message.sequence if sequence is None else sequence
+            pair.append(replace(message, commitment_kw=400.0, sequence=number))
+        for one in pair[::-1] if is_first else pair:
+            collector.see(port, one)
+    series = collector.series("")
+    assert series.known.sum() == known, "of two that are numbered alike neither counts"
+    assert set(series.commitment_kw[series.known]) == {230.0}
+
+
+def test_power_of_a_real_inverter_that_does_not_answer_is_assumed() -> None:
+    plan = with_changes(PLAN, devices=(("c2/c", "modbus://10.0.0.7"),))
+    collector = SeriesCollector(plan)
+    for port, message in whole_run(CYCLES):
+        if port.signal.name != "telemetry" or port.node != "c2/c" or message.cycle < 20:
+            collector.see(port, message)
+    series = collector.series("")
+    assert not series.assumed_kw[:20].any()
+    assert list(series.assumed_kw[20:]) == [60.0] * 10
+
+
 def test_figures_of_merit_of_the_plant_are_the_same_without_the_controllers_messages(
     tmp_path: Path,
 ) -> None:
-    whole = run_metrics(series_of(tmp_path, lambda pair: True))
-    assert run_metrics(read_plant_series(tmp_path)) == replace(whole, help=None)
+    whole = run_figures(series_of(tmp_path, lambda pair: True))
+    no_help = {name: None for name in whole if name.startswith("outside-help")}
+    assert run_figures(read_plant_series(tmp_path)) == whole | no_help

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from recordings.read.series import RunSeries
+from recordings.read.series import RunSeries, SeriesPlant
 
 INVERTERS = ("c1/inv01", "c2/inv02", "c1/inv03", "c2/inv04", "c1/inv05")
 RATING_KW = 100.0
@@ -41,19 +41,22 @@ def cloudy_run(
     alpha = (met_kw + share * room_kw) / impp_kw
     return RunSeries(
         label=label,
-        inverters=inverters,
-        rating_kw=np.full(n, RATING_KW),
-        timezone="Pacific/Honolulu",
-        start_time_ns=TEN_O_CLOCK_HST_NS,
-        cycle_s=cycle_s,
+        plant=SeriesPlant(
+            inverters=inverters,
+            rating_kw=np.full(n, RATING_KW),
+            timezone="Pacific/Honolulu",
+            start_time_ns=TEN_O_CLOCK_HST_NS,
+            cycle_s=cycle_s,
+            regulation_capacity_kw=capacity_kw,
+        ),
         commitment_kw=commitment_kw,
         regulation_kw=capacity_kw * signal,
-        regulation_capacity_kw=capacity_kw,
         mpp_kw=mpp_kw,
         power_kw=alpha * mpp_kw,
         impp_kw=impp_kw,
         residual_kw=impp_kw - share_kw,
         alpha=alpha,
+        assumed_kw=np.zeros(cycles),
     )
 
 

@@ -87,10 +87,9 @@ def test_the_close_look_is_at_the_ten_minutes_of_the_largest_error_in_what_was_a
 
 def test_the_clock_does_not_go_back_where_summer_time_ends() -> None:
     # Berlin, 2026-10-25: 03:00 CEST is 02:00 CET.
-    run = replace(
-        cloudy_run(cycles=4, cycle_s=3600.0),
-        timezone="Europe/Berlin",
-        start_time_ns=1_792_886_400_000_000_000,
-    )
+    run = cloudy_run(cycles=4, cycle_s=3600.0)
+    begin_ns = 1_792_886_400_000_000_000
+    plant = replace(run.plant, timezone="Europe/Berlin", start_time_ns=begin_ns)
+    run = replace(run, plant=plant)
     assert run.times[0].utcoffset() != run.times[-1].utcoffset()
     assert np.diff(clock_ms(run)).tolist() == [3_600_000.0] * 3

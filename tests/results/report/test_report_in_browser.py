@@ -10,7 +10,7 @@ from synthetic_runs import cloudy_run, without_estimates
 
 from results.report.page import html_page
 from results.report.run_report import runs_result
-from results.report.tables import metrics_tables
+from results.report.tables import figures_tables
 
 pytestmark = pytest.mark.skipif(
     bool(MISSING), reason=f"no browser here: {', '.join(MISSING)} missing"
@@ -39,7 +39,7 @@ def test_a_browser_draws_every_figure_without_a_complaint(tmp_path: Path, width_
     others = ("no help", "grouping control, 4 inverters", "central dispatch", "a fifth scheme")
     runs = [run, *(without_estimates(run, label) for label in others)]
     path = tmp_path / "report.html"
-    result = runs_result("A run", runs, metrics_tables(runs), ())
+    result = runs_result("A run", runs, figures_tables(runs), ())
     path.write_text(html_page(result))
     with browser(tmp_path, width=width_px, height=1000) as window:
         window.open(path.as_uri())

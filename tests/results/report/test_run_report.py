@@ -15,7 +15,7 @@ from synthetic_runs import TEN_O_CLOCK_HST_NS, cloudy_run, without_estimates
 from recordings.read.series import RunSeries
 from results.report.page import html_page
 from results.report.run_report import runs_result
-from results.report.tables import metrics_tables
+from results.report.tables import figures_tables
 from results.tables import Column, Table, key_column
 
 NASTY = "a <b>bold</b> & <script>alert('x')</script> label"
@@ -72,7 +72,7 @@ def trace(figure: go.Figure, name: str) -> go.Scatter:
 
 def page_of(*series: RunSeries, notes: tuple[str, ...] = ()) -> Page:
     """The report of some runs, read as a page."""
-    return Page(html_page(runs_result("A run", series, metrics_tables(series), notes)))
+    return Page(html_page(runs_result("A run", series, figures_tables(series), notes)))
 
 
 # What is in it ------------------------------------------------------------------------------------

@@ -152,7 +152,8 @@ def test_one_slow_cycle_of_fewer_than_a_hundred_is_named_and_does_not_decide(
 def test_a_run_that_was_interrupted_does_not_pass(tmp_path: Path) -> None:
     kept = recorded(tmp_path, cycle(0), cycle(1))
     assert verdict_of(report_on(kept)).startswith("PASS")
-    stopped = replace(summary_of(kept), interrupted=True)
+    stopped = summary_of(kept)
+    stopped = replace(stopped, launcher=replace(stopped.launcher, interrupted=True))
     assert "interrupted after 2 of 2 cycles" in verdict_of(report_on(kept, stopped))
     (short := tmp_path / "short").mkdir()
     recorded(short, cycle(0), cycle(1), plan=with_changes(PLAN, cycles=60))
@@ -220,7 +221,12 @@ def test_the_header_tells_what_was_asked_of_the_machine_and_what_it_refused(tmp_
     machine = MachineSettings(cpus=(0,), cpus_of={"direct": (1,)}, priority=7)
     recorded(tmp_path, cycle(0), plan=with_changes(PLAN, machine=machine))
     wrong = WrongMessages("c2/d/command", "not msgpack", 3, "b'x'")
-    summary = replace(summary_of(tmp_path), remarks=("memory: not locked",), wrong=(wrong,))
+    summary = summary_of(tmp_path)
+    summary = replace(
+        summary,
+        run=replace(summary.run, remarks=("memory: not locked",)),
+        launcher=replace(summary.launcher, wrong=(wrong,)),
+    )
     text = text_of(report_on(tmp_path, summary))
     assert "SCHED_FIFO 7, direct on CPU 1, others on CPU 0" in text
     assert "memory: not locked" in text

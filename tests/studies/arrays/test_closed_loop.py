@@ -17,7 +17,7 @@ from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
 from studies.arrays.closed_loop import LoopResult, closed_loop, loop_inputs, run_loop
 from studies.arrays.compiled import compiled
-from studies.arrays.schemes import ReferenceGroups, run_scheme
+from studies.arrays.schemes import run_scheme
 from studies.compare.by_agents import run_by_agents
 
 
@@ -125,7 +125,7 @@ def test_loop_and_agents_give_the_same_with_four_tiers_that_act_at_different_pac
 
 def series_of(preparation: Preparation, name: str) -> RunSeries:
     plan = preparation.plan
-    return run_scheme(name, plan, preparation.profile, plan.control.actuator, ReferenceGroups())[0]
+    return run_scheme(name, plan, preparation.profile, plan.control.actuator)[0]
 
 
 @pytest.mark.parametrize("name", ["uncontrolled", "uniform-cap", "paper", "predictive"])

@@ -9,7 +9,7 @@ from recorded_runs import plan_of
 
 from agents.settings import Actuator
 from sim_plant.profile import Profile
-from studies.arrays.schemes import ReferenceGroups, run_scheme
+from studies.arrays.schemes import reference_groups, run_scheme
 
 PLAN = plan_of({"c1/a": 100.0, "c1/b": 100.0, "c2/c": 120.0, "c2/d": 60.0}, cycles=2)
 MPP_KW = np.array([[80.0, 40.0, 120.0, 60.0], [60.0, 50.0, 100.0, 0.0]])
@@ -20,8 +20,8 @@ def powers_kw(
 ) -> NDArray[np.float64]:
     error = np.full_like(MPP_KW, meter_error)
     profile = Profile(MPP_KW, np.full(2, dispatch_kw), meter_error=error)
-    groups = ReferenceGroups(members=("a",))
-    (series,) = run_scheme(scheme, PLAN, profile, actuator, groups)
+    first_alone = np.array([True, False, False, False])
+    (series,) = run_scheme(scheme, PLAN, profile, actuator, [first_alone])
     return series.power_kw
 
 
@@ -52,9 +52,6 @@ def test_meters_that_read_high_curtail_too_much_and_the_floor_holds() -> None:
     )
 
 
-@pytest.mark.parametrize(("sizes", "groups"), [((), 4 + 12 + 12), ((1,), 4), ((1, 2), 4 + 12)])
-def test_grouping_tries_the_sizes_that_the_plant_is_large_enough_for(
-    sizes: tuple[int, ...], groups: int
-) -> None:
-    profile = Profile(MPP_KW, np.full(2, 190.0))
-    assert len(run_scheme("grouping", PLAN, profile, "limit", ReferenceGroups(sizes))) == groups
+def test_grouping_tries_the_sizes_that_the_plant_is_large_enough_for() -> None:
+    sizes = [int(mask.sum()) for mask in reference_groups(4)]
+    assert sizes == [1] * 4 + [2] * 12 + [3] * 12

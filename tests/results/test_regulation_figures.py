@@ -7,12 +7,7 @@ import pytest
 from numpy.typing import ArrayLike
 from runs_by_hand import NOON, run_of
 
-from results.metrics.regulation import (
-    RegulationMetrics,
-    RequestsFulfilled,
-    offered_cycles,
-    regulation_metrics,
-)
+from results.regulation import offered_cycles, regulation_figures
 
 CAPACITY_KW = 200.0
 COMMITMENT_KW = 400.0
@@ -24,8 +19,8 @@ def regulated(
     available_kw: ArrayLike = 900.0,
     cycle_s: float = 1.0,
     start: str = NOON,
-) -> RegulationMetrics:
-    """The metrics of a run that delivers what is desired but for an error."""
+) -> dict[str, float | None]:
+    """The figures of a run that delivers what is desired but for an error."""
     regulation_kw = np.asarray(regulation_kw, dtype=float)
     run = run_of(
         np.full_like(regulation_kw, COMMITMENT_KW),
@@ -36,9 +31,7 @@ def regulated(
         cycle_s=cycle_s,
         start=start,
     )
-    found = regulation_metrics(run)
-    assert found is not None
-    return found
+    return regulation_figures(run)
 
 
 def test_a_request_is_fulfilled_if_every_cycle_in_it_is_within_the_tolerance() -> None:
@@ -47,16 +40,17 @@ def test_a_request_is_fulfilled_if_every_cycle_in_it_is_within_the_tolerance() -
         [0.0, 0.5, -2.0, 0.0, 0.0, 5.0, 30.0, -30.0, 0.5, 0.5],
         # within 1  short of 1  over         short       within 1
     )
-    assert found.requests == (
-        RequestsFulfilled(0.1, requests=5, fulfilled=2, feasible=5, feasible_fulfilled=2),
-        RequestsFulfilled(1.0, requests=5, fulfilled=4, feasible=5, feasible_fulfilled=4),
+    assert found == pytest.approx(
+        {
+            "capacity": CAPACITY_KW,
+            "offered": 10 / 3600,
+            "signal-mileage": 2.35 * 360,  # (0.65 + 1 + 0.55 + 0.15) in 10 s
+            "regd-strict": 40.0,
+            "regd-feasible-strict": 40.0,
+            "regd": 80.0,
+            "regd-feasible": 80.0,
+        }
     )
-    assert [one.fulfilled_percent for one in found.requests] == [40.0, 80.0]
-    assert found.capacity_kw == CAPACITY_KW
-    assert found.offered_h == pytest.approx(10 / 3600)
-    # (0.65 + 1 + 0.55 + 0.15) in 10 s
-    assert found.signal_mileage_per_hour == pytest.approx(2.35 * 360)
-    assert found.performance is None  # of 10 s
 
 
 def test_a_request_is_feasible_if_the_plant_could_meet_it_in_every_cycle() -> None:
@@ -66,12 +60,10 @@ def test_a_request_is_feasible_if_the_plant_could_meet_it_in_every_cycle() -> No
         [0.0, 0.0, -0.5, 0.0, 0.0, -20.0],
         available_kw=[900.0, 900.0, 499.5, 600.0, 500.0, 600.0],
     )
-    for one in found.requests:
-        assert (one.requests, one.fulfilled) == (3, 2)
-        assert (one.feasible, one.feasible_fulfilled) == (2, 1)
-        assert one.feasible_fulfilled_percent == 50.0
+    names = ("regd-strict", "regd", "regd-feasible-strict", "regd-feasible")
+    assert [found[name] for name in names] == pytest.approx([200 / 3, 200 / 3, 50.0, 50.0])
     none = regulated([5.0, 5.0], -395.0, available_kw=10.0)
-    assert none.requests[0].feasible_fulfilled_percent is None
+    assert "regd-feasible" not in none
 
 
 @pytest.mark.parametrize(
@@ -87,23 +79,22 @@ def test_a_request_lasts_two_seconds_or_a_cycle(
     regulation_kw: list[float], error_kw: list[float], cycle_s: float, start: str
 ) -> None:
     found = regulated(regulation_kw, error_kw, cycle_s=cycle_s, start=start)
-    assert (found.requests[0].requests, found.requests[0].fulfilled) == (3, 2)
+    assert found["regd-strict"] == pytest.approx(200 / 3)
 
 
 def test_only_the_time_counts_in_which_regulation_is_offered() -> None:
     offered = np.arange(600) // 100 % 2 == 1
     # Nothing at all is delivered while it is not offered.
     found = regulated(np.where(offered, 50.0, 0.0), np.where(offered, 0.0, -COMMITMENT_KW))
-    assert found.requests[0].requests == 150
-    assert found.requests[0].fulfilled_percent == 100.0
-    assert found.offered_h == pytest.approx(300 / 3600)
-    assert found.signal_mileage_per_hour == 0.0  # the steps into the offer are no signal
+    assert found["regd-strict"] == 100.0
+    assert found["offered"] == pytest.approx(300 / 3600)
+    assert found["signal-mileage"] == 0.0  # the steps into the offer are no signal
 
 
 @pytest.mark.parametrize("capacity_kw", [0.0, CAPACITY_KW])
 def test_a_plant_that_offers_no_regulation_has_no_such_metrics(capacity_kw: float) -> None:
     run = run_of(np.full(10, COMMITMENT_KW), 900.0, COMMITMENT_KW, capacity_kw=capacity_kw)
-    assert regulation_metrics(run) is None
+    assert regulation_figures(run) == {}
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from recordings.read.series import RunSeries
+from recordings.read.series import RunSeries, SeriesPlant
 
 RATING_KW = 1000.0
 
@@ -29,19 +29,22 @@ def run_of(
     utc = np.datetime64(start, "ns") + np.timedelta64(10, "h")
     return RunSeries(
         label="by hand",
-        inverters=("c1/a", "c1/b"),
-        rating_kw=np.array([500.0, 500.0]),
-        timezone="Pacific/Honolulu",
-        start_time_ns=int(utc.astype(np.int64)),
-        cycle_s=cycle_s,
+        plant=SeriesPlant(
+            inverters=("c1/a", "c1/b"),
+            rating_kw=np.array([500.0, 500.0]),
+            timezone="Pacific/Honolulu",
+            start_time_ns=int(utc.astype(np.int64)),
+            cycle_s=cycle_s,
+            regulation_capacity_kw=capacity_kw,
+        ),
         commitment_kw=commitment,
         regulation_kw=np.broadcast_to(np.asarray(regulation_kw, dtype=float), commitment.shape),
-        regulation_capacity_kw=capacity_kw,
         mpp_kw=mpp_kw,
         power_kw=power_kw,
         impp_kw=mpp_kw,
         residual_kw=np.full_like(mpp_kw, np.nan),
         alpha=np.ones_like(mpp_kw),
+        assumed_kw=np.zeros_like(commitment),
     )
 
 

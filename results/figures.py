@@ -1,0 +1,311 @@
+"""The figures of merit of a run: the one list of them, and how they are computed.
+
+docs/metrics.md has their definitions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Flag, auto
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recordings.read.series import RunSeries
+from results.regulation import regulation_figures
+from results.tables import Cell, Column, Number, Table, key_column
+
+Figures: TypeAlias = dict[str, float | None]
+"""Figures of merit by name, all of `FIGURES`; None where a run does not define one."""
+
+_ROUNDING: Final = 1e-9
+
+
+class Shown(Flag):
+    """Where tables show a figure, its group, and whether more of it is better. JSON has all."""
+
+    SUMMARY = auto()
+    """At the end of a run, and on the live page."""
+    REPORT = auto()
+    COMPARE = auto()
+    """In `compare` of one case."""
+    AGENTS = auto()
+    """What the agents had to do; only runs of agents have it."""
+    REGULATION = auto()
+    """How a regulation signal was followed."""
+    MORE_IS_BETTER = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One figure of merit: its name in JSON and on the command line, and how tables show it."""
+
+    name: str
+    title: str
+    unit: str
+    decimals: int
+    shown: Shown
+
+    @property
+    def is_more_better(self) -> bool:
+        """Whether of two runs the one with more of it is better."""
+        return Shown.MORE_IS_BETTER in self.shown
+
+    @property
+    def heading(self) -> str:
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+    @property
+    def column(self) -> Column:
+        return Column(self.title, self.unit, self.decimals, name=self.name)
+
+
+_NOWHERE: Final = Shown(0)
+_R: Final = Shown.REPORT
+_C: Final = Shown.COMPARE
+_SR: Final = Shown.SUMMARY | Shown.REPORT
+_SRC: Final = _SR | Shown.COMPARE
+_AC: Final = Shown.AGENTS | Shown.COMPARE
+_MORE: Final = Shown.MORE_IS_BETTER
+_G: Final = Shown.REGULATION | Shown.REPORT
+_GC: Final = _G | Shown.COMPARE | _MORE
+_GSC: Final = _GC | Shown.SUMMARY
+
+FIGURES: Final = {
+    row[0]: Figure(*row)
+    for row in (
+        ("cycles", "Cycles covered", "", 0, _R),
+        ("planned-cycles", "Cycles planned", "", 0, _R),
+        ("dispatched-energy", "Dispatched energy", "kWh", 1, _SR),
+        ("available-energy", "Available energy", "kWh", 1, _SR),
+        ("delivered-energy", "Delivered energy", "kWh", 1, _SR),
+        ("unknown-energy", "Delivered energy, assumed", "kWh", 1, _SR),
+        ("satisfied", "Satisfied commitment", "%", 3, _SRC | _MORE),
+        ("shortfall-energy", "Shortfall", "kWh", 2, _SRC),
+        ("unavoidable-energy", "Shortfall, unavoidable", "kWh", 2, _SR),
+        ("control-caused-energy", "Shortfall, control-caused", "kWh", 2, _SR),
+        ("over-delivered-energy", "Over-delivery", "kWh", 2, _SR),
+        ("shortfall", "Shortfall", "% of dispatch", 3, _NOWHERE),
+        ("unavoidable", "Unavoidable", "% of dispatch", 3, _C),
+        ("control-caused", "Control-caused", "% of dispatch", 3, _C),
+        ("over-delivered", "Over-delivered", "% of dispatch", 3, _C),
+        ("rmse", "Tracking RMSE", "kW", 2, _SRC),
+        ("mae", "Tracking MAE", "kW", 2, _R),
+        ("mileage-total", "Mileage, whole run", "kW", 0, _R),
+        ("mileage", "Mileage per hour", "kW/h", 0, _SRC),
+        ("mileage-per-minute", "Mileage per minute", "kW/min", 1, _R),
+        ("curtailed-energy", "Curtailed energy", "kWh", 1, _R),
+        ("mean-headroom", "Mean headroom", "kW", 1, _R),
+        ("ancillary-potential", "Ancillary potential", "kWh", 1, _R),
+        ("rise", "Largest rise", "kW/min", 1, _R),
+        ("fall", "Largest fall", "kW/min", 1, _R),
+        ("ramp", "Largest ramp", "kW/min", 0, Shown.SUMMARY),
+        ("ramp-limit", "Ramp limit", "kW/min", 0, _R),
+        ("above-ramp-limit", "Minutes above the ramp limit", "%", 2, _SR),
+        ("outside-help", "Help from outside the cluster", "%", 1, _AC),
+        ("outside-help-able", "Help from outside, plant able", "%", 1, _AC),
+        ("missed-inputs", "Inputs missed", "", 0, _AC),
+        ("reverted", "Reverted", "%", 2, _AC),
+        ("capacity", "Regulation capacity", "kW", 0, _G),
+        ("offered", "Regulation offered", "h", 2, _G),
+        ("signal-mileage", "Mileage of the signal", "1/h", 2, _G),
+        ("regd-strict", "Requests fulfilled to 0.1 %", "%", 2, _GSC),
+        ("regd", "Requests fulfilled to 1 %", "%", 2, _GSC),
+        ("regd-feasible-strict", "Feasible requests fulfilled to 0.1 %", "%", 2, _GC),
+        ("regd-feasible", "Feasible requests fulfilled to 1 %", "%", 2, _GC),
+        ("accuracy", "Accuracy", "", 3, _GC),
+        ("delay", "Delay", "", 3, _GC),
+        ("precision", "Precision", "", 3, _GC),
+        ("score", "PJM performance score", "", 3, _GSC),
+        ("score-unclipped", "PJM score, accuracy not clipped", "", 3, _GC),
+    )
+}
+"""All figures of merit by name, in the order in which tables show them."""
+
+
+def shown_in(place: Shown, group: Shown | None = None) -> tuple[Figure, ...]:
+    """Return the figures that are shown at a place: all, or those of one group.
+
+    `Shown(0)` is the group of all that is neither of the agents nor of regulation.
+    """
+    groups = Shown.AGENTS | Shown.REGULATION
+    return tuple(
+        figure
+        for figure in FIGURES.values()
+        if place & figure.shown and (group is None or figure.shown & groups == group)
+    )
+
+
+def runs_as_columns(
+    title: str,
+    runs: Sequence[tuple[str, Figures]],
+    figures: Sequence[Figure],
+    notes: tuple[str, ...] = (),
+    *,
+    difference: bool = False,
+) -> Table:
+    """Return a table with a row for each figure and a column for each labelled run.
+
+    Figures that no run defines are left out. With `difference`, a last column has the second of
+    two runs less the first.
+    """
+    labels = [label for label, _ in runs]
+    rows: list[tuple[Cell, ...]] = []
+    for figure in figures:
+        values = [found[figure.name] for _, found in runs]
+        if all(value is None for value in values):
+            continue
+        if difference:
+            first, second = values
+            values.append(None if first is None or second is None else second - first)
+        cells = (Number(value, figure.decimals) for value in values)
+        rows.append((figure.title, figure.unit, *cells))
+    if difference:
+        labels.append("difference")
+    columns = (key_column("", "figure"), key_column("", "unit"), *map(Column, labels))
+    return Table(title, columns, tuple(rows), notes)
+
+
+def run_figures(series: RunSeries) -> Figures:
+    """Compute the figures of merit of a run.
+
+    Cycles whose dispatch or production is missing do not count. A ramp that begins or ends in one
+    is left out, and so is a window of PJM's score that holds one.
+
+    Raises ValueError: The run has no cycle with both.
+    """
+    known = series.known
+    if not known.any():
+        raise ValueError("run: expected a cycle with dispatch and production, got none")
+    dispatch_kw, available_kw = series.dispatch_kw[known], series.available_kw[known]
+    delivered_kw, shortfall_kw = series.delivered_kw[known], series.shortfall_kw[known]
+    hours = series.cycle_s / 3600.0
+    error_kw = delivered_kw - dispatch_kw
+    mileage_kw = float(np.abs(np.diff(shortfall_kw)).sum())
+    run_hours = len(shortfall_kw) * hours
+    headroom_kw = np.maximum(available_kw - delivered_kw, 0.0)
+    potential_kw = np.maximum(available_kw - series.commitment_kw[known], 0.0)
+    return {
+        **dict.fromkeys(FIGURES),
+        "cycles": int(known.sum()),
+        "planned-cycles": series.plant.planned_cycles or series.cycles,
+        **energy_figures(dispatch_kw, available_kw, delivered_kw, series.cycle_s),
+        "unknown-energy": (float(series.assumed_kw[known].sum()) * hours) or None,
+        "rmse": float(np.sqrt(np.mean(error_kw**2))),
+        "mae": float(np.mean(np.abs(error_kw))),
+        "mileage-total": mileage_kw,
+        "mileage": mileage_kw / run_hours,
+        "mileage-per-minute": mileage_kw / (60.0 * run_hours),
+        "curtailed-energy": float(headroom_kw.sum()) * hours,
+        "mean-headroom": float(headroom_kw.mean()),
+        "ancillary-potential": float(potential_kw.sum()) * hours,
+        **ramp_figures(
+            series.delivered_kw,
+            float(series.plant.rating_kw.sum()),
+            series.cycle_s,
+            series.plant.ramp_limit_percent_per_min,
+        ),
+        **help_figures(series.residual_kw, series.inverters),
+        "missed-inputs": series.missed_inputs,
+        "reverted": series.reverted_percent,
+        **regulation_figures(series),
+    }
+
+
+def energy_figures(
+    dispatch_kw: ArrayLike, available_kw: ArrayLike, delivered_kw: ArrayLike, cycle_s: float
+) -> Figures:
+    """Compute how well a plant kept its commitment from its power in each cycle, shape (T,).
+
+    The shortfall is sum max(0, dispatch - delivered) dt. Unavoidable is the part of it that no
+    controller could have met, sum max(0, dispatch - available) dt; control-caused the rest. Shares
+    are in % of the dispatched energy, None where nothing was dispatched.
+    """
+    dispatch, available, delivered = map(np.asarray, (dispatch_kw, available_kw, delivered_kw))
+    shortfall = np.maximum(dispatch - delivered, 0.0)
+    unavoidable = np.maximum(dispatch - available, 0.0)
+    missed_kw = {
+        "shortfall": shortfall,
+        "unavoidable": unavoidable,
+        "control-caused": shortfall - unavoidable,
+        "over-delivered": np.maximum(delivered - dispatch, 0.0),
+    }
+    powers_kw = {
+        "dispatched": dispatch,
+        "available": available,
+        "delivered": delivered,
+        **missed_kw,
+    }
+    kwh = {name: float(kw.sum()) * cycle_s / 3600.0 for name, kw in powers_kw.items()}
+    dispatched_kwh = kwh["dispatched"]
+    figures: Figures = {f"{name}-energy": energy_kwh for name, energy_kwh in kwh.items()}
+    if dispatched_kwh > 0.0:
+        figures |= {name: 100.0 * kwh[name] / dispatched_kwh for name in missed_kw}
+        figures["satisfied"] = 100.0 - 100.0 * kwh["shortfall"] / dispatched_kwh
+    return figures
+
+
+def ramp_figures(
+    delivered_kw: NDArray[np.float64],
+    rating_kw: float,
+    cycle_s: float,
+    limit_percent_per_min: float | None = None,
+) -> Figures:
+    """Compute the ramps of delivered power, shape (T,), NaN where unknown.
+
+    A ramp is the change over a minute, P(t + 60 s) - P(t), from every cycle on. Where 60 s is no
+    multiple of the cycle, it is the change over the nearest number of cycles, at least one, as a
+    rate per minute. A minute is above the limit, in % of the rating per minute, if a larger ramp
+    began in it. A run of a minute or less has no ramp.
+    """
+    span = max(1, round(60.0 / cycle_s))
+    if len(delivered_kw) <= span:
+        return {}
+    ramp_kw_per_min = (delivered_kw[span:] - delivered_kw[:-span]) * (60.0 / (span * cycle_s))
+    # By minute the largest ramp; minutes without any known one do not count.
+    minute_begins = np.arange(0, len(ramp_kw_per_min), span)
+    largest_kw_per_min = np.fmax.reduceat(np.abs(ramp_kw_per_min), minute_begins)
+    largest_kw_per_min = largest_kw_per_min[np.isfinite(largest_kw_per_min)]
+    if not len(largest_kw_per_min):
+        return {}
+    figures: Figures = {
+        "rise": max(0.0, float(np.nanmax(ramp_kw_per_min))),
+        "fall": max(0.0, -float(np.nanmin(ramp_kw_per_min))),
+        "ramp": float(largest_kw_per_min.max()),
+    }
+    if limit_percent_per_min is not None:
+        figures["ramp-limit"] = limit_kw_per_min = rating_kw * limit_percent_per_min / 100.0
+        # A plant that ramps exactly as fast as it may is not too fast by a rounding error.
+        too_fast = largest_kw_per_min > limit_kw_per_min + _ROUNDING * rating_kw
+        figures["above-ramp-limit"] = 100.0 * float(too_fast.mean())
+    return figures
+
+
+def help_figures(residual_kw: NDArray[np.float64], inverters: Sequence[str]) -> Figures:
+    """Compute how often inverters in need got help from outside their own cluster, in %.
+
+    `residual_kw` has IMPP less share of each of n inverters in each cycle (paper, eq. 4), shape
+    (T, n); their paths tell the clusters. A cycle is needy if any residual is negative. It is
+    settled outside if the residuals of any cluster add up to less than zero: its supervisor must
+    ask its parent. A cluster is all that is below one child of the central controller: what a tier
+    in between has settled has not reached the top. `able` counts only cycles in which the sum of
+    all residuals is not negative: in the others some cluster must lack power, whatever it is.
+    """
+    residual_kw = residual_kw[np.isfinite(residual_kw).all(axis=1)]
+    if not len(residual_kw):
+        return {}
+    members: dict[str, list[int]] = {}
+    for column, path in enumerate(inverters):
+        members.setdefault(path.split("/", 1)[0], []).append(column)
+    needy = (residual_kw < 0.0).any(axis=1)
+    clusters_kw = [residual_kw[:, columns].sum(axis=1) for columns in members.values()]
+    outside = needy & (np.min(clusters_kw, axis=0) < 0.0)
+    able = residual_kw.sum(axis=1) >= 0.0
+    shares = {"outside-help": needy, "outside-help-able": needy & able}
+    return {
+        name: 100.0 * float(outside[cycles].mean())
+        for name, cycles in shares.items()
+        if cycles.any()
+    }

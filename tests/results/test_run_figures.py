@@ -1,0 +1,228 @@
+"""All figures of merit of a run, worked out by hand, and the document that defines them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runs_by_hand import RATING_KW, run_of, sine_of_an_hour
+
+from recordings.read.series import RunSeries
+from results.figures import (
+    FIGURES,
+    Shown,
+    energy_figures,
+    help_figures,
+    ramp_figures,
+    run_figures,
+    runs_as_columns,
+    shown_in,
+)
+
+
+def test_a_run_of_four_half_hours_by_hand() -> None:
+    run = run_of(
+        #             met    short  dark   over
+        commitment_kw=[100.0, 100.0, 100.0, 50.0],
+        available_kw=[150.0, 120.0, 30.0, 80.0],
+        delivered_kw=[100.0, 90.0, 20.0, 70.0],
+        cycle_s=1800.0,
+    )
+    limited = replace(run.plant, ramp_limit_percent_per_min=0.2, planned_cycles=6)
+    found = run_figures(replace(run, plant=limited))
+    assert {name: value for name, value in found.items() if value is not None} == pytest.approx(
+        {
+            "cycles": 4,
+            "planned-cycles": 6,
+            "dispatched-energy": 175.0,  # (100 + 100 + 100 + 50) / 2
+            "available-energy": 190.0,  # (150 + 120 + 30 + 80) / 2
+            "delivered-energy": 140.0,  # (100 + 90 + 20 + 70) / 2
+            "shortfall-energy": 45.0,  # (0 + 10 + 80 + 0) / 2
+            "unavoidable-energy": 35.0,  # (0 + 0 + 70 + 0) / 2
+            "control-caused-energy": 10.0,  # (0 + 10 + 10 + 0) / 2
+            "over-delivered-energy": 10.0,  # (0 + 0 + 0 + 20) / 2
+            "satisfied": 100.0 * (1.0 - 45.0 / 175.0),
+            "shortfall": 100.0 * 45.0 / 175.0,
+            "unavoidable": 20.0,
+            "control-caused": 100.0 * 10.0 / 175.0,
+            "over-delivered": 100.0 * 10.0 / 175.0,
+            "mae": 27.5,  # (0 + 10 + 80 + 20) / 4
+            "rmse": np.sqrt(6900.0 / 4.0),
+            "mileage-total": 160.0,  # 0, 10, 80, 0
+            "mileage": 80.0,
+            "mileage-per-minute": 80.0 / 60.0,
+            "curtailed-energy": 50.0,  # (50 + 30 + 10 + 10) / 2
+            "mean-headroom": 25.0,
+            "ancillary-potential": 50.0,  # (50 + 20 + 30) / 2
+            "rise": 50.0 / 30.0,
+            "fall": 70.0 / 30.0,
+            "ramp": 70.0 / 30.0,
+            "ramp-limit": 2.0,
+            "above-ramp-limit": 100.0 / 3.0,
+        }
+    )
+
+
+def test_power_that_nobody_measured_is_a_figure_of_its_own() -> None:
+    run = run_of([100.0] * 4, 150.0, 100.0, cycle_s=900.0)
+    found = run_figures(replace(run, assumed_kw=np.array([0.0, 0.0, 40.0, 40.0])))
+    assert (found["delivered-energy"], found["unknown-energy"]) == (100.0, 20.0)
+
+
+def test_a_ramp_is_the_change_over_a_minute_from_every_cycle_on() -> None:
+    # Cycles of 20 s, so a minute is three: 150 - 100, 130 - 100, 10 - 120, 40 - 150, 40 - 130
+    delivered_kw = np.array([100.0, 100.0, 120.0, 150.0, 130.0, 10.0, 40.0, 40.0])
+    found = ramp_figures(delivered_kw, RATING_KW, 20.0, limit_percent_per_min=10.0)
+    # Minutes of ramps that begin in cycles 0 to 2, and in 3 and 4.
+    assert [*found.values()] == [50.0, 110.0, 110.0, 100.0, 100.0]
+
+
+@pytest.mark.parametrize(
+    ("delivered_kw", "percent"),
+    [
+        # 240 ramps in 4 minutes. Those of cycles 140 to 199 end after the fall of 200 kW.
+        (np.repeat([500.0, 300.0], [200, 100]), 50.0),
+        # A ramp exactly at the limit is allowed.
+        (0.1 * RATING_KW / 60.0 * np.arange(300.0), 0.0),
+    ],
+)
+def test_only_the_minutes_with_a_ramp_above_the_limit_count(
+    delivered_kw: np.ndarray, percent: float
+) -> None:
+    found = ramp_figures(delivered_kw, RATING_KW, 1.0, limit_percent_per_min=10.0)
+    assert found["above-ramp-limit"] == percent
+
+
+@pytest.mark.parametrize(
+    ("delivered_kw", "cycle_s", "largest"),
+    [
+        ([0.0, 5.0, 20.0], 25.0, 24.0),  # The nearest to 60 s is two cycles: 20 kW in 50 s.
+        ([0.0, 20.0], 120.0, 10.0),
+        ([0.0] * 60 + [7.0], 1.0, 7.0),
+        ([0.0] * 60, 1.0, None),  # A minute or less has no ramp.
+    ],
+)
+def test_a_ramp_is_a_rate_per_minute(
+    delivered_kw: list[float], cycle_s: float, largest: float | None
+) -> None:
+    found = ramp_figures(np.array(delivered_kw), RATING_KW, cycle_s, limit_percent_per_min=10.0)
+    assert found.get("rise") == pytest.approx(largest)
+
+
+def test_regulation_is_desired_but_no_part_of_the_ancillary_potential() -> None:
+    run = run_of(
+        commitment_kw=[100.0, 100.0],
+        available_kw=[150.0, 150.0],
+        delivered_kw=[120.0, 100.0],
+        regulation_kw=[20.0, -20.0],
+        capacity_kw=40.0,
+        cycle_s=3600.0,
+    )
+    found = run_figures(run)
+    energies = ("dispatched-energy", "over-delivered-energy", "ancillary-potential")
+    assert [found[name] for name in energies] == pytest.approx([200.0, 20.0, 100.0])
+    assert found["regd-strict"] == 50.0
+
+
+def test_where_nothing_was_desired_no_share_of_it_is_defined() -> None:
+    found = energy_figures([0.0, 0.0], [10.0, 10.0], [5.0, 5.0], 3600.0)
+    assert found["over-delivered-energy"] == 10.0
+    assert not {"satisfied", "over-delivered"} & found.keys()
+
+
+# Incomplete recordings ----------------------------------------------------------------------------
+
+
+def without(run: RunSeries, cycles: slice, *fields: str) -> RunSeries:
+    """Return a run as read from a recording that lacks messages of some cycles."""
+    arrays = {field: getattr(run, field).copy() for field in fields}
+    for values in arrays.values():
+        values[cycles] = np.nan
+    return replace(run, **arrays)
+
+
+DISPATCH = ("commitment_kw", "regulation_kw")
+PRODUCTION = ("mpp_kw", "power_kw")
+
+
+@pytest.mark.parametrize("fields", [DISPATCH, PRODUCTION, DISPATCH + PRODUCTION])
+def test_cycles_with_a_message_missing_do_not_count(fields: tuple[str, ...]) -> None:
+    whole = run_figures(sine_of_an_hour(response=0.75))
+    found = run_figures(without(sine_of_an_hour(response=0.75), slice(900, 910), *fields))
+    assert (found["cycles"], found["planned-cycles"]) == (3590, 3600)
+    assert found["available-energy"] == pytest.approx(900.0 * 3590 / 3600)
+    # The window of the score from 12:15 on has a gap, and the clock of the others does not move.
+    same = ("ramp", "precision")
+    assert [found[name] for name in same] == pytest.approx([whole[name] for name in same])
+
+
+@pytest.mark.parametrize("fields", [(), PRODUCTION])
+def test_a_run_without_a_known_cycle_is_refused(fields: tuple[str, ...]) -> None:
+    run = without(run_of([1.0], [1.0], [1.0]), slice(None), *fields) if fields else run_of([], 1, 1)
+    with pytest.raises(ValueError, match="expected a cycle with dispatch and production, got none"):
+        run_figures(run)
+
+
+# Help, on two clusters of two ---------------------------------------------------------------------
+
+INVERTERS = ("c1/a", "c1/b", "c2/c", "c2/d")
+
+RESIDUAL_KW = np.array(
+    [
+        [5.0, 5.0, 5.0, 5.0],  # nobody is in need
+        [-3.0, 4.0, 0.0, 1.0],  # a is helped by b
+        [-3.0, 3.0, -1.0, 9.0],  # two in need, in two clusters: both are helped, c1 just so
+        [-3.0, 2.0, 4.0, 4.0],  # c1 lacks 1 kW, c2 has it: the central controller helps
+        [-3.0, 2.0, -5.0, 6.0],  # c1 lacks, c2 settles its own and has 1 kW over: just enough
+        [-3.0, 2.0, -5.0, 5.5],  # the plant lacks half a kilowatt
+        [-3.0, -2.0, -1.0, -1.0],  # everybody is in need
+        [np.nan, -2.0, -1.0, -1.0],  # not known
+    ]
+)
+
+
+@pytest.mark.parametrize(
+    ("residual_kw", "inverters", "expected"),
+    [
+        (RESIDUAL_KW, INVERTERS, [400.0 / 6.0, 50.0]),
+        # c1 lacks 1 kW and c2 has 8 kW: a zone that holds both settles it.
+        (RESIDUAL_KW[3:4], ("z1/c1/a", "z1/c1/b", "z1/c2/c", "z1/c2/d"), [0.0, 0.0]),
+        (RESIDUAL_KW[3:4], ("z1/c1/a", "z1/c1/b", "z2/c2/c", "z2/c2/d"), [100.0, 100.0]),
+        # An inverter right below the central controller is a cluster of its own.
+        (RESIDUAL_KW[3:4], ("a", "b", "c", "d"), [100.0, 100.0]),
+        (RESIDUAL_KW[6:7], INVERTERS, [100.0]),  # Never was the plant able.
+        (RESIDUAL_KW[:1], INVERTERS, []),
+        (RESIDUAL_KW[7:], INVERTERS, []),
+    ],
+)
+def test_help_from_outside_is_a_share_of_the_needy_cycles(
+    residual_kw: np.ndarray, inverters: tuple[str, ...], expected: list[float]
+) -> None:
+    assert [*help_figures(residual_kw, inverters).values()] == pytest.approx(expected)
+
+
+# The list -----------------------------------------------------------------------------------------
+
+
+def test_runs_stand_side_by_side_with_the_figures_that_one_of_them_defines() -> None:
+    regulated = run_figures(sine_of_an_hour(response=0.75))
+    plain = run_figures(run_of([100.0] * 4, 150.0, [100.0, 90.0, 20.0, 120.0], cycle_s=900.0))
+    figures = shown_in(Shown.REPORT)
+    both = runs_as_columns("Runs", [("a", regulated), ("b", plain)], figures)
+    rows = {row[0]: row[1:] for row in both.texts()}
+    assert rows["Mileage per hour"][0] == "kW/h"
+    assert rows["Regulation capacity"] == ("kW", "200", "-")
+    alone = runs_as_columns("Runs", [("b", plain)], figures)
+    assert "Regulation capacity" not in {row[0] for row in alone.texts()}
+
+
+def test_the_document_lists_every_figure_with_its_unit() -> None:
+    document = Path(__file__).parents[2] / "docs" / "metrics.md"
+    rows = [
+        tuple(cell.strip(" `") for cell in line.strip("|").split("|")[:3])
+        for line in document.read_text(encoding="utf-8").splitlines()
+        if line.startswith("| `")
+    ]
+    assert rows == [(one.name, one.title, one.unit) for one in FIGURES.values()]
