@@ -13,6 +13,7 @@ from msgspec.structs import asdict, replace
 
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.cycle import Deadlines, Periods
+from agents.device_faults import DeviceFault
 from agents.faults import Fault, Freeze, Kill, check_fault
 from agents.process.machine import MachineSettings
 from agents.settings import Actuator, InverterSettings, RestartPolicy, Revert, Scheme
@@ -195,10 +196,14 @@ class Access(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Faults(msgspec.Struct, frozen=True):
-    """Planned faults of links and processes, and the seed of those that are random."""
+    """Planned faults of links and processes, and the seed of those that are random.
+
+    device: What the device under test hears instead of some messages, see `heliarch conform`.
+    """
 
     rules: tuple[Fault, ...] = ()
     seed: int = 0
+    device: tuple[DeviceFault, ...] = ()
 
 
 class Supervision(msgspec.Struct, frozen=True, kw_only=True):

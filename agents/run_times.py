@@ -49,6 +49,10 @@ class RunTimes:
         begin_ns = self.start_ns + cycle * self.timing.cycle_wall_ns
         return begin_ns + self._deadline_after_ns(stage)
 
+    def time_ns(self, cycle: float) -> int:
+        """Return when a cycle, or a part of it, begins; lockstep has no such time."""
+        return (self.start_ns or 0) + round(cycle * self.timing.cycle_wall_ns)
+
     def cycle_at(self, now_ns: int) -> int | None:
         """Return the cycle under way by the clock; None: no clock says."""
         if self.start_ns is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 
 from bus_schemas.errors import InputError
@@ -11,18 +11,25 @@ from bus_schemas.errors import InputError
 
 @contextmanager
 def reserved_ports(
-    agents: Sequence[str], base_port: int | None = None, address: str = "127.0.0.1"
+    agents: Sequence[str],
+    base_port: int | None = None,
+    address: str = "127.0.0.1",
+    devices: Collection[str] = (),
 ) -> Iterator[dict[str, int]]:
     """Reserve a port at an address of this host for each agent, as long as the context lasts.
 
     A socket stays bound to each port without listening on it: the kernel gives the port to no other
     program, but Zenoh, which sets SO_REUSEADDR as well, can listen on it. The first agent gets
-    `base_port`, and the others the next ones; None: any that are free.
+    `base_port`, and the others the next ones; None: any that are free. A device that knows its port
+    beforehand may listen on it already.
     """
     with ExitStack() as sockets:
         ports: dict[str, int] = {}
         for number, agent in enumerate(agents):
             wanted = 0 if base_port is None else base_port + number
+            if wanted and agent in devices:
+                ports[agent] = wanted
+                continue
             family = socket.AF_INET6 if ":" in address else socket.AF_INET
             holder = sockets.enter_context(socket.socket(family, socket.SOCK_STREAM))
             holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -124,6 +124,14 @@ class ZenohBus(AgentSessions):
             for put in self._puts[port]:
                 put(payload)
 
+    def change_device_puts(
+        self,
+        change: Callable[[Port[Message], Callable[[bytes], None]], Callable[[bytes], None]],
+    ) -> None:
+        """Change how messages are put on the links with devices."""
+        for port, puts in self._puts.items():
+            puts[1:] = [change(port, put) for put in puts[1:]]
+
     def newest(self) -> list[Arrival]:
         """Return the newest messages of those that are heard in lockstep, the dispatch first."""
         heard, taken = self._wiring.heard[agent_of(self._process)], []

@@ -50,11 +50,6 @@ class DirectController:
         self.cycle = BEFORE_ALL
         self.forget()
 
-    @property
-    def commands(self) -> int:
-        """In how many cycles of the run it has given a command."""
-        return self.sequences.get("command", 0)
-
     def forget(self) -> None:
         """Go back to the initial state: each arming round begins with it, and each process."""
         self.sequences: dict[str, int] = {}  # The next number on each key.
@@ -112,6 +107,11 @@ class DirectController:
         """Forget a run whose plant has gone without a stop: the next one may begin."""
         self.cycle = BEFORE_ALL
         self.forget()
+
+    def end(self, cycles: int) -> None:
+        """Say how it went: the plant has stopped the run after so many cycles."""
+        commands = self.sequences.get("command", 0)
+        print(f"{self.node}: commands in {commands} of {cycles} cycles, then the plant stopped")
 
     # Stages --------------------------------------------------------------------------------------
 
@@ -379,12 +379,8 @@ def main(kind: type[DirectController] = DirectController) -> None:
             if signal != "run":
                 controller.hear(signal, message)
             elif message.get("state") == "stop":
+                controller.end(message["cycle"])
                 break
-        print(
-            f"{options.node}: commands in {controller.commands} of {message['cycle']} cycles, then "
-            "the plant stopped",
-            flush=True,
-        )
         del subscribers, token
 
 

@@ -181,6 +181,8 @@ def main() -> None:
     server = ForkServer(control)
     try:
         server.serve()
+    except ConnectionResetError:
+        pass  # The launcher is gone, and left events unread.
     except Exception as error:
         with suppress(OSError):
             event = Failed(f"{type(error).__name__}: {error}")

@@ -298,7 +298,7 @@ def launch(
         view.say(line)
     with (
         GatewayProcess(plan) if plan.site.devices else nullcontext() as gateway,
-        reserved_ports(agents, base_port, plan.access.address) as tcp_ports,
+        reserved_ports(agents, base_port, plan.access.address, plan.access.external) as tcp_ports,
         reserved_ports(further, further_port, plan.access.address) as agent_ports,
         interruptible() as interruption,
     ):

@@ -6,11 +6,13 @@ import gc
 import logging
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from math import inf
 from typing import Any, Final
 
 from agents.agent import Agent
 from agents.cycle import kind_of
+from agents.device_faults import DeviceFaults
 from agents.driver import Driver
 from agents.eager_driver import EagerDriver
 from agents.inputs import log_drop
@@ -136,6 +138,9 @@ class AgentProcess:
             self.driver = Driver([self.loop], faulty, self._bus.now_ns)
         elif agent.name == PLANT:
             self.driver = Driver([self.loop], self._bus, self._bus.now_ns)
+        if plan.faults.device:
+            disturbed = DeviceFaults(plan.faults.device).disturbed
+            self._bus.change_device_puts(partial(disturbed, cycle_time_ns=self.loop.times.time_ns))
         self.watch_tokens = self._bus.watch_tokens
         self._tokens = self.watch_tokens() if is_away or link.by_hand else None
         self._plant_left_at = inf

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -64,37 +63,30 @@ def conform(
     out
         Folder of the recorded tests; default runs/NAME-TIME.
     """
-    from heliarch.cli.live_view import view_for
     from launch_scripts.run_folder import RunRequest, prepare_run
     from recordings.verify.equality import Equality
     from scenarios.scenario import load_scenario
-    from studies.conformance import conform as of_controller
-    from studies.conformance import plant as of_plant
+    from studies.conformance.conform import CYCLES, FROZEN, Conformance
     from studies.conformance.device import Device
 
     console = console_for(json)
     scenario_file = load_scenario(scenario)
-    cycles = of_plant.CYCLES if agent == PLANT else of_controller.CYCLES
     options = RunOptions(
-        duration=f"{cycles * scenario_file.scenario.time.cycle_s:g}",
+        duration=f"{CYCLES * scenario_file.scenario.time.cycle_s:g}",
         pace=pace,
         seed=seed,
         scheme=scheme,
         external=[agent],
         external_timeout_s=wait_s,
         base_port=base_port,
-        faults=[of_plant.FROZEN] if agent == PLANT else None,
+        faults=[FROZEN] if agent == PLANT else None,
     )
     preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
     with Device(command, agent, folder.path) as device:
-        if agent == PLANT:
-            findings = of_plant.try_plant(preparation, folder, device, partial(view_for, console))
-        else:
-            comparison = Equality(tolerance)
-            trials = of_controller.Conformance(
-                preparation, folder, device, comparison, lambda line: say(console, line)
-            )
-            findings = trials.run(seed or 0)
+        comparison = Equality(tolerance)
+        findings = Conformance(
+            preparation, folder, device, comparison, lambda line: say(console, line)
+        ).run(seed or 0)
     print_table(console, findings.table(agent))
     say(console, f"trials: {folder.path}")
     rows = json_rows(findings.table(agent))

@@ -24,6 +24,9 @@ _LONGEST_QUIET_S: Final = 2.0
 """How long in all the recorder waits at the end for messages that do not come: where nobody says
 how many to expect, and where somebody does."""
 
+_QUIET_DEVICES_S: Final = 0.3
+"""How long the recorder listens whether a device goes on after the run's end."""
+
 _MOST_OF_OTHERS: Final = 100_000
 """How many messages from outside the launcher's processes are still recorded at the end: more than
 a flooding device can have waiting (some 45,000 here), but not an endless flood."""
@@ -116,7 +119,8 @@ class Closing:
     `expected`: Messages of the launcher's processes; None: not known.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, has_devices: bool = False) -> None:
+        self._least_quiet_s = _QUIET_DEVICES_S if has_devices else 0.0
         self.expected: int | None = None
         self._asked_at_s: float | None = None
         self._quiet_s = 0.0
@@ -142,6 +146,6 @@ class Closing:
             return False
         if self.expected is None:
             return self._quiet_s > _QUIET_S or now_s > self._asked_at_s + _LONGEST_QUIET_S
-        if own_heard >= self.expected and others_done:
+        if own_heard >= self.expected and others_done and self._quiet_s >= self._least_quiet_s:
             return True
         return self._quiet_s > _LONGEST_QUIET_S or self._others_left <= 0

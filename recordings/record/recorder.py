@@ -108,7 +108,7 @@ class Recorder:
         self._earlier = earlier
         self._now_ns = now_ns
         self._sleep = sleep
-        self._closing = Closing()
+        self._closing = Closing(has_devices=bool(plan.access.external))
         tokens = subscriber.watch_tokens() if plan.elsewhere else None
         last_cycle = earlier.last_cycle if earlier else None
         self._listener = RunListener(plan, writer, link.tell, tokens, now_ns, last_cycle)

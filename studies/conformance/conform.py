@@ -1,45 +1,97 @@
-"""Takes a device through all trials."""
+"""Launches a plant around a device in one situation after the other, and judges the recordings."""
 
 from __future__ import annotations
 
 import dataclasses
-import random
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from math import inf
+from pathlib import Path
 from typing import Final
 
-from msgspec.structs import replace
+import msgspec
+import numpy as np
 
 from agents.plan import RunPlan, changed
-from bus_schemas.errors import FailureError
-from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port
+from agents.process.events import Status
+from bus_schemas.errors import FailureError, InputError, listed
 from bus_schemas.tcp_ports import reserved_ports
-from launch_scripts.directions import directions
+from bus_schemas.tree import PLANT
+from launch_scripts.launch import launch
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.simulation import MemoryRun
+from launch_scripts.supervision import ForkServerProcess
+from recordings.record.complaints import OUT_OF_RANGE, UNDECODABLE, UNKNOWN, WRONG_SENDER
 from recordings.verify.equality import Equality
+from recordings.verify.verification import verify
+from results.run_summary import RunSummary
+from scenarios.elsewhere import listening
 from scenarios.preparation import Preparation
-from studies.conformance import situations
-from studies.conformance.answers import Answers
+from sim_plant import Floats
+from sim_plant.profile import Profile
 from studies.conformance.device import Device
-from studies.conformance.neighbours import Neighbours
-from studies.conformance.requirements import REQUIREMENTS, Findings
-from studies.conformance.situations import Situation
-from studies.conformance.trial import Trial
+from studies.conformance.judge import Finding, Recorded, judge
+from studies.conformance.requirements import OF_PLANT, REQUIREMENTS, Findings
+from studies.conformance.situations import AWAY, Script, in_lockstep, in_real_time, restart
 
-CYCLES: Final = 240
-"""Cycles that a trial has at most."""
+CYCLES: Final = 60
+"""Cycles of the weather that all launches have; longer ones repeat it."""
 
-_REJOIN_CYCLES: Final = 30
+FROZEN: Final = "freeze=c*,at=20s..23s"
+"""What happens to a plant under test in real time: commands come late, or not at all."""
+
+_STALL_S: Final = 5.0
+"""How long a launch in lockstep waits for an answer."""
+_ARMING_S: Final = 10.0
+"""How long nothing may come on a key in arming rounds."""
+
+
+class _LinksClose(Exception):  # noqa: N818 - it is meant to happen
+    """The launch is to end now, without a stop."""
+
+
+@dataclass
+class _Attendant:
+    """The view of a launch, which sees to the device meanwhile.
+
+    away: Cycles in which the device is killed and started again.
+    closes_after: The cycle after which the links close; None: the launch goes on to its end.
+    """
+
+    say: Callable[[str], None]
+    device: Device
+    plan: Path
+    away: range
+    closes_after: int | None
+    silent_since: float = inf
+    has_begun: bool = False
+    was_killed: bool = False
+
+    def show(self, status: Status) -> None:
+        # The recorder is there: a device that cannot connect at once may wait for seconds.
+        if not self.has_begun:
+            self.has_begun = True
+            self.device.start(self.plan)
+        if status.cycle < 0 and self.device.end_text:
+            raise FailureError(f"no sign of it: {self.device.end_text}")
+        now = time.monotonic()
+        self.silent_since = min(now, self.silent_since) if status.unheard else inf
+        if now > self.silent_since + _ARMING_S:
+            raise FailureError(f"in arming rounds nothing came on {listed(status.unheard)}")
+        if status.cycle == self.closes_after:
+            raise _LinksClose
+        if status.cycle in self.away and not self.was_killed:
+            self.was_killed = True
+            self.device.end(0.0)
+            self.device.start(self.plan)
 
 
 @dataclass(eq=False)
 class Conformance:
-    """The trials of one controller's device, in a run of `CYCLES` cycles.
+    """The situations of one device, each a launch in a folder of its own.
 
-    The folder has a folder for each trial; `say` is called with lines for the user.
+    `say` is called with lines for the user.
     """
 
     preparation: Preparation
@@ -49,86 +101,178 @@ class Conformance:
     say: Callable[[str], None]
 
     def __post_init__(self) -> None:
-        (self._agent,) = self.preparation.plan.access.external
-        self.findings = Findings(REQUIREMENTS)
-        plan = changed(self.preparation.plan, faults={"rules": ()}, supervision={"standby": ()})
-        self.preparation = dataclasses.replace(self.preparation, plan=plan)
-        self._inputs = self._undisturbed()
+        plan, options = self.preparation.plan, self.preparation.options
+        (self._agent,) = plan.access.external
+        self.findings = Findings(OF_PLANT if self._agent == PLANT else REQUIREMENTS)
+        self._known: set[tuple[str, str]] = set()
+        # A device whose links have closed comes back to the ports and the namespace that it knows.
+        options = dataclasses.replace(options, base_port=options.base_port or _free_port(plan))
+        plan = changed(
+            plan,
+            timing={"stall_timeout_s": _STALL_S},
+            access={"namespace": plan.bus_namespace, "keys_folder": ""},
+            faults={"rules": plan.faults.rules if self._agent == PLANT else ()},
+            supervision={"standby": ()},
+        )
+        self.preparation = dataclasses.replace(self.preparation, plan=plan, options=options)
 
     def run(self, seed: int) -> Findings:
-        """Take the device through all situations; the first that cannot go on is the last."""
+        """Take the device through all situations; where it does not arm there is no further one."""
         plan = self.preparation.plan
-        lockstep = changed(plan, timing={"cycle_wall_ns": 0})
+        plans = {"lockstep": changed(plan, timing={"cycle_wall_ns": 0}, faults={"rules": ()})}
+        if not plan.timing.lockstep:
+            plans["real-time"] = plan
         try:
-            self._try("lockstep", lockstep, situations.IN_LOCKSTEP, seed)
-            if not plan.timing.lockstep:
-                self._try("real-time", plan, situations.IN_REAL_TIME, seed)
+            for name, one in plans.items():
+                if self._agent == PLANT:
+                    self._try_plant(name, one)
+                else:
+                    self._try_controller(name, Script(one, self._agent, seed))
         except FailureError as failure:
             self.say(str(failure))
         return self.findings
 
-    def _try(self, name: str, plan: RunPlan, of_run: Sequence[Situation], seed: int) -> None:
-        options = self.preparation.options
-        draw = random.Random(seed)
-        with reserved_ports(plan.links.listening, options.base_port) as tcp_ports:
-            folder = RunFolder(self.folder.path / name)
-            its_plan = replace(plan, run_id=f"{plan.run_id}-{name}")
-            own_plan = folder.fill(dataclasses.replace(self.preparation, plan=its_plan), tcp_ports)
-            for line in directions(own_plan, folder.plan, options.external_timeout_s):
-                self.say(line)
-            with self._trial(own_plan, folder, "arming") as trial:
-                for situation in of_run:
-                    trial.show(situation.requirement)
-                    situation.play(trial, draw)
-                if not own_plan.timing.lockstep:
-                    if self.device.can_restart:
-                        self._restart(trial, folder, draw)
-                    trial.stop()
-            if own_plan.timing.lockstep:
-                self._close_links(own_plan, folder, draw)
+    def _try_controller(self, name: str, script: Script) -> None:
+        away = range(0)
+        if script.plan.timing.lockstep:
+            in_lockstep(script)
+        else:
+            in_real_time(script)
+            away = restart(script) if self.device.can_restart else away
+        self._judge(script, *self._launch(name, script, away), away)
+        self.device.end()
+        if script.plan.timing.lockstep:
+            self._close_links(script.plan)
+
+    def _close_links(self, plan: RunPlan) -> None:
+        """Close the links of a launch without a stop, and launch again."""
+        script, following = (Script(plan, self._agent, 0) for _ in range(2))
+        for each in (script, following):
+            each.undisturbed("links closed")
+        last_cycle = script.cycle - 1
+        script.lose("links closed", script.inputs, 1)  # So all wait, and nobody says stop.
+        _, ended = self._launch("links-close", script, closes_after=last_cycle)
+        if not isinstance(ended, _LinksClose):
+            self.findings.fail("links closed", str(ended))
+        else:
+            with suppress(FailureError):
+                self._judge(following, *self._launch("next-run", following))
         self.device.end()
 
-    @contextmanager
-    def _trial(self, plan: RunPlan, folder: RunFolder, requirement: str) -> Iterator[Trial]:
-        """Begin a run; that shows a requirement."""
-        answers = Answers(plan, self._agent, self.findings, self.equality)
-        with Neighbours(plan, self._agent) as neighbours:
-            self.device.start(folder.plan)
-            trial = Trial(plan, self._agent, self._inputs, neighbours, self.findings, answers)
-            trial.requirement = requirement
-            trial.begin(self.device, self.preparation.options.external_timeout_s)
-            yield trial
-
-    def _close_links(self, plan: RunPlan, folder: RunFolder, draw: random.Random) -> None:
-        """Run once more, now that the links have closed."""
+    def _launch(
+        self, name: str, script: Script, away: range = range(0), closes_after: int | None = None
+    ) -> tuple[RunFolder, RunSummary | Exception]:
+        """Launch the plant around the device; return the folder, and how it ended."""
+        cycles, folder = script.cycle, RunFolder(self.folder.path / name)
+        plan = changed(
+            script.plan, timing={"cycles": cycles}, faults={"device": tuple(script.faults)}
+        )
+        preparation = dataclasses.replace(
+            self.preparation,
+            plan=msgspec.structs.replace(plan, run_id=f"{plan.run_id}-{name}"),
+            profile=_of_cycles(self.preparation.profile, cycles),
+        )
+        view = _Attendant(self.say, self.device, folder.plan, away, closes_after)
+        self.findings.note("token", "PASS")
         try:
-            with self._trial(plan, folder, "links closed") as trial:
-                situations.undisturbed(trial, draw)
-                trial.stop()
-        except FailureError as failure:
-            self.findings.fail("links closed", str(failure))
-            self.device.kill()  # The next trial begins with a new process.
+            with ForkServerProcess() as server:
+                summary = launch(preparation, folder, view, time.monotonic(), server)
+        except (FailureError, _LinksClose) as failure:
+            return folder, failure
+        if summary.launcher.interrupted:
+            raise KeyboardInterrupt
+        return folder, summary
 
-    def _restart(self, trial: Trial, folder: RunFolder, draw: random.Random) -> None:
-        self.device.kill()
-        trial.skip()
-        trial.skip()
-        self.device.start(folder.plan)
-        trial.show("restart")
-        if not any(trial.skip() for _ in range(_REJOIN_CYCLES)):
-            self.findings.fail("restart", f"no answer in {_REJOIN_CYCLES} cycles")
+    def _judge(
+        self,
+        script: Script,
+        folder: RunFolder,
+        ended: RunSummary | Exception,
+        away: range = range(0),
+    ) -> None:
+        """Judge a launch by its recording; raise its failure if it did not come to cycle 0."""
+        recorded = Recorded.of(folder.path, self._agent)
+        failure = "" if isinstance(ended, RunSummary) else str(ended).splitlines()[0]
+        if not recorded.cycles:
+            of = "token" if "no sign of" in failure else "arming"
+            self.findings.fail(of if script.shows[0] == "decisions" else script.shows[0], failure)
+            raise FailureError(failure)
+        shown = [*script.shows[: recorded.cycles], "stop"]
+        for requirement in {"arming", "head", "bounds", "links", *shown} - {AWAY}:
+            self.findings.note(requirement, "PASS")
+        found = judge(recorded, self.equality, away.stop if away else None)
+        last = recorded.cycles - 1
+        if failure and all(one.cycle < last for one in found):
+            found.append(Finding(last, "links", ("", "failure"), f"cycle {last}: {failure}"))
+        for finding in found:
+            shows = shown[min(finding.cycle, recorded.cycles)]
+            if shows != AWAY:
+                self._note(finding, finding.requirement or shows, recorded.slow_cycle)
+        for wrong in ended.launcher.wrong if isinstance(ended, RunSummary) else ():
+            if wrong.cause in (UNDECODABLE, UNKNOWN, WRONG_SENDER):
+                of = "bounds" if wrong.cause == UNDECODABLE else "decisions"
+                self.findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
+
+    def _note(self, finding: Finding, requirement: str, slow_cycle: int | None) -> None:
+        """Note a finding, unless our own messages were too late, or it is one of old."""
+        if slow_cycle is not None and finding.cycle >= slow_cycle:
+            text = f"the machine was too slow to judge from cycle {slow_cycle} on: lower --pace"
+            self.findings.note(requirement, "too slow", text)
             return
-        situations.undisturbed(trial, draw)
+        if requirement == "decisions":
+            self._known.add(finding.what)
+        elif not finding.requirement and finding.what in self._known:
+            # One defect shall not fail all that comes after it.
+            self.findings.note(requirement, "not judged", "answers differ as under `decisions`")
+            return
+        self.findings.fail(requirement, finding.text)
 
-    def _undisturbed(self) -> dict[int, dict[Port[Message], Message]]:
-        """Return what our own agent hears in the run, cycle by cycle."""
-        inputs: dict[int, dict[Port[Message], Message]] = {}
-        heard = set(self.preparation.plan.wiring.heard[self._agent])
+    def _try_plant(self, name: str, plan: RunPlan) -> None:
+        """Let a device conduct a run, and judge the recording."""
+        script, findings = Script(plan, PLANT, 0), self.findings
+        for _ in range(CYCLES):
+            script.play("cycles")
+        folder, ended = self._launch(name, script)
+        self.device.end()
+        if not isinstance(ended, RunSummary):
+            findings.fail("token" if "no sign of" in str(ended) else "stop", str(ended))
+            raise ended
+        kind = "missing" if ended.launcher.skipped_cycles or ended.missing_inputs else "cycles"
+        for shown in ("arming", "cycles", "head", "bounds", "links", "stop", kind):
+            findings.note(shown, "PASS")
+        (account,) = ended.external
+        if account.answered < account.expected:
+            findings.fail(kind, f"{account.answered:,} of {account.expected:,} messages came")
+        if account.lost:
+            findings.fail("head", f"sequence: {account.lost:,} numbers are missing")
+        for wrong in ended.launcher.wrong:
+            of = "bounds" if wrong.cause in (UNDECODABLE, OUT_OF_RANGE) else "cycles"
+            findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
+        if (first := verify(folder.path).first) is not None:
+            text = f"cycle {first[1].cycle}: {first[0]} decides otherwise on what was recorded"
+            findings.fail("links", text)
 
-        def hear(port: Port[Message], message: Message) -> None:
-            if port in heard and port.signal.occurrence is not Occurrence.EVENT:
-                inputs.setdefault(message.cycle, {})[port] = message
 
-        for _ in MemoryRun(self.preparation.plan, self.preparation.profile, hear).cycles():
-            pass
-        return inputs
+def _free_port(plan: RunPlan) -> int:
+    """Return the first of enough free ports in a row."""
+    count = sum(map(len, listening(plan)))
+    while True:
+        with reserved_ports(["any"]) as found:
+            first = found["any"]
+        with suppress(InputError, OverflowError), reserved_ports([""] * count, first):
+            return first
+
+
+def _of_cycles(profile: Profile, cycles: int) -> Profile:
+    """Return a profile of so many cycles, which repeats itself if it has fewer."""
+
+    def longer(values: Floats) -> Floats:
+        return np.resize(values, (cycles, *values.shape[1:]))
+
+    return dataclasses.replace(
+        profile,
+        mpp_kw=longer(profile.mpp_kw),
+        commitment_kw=longer(profile.commitment_kw),
+        regulation_kw=longer(profile.regulation_kw),
+        meter_error=longer(profile.meter_error),
+    )

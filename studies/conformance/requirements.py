@@ -1,4 +1,4 @@
-"""What docs/wire.md requires of a device, and what a trial has found."""
+"""What docs/wire.md requires of a device, and what was found."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from results.tables import Table, key_column, word_column
 
 REQUIREMENTS: Final[dict[str, str]] = {
     "token": "declares its liveliness token on each link, after its subscriptions",
-    "arming": "answers arming rounds with their cycle, number 0, from its initial state",
+    "arming": "answers arming rounds, each key in each round",
     "decisions": "decides what Heliarch's own agent decides, and publishes nothing else",
     "head": "source, simulated time, sequence, incarnation and times are right",
     "bounds": "each message is of its type, and its numbers are within their bounds",
@@ -27,42 +27,34 @@ REQUIREMENTS: Final[dict[str, str]] = {
 """Requirements of a controller by name, in the order of the report."""
 
 OF_PLANT: Final[dict[str, str]] = {
-    "token": "declares its liveliness token on each link, after its subscriptions",
+    **{name: REQUIREMENTS[name] for name in ("token", "head", "bounds")},
     "arming": "conducts arming rounds, and begins the run once one is closed",
     "cycles": "publishes each of its signals in each cycle, once, and on no other keys",
-    "head": "source, simulated time, sequence and times are right",
-    "bounds": "each message is of its type, and its numbers are within their bounds",
     "links": "each listener decides on what was recorded",
     "missing": "completes its cycles in real time also without a command",
     "stop": "completes all cycles, and says that the run is over",
 }
 """Requirements of a plant."""
 
+_RESULTS: Final = ("not tried", "PASS", "not judged", "too slow", "FAIL")
+
 
 class Findings:
-    """Whether each requirement was tested, and its first failure."""
+    """The result for each requirement: the worst that was found, and the first text of that."""
 
     def __init__(self, requirements: dict[str, str]) -> None:
-        self._requirements = requirements
         self._found = {name: ("not tried", text) for name, text in requirements.items()}
-        self.doubt = ""
-        """Why failures from now on may not be the device's fault; empty: they are."""
 
-    def try_(self, requirement: str) -> None:
-        """Note that something puts a requirement to the test."""
-        if self._found[requirement][0] == "not tried":
-            self._found[requirement] = "PASS", self._requirements[requirement]
+    def note(self, requirement: str, result: str, text: str = "") -> None:
+        before, its_text = self._found[requirement]
+        if _RESULTS.index(result) > _RESULTS.index(before):
+            self._found[requirement] = result, text or its_text
 
     def fail(self, requirement: str, text: str) -> None:
-        """Note a failure, or that it cannot be judged."""
-        result, _ = self._found[requirement]
-        if result == "FAIL" or (self.doubt and result == "too slow"):
-            return
-        self._found[requirement] = ("too slow", self.doubt) if self.doubt else ("FAIL", text)
+        self.note(requirement, "FAIL", text)
 
     @property
     def passed(self) -> bool:
-        """Whether nothing that was tried has failed, or could not be judged."""
         return {result for result, _ in self._found.values()} <= {"not tried", "PASS"}
 
     def table(self, agent: str) -> Table:

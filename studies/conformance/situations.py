@@ -1,225 +1,239 @@
-"""The situations that a device is put into, in their order."""
+"""The situations that a device is put into: what it is sent, cycle by cycle."""
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from math import inf, nan
-from typing import Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Final, TypeAlias
 
-from bus_schemas.codec import encode
-from bus_schemas.messages import (
-    Dispatch,
-    Impp,
-    Message,
-    Meter,
-    Residual,
-    Setpoint,
-    Telemetry,
-)
+from msgspec.structs import replace
+
+from agents.cycle import STAGES, kind_of
+from agents.device_faults import Copy, DeviceFault
+from agents.plan import RunPlan
+from bus_schemas.messages import Dispatch, Message, Residual, Setpoint, Telemetry
 from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT
-from studies.conformance.trial import Trial
 
-_UNDISTURBED: Final = 5
+UNDISTURBED: Final = 5
 _RANDOM: Final = 10
 """Cycles of random inputs."""
 _RANDOM_FAULTS: Final = 12
 """Cycles in real time in which inputs have random fates."""
+_NO_RUN_IS_AS_LONG: Final = 100_000_000
+"""Cycles."""
+_AWAY_S: Final = 6.0
+"""How long the device may take to be back once it has been killed."""
 
-_FATES: Final = ("in time", "in time", "lost", "twice", "late", "held back")
+AWAY: Final = "away"
+"""What is shown while the device may be gone: nothing."""
 
-_RANGES: Final[dict[type[Message], tuple[float, float]]] = {
-    Dispatch: (-0.2, 1.2),
-    Impp: (0.0, 1.0),
-    Setpoint: (0.0, 1.0),
-    Meter: (0.0, 1.0),
-    Residual: (-1.0, 1.0),
-    Telemetry: (0.0, 1.04),
-}
-"""Bounds of random powers, as shares of the rating."""
+_RIGHT: Final = Copy()
+_LOST: Final[tuple[Copy, ...]] = ()
 
-
-@dataclass(frozen=True)
-class Situation:
-    """A few cycles with inputs of their own; the answers show a requirement."""
-
-    requirement: str
-    play: Callable[[Trial, random.Random], None]
+Edit: TypeAlias = Mapping[Port[Message], Sequence[Copy]]
+Changes: TypeAlias = dict[str, float | int | str]
 
 
-def undisturbed(trial: Trial, draw: random.Random) -> None:
-    for _ in range(_UNDISTURBED):
-        trial.play()
+class Script:
+    """What a device is sent in a launch, and which requirement its answers show in each cycle.
 
-
-def _at_limits(trial: Trial, draw: random.Random) -> None:
-    for port in _one_of_each(trial):
-        for values in _extremes(trial, port):
-            if port in trial.ports():
-                trial.play({port: (encode(trial.message(port, **values)),)})
-
-
-def _wrong_messages(trial: Trial, draw: random.Random) -> None:
-    for kind in ("bytes", "fields", "source", "ahead", "again", "before"):
-        for port in _one_of_each(trial):
-            if port in trial.ports():
-                trial.play({port: tuple(_wrong(trial, port, kind))})
-                trial.play()
-
-
-def _replaced_neighbours(trial: Trial, draw: random.Random) -> None:
-    """Let each controller among the publishers be replaced, and its predecessor speak again."""
-    for publisher in {port.publisher for port in _one_of_each(trial)} - {PLANT}:
-        trial.incarnations[publisher] = trial.cycle
-        trial.play()
-        edit = {}
-        for port in trial.ports():
-            if port.publisher == publisher:
-                other_kw = 0.25 * trial.plan.tree.rating_kw(port.node)
-                former = trial.message(port, incarnation=0, power_kw=other_kw)
-                edit[port] = (encode(former), encode(trial.message(port)))
-        trial.play(edit)
-
-
-def _random_inputs(trial: Trial, draw: random.Random) -> None:
-    for _ in range(_RANDOM):
-        trial.play({port: (encode(_random(trial, port, draw)),) for port in trial.ports()})
-
-
-def _missing_inputs(trial: Trial, draw: random.Random) -> None:
-    of_plant = [port for port in trial.ports(0) if port.publisher == PLANT]
-    for ports in (*_units(trial), of_plant):
-        trial.play(dict.fromkeys(ports, ()))
-        trial.play()
-
-
-def _expired_inputs(trial: Trial, draw: random.Random) -> None:
-    of_setpoint = [port for port in trial.ports(0) if port.signal.type in (Dispatch, Setpoint)]
-    for ports in (*_units(trial), of_setpoint):
-        for _ in range(trial.plan.control.hold_cycles + 2):
-            trial.play(dict.fromkeys(ports, ()))
-        trial.play()
-
-
-def _late_inputs(trial: Trial, draw: random.Random) -> None:
-    for ports in _units(trial):
-        late = {port: (encode(trial.message(port)),) for port in ports if port in trial.ports()}
-        trial.play(dict.fromkeys(ports, ()), late=late)
-        trial.play(dict.fromkeys(ports, ()))
-        trial.play()
-
-
-def _random_faults(trial: Trial, draw: random.Random) -> None:
-    """Lose, repeat, delay and reorder inputs; something of the plant comes in each cycle."""
-    held: dict[Port[Message], tuple[bytes, ...]] = {}
-    for _ in range(_RANDOM_FAULTS):
-        edit, late = {}, {}
-        of_plant = [port for port in trial.ports() if port.publisher == PLANT]
-        unharmed = draw.choice(of_plant)
-        for port in trial.ports():
-            message = encode(trial.message(port))
-            older = held.pop(port, ())
-            fate = "in time" if port == unharmed else draw.choice(_FATES)
-            now = {"in time": (message,), "twice": (message, message)}.get(fate, ())
-            first, second = draw.sample((older, now), 2)
-            edit[port] = (*first, *second)
-            if fate == "late":
-                late[port] = (message,)
-            elif fate == "held back":
-                held[port] = (message,)
-        trial.play(edit, late=late)
-
-
-IN_LOCKSTEP: Final = (
-    Situation("decisions", undisturbed),
-    Situation("limits", _at_limits),
-    Situation("wrong messages", _wrong_messages),
-    Situation("replaced", _replaced_neighbours),
-    Situation("decisions", _random_inputs),
-)
-"""Situations that need no clock."""
-
-IN_REAL_TIME: Final = (
-    Situation("decisions", undisturbed),
-    Situation("missing", _missing_inputs),
-    Situation("expired", _expired_inputs),
-    Situation("late", _late_inputs),
-    Situation("random faults", _random_faults),
-)
-"""Situations in which inputs come late or not at all."""
-
-
-def _units(trial: Trial) -> list[list[Port[Message]]]:
-    """Return inputs that come and stay away together: of the plant each one, of others all.
-
-    Of several children the first one stands for all.
+    incarnations: Of the neighbours whose process is to be another than the first one.
     """
-    found: dict[str, list[Port[Message]]] = {}
-    for port in _one_of_each(trial):
-        name = str(port) if port.publisher == PLANT else port.publisher
-        found.setdefault(name, []).append(port)
-    return list(found.values())
+
+    def __init__(self, plan: RunPlan, agent: str, seed: int) -> None:
+        self.plan = plan
+        self.draw = random.Random(seed)
+        self.faults: list[DeviceFault] = []
+        self.shows: list[str] = []
+        self.incarnations: dict[str, int] = {}
+        heard = [port for port in plan.wiring.heard[agent] if port.signal.is_cyclic]
+        self.of_plant = [port for port in heard if port.publisher == PLANT]
+        # Of several children the first one stands for all.
+        self.one_of_each = list({port.signal: port for port in reversed(heard)}.values())
+        self.inputs = heard
+        wall_ns = plan.timing.cycle_wall_ns or 1
+        stages = STAGES[kind_of(agent, plan.tree)]
+        first, last = (plan.deadlines.deadline_ns(agent, stages[at]) / wall_ns for at in (0, -1))
+        # After the last stage of the cycle, and before the first one of the next.
+        self.late, self.held_back = Copy(at=(last + 1.0) / 2.0), Copy(at=1.0 + first / 2.0)
+
+    @property
+    def cycle(self) -> int:
+        """The next cycle."""
+        return len(self.shows)
+
+    def due(self, port: Port[Message]) -> bool:
+        return self.cycle % self.plan.control.period(port) == 0
+
+    def heard(self) -> list[Port[Message]]:
+        """Return the ports of which a message is due in the next cycle."""
+        return [port for port in self.inputs if self.due(port)]
+
+    def play(self, requirement: str, edit: Edit | None = None) -> None:
+        """Add a cycle, with some messages in place of the right ones of their ports."""
+        for port in self.heard():
+            copies, joined = (edit or {}).get(port), self.incarnations.get(port.publisher)
+            if joined is not None:
+                its = (_RIGHT,) if copies is None else copies
+                copies = [
+                    replace(one, changes={"incarnation": joined} | one.changes) for one in its
+                ]
+            if copies is not None:
+                self.faults.append(DeviceFault(str(port), self.cycle, tuple(copies)))
+        self.shows.append(requirement)
+
+    def await_turn(self, requirement: str, port: Port[Message]) -> None:
+        """Add cycles up to the next one in which a message of a port is due."""
+        while not self.due(port):
+            self.play(requirement)
+
+    def lose(self, requirement: str, ports: Sequence[Port[Message]], cycles: int) -> None:
+        for _ in range(cycles):
+            self.play(requirement, dict.fromkeys(ports, _LOST))
+
+    def undisturbed(self, requirement: str = "decisions") -> None:
+        for _ in range(UNDISTURBED):
+            self.play(requirement)
+
+    def units(self) -> list[list[Port[Message]]]:
+        """Return inputs that stay away together: of the plant each one, of others all."""
+        found: dict[str, list[Port[Message]]] = {}
+        for port in self.one_of_each:
+            name = str(port) if port.publisher == PLANT else port.publisher
+            found.setdefault(name, []).append(port)
+        return list(found.values())
 
 
-def _one_of_each(trial: Trial) -> list[Port[Message]]:
-    """Return the first port of each signal that is heard."""
-    return list({port.signal: port for port in reversed(trial.ports(0))}.values())
+def in_lockstep(script: Script) -> None:
+    """Add all situations that need no clock."""
+    script.undisturbed()
+    for port in script.one_of_each:
+        for changes in _extremes(script.plan, port):
+            script.await_turn("limits", port)
+            script.play("limits", {port: (Copy(changes),)})
+            script.play("limits")  # If such inputs expired, a parent would say nothing.
+    for port in script.one_of_each:
+        for number in range(len(_wrong(script, port))):
+            script.await_turn("wrong messages", port)
+            script.play("wrong messages", {port: _wrong(script, port)[number]})
+            script.play("wrong messages")
+    _replace_neighbours(script)
+    for _ in range(_RANDOM):
+        script.play("decisions", {port: (_random(script, port),) for port in script.heard()})
+    script.play("decisions")
 
 
-def _extremes(trial: Trial, port: Port[Message]) -> list[dict[str, float]]:
+def in_real_time(script: Script) -> None:
+    """Add the situations in which inputs come late or not at all."""
+    script.undisturbed()
+    for ports in (*script.units(), script.of_plant):
+        script.lose("missing", ports, 1)
+        script.play("missing")
+    of_setpoint = [port for port in script.inputs if port.signal.type in (Dispatch, Setpoint)]
+    for ports in (*script.units(), of_setpoint):
+        script.lose("expired", ports, script.plan.control.hold_cycles + 2)
+        script.play("expired")
+    for ports in script.units():
+        script.await_turn("late", ports[0])
+        script.play("late", dict.fromkeys(ports, (script.late,)))
+        script.lose("late", ports, 1)
+        script.play("late")
+    _fault_at_random(script)
+
+
+def restart(script: Script) -> range:
+    """Add cycles in which the device is killed and started again, and those after it."""
+    first = script.cycle
+    wall_ns = script.plan.timing.cycle_wall_ns
+    script.lose(AWAY, script.inputs, 1 + round(_AWAY_S * 1e9 / wall_ns))
+    away = range(first, script.cycle)
+    script.undisturbed("restart")
+    return away
+
+
+def _replace_neighbours(script: Script) -> None:
+    """Let each controller among the publishers be replaced, and its predecessor speak again."""
+    for ports in script.units():
+        if ports[0].publisher == PLANT:
+            continue
+        script.await_turn("replaced", ports[-1])
+        script.incarnations[ports[0].publisher] = script.cycle
+        script.play("replaced")
+        script.await_turn("replaced", ports[-1])
+        former = {
+            port: Copy({"incarnation": 0, "power_kw": _other_kw(script.plan, port)})
+            for port in script.heard()
+            if port.publisher == ports[0].publisher
+        }
+        script.play("replaced", {port: (copy, _RIGHT) for port, copy in former.items()})
+
+
+def _fault_at_random(script: Script) -> None:
+    """Lose, repeat, delay and reorder inputs; something of the plant comes in each cycle."""
+    fates = {
+        "in time": (_RIGHT,),
+        "twice": (_RIGHT, _RIGHT),
+        "lost": _LOST,
+        "late": (script.late,),
+        "held back": (script.held_back,),
+    }
+    for _ in range(_RANDOM_FAULTS):
+        unharmed = script.draw.choice(script.of_plant)
+        names = ("in time", *fates)
+        edit = {port: fates[script.draw.choice(names)] for port in script.heard()}
+        script.play("random faults", edit | {unharmed: (_RIGHT,)})
+    script.play("random faults")  # What was held back comes.
+    script.play("random faults")
+
+
+def _other_kw(plan: RunPlan, port: Port[Message]) -> float:
+    return 0.25 * plan.tree.rating_kw(port.node)
+
+
+def _extremes(plan: RunPlan, port: Port[Message]) -> list[Changes]:
     """Return fields of an input at and beyond what they can be."""
-    rating_kw, kind = trial.plan.tree.rating_kw(port.node), port.signal.type
-    above_kw = 1.5 * rating_kw
+    rating_kw, kind = plan.tree.rating_kw(port.node), port.signal.type
+    above_kw, low_kw = 1.5 * rating_kw, -rating_kw if kind is Residual else 0.0
+    values: dict[str, tuple[float | str, ...]] = {
+        "power_kw": (low_kw, rating_kw, 3.0 * low_kw - 1.0, above_kw, "nan")
+    }
+    further: list[Changes] = []
     if kind is Telemetry:
-        limited = {"power_kw": 0.3 * rating_kw, "alpha": 0.5}
-        return [
-            *({"power_kw": share * rating_kw, "alpha": 1.0} for share in (0.0, 1.0, 1.04)),
-            *({**limited, "available_kw": power_kw} for power_kw in (0.9 * rating_kw, above_kw)),
-            *({"power_kw": wrong} for wrong in (above_kw, -1.0, nan)),
-            *({"alpha": wrong} for wrong in (0.0, 1.5, -0.5, nan)),
-        ]
+        values["alpha"] = (0.0, 1.5, -0.5, "nan")
+        limited: Changes = {"power_kw": 0.3 * rating_kw, "alpha": 0.5}
+        stated_kw = 0.9 * rating_kw, above_kw
+        further = [{"power_kw": 1.04 * rating_kw, "alpha": 1.0}]
+        further += [{**limited, "available_kw": value} for value in stated_kw]
     if kind is Dispatch:
-        powers = [{"power_kw": value} for value in (0.0, -500.0, above_kw, nan, inf)]
-        return [*powers, {"plant_rating_kw": 0.0}, {"plant_rating_kw": nan}]
-    low_kw = -rating_kw if kind is Residual else 0.0
-    wrong_low_kw = 3.0 * low_kw - 1.0
-    return [{"power_kw": value} for value in (low_kw, rating_kw, wrong_low_kw, above_kw, nan)]
+        values["power_kw"] += -500.0, "inf"
+        values["plant_rating_kw"] = 0.0, "nan"
+    return [*further, *({name: one} for name, its in values.items() for one in its)]
 
 
-def _wrong(trial: Trial, port: Port[Message], kind: str) -> Iterator[bytes]:
-    """Yield what no sender should send in a cycle, beside the right message."""
-    right = encode(trial.message(port))
-    other: dict[str, Any] = {"power_kw": 0.25 * trial.plan.tree.rating_kw(port.node)}
-    cycle = trial.cycle
-    match kind:
-        case "bytes":
-            yield from (b"", b"\xc1", right[:-1], right + b"\xc0", b"\x93\x01\x02\x03")
-        case "fields":
-            yield right.replace(b"\xa8power_kw", b"\xa8power_xx")
-            yield right.replace(b"\xa5cycle", b"\xa5cycel")
-        case "source":
-            yield encode(trial.message(port, source="nobody", **other))
-        case "ahead":
-            beyond = trial.plan.timing.cycles if port.publisher == PLANT else cycle
-            beyond += trial.plan.control.periods.longest + 3
-            yield encode(trial.message(port, cycle=beyond, **other))
-    yield right
-    if kind == "again":
-        yield encode(trial.message(port, **other))
-    if kind == "before":
-        yield encode(trial.message(port, cycle=max(cycle - 2, 0), **other))
+def _wrong(script: Script, port: Port[Message]) -> list[tuple[Copy, ...]]:
+    """Return what no sender should send in the next cycle, each with the right message."""
+    other_kw, cycle = _other_kw(script.plan, port), script.cycle
+    beyond = _NO_RUN_IS_AS_LONG if port.publisher == PLANT else cycle
+    beyond += script.plan.control.periods.longest + 3
+    damaged = (Copy(damage=damage) for damage in ("empty", "garbage", "cut", "longer", "list"))
+    return [
+        (*damaged, _RIGHT),
+        (Copy(damage="no power"), Copy(damage="no cycle"), _RIGHT),
+        (Copy({"source": "nobody", "power_kw": other_kw}), _RIGHT),
+        (Copy({"cycle": beyond, "power_kw": other_kw}), _RIGHT),
+        (_RIGHT, Copy({"power_kw": other_kw})),
+        (_RIGHT, Copy({"cycle": max(cycle - 2, 0), "power_kw": other_kw})),
+    ]
 
 
-def _random(trial: Trial, port: Port[Message], draw: random.Random) -> Message:
-    """Return a message with random numbers within their bounds."""
-    rating_kw, kind = trial.plan.tree.rating_kw(port.node), port.signal.type
-    if kind not in _RANGES:
-        return trial.message(port)
-    changes = {"power_kw": draw.uniform(*_RANGES[kind]) * rating_kw}
+def _random(script: Script, port: Port[Message]) -> Copy:
+    """Return a message with random powers, mostly within their bounds."""
+    rating_kw, kind, draw = script.plan.tree.rating_kw(port.node), port.signal.type, script.draw
+    ranges = {Dispatch: (-0.2, 1.2), Residual: (-1.0, 1.0), Telemetry: (0.0, 1.1)}
+    changes: Changes = {"power_kw": draw.uniform(*ranges.get(kind, (0.0, 1.0))) * rating_kw}
     if kind is Telemetry:
-        changes["alpha"] = draw.choice((1.0, draw.uniform(trial.plan.control.alpha_min, 1.0)))
+        changes["alpha"] = draw.choice((1.0, draw.uniform(script.plan.control.alpha_min, 1.0)))
         if draw.random() < 0.5:
-            changes["available_kw"] = draw.uniform(0.0, 1.04) * rating_kw
-    return trial.message(port, **changes)
+            changes["available_kw"] = draw.uniform(0.0, 1.1) * rating_kw
+    return Copy(changes)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,18 @@ class WrongDevice(direct_controller.DirectController):
         if "replaced" in FAULTS:
             message["incarnation"] = 0
         super().hear(signal, message)
+
+    def estimate(self) -> None:
+        if "late" in FAULTS:
+            time.sleep(0.5e-9 * self.plan["timing"]["cycle_wall_ns"])
+        super().estimate()
+
+    def end(self, cycles: int) -> None:
+        if "stop" in FAULTS:
+            self.cycle = cycles
+            super().estimate()
+            time.sleep(0.1)  # Before the session closes.
+        super().end(cycles)
 
     def leave(self) -> None:
         if "links closed" not in FAULTS:
