@@ -21,7 +21,7 @@ from bus_schemas.errors import InputError, listed
 from bus_schemas.messages import PROTOCOL, Message, Run
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import Occurrence, Port
-from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, standby_of
+from bus_schemas.tree import PLANT, ControlTree, check_name, depth, parent_of, standby_of
 from bus_schemas.wiring import Links, Wiring
 
 LONGEST_CYCLE_NS: Final = 3_600_000_000_000
@@ -348,6 +348,8 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
 
 
 def check_plan(plan: RunPlan) -> None:
+    for where, name in (("plant", plan.plant), ("run_id", plan.run_id)):
+        check_name(name, where)  # Files are named after them.
     check_size(plan.timing.cycles, len(plan.tree.leaves), "cycles")
     access = plan.access
     for number, fault in enumerate(plan.faults.rules):

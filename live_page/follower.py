@@ -35,9 +35,6 @@ State: TypeAlias = Literal["waiting", "running", "stalled", "over", "failed"]
 _STALLED_S: Final = 5.0
 """Nothing new in the file for this long, or for three cycles, is worth saying."""
 
-MOST_CHUNKS: Final = 20
-"""To look at for the state in one cycle."""
-
 _LATEST_S: Final = 1.0
 """So late a message may come in real time and still be found. In lockstep it may come among those
 of the next cycle."""
@@ -105,11 +102,11 @@ class RunFollower:
             return None
         return round(len(self._firsts) / len(self.run.outline.chunks), 3)
 
-    def chunks_with(self, cycle: int, before: int = 1) -> list[Chunk]:
-        """Return the chunks that can hold messages of a cycle and of some cycles before it."""
-        begin = bisect_left(self._firsts, cycle - before - self._disorder) - 1
+    def chunks_with(self, cycle: int) -> list[Chunk]:
+        """Return the chunks that can hold messages of a cycle."""
+        begin = bisect_left(self._firsts, cycle - self._disorder) - 1
         end = bisect_right(self._firsts, cycle + self._disorder)
-        return self.run.outline.chunks[max(begin, end - MOST_CHUNKS, 0) : end]
+        return self.run.outline.chunks[max(begin, 0) : end]
 
     def powers(self, cycles: range, points: int) -> dict[str, list[float]]:
         """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
@@ -131,9 +128,9 @@ class RunFollower:
         thinned = {name: values[rows].round(2).tolist() for name, values in columns.items()}
         return {"cycle": (rows + begin).tolist()} | thinned
 
-    def metrics(self) -> Figures | None:
-        """Return the figures of merit so far; None before the first cycle."""
-        series = self._series.between(0, self.cycles)
+    def metrics(self, end: int) -> Figures | None:
+        """Return the figures of merit up to a cycle, without it; None before the first one."""
+        series = self._series.between(0, end)
         return run_figures(series) if series.known.any() else None
 
     def _next_chunk(self) -> Chunk | None:

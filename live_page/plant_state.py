@@ -17,7 +17,7 @@ from bus_schemas.codec import decode
 from bus_schemas.messages import Dispatch, Impp, Message, Production, Setpoint, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, depth
-from live_page.follower import MOST_CHUNKS, RunFollower
+from live_page.follower import RunFollower
 from recordings.read.mcap_file import Chunk
 from recordings.read.reader import head_of
 
@@ -27,20 +27,7 @@ _UNHELPFUL_KW: Final = 0.005
 
 Messages: TypeAlias = dict[Port[Message], Message]
 
-_FURTHEST_BACK: Final = 100
-"""Cycles in which an agent is looked for that says nothing in the one shown."""
-
-
-class CycleMessages(NamedTuple):
-    """What a recording says of a cycle.
-
-    messages: Those of the cycle; of setpoints, which do not come in every cycle, the newest.
-    heard_in: The newest cycle of a message of each agent, up to this one.
-    """
-
-    cycle: int
-    messages: Messages
-    heard_in: dict[str, int]
+_CACHED_CHUNKS: Final = 40
 
 
 class CycleReader:
@@ -48,30 +35,27 @@ class CycleReader:
 
     def __init__(self, follower: RunFollower) -> None:
         self._follower = follower
-        plan = follower.plan
-        self._longest_period = plan.control.periods.longest
-        self._speakers = 1 + len(plan.tree.nodes)  # The plant and the controllers.
-        self._by_cycle = lru_cache(MOST_CHUNKS + 4)(self._read_chunk)
+        self._by_cycle = lru_cache(_CACHED_CHUNKS)(self._read_chunk)
 
-    def read(self, cycle: int, ports: Collection[Port[Message]] | None = None) -> CycleMessages:
-        """Return what was said in a cycle, on some ports alone if they are given."""
-        longest = self._longest_period
-        chunks = [self._by_cycle(one) for one in self._follower.chunks_with(cycle, longest)]
-        payloads: dict[Port[Message], bytes] = {}
-        heard_in: dict[str, int] = {}
-        for back in range(max(longest, _FURTHEST_BACK if ports is None else 1)):
-            for port, payload in chain.from_iterable(one.get(cycle - back, ()) for one in chunks):
-                heard_in.setdefault(port.publisher, cycle - back)
-                wanted = back == 0 or (port.signal is SETPOINT and back < longest)
-                if wanted and (ports is None or port in ports):
-                    payloads.setdefault(port, payload)
-            if back >= longest - 1 and len(heard_in) == self._speakers:
-                break
+    def read(self, cycle: int, ports: Collection[Port[Message]] | None = None) -> Messages:
+        """Return the messages of a cycle, on some ports alone if they are given.
+
+        A setpoint that is not due in it is that of its parent's last turn.
+        """
+        period = self._follower.plan.control.period
         messages: Messages = {}
-        for port, payload in payloads.items():
-            with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
-                messages[port] = decode(port.signal, payload)
-        return CycleMessages(cycle, messages, heard_in)
+        for turn in {cycle // length * length for length in self._periods} | {cycle}:
+            chunks = map(self._by_cycle, self._follower.chunks_with(turn))
+            for port, payload in chain.from_iterable(one.get(turn, ()) for one in chunks):
+                is_due = cycle // period(port) * period(port) == turn or turn == cycle
+                if is_due and port not in messages and (ports is None or port in ports):
+                    with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
+                        messages[port] = decode(port.signal, payload)
+        return messages
+
+    @property
+    def _periods(self) -> set[int]:
+        return set(self._follower.plan.control.period_cycles)
 
     def _read_chunk(self, chunk: Chunk) -> dict[int, list[tuple[Port[Message], bytes]]]:
         """Return the messages in a chunk by their cycle."""
@@ -112,15 +96,14 @@ class PlantState:
 
     def _frame(self, cycle: int) -> dict[str, Any]:
         """Return a list for each quantity."""
-        recorded = self._reader.read(cycle)
-        messages = recorded.messages
+        messages = self._reader.read(cycle)
         devices = [node for node, _ in self._plan.site.devices]
         unread = [self._number[node] for node in devices if TELEMETRY.of(node) not in messages]
         return {
             "cycle": cycle,
             "nodes": columns([self._powers(messages, node) for node in self._tree.nodes]),
             "help": self._help(messages),
-            "agents": columns(list(self._agent_rows(recorded))),
+            "agents": columns(list(self._agent_rows(cycle, messages))),
             "unread": unread,
             "timing": self._timing(cycle, messages),
         }
@@ -130,7 +113,7 @@ class PlantState:
         ports = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
         if node != ROOT:
             ports.add(SETPOINT.of(node))
-        return self._powers(self._reader.read(cycle, ports).messages, node)
+        return self._powers(self._reader.read(cycle, ports), node)
 
     def _powers(self, messages: Messages, node: str) -> dict[str, float | None]:
         """Return the powers of a node [kW]; None: no message states it.
@@ -164,30 +147,28 @@ class PlantState:
             if given.needy in self._number and given.power_kw > _UNHELPFUL_KW
         ]
 
-    def _agent_rows(self, recorded: CycleMessages) -> Iterator[dict[str, float | None]]:
+    def _agent_rows(self, cycle: int, messages: Messages) -> Iterator[dict[str, float | None]]:
         """Yield how the agents do: the plant first, then the nodes.
 
-        `age`: cycles since the newest message of an agent, None where none was found. `missed`:
+        `age`: cycles since the newest message of an agent, None where there is none. `missed`:
         inputs that were missing or older than they should have been; `input_age`: how old the
         oldest of them was. `loop_ms`: from the last input of a stage to its message.
         """
-        cycle = recorded.cycle
+        events = self._follower.events
         by_agent: dict[str, list[Message]] = {agent: [] for agent in self._agents}
-        for message in recorded.messages.values():
+        for message in messages.values():
             if message.cycle == cycle and message.source in by_agent:
                 by_agent[message.source].append(message)
-        for agent, messages in by_agent.items():
-            missed = [parse_missing(entry) for one in messages for entry in one.missing]
+        for agent, own in by_agent.items():
+            missed = {parse_missing(entry) for one in own for entry in one.missing}
             older = [cycle - one.cycle for one in missed if one.cycle is not None]
-            ready = [one for one in messages if one.ready_time_ns]
-            loops_ns = [one.publish_time_ns - one.ready_time_ns for one in ready]
-            heard_in = recorded.heard_in.get(agent)
+            loops_ns = [one.publish_time_ns - one.ready_time_ns for one in own if one.ready_time_ns]
             yield {
-                "age": None if heard_in is None else cycle - heard_in,
+                "age": events.age(agent, cycle),
                 "missed": len(missed),
                 "input_age": max(older, default=0),
                 "loop_ms": round(max(loops_ns) / 1e6, 3) if loops_ns else None,
-                "restarts": self._follower.events.restarts[agent],
+                "restarts": events.restarts(agent, cycle),
             }
 
     def _timing(self, cycle: int, messages: Messages) -> list[dict[str, object]]:

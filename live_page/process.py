@@ -31,7 +31,7 @@ class PageAddress:
     """Where the page is served.
 
     The socket listens already, so that a browser may come before the server is up. A browser must
-    know the token, which is empty on the loopback address: nobody else can reach that.
+    know the token, which is empty on the loopback address: only this machine can reach that.
     """
 
     socket: socket.socket
@@ -43,6 +43,10 @@ class PageAddress:
             host = socket.gethostname()
         host = f"[{host}]" if ":" in host else host
         return f"http://{host}:{port}/{path}" + (f"?token={self.token}" if self.token else "")
+
+    def text(self) -> str:
+        """Return the address as it is printed."""
+        return self.url() + ("   (not encrypted)" if self.token else "")
 
 
 def open_address(address: str | None, port: int | None) -> PageAddress:
@@ -101,7 +105,7 @@ class PageProcess(SideProcess):
         number, token = self._address.socket.fileno(), self._address.token
         settings = PageSettings(str(path.absolute()), several, number, token)
         self.tell(msgspec.json.encode(settings))
-        return self._address.url()
+        return self._address.text()
 
     def let_end(self, say: Callable[[str], None]) -> None:
         """Wait until nobody looks at the page any more, or until Ctrl-C."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict, deque
+from bisect import bisect_right
+from collections import defaultdict, deque
 from itertools import islice
 from typing import Final
 
 import msgspec
+import numpy as np
 
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
 from bus_schemas.signals import IMPP, TELEMETRY, Port
-from bus_schemas.tree import agent_name
+from bus_schemas.tree import PLANT, agent_name
 from recordings.read.gaps import PortGaps
 from recordings.read.reader import CycleHead
 from scenarios.fault_rules import fault_text
@@ -42,12 +44,14 @@ class Event(msgspec.Struct):
 class RunEvents:
     """The newest events of a run: who has restarted, who is unresponsive, which messages were lost.
 
-    `restarts` says how often each agent began again.
+    It also knows in which cycles each agent was heard and began again.
     """
 
     def __init__(self, plan: RunPlan) -> None:
         self.revision = 0
-        self.restarts: Counter[str] = Counter()
+        agents = (PLANT, *map(agent_name, plan.tree.nodes))
+        self._heard = {agent: np.zeros(plan.timing.cycles, dtype=bool) for agent in agents}
+        self._restarts: defaultdict[str, list[int]] = defaultdict(list)
         self._events: deque[Event] = deque(maxlen=_KEPT)
         self._number = 0
         self._hold_cycles = plan.control.hold_cycles
@@ -84,10 +88,12 @@ class RunEvents:
     def see(self, port: Port[Message], sequence: int, head: CycleHead) -> None:
         """Take in a message, by its number on its key."""
         gaps, agent = self._gaps[port], port.publisher
+        if agent in self._heard and 0 <= head.cycle < len(self._heard[agent]):
+            self._heard[agent][head.cycle] = True
         lost, restarts = gaps.lost, gaps.restarts
         gaps.see(head.cycle, sequence, head.incarnation)
         if gaps.restarts > restarts and port.signal is IMPP:
-            self.restarts[agent] += 1
+            self._restarts[agent].append(head.cycle)
             self.add("restart", head.cycle, agent, "restarted")
         if gaps.lost > lost:
             self.add("lost", head.cycle, agent, "messages lost", gaps.lost - lost)
@@ -97,6 +103,16 @@ class RunEvents:
                 self._note_absence(port)
                 self.add("back", head.cycle, self._names[port], "heard again")
             self._heard_in[port] = max(head.cycle, before)
+
+    def age(self, agent: str, cycle: int) -> int | None:
+        """Return the cycles since the newest message of an agent; None: there is none."""
+        back = self._heard[agent][cycle::-1]
+        age = int(back.argmax())
+        return age if back[age] else None
+
+    def restarts(self, agent: str, cycle: int) -> int:
+        """Return how often an agent had begun again by a cycle."""
+        return bisect_right(self._restarts[agent], cycle)
 
     def note_unresponsive(self, newest_cycle: int) -> None:
         """Note who has said nothing for longer than inputs are held."""

@@ -16,7 +16,6 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from live_page.follower import RunFollower
 from live_page.plant_state import PlantState, columns
-from recordings.export.viewer_layout import viewer_layout
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 from results.figures import Figures, Shown, shown_in
@@ -158,10 +157,6 @@ class RunView:
             "timezone": plan.timing.timezone,
         }
 
-    def layout(self) -> dict[str, object]:
-        """Return a layout of the run for Foxglove and Lichtblick."""
-        return viewer_layout(self._begun()[0].plan)
-
     def window(self, cycles: range, points: int) -> dict[str, Any]:
         """Return the plant's powers over some cycles."""
         return self._begun()[0].powers(cycles, min(points, _MOST_POINTS))
@@ -209,11 +204,11 @@ class RunView:
                 shown = cycle
             if is_slow_due := time.monotonic() > slow_at + _SLOW_S:
                 slow_at = time.monotonic()
-                if follower.cycles > counted:
-                    news["figures"] = _figures(follower.metrics())
+                if counted != cycle:
+                    news["figures"] = _figures(follower.metrics(cycle + 1))
                     accounts = read_accounts(self.path.parent)
                     news["devices"] = {account.node: account for account in accounts}
-                counted = follower.cycles
+                counted = cycle
             update = msgspec.json.encode(news)
             if is_slow_due or update != sent:
                 yield update

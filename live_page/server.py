@@ -107,7 +107,6 @@ class PageServer:
         of_run = [
             Route("/", self._file("run.html")),
             Route("/plan", self._plan),
-            Route("/layout.json", self._layout),
             Route("/window", self._window),
             Route("/node", self._node),
             Route("/stream", self._stream),
@@ -124,7 +123,8 @@ class PageServer:
         middleware = [Middleware(_Guard, token=self._address.token)]
         if not self._address.token:
             # Another site's page must not reach this one under a name of its own.
-            hosts = ["127.0.0.1", "localhost", "::1", "[::1]"]
+            own = self._address.socket.getsockname()[0]
+            hosts = ["127.0.0.1", "localhost", "[::1]", own, f"[{own}]"]
             middleware.insert(0, Middleware(TrustedHostMiddleware, allowed_hosts=hosts))
         errors: Any = {ValueError: _bad_input}
         return Starlette(routes=routes, middleware=middleware, exception_handlers=errors)
@@ -153,9 +153,6 @@ class PageServer:
 
     async def _plan(self, request: Request) -> Response:
         return _json(self._view(request).plan())
-
-    async def _layout(self, request: Request) -> Response:
-        return _json(self._view(request).layout())
 
     async def _window(self, request: Request) -> Response:
         points = int(_number(request, "points", 1000))

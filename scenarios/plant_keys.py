@@ -46,6 +46,9 @@ def make_keys(
     hosts = (x509.IPAddress(own_address(address)) for address in ("127.0.0.1", *addresses))
     names = x509.SubjectAlternativeName(hosts)
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    ignored = folder / ".gitignore"
+    if not ignored.exists():  # `git add .` must not publish them.
+        ignored.write_text("*\n", encoding="ascii")
     there = [name for name in ("ca.key", "ca.pem") if (folder / name).exists()]
     if len(there) == 1:
         raise InputError(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import time
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, TypeAlias
 
 import msgspec
 import numpy as np
@@ -27,6 +27,9 @@ _NS: Final = 1_000_000_000
 _DAY_NS: Final = 86_400 * _NS
 
 
+_LocalTime: TypeAlias = Annotated[time, Meta(tz=False)]
+
+
 class _Offer(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"
 ):
@@ -38,8 +41,8 @@ class _Offer(
     """
 
     capacity_kw: Annotated[float, Meta(gt=0.0, le=1e8)]
-    offered_from: time | None = msgspec.field(default=None, name="from")
-    offered_to: time | None = msgspec.field(default=None, name="to")
+    offered_from: _LocalTime | None = msgspec.field(default=None, name="from")
+    offered_to: _LocalTime | None = msgspec.field(default=None, name="to")
 
 
 class RegulationFile(_Offer, frozen=True, tag="file"):

@@ -69,7 +69,7 @@ def boundary() -> Iterator[None]:
         _end(_text(error), BAD_INPUT)
     except CycloptsError as error:
         _end(" ".join(str(error).split()), BAD_INPUT)
-    except (FailureError, OSError) as error:
+    except (FailureError, OSError, MemoryError) as error:
         _end(_text(error), FAILED)
     except KeyboardInterrupt:
         _end("interrupted", INTERRUPTED)
@@ -134,7 +134,7 @@ class _SignalHandler:
 def _text(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return str(error)
+    return str(error) or "not enough memory"
 
 
 def _end(text: str, status: int) -> NoReturn:

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import sys
 from io import TextIOWrapper
 from pathlib import Path
 
+_LEAST_MEMORY_MB = 1200
+
 
 def main() -> None:
     """Run the command that the user named."""
+    allowed_mb = resource.getrlimit(resource.RLIMIT_AS)[0] / 1e6
+    if 0.0 <= allowed_mb < _LEAST_MEMORY_MB:  # OpenBLAS would wait for memory without an end.
+        sys.exit(
+            f"heliarch: ulimit -v: expected {_LEAST_MEMORY_MB} MB or more, got {allowed_mb:.0f} MB"
+        )
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # There is nothing to clean up yet.
     from heliarch.cli.app import run_command

@@ -41,7 +41,7 @@ def view(
 
     several = _holds_several(path)
     address = open_address(page_address, page_port)
-    say(console_for(None), f"page: {address.url()}   (Ctrl-C ends it)")
+    say(console_for(None), f"page: {address.text()}   (Ctrl-C ends it)")
     if not several and not (path if path.is_dir() else path.parent).joinpath(SUMMARY_NAME).exists():
         get_behind_others()  # Its run may go on.
     return asyncio.run(_serve(PageServer(path, address, several=several)))

@@ -68,7 +68,7 @@ function showRun(plan) {
     if (news.events?.length) events.add(news.events);
     if (news.figures) {
       figures($("figures"), news.figures);
-      $("figures-about").textContent = `${at.cycles.toLocaleString("en")} cycles so far`;
+      $("figures-about").textContent = `${(at.cycle + 1).toLocaleString("en")} cycles so far`;
     }
     devices = news.devices ?? devices;
     if (news.frame) showFrame(news, fresh);

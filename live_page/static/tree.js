@@ -48,8 +48,9 @@ export function controlTree(body, plan, select) {
       const unread = frame.unread.includes(row.number);
       const dead = row.folded ? below(row).slice(1).filter(isLost).length : 0;
       const [state, ages, inputs, oldest, loop, restarts] = row.cells;
-      state.className = lost || dead || unread ? "dead" : "alive";
-      state.textContent = lost ? "✕ unresponsive" : unread ? "✕ no reading" : dead ? `✕ ${dead} below unresponsive` : "● alive";
+      const silent = !lost && age > 1;  // What is a cycle late may only not be recorded yet.
+      state.className = lost || dead || unread ? "dead" : silent ? "late" : "alive";
+      state.textContent = silent ? `○ silent for ${age}` : lost ? "✕ unresponsive" : unread ? "✕ no reading" : dead ? `✕ ${dead} below unresponsive` : "● alive";
       ages.textContent = age ?? "–";
       const missed = agents.missed[own];
       inputs.innerHTML = lost ? "–" : missed ? `<span class="late">${missed} missed</span>` : "all";

@@ -45,6 +45,9 @@ def with_field(part: str, name: str, value: object) -> Callable[[bytes], bytes]:
         (lambda data: data.replace(b'"oahu"', b'"o\xff"'), "utf-8"),
         (lambda data: data.replace(b'"hold_cycles"', b'"hold"'), "hold"),
         (lambda data: b'{"protocol": 1, "cycles": 60}', "protocol"),
+        # `node` names its folder after the plant.
+        (lambda data: data.replace(b'"oahu"', b'"../../elsewhere/x"'), "plant"),
+        (lambda data: data.replace(b'"by-hand"', b'"/tmp/x"'), "run_id"),
         (with_field("timing", "cycles", "many"), "cycles"),
         (with_field("control", "period_cycles", [1]), "period_cycles"),
         (with_field("control", "period_cycles", [10, 5, 1]), "period_cycles"),

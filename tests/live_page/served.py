@@ -31,7 +31,7 @@ class Served:
 
     def __init__(self, server: PageServer, address: PageAddress) -> None:
         self.server = server
-        self.address = address.url()
+        self.address, self.printed = address.url(), address.text()
         self.root = address.url().partition("?")[0]
 
     def get(self, path: str) -> Any:  # noqa: ANN401 - JSON

@@ -61,7 +61,7 @@ def test_a_recording_is_followed_while_it_is_written(tmp_path: Path) -> None:
 def test_figures_so_far_are_those_of_the_metrics(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_run(path, whole_run(90))
-    found, expected = followed(path).metrics(), run_figures(read_plant_series(path))
+    found, expected = followed(path).metrics(90), run_figures(read_plant_series(path))
     assert found is not None
     assert found["shortfall-energy"] == pytest.approx(expected["shortfall-energy"])
     assert found["rmse"] == expected["rmse"]
@@ -106,6 +106,26 @@ def test_what_is_missing_is_shown_as_missing(tmp_path: Path) -> None:
     assert ("unresponsive", 5, "c2/c") in kinds(follower)
 
 
+def test_a_setpoint_of_a_slow_turn_is_shown_until_the_next_one(tmp_path: Path) -> None:
+    plan = with_changes(PLAN, period_cycles=(60, 1))
+    slow = {"c1/setpoint", "c2/setpoint"}
+    run = [one for one in whole_run(70) if one[1].cycle % 60 == 0 or str(one[0]) not in slow]
+    write_run(tmp_path / "run.mcap", run, plan=plan, messages_per_chunk=35)
+    state = PlantState(followed(tmp_path / "run.mcap"))
+    shown = [state.frame(cycle)["nodes"]["setpoint"][number("c1")] for cycle in range(70)]
+    assert shown == [120.0] * 70
+
+
+def test_an_input_that_several_messages_lacked_is_missed_once(tmp_path: Path) -> None:
+    run = list(whole_run(3))
+    for _, message in run:
+        if message.source == "c1/a":
+            message.missing = ("dispatch@0",)
+    write_run(tmp_path / "run.mcap", run)
+    agents = PlantState(followed(tmp_path / "run.mcap")).frame(1)["agents"]
+    assert agents["missed"][1 + number("c1/a")] == 1
+
+
 def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path: Path) -> None:
     path, telemetry = tmp_path / "run.mcap", TELEMETRY.of("c2/c")
     plan = with_changes(PLAN, devices=(("c2/c", "modbus://10.0.0.7:502/1"),))
@@ -135,7 +155,8 @@ def test_a_restart_is_an_event_and_late_messages_of_the_replaced_process_are_no_
     write_messages(path, [*(pair for pair in anew if pair is not late), late])
     follower = followed(path)
     assert kinds(follower) == [("restart", 6, "c1/a")]
-    assert follower.events.restarts["c1/a"] == 1
+    # Before the restart, the page does not know of it.
+    assert [follower.events.restarts("c1/a", cycle) for cycle in (5, 6)] == [0, 1]
 
 
 def test_a_stop_that_the_plant_contradicts_does_not_end_the_run(tmp_path: Path) -> None:

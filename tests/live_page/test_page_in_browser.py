@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from browser import MISSING, Browser, browser
+from recordings_by_hand import whole_run, write_run
 from replayed_runs import run_in_memory, write
 from running import Start
 from served import page_of, served
@@ -118,6 +119,22 @@ def test_a_lost_connection_is_shown_and_comes_back(window: Browser, run: Path) -
     assert window.run(at(CYCLES - 1))  # What was shown stays.
     with served(run, port=port):
         window.until("return document.querySelector('#banner').hidden", "the connection")
+
+
+def test_an_agent_that_says_nothing_for_cycles_is_not_called_alive(
+    window: Browser, tmp_path: Path
+) -> None:
+    write_run(
+        tmp_path / "run.mcap",
+        whole_run(20),
+        is_kept=lambda one: one[0].publisher != "c2/c" or one[1].cycle < 17,
+    )
+    with served(tmp_path) as page:
+        window.open(page.address)
+        window.until(at(19), "the last cycle")
+        rows = "[...document.querySelectorAll('#tree tr')].map(row => row.textContent)"
+        (row,) = [text for text in window.run(f"return {rows}") if "silent" in str(text)]
+        assert row.startswith("c○ silent for 3")
 
 
 def test_a_folder_of_runs_leads_to_each_of_them(window: Browser, run: Path) -> None:

@@ -60,18 +60,6 @@ def test_the_series_of_a_node_and_of_the_plant_can_be_asked_for(run: Path) -> No
         assert page.status("stream?from=nan") == page.status("stream?from=0&speed=inf") == 404
 
 
-def test_the_layout_for_viewers_names_fields_of_topics_of_the_run(run: Path) -> None:
-    with served(run) as page:
-        panels = page.get("layout.json")["configById"]
-    paths = [line["value"] for panel in panels.values() for line in panel["paths"]]
-    assert paths
-    for path in paths:
-        topic, _, field = path.partition(".")
-        port = PLAN.wiring.port(topic)
-        assert port is not None, path
-        assert field in port.signal.type.__struct_fields__, path
-
-
 def test_a_page_waits_for_a_run_that_has_not_begun(tmp_path: Path) -> None:
     with served(tmp_path / "later") as page:
         assert page.get("plan") is None
@@ -90,11 +78,18 @@ def test_nothing_can_be_commanded_and_no_other_site_gets_in(run: Path) -> None:
         assert page.status("static/../server.py") == 404
 
 
+def test_the_address_that_is_printed_answers(run: Path) -> None:
+    with served(run, address="127.0.0.2") as page:
+        assert page.get("plan")["plant"] == "field"
+        assert page.status("plan", Host="evil.example") == 400
+
+
 def test_other_hosts_need_the_token(run: Path) -> None:
     with served(run, address="0.0.0.0") as page:
         port = page.root.rpartition(":")[2].strip("/")
         page.root = f"http://127.0.0.1:{port}/"
         token = page.address.partition("token=")[2]
+        assert "not encrypted" in page.printed
         assert page.status("plan") == page.status("plan?token=wrong") == 403
         with urllib.request.urlopen(f"{page.root}?token={token}") as answer:
             cookie = answer.headers["Set-Cookie"].partition(";")[0]

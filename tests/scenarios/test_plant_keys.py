@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -30,13 +31,20 @@ def test_keys_are_for_their_owner_alone(plant: str) -> None:
     assert all(key.stat().st_mode & 0o077 == 0 for key in keys)
 
 
+def test_git_does_not_publish_keys(plant: str) -> None:
+    subprocess.run(["git", "init", "-q"], check=True)
+    subprocess.run(["git", "add", "."], check=True)
+    found = subprocess.run(["git", "ls-files"], check=True, capture_output=True, text=True)
+    assert "keys/" not in found.stdout
+
+
 def test_renewed_certificates_are_of_the_same_authority_and_keys(plant: str) -> None:
     folder = Path("keys/small")
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     done("keys", plant)
     after = {path.name: path.read_bytes() for path in folder.iterdir()}
     same = {name for name in before if before[name] == after[name]}
-    assert same == {"ca.pem", *(name for name in before if name.endswith(".key"))}
+    assert same == {".gitignore", "ca.pem", *(name for name in before if name.endswith(".key"))}
 
 
 def spoil(how: str, folder: Path, plant: str) -> None:

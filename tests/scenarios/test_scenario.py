@@ -289,6 +289,11 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
         ("[control]", f"{DISTURBANCE}[control]", "faults[0]: expected a delay"),
         (
             "[control]",
+            f"{SYNTHETIC}capacity_kw = 9\nfrom = '06:00:00+02:00'\n[control]",
+            "regulation.from: expected time of day",
+        ),
+        (
+            "[control]",
             f"{BUDGETS}hop_p99_ms.production = 3\n[control]",
             "timing.budgets.hop_p99_ms: expected table from telemetry",
         ),

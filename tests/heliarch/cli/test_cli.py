@@ -74,6 +74,14 @@ def test_a_command_needs_no_standard_output() -> None:
     assert python(f"import sys; sys.stdout = None; {MAIN}", "scenarios").stderr == ""
 
 
+@pytest.mark.parametrize("limit_kib", [400_000, 800_000])
+def test_too_little_memory_is_said_in_one_line(limit_kib: int) -> None:
+    limit = f"resource.setrlimit(resource.RLIMIT_AS, ({limit_kib * 1024},) * 2)"
+    found = python(f"import resource; {limit}; {MAIN}", "scenarios", status=1)
+    (line,) = found.stderr.splitlines()
+    assert "ulimit -v" in line
+
+
 def test_doctor_finds_what_would_stop_a_run_and_says_what_to_do_about_it() -> None:
     code = f"import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (120, 120)); {MAIN}"
     document = python(code, "doctor", "--json", "-", status=1).stdout
