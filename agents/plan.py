@@ -132,6 +132,7 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     revert: What an inverter does without new commands; None: it obeys the last one forever.
     settings: For each field, the last entry that matches an inverter counts.
     devices: Real inverters, each with its address: `modbus://host:port/unit`.
+    meter: Address of the real meter at the point of interconnection; empty: there is none.
     positions_m: Metres east and north of a point that is the same for all. Empty: unknown.
     """
 
@@ -144,6 +145,7 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     delay_s: float = 0.0
     settings: tuple[InverterSettings, ...] = ()
     devices: tuple[tuple[str, str], ...] = ()
+    meter: str = ""
     positions_m: tuple[tuple[float, float], ...] = ()
 
     def settings_of(self, leaf: str) -> InverterSettings:

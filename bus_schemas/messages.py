@@ -174,6 +174,7 @@ class Production(Message, kw_only=True):
     """What really happened in the interval of this cycle. No controller may listen to it.
 
     `inverter_mpp_kw` and `inverter_power_kw` list the inverters in the order of the control tree.
+    `unknown_kw` is what lost real inverters may give beside `delivered_kw`: nobody knows.
     """
 
     dispatch_kw: float
@@ -181,6 +182,7 @@ class Production(Message, kw_only=True):
     delivered_kw: float
     inverter_mpp_kw: Powers
     inverter_power_kw: Powers
+    unknown_kw: float = 0.0
 
 
 class Run(Message, kw_only=True):

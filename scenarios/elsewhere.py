@@ -23,9 +23,9 @@ _PORTS: Final = range(1024, 65_536)
 
 
 class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A real inverter.
+    """A real inverter, or the plant's real meter.
 
-    node: Path of the inverter: `c2/inv07`.
+    node: Path of the inverter: `c2/inv07`; or `meter`.
     address: `modbus://host:port/unit`, with SunSpec models.
     """
 
@@ -95,6 +95,10 @@ def addresses_of(
     return found
 
 
+METER: Final = "meter"
+"""Name of the meter at the point of interconnection among devices."""
+
+
 def split_devices(options: Iterable[str]) -> dict[str, str]:
     """Return the address of each node that `--device` names."""
     found = {}
@@ -108,7 +112,9 @@ def split_devices(options: Iterable[str]) -> dict[str, str]:
 def real_inverters(
     tables: Iterable[DeviceTable], where: str, options: Sequence[str], tree: ControlTree
 ) -> tuple[tuple[str, str], ...]:
-    """Return node and address of each real inverter; options replace what the scenario says.
+    """Return name and address of each real inverter, and of the meter, `meter`.
+
+    Options replace what the scenario says.
 
     `where` is the place of the scenario's own, for errors.
     """
@@ -117,11 +123,15 @@ def real_inverters(
         if table.node not in chosen:
             parse_address(table.address, f"{where}: {table.node}")
     addresses = {table.node: table.address for table in tables} | chosen
+    known = (*tree.leaves, METER)
     for node in addresses:
-        if node not in tree.leaves:
-            place = "--device" if node in chosen else where
-            raise InputError(f"{place}: {not_one_of(tree.leaves, node)}")
-    return tuple((leaf, addresses[leaf]) for leaf in tree.leaves if leaf in addresses)
+        place = "--device" if node in chosen else where
+        if node not in known:
+            raise InputError(f"{place}: {not_one_of(known, node)}")
+        if node == METER and not addresses.keys() >= set(tree.leaves):
+            expected = "a device for each inverter, since it cannot meter simulated ones"
+            raise InputError(f"{place}: {METER}: expected {expected}")
+    return tuple((node, addresses[node]) for node in known if node in addresses)
 
 
 def check_devices(plan: RunPlan) -> None:

@@ -31,6 +31,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import ROOT, ControlTree, agent_name
 from scenarios.clustering import control_tree, neighbourhoods
 from scenarios.elsewhere import (
+    METER,
     addresses_of,
     check_base_port,
     external_agents,
@@ -249,6 +250,8 @@ def _plan(
     addresses = addresses_of(
         options.on or (), day.tree, external, options.address, secure=bool(choice.keys_folder)
     )
+    where = f"{scenario_file.path}: devices"
+    devices = real_inverters(scenario.devices, where, options.devices or (), day.tree)
     scheme = options.scheme or control.scheme
     seed = options.seed
     if seed is None and isinstance(scenario.irradiance, CloudIrradiance):
@@ -289,12 +292,8 @@ def _plan(
                 replace(entry, revert=_renewable(entry.revert, scenario))
                 for entry in scenario.plant.settings
             ),
-            devices=real_inverters(
-                scenario.devices,
-                f"{scenario_file.path}: devices",
-                options.devices or (),
-                day.tree,
-            ),
+            devices=tuple(pair for pair in devices if pair[0] != METER),
+            meter=dict(devices).get(METER, ""),
             positions_m=day.positions_m,
         ),
         access=Access(  # The launcher chooses the ports.

@@ -1,28 +1,37 @@
-"""A plant of which some inverters are real: they measure what is simulated of the others."""
+"""A plant of which some inverters are real: they measure what is simulated of the others.
+
+An inverter that says nothing for too long is lost: the plant neither meters nor counts what it
+last gave. What it may still give is `unknown_kw` of `production`: the plant assumes that it holds
+its last limit until its revert time is over, and its revert power from then on.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Final, Protocol
 
+import msgspec
 import numpy as np
 
 from agents.agent import Turn
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Command, Production, Telemetry
+from bus_schemas.messages import Command, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND
 from sim_plant.inverters import PlantState
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
+METER: Final = -1
+"""The position of the meter at the point of interconnection, beside those of inverters."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What an inverter says of itself, at a monotonic time.
+    """What an inverter or the meter says of itself, at a monotonic time.
 
-    It may not say what it could give. The limit is the one in force, or its rating.
+    An inverter may not say what it could give. Its limit is the one in force, or its rating.
     """
 
     time_ns: int
@@ -30,9 +39,14 @@ class Reading:
     available_kw: float | None
     limit_kw: float
 
+    @property
+    def maximum_kw(self) -> float:
+        """What it could give; if it does not say so, it is taken to give all it has."""
+        return max(self.available_kw or 0.0, self.power_kw)
+
 
 class RealInverters(Protocol):
-    """Inverters outside of the simulation, by their positions in the control tree."""
+    """Devices outside of the simulation, by their positions in the control tree, or `METER`."""
 
     def newest(self) -> Mapping[int, Reading]:
         """Return the newest reading of each."""
@@ -50,53 +64,81 @@ class PlantWithDevices(Plant):
     def __init__(self, plan: RunPlan, profile: Profile, devices: RealInverters) -> None:
         super().__init__(plan, profile)
         self._devices = devices
+        self._has_meter = bool(plan.site.meter)
         self._positions = {node: plan.tree.leaves.index(node) for node, _ in plan.site.devices}
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
-        readings = self._devices.newest()
-        state, outputs = super().step(_measured(state, readings), turn)
+        newest, expired = self._devices.newest(), self._devices.expired(turn.cycle)
+        fresh = {at: reading for at, reading in newest.items() if at not in expired}
+        lost = [at for at in self._positions.values() if at not in fresh]
         if turn.stage == "sense":
-            return state, list(self._sensed(outputs, readings, turn.cycle))
+            state = _measured(state, fresh, lost)
+            _, outputs = super().step(state, turn)
+            return state, list(self._sensed(outputs, fresh))
+        inputs = dict(turn.inputs)
         for node, position in self._positions.items():
-            command = turn.get(COMMAND.of(node))
+            port = COMMAND.of(node)
+            command = turn.get(port)
             if command is not None and turn.cycle >= 0:
                 self._devices.command(position, command)
+            if position in lost:  # It does not hear the command.
+                inputs[port] = None
+        state, outputs = super().step(state, msgspec.structs.replace(turn, inputs=inputs))
         for _, message in outputs:
             if isinstance(message, Production):
-                _correct(message, readings)
-        return _measured(state, readings), outputs
+                assumed_kw = [
+                    min(float(state.limit_kw[at]), newest[at].maximum_kw)
+                    for at in lost
+                    if at in newest
+                ]
+                self._correct(message, fresh, lost, sum(assumed_kw))
+        return _measured(state, fresh, lost), outputs
 
-    def _sensed(
-        self, outputs: list[Delivery], readings: Mapping[int, Reading], cycle: int
-    ) -> Iterator[Delivery]:
-        """Yield what the plant senses, without the telemetry of inverters that say nothing."""
-        expired = self._devices.expired(cycle)
+    def _sensed(self, outputs: list[Delivery], fresh: Mapping[int, Reading]) -> Iterator[Delivery]:
+        """Yield what the plant senses, without what devices that say nothing would tell."""
         for port, message in outputs:
             if isinstance(message, Telemetry) and port.node in self._positions:
-                position = self._positions[port.node]
-                if position in expired:
+                reading = fresh.get(self._positions[port.node])
+                if reading is None:
                     continue
-                if position in readings:
-                    message.available_kw = readings[position].available_kw
+                message.available_kw = reading.available_kw
+            if isinstance(message, Meter) and self._has_meter:
+                if METER not in fresh:
+                    continue
+                message.power_kw = fresh[METER].power_kw
             yield port, message
 
+    def _correct(
+        self,
+        production: Production,
+        fresh: Mapping[int, Reading],
+        lost: list[int],
+        assumed_kw: float,
+    ) -> None:
+        """Write what devices produced into what the plant produced."""
+        mpp_kw = np.array(production.inverter_mpp_kw)
+        power_kw = np.array(production.inverter_power_kw)
+        for position in self._positions.values():
+            if position in fresh:
+                reading = fresh[position]
+                mpp_kw[position], power_kw[position] = reading.maximum_kw, reading.power_kw
+        mpp_kw[lost] = power_kw[lost] = 0.0
+        production.inverter_mpp_kw = tuple(mpp_kw.tolist())
+        production.inverter_power_kw = tuple(power_kw.tolist())
+        production.available_kw, production.delivered_kw = (
+            float(mpp_kw.sum()),
+            float(power_kw.sum()),
+        )
+        production.unknown_kw = assumed_kw
+        if METER in fresh:  # It also counts what the lost ones give.
+            production.delivered_kw, production.unknown_kw = fresh[METER].power_kw, 0.0
 
-def _measured(state: PlantState, readings: Mapping[int, Reading]) -> PlantState:
+
+def _measured(state: PlantState, fresh: Mapping[int, Reading], lost: list[int]) -> PlantState:
     """Return the state with what real inverters measure and obey."""
     power_kw, limit_kw = state.power_kw.copy(), state.limit_kw.copy()
-    for position, reading in readings.items():
-        power_kw[position], limit_kw[position] = reading.power_kw, reading.limit_kw
+    for position, reading in fresh.items():
+        if position != METER:
+            power_kw[position], limit_kw[position] = reading.power_kw, reading.limit_kw
+    power_kw[lost] = 0.0
     return replace(state, power_kw=power_kw, limit_kw=limit_kw)
-
-
-def _correct(production: Production, readings: Mapping[int, Reading]) -> None:
-    """Write what real inverters produced into what the plant produced."""
-    mpp_kw = np.array(production.inverter_mpp_kw)
-    power_kw = np.array(production.inverter_power_kw)
-    for position, reading in readings.items():
-        # An inverter that states no available power is taken to give all it has.
-        power_kw[position] = reading.power_kw
-        mpp_kw[position] = max(reading.available_kw or 0.0, reading.power_kw)
-    production.available_kw, production.delivered_kw = float(mpp_kw.sum()), float(power_kw.sum())
-    production.inverter_mpp_kw = tuple(mpp_kw.tolist())
-    production.inverter_power_kw = tuple(power_kw.tolist())

@@ -1,7 +1,8 @@
-"""An inverter over Modbus TCP, by the SunSpec models that it has.
+"""An inverter or a meter over Modbus TCP, by the SunSpec models that it has.
 
 pysunspec2 knows the models and speaks Modbus. Power comes from 701 or 103, the limit is set in 704
-or 123, and 122 states the available power. https://github.com/sunspec/models
+or 123, and 122 states the available power. A meter has 203, or another of its family.
+https://github.com/sunspec/models
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import isfinite
+from math import isfinite, nan
 from typing import Final
 
 from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
@@ -22,6 +23,7 @@ from sunspec.addresses import parse_address
 from sunspec.limited_inverter import LIMIT_POINTS, LONGEST_REVERT_S
 
 _MEASUREMENTS: Final = (701, 103, 102, 101)
+_METERS: Final = (203, 204, 202, 201)
 _LIMITS: Final = (704, 123)
 _RATINGS: Final = ((702, "WMax"), (702, "WMaxRtg"), (121, "WMax"), (120, "WRtg"))
 """What 100 % stands for, in the order of preference."""
@@ -30,74 +32,141 @@ _TIMEOUT_S: Final = 2.0
 
 
 class DeviceError(Exception):
-    """An inverter does not answer, or not as it must; the text is one line."""
+    """A device does not answer, or not as it must; the text is one line."""
 
 
 class DeviceRefusedError(DeviceError):
-    """An inverter answers that it does not do what is asked; the connection stays."""
+    """A device answers that it does not do what is asked; the connection stays."""
 
 
-class SunSpecInverter:
-    """An inverter that is read and limited. Nothing is written to it before `limit` is called.
+class SunSpecDevice:
+    """What inverters and meters have in common: a connection, and its errors in one line.
 
     address: `modbus://host:port/unit`.
-    needs_revert: Whether it must be able to revert by itself.
     state: The name of its state: `MPPT`, `THROTTLED`, `FAULT`; empty if it states none.
     """
 
-    def __init__(self, address: str, *, needs_revert: bool = True) -> None:
+    def __init__(self, address: str) -> None:
         host, port, unit = parse_address(address, "device")
         self.address = address
-        self.rating_kw = 0.0
         self.state = ""
-        self._needs_revert = needs_revert
         self._device = SunSpecModbusClientDeviceTCP(unit, host, port, timeout=_TIMEOUT_S)
 
     def connect(self) -> None:
-        """Connect and find out which models the inverter has.
+        """Connect and find out which models the device has.
 
         Raises DeviceError: Nothing listens, there is no such unit, or it lacks a model or a point.
         """
         with self._errors():
             self._device.connect()
             self._device.scan(connect=False)
-        self._measured = self._model(*_MEASUREMENTS)
-        self._limited = self._model(*_LIMITS)
-        self._extended = self._device.models.get(122, (None,))[0]
-        self._points: dict[str, Point] = {}
-        self._need(self._measured, "W")
-        for name, field in LIMIT_POINTS[self._limited.model_id].items():
-            self._points[field] = self._limited.points[name]
-            if field in {"enabled", "percent"} or (self._needs_revert and "revert" in field):
-                self._need(self._limited, name)
-        ratings_kw = [
-            self._kw(self._device.models[model][0], name)
-            for model, name in _RATINGS
-            if model in self._device.models
-        ]
-        self.rating_kw = next(filter(None, ratings_kw), 0.0)
-        if not self.rating_kw:
-            raise DeviceError(f"{self.address}: expected a rating in model 702, 121 or 120")
+        self._find_models()
 
     def close(self) -> None:
         """Hang up; `connect` may be called again."""
         self._device.disconnect()
 
     def read(self) -> Reading:
-        """Read power, available power and limit. Raises DeviceError: It does not answer."""
+        """Read it. Raises DeviceError: It does not answer."""
+        raise NotImplementedError
+
+    def _find_models(self) -> None:
+        raise NotImplementedError
+
+    def _power_kw(self, model: Model) -> float:
+        power_kw = self._kw(model, "W")
+        if power_kw is None:
+            raise DeviceRefusedError(f"{self.address}: it states no power W")
+        return power_kw
+
+    def _kw(self, model: Model, name: str) -> float | None:
+        watts = model.points[name].cvalue
+        return watts / 1e3 if watts is not None and isfinite(watts) else None
+
+    def _model(self, *wanted: int) -> Model:
+        for model in wanted:
+            if model in self._device.models:
+                return self._device.models[model][0]
+        needed = " or ".join(map(str, wanted[:2]))
+        raise DeviceError(f"{self.address}: expected SunSpec model {needed}, got none of them")
+
+    def _need(self, model: Model, name: str) -> None:
+        if model.points[name].value is None:
+            raise DeviceError(
+                f"{self.address}: expected the point {name} in SunSpec model {model.model_id}"
+            )
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Turn what pysunspec2 raises into one line; hang up unless the device has answered."""
+        try:
+            yield
+        except DeviceError:
+            raise
+        except ModbusClientException as error:
+            raise DeviceRefusedError(f"{self.address}: {error}") from None
+        except Exception as error:  # What is no SunSpec fails anywhere in pysunspec2.
+            self.close()
+            expected = "a device with SunSpec models at this address and unit"
+            got = " ".join(str(error).split()) or type(error).__name__
+            raise DeviceError(f"{self.address}: expected {expected}, got: {got}") from None
+
+
+class SunSpecMeter(SunSpecDevice):
+    """The meter where a plant is connected: power fed in is positive."""
+
+    def _find_models(self) -> None:
+        self._metered = self._model(*_METERS)
+        self._need(self._metered, "W")
+
+    def read(self) -> Reading:
+        with self._errors():
+            self._metered.read()
+            return Reading(time.monotonic_ns(), self._power_kw(self._metered), None, nan)
+
+
+class SunSpecInverter(SunSpecDevice):
+    """An inverter that is read and limited. Nothing is written to it before `limit` is called.
+
+    needs_revert: Whether it must be able to revert by itself.
+    """
+
+    def __init__(self, address: str, *, needs_revert: bool = True) -> None:
+        super().__init__(address)
+        self.rating_kw = 0.0
+        self._needs_revert = needs_revert
+
+    def _find_models(self) -> None:
+        models = self._device.models
+        self._measured = self._model(*_MEASUREMENTS)
+        self._limited = self._model(*_LIMITS)
+        self._extended = models.get(122, (None,))[0]
+        self._points: dict[str, Point] = {}
+        self._need(self._measured, "W")
+        for name, field in LIMIT_POINTS[self._limited.model_id].items():
+            self._points[field] = self._limited.points[name]
+            if field in {"enabled", "percent"} or (self._needs_revert and "revert" in field):
+                self._need(self._limited, name)
+        ratings_kw = [self._kw(models[at][0], name) for at, name in _RATINGS if at in models]
+        self.rating_kw = next(filter(None, ratings_kw), 0.0)
+        if not self.rating_kw:
+            raise DeviceError(f"{self.address}: expected a rating in model 702, 121 or 120")
+
+    def read(self) -> Reading:
+        """Read power, available power and limit."""
         with self._errors():
             self._measured.read()
             self._limited.read()
             if self._extended is not None:
                 self._extended.read()
-            power_kw = self._kw(self._measured, "W")
-            if power_kw is None:
-                raise DeviceRefusedError(f"{self.address}: it states no power W")
+            power_kw = self._power_kw(self._measured)
             enabled, percent = (self._points[field].cvalue for field in ("enabled", "percent"))
             limit_kw = self.rating_kw
             if enabled == 1 and percent is not None:
                 limit_kw *= min(max(percent, 0.0), 100.0) / 100.0
-            self.state = self._state()
+            point = self._measured.points["InvSt" if self._measured.model_id == 701 else "St"]
+            names = {symbol["value"]: symbol["name"] for symbol in point.pdef.get("symbols", ())}
+            self.state = str(names.get(point.value, ""))
             available_kw = self._available_kw(power_kw)
         return Reading(time.monotonic_ns(), power_kw, available_kw, limit_kw)
 
@@ -125,10 +194,6 @@ class SunSpecInverter:
     def _percent(self, kw: float) -> float:
         return min(max(100.0 * kw / self.rating_kw, 0.0), 100.0)
 
-    def _kw(self, model: Model, name: str) -> float | None:
-        watts = model.points[name].cvalue
-        return watts / 1e3 if watts is not None and isfinite(watts) else None
-
     def _available_kw(self, power_kw: float) -> float | None:
         """Return the power that there could be: what is not throttled gives all there is."""
         if self._extended is not None:
@@ -138,36 +203,3 @@ class SunSpecInverter:
         if "ThrotPct" in self._measured.points:
             return power_kw if self._measured.points["ThrotPct"].value == 0 else None
         return power_kw if self.state == "MPPT" else None
-
-    def _state(self) -> str:
-        point = self._measured.points["InvSt" if self._measured.model_id == 701 else "St"]
-        names = {symbol["value"]: symbol["name"] for symbol in point.pdef.get("symbols", ())}
-        return str(names.get(point.value, ""))
-
-    def _model(self, *wanted: int) -> Model:
-        for model in wanted:
-            if model in self._device.models:
-                return self._device.models[model][0]
-        needed = " or ".join(map(str, wanted[:2]))
-        raise DeviceError(f"{self.address}: expected SunSpec model {needed}, got none of them")
-
-    def _need(self, model: Model, name: str) -> None:
-        if model.points[name].value is None:
-            raise DeviceError(
-                f"{self.address}: expected the point {name} in SunSpec model {model.model_id}"
-            )
-
-    @contextmanager
-    def _errors(self) -> Iterator[None]:
-        """Turn what pysunspec2 raises into one line; hang up unless the inverter has answered."""
-        try:
-            yield
-        except DeviceError:
-            raise
-        except ModbusClientException as error:
-            raise DeviceRefusedError(f"{self.address}: {error}") from None
-        except Exception as error:  # What is no SunSpec fails anywhere in pysunspec2.
-            self.close()
-            expected = "an inverter with SunSpec models at this address and unit"
-            got = " ".join(str(error).split()) or type(error).__name__
-            raise DeviceError(f"{self.address}: expected {expected}, got: {got}") from None

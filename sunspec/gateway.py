@@ -22,8 +22,15 @@ from typing import Final, TypeAlias
 from hdrh.histogram import HdrHistogram
 
 from agents.plan import RunPlan
-from sim_plant.real_inverters import Reading
-from sunspec.client import DeviceError, DeviceRefusedError, SunSpecInverter
+from agents.settings import Revert
+from sim_plant.real_inverters import METER, Reading
+from sunspec.client import (
+    DeviceError,
+    DeviceRefusedError,
+    SunSpecDevice,
+    SunSpecInverter,
+    SunSpecMeter,
+)
 from sunspec.pipes import GatewayPipes
 from sunspec.process import DeviceAccount, Latency, write_accounts
 
@@ -41,14 +48,15 @@ Limit: TypeAlias = tuple[float, float | None]
 
 
 class Gateway:
-    """The real inverters of a run, connected.
+    """The real inverters of a run, and its meter if that is real, connected.
 
     tell: Called with a line for the launcher, in any thread; an empty one: a run can begin.
     """
 
     def __init__(self, plan: RunPlan, tell: Callable[[str], None]) -> None:
         self._tell = tell
-        links = [_Link(plan, node, address, tell) for node, address in plan.site.devices]
+        devices = [*plan.site.devices, *([("meter", plan.site.meter)] if plan.site.meter else [])]
+        links = [_Link(plan, node, address, tell) for node, address in devices]
         with ThreadPoolExecutor(len(links)) as pool:
             readings = list(pool.map(_Link.connect, links))
         self._links = {link.position: link for link in links}
@@ -56,13 +64,12 @@ class Gateway:
 
     def serve(self, folder: Path, until: int) -> None:
         """Serve the run in a folder until a file descriptor is at its end."""
-        pipes = GatewayPipes(folder)
+        pipes, links = GatewayPipes(folder), self._links.values()
         try:
-            threads = []
-            for position, link in self._links.items():
-                hand_over = partial(pipes.hand_reading, position)
-                hand_over(self._first[position])
-                threads.append(link.begin(hand_over))
+            for link in links:
+                hand_over = partial(pipes.hand_reading, link.position)
+                hand_over(self._first[link.position])
+                link.begin(hand_over)
             self._tell("")
             account_at = time.monotonic()
             while until not in select.select([until, pipes.commands], [], [], _ACCOUNTS_S)[0]:
@@ -70,17 +77,12 @@ class Gateway:
                     self._links[position].command((limit_kw, revert_kw))
                 if time.monotonic() > account_at:
                     account_at = time.monotonic() + _ACCOUNTS_S
-                    self._account(folder)
-            for link in self._links.values():
+                    write_accounts(folder, tuple(link.account() for link in links))
+            for link in links:
                 link.stop()
-            for thread in threads:
-                thread.join(_RETRY_S)
-            self._account(folder)
+            write_accounts(folder, tuple(link.account() for link in links))
         finally:
             pipes.close()
-
-    def _account(self, folder: Path) -> None:
-        write_accounts(folder, tuple(link.account() for link in self._links.values()))
 
 
 class _Tally:
@@ -107,61 +109,59 @@ class _Tally:
 class _LimitWriter:
     """Writes limits to an inverter where they are new, or it would revert before long."""
 
-    def __init__(self, plan: RunPlan, node: str, inverter: SunSpecInverter) -> None:
-        revert = plan.site.settings_of(node).revert
+    def __init__(self, revert: Revert | None, rating_kw: float, inverter: SunSpecInverter) -> None:
+        self.written_kw = nan  # Any limit differs from it.
         self._inverter = inverter
-        self._revert_s = revert.after_s if revert else 0.0
-        self._renew_s = self._revert_s / 3.0 if revert else inf
-        self._revert_to = revert.to if revert else "release"
-        self._rating_kw = plan.tree.rating_kw(node)
-        self._written_kw = nan  # Any limit differs from it.
+        self._rating_kw = rating_kw
+        self._revert = revert or Revert(inf, "release")
         self._written_at = 0.0
-
-    def forget(self) -> None:
-        """Write the next limit in any case: the inverter may have lost the last one."""
-        self._written_kw = nan
 
     def write(self, limit: Limit, took: HdrHistogram) -> None:
         limit_kw, revert_kw = limit
-        if self._revert_to == "release":
-            revert_kw = None
-        elif self._revert_to != "share":
-            revert_kw = self._revert_to * self._rating_kw
-        is_as_before = abs(limit_kw - self._written_kw) < _SMALL_CHANGE * self._inverter.rating_kw
-        if is_as_before and time.monotonic() < self._written_at + self._renew_s:
+        after_s, to = self._revert.after_s, self._revert.to
+        if to != "share":
+            revert_kw = None if to == "release" else to * self._rating_kw
+        is_as_before = abs(limit_kw - self.written_kw) < _SMALL_CHANGE * self._inverter.rating_kw
+        if is_as_before and time.monotonic() < self._written_at + after_s / 3.0:
             return
         with _timed(took):
-            self._inverter.limit(limit_kw, self._revert_s, revert_kw)
-        self._written_kw, self._written_at = limit_kw, time.monotonic()
+            self._inverter.limit(limit_kw, 0.0 if after_s == inf else after_s, revert_kw)
+        self.written_kw, self._written_at = limit_kw, time.monotonic()
 
 
 class _Link:
-    """The link to one inverter, with its thread."""
+    """The link to one device, with its thread."""
 
     def __init__(self, plan: RunPlan, node: str, address: str, tell: Callable[[str], None]) -> None:
-        self.position = plan.tree.leaves.index(node)
-        self.tally = _Tally()
-        self._node, self._tell, self._said = node, tell, ""
+        self._tell, self._said = tell, ""
         self._cycle_s = plan.timing.cycle_wall_ns / 1e9
-        has_revert = plan.site.settings_of(node).revert is not None
-        self._inverter = SunSpecInverter(address, needs_revert=has_revert)
-        self._writer = _LimitWriter(plan, node, self._inverter)
+        self._node = node
+        self._tally = _Tally()
         self._commands: deque[Limit] = deque(maxlen=1)
         self._wake, self._over = threading.Event(), threading.Event()
+        self._thread: threading.Thread | None = None
+        self._device: SunSpecDevice
+        if node == "meter":
+            self.position = METER
+            self._device, self._writer = SunSpecMeter(address), None
+        else:
+            self.position = plan.tree.leaves.index(node)
+            revert = plan.site.settings_of(node).revert
+            self._device = inverter = SunSpecInverter(address, needs_revert=revert is not None)
+            self._writer = _LimitWriter(revert, plan.tree.rating_kw(node), inverter)
 
     def connect(self) -> Reading:
         """Connect and read once, before there is a run."""
         try:
-            self._inverter.connect()
-            return self._inverter.read()
+            self._device.connect()
+            return self._device.read()
         except DeviceError as error:
             raise DeviceError(f"device {self._node}: {error}") from None
 
-    def begin(self, hand_over: Callable[[Reading], None]) -> threading.Thread:
-        """Read and limit the inverter, in a thread."""
-        thread = threading.Thread(target=self._run, args=[hand_over], name=self._node, daemon=True)
-        thread.start()
-        return thread
+    def begin(self, hand_over: Callable[[Reading], None]) -> None:
+        """Read and limit the device, in a thread."""
+        self._thread = threading.Thread(target=self._run, args=[hand_over], daemon=True)
+        self._thread.start()
 
     def command(self, limit: Limit) -> None:
         self._commands.append(limit)
@@ -170,9 +170,11 @@ class _Link:
     def stop(self) -> None:
         self._over.set()
         self._wake.set()
+        if self._thread is not None:
+            self._thread.join(_RETRY_S)
 
     def account(self) -> DeviceAccount:
-        return self.tally.account(self._node, self._inverter.address)
+        return self._tally.account(self._node, self._device.address)
 
     def _run(self, hand_over: Callable[[Reading], None]) -> None:
         read_at = time.monotonic() + self._cycle_s
@@ -180,44 +182,49 @@ class _Link:
             self._wake.wait(max(read_at - time.monotonic(), 0.0))
             self._wake.clear()
             try:
-                if self._commands:
+                if self._commands and self._writer is not None:
                     read_at = time.monotonic() + _READ_AT * self._cycle_s
-                    self._writer.write(self._commands.pop(), self.tally.writes)
+                    self._writer.write(self._commands.pop(), self._tally.writes)
                 if time.monotonic() >= read_at:
                     late_at = read_at + (1.0 - _READ_AT) * self._cycle_s
                     read_at = max(read_at + self._cycle_s, time.monotonic())
                     hand_over(self._read())
-                    self.tally.late += time.monotonic() > late_at
+                    self._tally.late += time.monotonic() > late_at
             except DeviceRefusedError as error:
-                self.tally.refused += 1
-                self._writer.forget()
+                self._tally.refused += 1
+                self._forget_limit()
                 self._say(str(error))
             except DeviceError as error:
                 self._reconnect(error)
 
     def _read(self) -> Reading:
-        before = self._inverter.state
-        with _timed(self.tally.reads):
-            reading = self._inverter.read()
-        state = self._inverter.state
+        before = self._device.state
+        with _timed(self._tally.reads):
+            reading = self._device.read()
+        state = self._device.state
         if state != before and not {before, state} <= {"MPPT", "RUNNING", "THROTTLED"}:
             self._say(f"{before or '-'} -> {state or '-'}")
         return reading
 
+    def _forget_limit(self) -> None:
+        """Write the next limit in any case: the inverter may have lost the last one."""
+        if self._writer is not None:
+            self._writer.written_kw = nan
+
     def _reconnect(self, error: DeviceError) -> None:
-        """Try until the inverter is back."""
-        self.tally.breaks += 1
-        self.tally.gone_at = time.monotonic()
+        """Try until the device is back."""
+        self._tally.breaks += 1
+        self._tally.gone_at = time.monotonic()
         self._say(f"{error}; trying again")
-        self._writer.forget()
+        self._forget_limit()
         while not self._over.is_set():
             try:
-                self._inverter.close()
-                self._inverter.connect()
+                self._device.close()
+                self._device.connect()
             except DeviceError:
                 self._over.wait(_RETRY_S)
             else:
-                self.tally.gone_at = None
+                self._tally.gone_at = None
                 self._say("connected again")
                 return
 

@@ -89,7 +89,7 @@ def inverters(
     serving = served(simulated, sky, time.monotonic, address, first_port, a_port_each=a_port_each)
     with suppress(KeyboardInterrupt), serving as addresses:
         for name, where in addresses.items():
-            say(console, f"meter: {where}" if name == "meter" else f"--device {name}={where}")
+            say(console, f"--device {name}={where}")
         say(console, f"the sky begins at {prepared.local_start()}")
         while not sky.is_over(time.monotonic()):
             time.sleep(0.2)

@@ -190,7 +190,8 @@ class ProcessOptions:
         Do not start this agent; wait for your own device: c2/inv07, c2, central or plant. May be
         given several times.
     devices
-        Use a real inverter, over Modbus TCP: NODE=modbus://10.0.0.7/1. May be given several times.
+        Use a real inverter, over Modbus TCP: NODE=modbus://10.0.0.7/1. With one for each inverter,
+        meter=ADDRESS is the plant's real meter. May be given several times.
     external_timeout_s
         How long to wait for external agents and other hosts. Once all are there, they have 30 s
         to answer the arming rounds.

@@ -210,7 +210,11 @@ class AgentRerun:
         elif since is not None and isinstance(process.state, DirectState):
             for impp in now.recorded.get("estimate", {}).values():
                 if now.stage == "actuate" and isinstance(impp, Impp):
-                    estimate = process.state.estimate._replace(power_kw=impp.power_kw)
+                    if impp.stale_cycles > self.plan.control.hold_cycles:
+                        return False  # It says 0 kW, and remembers what it was.
+                    estimate = process.state.estimate._replace(
+                        power_kw=impp.power_kw, stale_cycles=impp.stale_cycles
+                    )
                     process.state = DirectState(estimate, now.cycle)
                     return True
         return process.unknown_since is None

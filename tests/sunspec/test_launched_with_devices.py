@@ -45,9 +45,9 @@ def inverters(scenario: str, port: str = "0") -> Iterator[list[str]]:
     ) as process:
         assert process.stdout is not None
         options: list[str] = []
-        while not (line := process.stdout.readline()).startswith("meter: "):
+        while (line := process.stdout.readline()).startswith("--device "):
             options += line.split()
-        yield options
+        yield options  # The last one is the meter's.
         process.kill()
 
 
@@ -67,10 +67,11 @@ def test_energies_are_those_of_simulated_inverters(
     for energy in ("dispatched-energy", "available-energy", "delivered-energy"):
         assert found["figures"][energy] == pytest.approx(expected["figures"][energy], rel=0.1)
     assert [device["node"] for device in found["devices"]] == [
-        "c1/inv01", "c1/inv02", "c2/inv03", "c2/inv04"
+        "c1/inv01", "c1/inv02", "c2/inv03", "c2/inv04", "meter"
     ]  # fmt: skip
     assert all(
-        device["reads"]["count"] and device["writes"]["count"] for device in found["devices"]
+        device["reads"]["count"] and (device["writes"]["count"] or device["node"] == "meter")
+        for device in found["devices"]
     )
     assert not list(real.folder.glob("device-*"))
 
@@ -151,6 +152,7 @@ def launch_refusal(scenario: str, *options: str | Path) -> str:
             ("--pace", "1", "--actuator", "fraction", "--device", "c1/inv01=modbus://h/1"),
             "--actuator",
         ),
+        (("--pace", "1", "--device", "meter=modbus://127.0.0.1:1/1"), "each inverter"),
     ],
 )
 def test_devices_that_cannot_be_are_refused_in_one_line(
