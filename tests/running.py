@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
 import signal
@@ -87,9 +88,15 @@ class Command(ForkServerProcess):
     """
 
     def __init__(
-        self, words: Sequence[str], output: Path, errors: Path, environment: Mapping[str, str]
+        self,
+        words: Sequence[str],
+        output: Path,
+        errors: Path,
+        environment: Mapping[str, str],
+        network: str = "",
     ) -> None:
         super().__init__()
+        self._network = network
         self._words, self._files = words, (Path(os.devnull), output, errors)
         self._environment = environment
         set_forkserver_preload(["running"])
@@ -99,6 +106,9 @@ class Command(ForkServerProcess):
 
     def run(self) -> None:
         """Be the command."""
+        if self._network:
+            network = os.open(f"/run/netns/{self._network}", os.O_RDONLY)
+            assert ctypes.CDLL(None, use_errno=True).setns(network, 0) == 0
         os.setpgid(0, 0)  # Ctrl-C at the test's own terminal is not meant for the run.
         for number, path in enumerate(self._files):
             os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
@@ -127,9 +137,11 @@ class Heliarch:
         Of its run; a replay has its temporary files there.
     words
         The command line.
+    network
+        Namespace of the network that it runs in; empty: the test's own.
     """
 
-    def __init__(self, folder: Path, *words: str | Path) -> None:
+    def __init__(self, folder: Path, *words: str | Path, network: str = "") -> None:
         self.folder = folder
         self.output = folder.with_suffix(".out")
         self.errors = folder.with_suffix(".err")
@@ -142,7 +154,7 @@ class Heliarch:
             words = (*words, "--out", folder)
         for path in (self.output, self.errors):
             path.touch()
-        self.process = Command([*map(str, words)], self.output, self.errors, environment)
+        self.process = Command([*map(str, words)], self.output, self.errors, environment, network)
 
     def wait(self) -> int:
         return self.process.wait(timeout=170)
@@ -235,8 +247,8 @@ def commands_in(folder: Path) -> Iterator[Start]:
     """
     started: list[Heliarch] = []
 
-    def start(*words: str | Path) -> Heliarch:
-        command = Heliarch(folder / f"run{len(started)}", *words)
+    def start(*words: str | Path, network: str = "") -> Heliarch:
+        command = Heliarch(folder / f"run{len(started)}", *words, network=network)
         started.append(command)
         return command
 
