@@ -57,7 +57,7 @@ format: $(READY) ## bring the code into its format
 bench: $(READY) ## cycle rate beside a bare Zenoh graph, start-up time, memory
 	$(BIN)/python benchmarks/cycle_rate.py
 
-bench-peers: $(PEERS_READY) ## cycle rate beside HELICS and mosaik, in a virtual environment of its own
+bench-peers: $(PEERS_READY) ## cycle rate beside mosaik, in a virtual environment of its own
 	$(PEERS)/bin/python benchmarks/peers.py
 
 $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt

@@ -4,10 +4,9 @@
 
 GRAPH.json names each process with the keys that it hears and its stages: the keys that a stage
 awaits, one message of each, and the messages that it then puts. `cycle_rate.py` derives it from a
-recording. Nothing of Heliarch is imported here. Processes are forked from one parent that has
-imported everything and runs one thread; they act on the thread on which Zenoh calls them; two are
-linked, by TCP on 127.0.0.1, if one puts what the other hears; a recorder hears everything and
-writes the payloads to an MCAP file unread. Nobody decodes, checks or computes anything.
+recording. Sessions are set up as Heliarch's, and processes are forked from one parent that has
+imported everything. They act on the thread on which Zenoh calls them; a recorder hears everything
+and writes the payloads to an MCAP file unread. Nobody decodes, checks or computes anything.
 
 Prints one JSON document, as `harness.run_script` reads it.
 """
@@ -21,12 +20,12 @@ import itertools
 import json
 import multiprocessing
 import os
-import socket
 import tempfile
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -40,26 +39,23 @@ import zenoh
 from mcap.writer import CompressionType, Writer
 
 from agents.process.machine import die_with_parent
+from bus_schemas.tcp_ports import reserved_ports
+from bus_schemas.tree import RECORDER
+from bus_schemas.wiring import Links
+from bus_schemas.zenoh_session import (
+    QUEUE_LENGTH,
+    ZENOH_RUNTIME,
+    SessionSettings,
+    TokenWatch,
+    open_session,
+)
 
-RECORDER: Final = "recorder"
 WARM_UP: Final = 50
 ARM_LIMIT_S: Final = 60.0
 STALL_S: Final = 10.0
 RUN_LIMIT_S: Final = 300.0
 NAP_S: Final = 0.002
 FLUSH_S: Final = 0.5
-RUNTIME: Final = (
-    "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), "
-    "app: (worker_threads: 1))"
-)
-SESSION: Final = {
-    "mode": "peer",
-    "connect/timeout_ms": -1,
-    "connect/exit_on_failure": False,
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    "transport/shared_memory/enabled": False,
-}
 
 
 class Put(msgspec.Struct, frozen=True):
@@ -91,41 +87,13 @@ Graph = list[Process]
 """All processes, the recorder excepted. The first one begins each cycle."""
 
 
-class Network:
-    """Who links with whom, and through which ports."""
-
-    def __init__(self, graph: Graph) -> None:
-        pairs = [(RECORDER, process.name) for process in graph]
-        for one, other in itertools.combinations(graph, 2):
-            if {*one.says()} & {*other.hears} or {*other.says()} & {*one.hears}:
-                pairs.append((one.name, other.name))
-        self._pairs = pairs
-        sockets = {listener: socket.create_server(("127.0.0.1", 0)) for listener, _ in pairs}
-        self._ports = {name: each.getsockname()[1] for name, each in sockets.items()}
-        for each in sockets.values():
-            each.close()
-
-    def open(self, name: str) -> zenoh.Session:
-        listens = [name] if name in self._ports else []
-        connects = [listener for listener, caller in self._pairs if caller == name]
-        config = zenoh.Config()
-        for key, value in SESSION.items():
-            config.insert_json5(key, json.dumps(value))
-        for key, names in (("listen/endpoints", listens), ("connect/endpoints", connects)):
-            addresses = [f"tcp/127.0.0.1:{self._ports[each]}" for each in names]
-            config.insert_json5(key, json.dumps(addresses))
-        return zenoh.open(config)
-
-    def arm(self, name: str, session: zenoh.Session) -> zenoh.LivelinessToken:
-        """Wait until all partners are seen; a token follows its owner's subscriptions."""
-        token = session.liveliness().declare_token(f"alive/{name}")
-        partners = {each for pair in self._pairs if name in pair for each in pair} - {name}
-        wanted = {f"alive/{partner}" for partner in partners}
-        while wanted:
-            for reply in session.liveliness().get("alive/**"):
-                wanted.discard(str(reply.ok.key_expr) if reply.ok else "")
-            time.sleep(0.05)
-        return token
+def links_of(graph: Graph) -> Links:
+    """Return a link for each pair of which one puts what the other hears."""
+    pairs = [(RECORDER, process.name) for process in graph]
+    for one, other in itertools.combinations(graph, 2):
+        if {*one.says()} & {*other.hears} or {*other.says()} & {*one.hears}:
+            pairs.append((one.name, other.name))
+    return Links(tuple(pairs))
 
 
 def says(graph: Graph) -> list[str]:
@@ -134,21 +102,6 @@ def says(graph: Graph) -> list[str]:
 
 Work = Callable[[], object]
 THREAD: Final = threading.local()
-
-
-def subscribe(session: zenoh.Session, key: str, act: Callable[[str], None]) -> object:
-    def hear(_sample: zenoh.Sample) -> None:
-        if not hasattr(THREAD, "is_kept"):  # Python would set up a thread state for each callback.
-            ctypes.pythonapi.PyGILState_Ensure()
-            THREAD.is_kept = True
-        act(key)
-
-    return session.declare_subscriber(key, zenoh.handlers.Callback(hear, indirect=False))
-
-
-def declare(session: zenoh.Session, key: str) -> Callable[[bytes], None]:
-    block, reliable = zenoh.CongestionControl.BLOCK, zenoh.Reliability.RELIABLE
-    return session.declare_publisher(key, congestion_control=block, reliability=reliable).put
 
 
 class Player:
@@ -160,13 +113,28 @@ class Player:
         self._is_over = threading.Event()
         self._surplus: Counter[str] = Counter()
         self._began = self._ended = 0.0
+        block = zenoh.CongestionControl.BLOCK
         self._stages = [
-            (stage.awaits, [(declare(session, put.key), put.payload) for put in stage.puts])
+            (
+                stage.awaits,
+                [
+                    partial(
+                        session.declare_publisher(put.key, congestion_control=block).put,
+                        put.payload,
+                    )
+                    for put in stage.puts
+                ],
+            )
             for stage in process.stages
         ]
         self._place = 0
         self._missing = self._claim()
-        self._kept = [subscribe(session, key, self._hear) for key in process.hears]
+        self._kept = [
+            session.declare_subscriber(
+                key, zenoh.handlers.Callback(partial(self._hear, key), indirect=False)
+            )
+            for key in process.hears
+        ]
 
     def __call__(self) -> tuple[float, float]:
         """Begin, if this is the process that begins each cycle; return when all began and ended."""
@@ -175,7 +143,10 @@ class Player:
         self._is_over.wait()
         return self._began, self._ended
 
-    def _hear(self, key: str) -> None:
+    def _hear(self, key: str, _sample: zenoh.Sample) -> None:
+        if not hasattr(THREAD, "is_kept"):  # Python would set up a thread state for each callback.
+            ctypes.pythonapi.PyGILState_Ensure()
+            THREAD.is_kept = True
         with self._lock:
             self._surplus[key] += 1
             if self._surplus[key] == 0:
@@ -191,8 +162,8 @@ class Player:
 
     def _advance(self) -> None:
         while not self._missing and self._cycle < self._cycles:
-            for put, payload in self._stages[self._place][1]:
-                put(payload)
+            for put in self._stages[self._place][1]:
+                put()
             self._place = (self._place + 1) % len(self._stages)
             if self._place == 0:
                 self._end_cycle()
@@ -209,7 +180,7 @@ class Player:
 
 def recorder(graph: Graph, cycles: int, session: zenoh.Session) -> Work:
     """Return what the recorder does: write and count payloads until nothing more comes."""
-    subscriber = session.declare_subscriber("**", zenoh.handlers.FifoChannel(65536))
+    subscriber = session.declare_subscriber("**", zenoh.handlers.FifoChannel(QUEUE_LENGTH))
     keys = says(graph)
 
     def record() -> int:
@@ -237,14 +208,20 @@ def recorder(graph: Graph, cycles: int, session: zenoh.Session) -> Work:
     return record
 
 
-def live(network: Network, name: str, role: Callable[[zenoh.Session], Work], parent: Any) -> None:
+def live(
+    settings: SessionSettings, name: str, role: Callable[[zenoh.Session], Work], parent: Any
+) -> None:
     """Be one process of the graph, from its fork on."""
     die_with_parent()
     gc.disable()
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    session = network.open(name)
+    session = open_session(settings)
     work = role(session)
-    _token = network.arm(name, session)
+    _token = session.liveliness().declare_token(f"alive/{name}")  # It follows the subscriptions.
+    tokens, partners = TokenWatch("alive/**"), {f"alive/{peer}" for peer in settings.peers}
+    tokens.listen([session])
+    while not partners <= tokens.alive():
+        time.sleep(0.05)
     parent.send("armed")
     parent.recv()
     parent.send(work())
@@ -257,9 +234,14 @@ def hear(child: Connection, process: BaseProcess, limit_s: float) -> Any:
     return child.recv()
 
 
+def end(process: BaseProcess) -> None:
+    process.kill()
+    process.join()
+
+
 def run(graph: Graph, cycles: int) -> dict[str, object]:
-    os.environ["ZENOH_RUNTIME"] = RUNTIME
-    network = Network(graph)
+    os.environ["ZENOH_RUNTIME"] = ZENOH_RUNTIME
+    links = links_of(graph)
     roles: dict[str, Callable[[zenoh.Session], Work]]
     roles = {each.name: partial(Player, each, cycles) for each in graph}
     roles[RECORDER] = partial(recorder, graph, cycles)
@@ -267,10 +249,14 @@ def run(graph: Graph, cycles: int) -> dict[str, object]:
     gc.freeze()
     fork = multiprocessing.get_context("fork")
     children: list[tuple[Connection, BaseProcess]] = []
-    try:
+    with ExitStack() as stack:
+        ports = stack.enter_context(reserved_ports(links.listening))
         for name, role in roles.items():
             child, parent = fork.Pipe()
-            process = fork.Process(target=live, args=(network, name, role, parent), name=name)
+            ends, peers = links.endpoints(name, ports), links.peers(name)
+            settings = SessionSettings("bare", *ends, peers=peers)
+            process = fork.Process(target=live, args=(settings, name, role, parent), name=name)
+            stack.callback(end, process)
             process.start()
             children.append((child, process))
         for each in children:
@@ -279,12 +265,8 @@ def run(graph: Graph, cycles: int) -> dict[str, object]:
             child.send("go")
         (began, ended), *_, written = [hear(*each, RUN_LIMIT_S) for each in children]
         *own, _ = [psutil.Process(each.pid).memory_full_info().uss / 1e6 for _, each in children]
-    finally:
-        for _, started in children:
-            started.kill()
-            started.join()
     messages = len(says(graph)) * (WARM_UP + cycles)
-    counts = {"cycles": cycles, "messages": messages, "lost": messages - written}
+    counts = {"cycles": cycles, "lost": messages - written}
     return {"began": began, "ended": ended, **counts, "own_mb": median(own)}
 
 

@@ -31,7 +31,7 @@ from sim_plant.plant import Plant
 from sim_plant.profile import load_profile
 
 SAMPLE_CYCLES: Final = 60
-SHOWN: Final = ("cycles_per_s", "processor_ms", "switches_per_message", "startup_s", "own_mb")
+SHOWN: Final = ("cycles_per_s", "processor_ms", "startup_s", "own_mb")
 
 
 def describe(scenario: str, folder: Path) -> Path:

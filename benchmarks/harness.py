@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import signal
 import statistics
 import subprocess
@@ -35,37 +34,28 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
 
     startup_s: From the command to cycle 0.
     processor_ms: User and system time of all its processes for each cycle.
-    switches_per_message: How often a process waited for something, from the command to its end.
     """
 
     cycles_per_s: float
     startup_s: float
     processor_ms: float
-    switches_per_message: float
     lost: int
 
 
 class Watched(msgspec.Struct, frozen=True):
-    """A program that has ended: what it printed, when it was started, what was seen of it.
-
-    switches: How often it and all its descendants waited for something.
-    """
+    """A program that has ended: what it printed, when it was started, what was seen of it."""
 
     output: str
     started: float
     samples: list[Sample]
-    switches: int
 
-    def figures(
-        self, began: float, ended: float, cycles: int, messages: float = nan, lost: int = 0
-    ) -> Figures:
+    def figures(self, began: float, ended: float, cycles: int, lost: int = 0) -> Figures:
         """Return what its cycles came to, by when they began and ended."""
         cycles_per_s = cycles / (ended - began)
         return Figures(
             cycles_per_s=cycles_per_s,
             startup_s=began - self.started,
             processor_ms=1e3 * self.busy(began, ended) / cycles_per_s,
-            switches_per_message=self.switches / messages,
             lost=lost,
         )
 
@@ -90,7 +80,7 @@ def run(command: Sequence[str]) -> Watched:
     too long.
     """
     with tempfile.NamedTemporaryFile("w", prefix="bench-") as output:
-        started, switches = time.monotonic(), _switches()
+        started = time.monotonic()
         process = subprocess.Popen(
             ["setpriv", "--pdeathsig", "TERM", *command],
             stdout=output,
@@ -110,11 +100,7 @@ def run(command: Sequence[str]) -> Watched:
         text = Path(output.name).read_text(encoding="utf-8")
     if process.returncode:
         raise SystemExit(f"{' '.join(command)}\nended with status {process.returncode}:\n{text}")
-    return Watched(text, started, samples, _switches() - switches)
-
-
-def _switches() -> int:
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_nvcsw
+    return Watched(text, started, samples)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -158,8 +144,7 @@ def _read(summary: dict[str, Any], watched: Watched) -> Launch:
     direct_mb = [each["own_mb"] for each in summary["processes"] if each["kind"] == "direct"]
     began = watched.started + summary["startup_s"]
     ended = began + summary["wall_s"]
-    messages = sum(each["published"] for each in summary["messages"])
-    seen = watched.figures(began, ended, summary["cycles"], messages, summary["messages_lost"])
+    seen = watched.figures(began, ended, summary["cycles"], summary["messages_lost"])
     return Launch(
         **msgspec.structs.asdict(seen),
         own_mb=statistics.median(direct_mb) or nan if direct_mb else nan,
@@ -173,5 +158,5 @@ def run_script(script: str, *words: object) -> tuple[Figures, dict[str, Any]]:
     """
     watched = run([sys.executable, str(Path(__file__).with_name(script)), *map(str, words)])
     said: dict[str, Any] = msgspec.json.decode(watched.output.splitlines()[-1])
-    names = {"began", "ended", "cycles", "messages", "lost"} & said.keys()
+    names = {"began", "ended", "cycles", "lost"} & said.keys()
     return watched.figures(**{name: said[name] for name in names}), said

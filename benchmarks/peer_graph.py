@@ -1,4 +1,4 @@
-"""The control graph that the peers run: 22 nodes, the paper's rule, and the result it must give.
+"""The control graph that mosaik runs: 22 nodes, the paper's rule, and the result it must give.
 
 One plant, 17 direct controllers in clusters of 6, 6 and 5, three supervisors and one central
 controller, as in the scenario `oahu`. A cycle has six serial hops: plant, direct, supervisor,

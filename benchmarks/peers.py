@@ -1,15 +1,15 @@
-"""The same control graph with Heliarch, HELICS and mosaik. What `make bench-peers` runs.
+"""The same control graph with Heliarch and mosaik. What `make bench-peers` runs.
 
     python benchmarks/peers.py --rounds 5 --cycles 300
 
-HELICS (`peer_helics.py`) and mosaik (`peer_mosaik.py`) run the graph of `peer_graph.py`: 22 nodes,
-each a process, six serial hops in a cycle, the paper's rule on one number for each message, no
-recording. Heliarch is `heliarch launch oahu --pace max`: its own 22 agents in the same tree, with a
-header on each message, all inputs checked, and everything recorded.
+Mosaik (`peer_mosaik.py`) runs the graph of `peer_graph.py`: 22 nodes, each a process, six serial
+hops in a cycle, the paper's rule on one number for each message, no recording. Heliarch is
+`heliarch launch oahu --pace max`: its own 22 agents in the same tree, with a header on each
+message, all inputs checked, and everything recorded.
 
-Power delivered by the two peers is compared with a calculation in one process, cycle by cycle: a
-loop in the wrong order ends the benchmark with status 1. Processor time is that of all processes,
-HELICS's broker, mosaik's scheduler, Heliarch's launcher and recorder included, while cycles run.
+Power delivered is compared with a calculation in one process, cycle by cycle: a loop in the wrong
+order ends the benchmark with status 1. Processor time is that of all processes, mosaik's scheduler
+and Heliarch's launcher and recorder included, while cycles run.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ def main() -> None:
     cycles = words.cycles
     ways: dict[str, Callable[[], Figures]] = {
         "Heliarch": partial(launch, OURS, "oahu", cycles),
-        f"HELICS {version('helics')}": partial(peer, "peer_helics.py", cycles),
         f"mosaik {version('mosaik')}": partial(peer, "peer_mosaik.py", cycles),
     }
     title, shown = (

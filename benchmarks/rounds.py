@@ -22,7 +22,6 @@ from results.tables import Column, Table, key_column, print_table
 COLUMNS: Final = (
     Column("cycles/s", "", 1, name="cycles_per_s"),
     Column("processor time", "ms a cycle", 1, name="processor_ms"),
-    Column("switches", "per message", 1, name="switches_per_message"),
     Column("start-up", "s", 2, name="startup_s"),
     Column("direct controller", "MB, its own", 1, name="own_mb"),
 )

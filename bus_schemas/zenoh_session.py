@@ -165,12 +165,8 @@ def open_sessions(settings: SessionSettings, number: int = 0) -> list[zenoh.Sess
     return [open_session(each, number) for each in (settings, settings.devices) if each is not None]
 
 
-def _abort_links() -> None:
-    """Abort all TCP links of this process.
-
-    A link over which nothing goes keeps a session from closing for 10 s, and Zenoh's only thread
-    waits meanwhile.
-    """
+def _links() -> Iterator[socket.socket]:
+    """Yield a copy of each TCP link of this process."""
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # Closed in the meantime, or not connected.
             if not str(entry.readlink()).startswith("socket:"):
@@ -178,8 +174,30 @@ def _abort_links() -> None:
             with socket.socket(fileno=os.dup(int(entry.name))) as link:
                 if link.type == socket.SOCK_STREAM and link.family != socket.AF_UNIX:
                     link.getpeername()
-                    link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-                    link.shutdown(socket.SHUT_RDWR)
+                    yield link
+
+
+def _set_linger(link: socket.socket, *, on: bool) -> None:
+    """Let the end of a link wait for 0 s; or not wait at all, and send on what is left."""
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", on, 0))
+
+
+def _abort_links() -> None:
+    """Abort all links: one over which nothing goes would keep a session from closing for 10 s."""
+    for link in _links():
+        _set_linger(link, on=True)
+        with suppress(OSError):
+            link.shutdown(socket.SHUT_RDWR)
+
+
+def _keep_from_lingering(is_over: threading.Event, every_s: float) -> None:
+    """See again and again that no link blocks Zenoh's only thread for 10 s when it closes.
+
+    Zenoh sets SO_LINGER to 10 s: one peer that does not acknowledge would silence all others.
+    """
+    while not is_over.wait(every_s):
+        for link in _links():
+            _set_linger(link, on=False)
 
 
 class TokenWatch:
@@ -238,12 +256,17 @@ class AgentSessions:
         # A subscriber, queryable or token ends with the last reference to it.
         self._declared: list[object] = []
         self._watches: list[TokenWatch] = []
+        self._is_over = threading.Event()
+        threading.Thread(
+            target=_keep_from_lingering, args=(self._is_over, settings.lease_s / 4.0), daemon=True
+        ).start()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         """Close the sessions: an open one can hang the interpreter's exit."""
+        self._is_over.set()
         self._close()
 
     def reopen(self) -> None:

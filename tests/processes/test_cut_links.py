@@ -166,6 +166,21 @@ def judged(run: Heliarch, plan: RunPlan, status: int, healed_ns: int) -> Outcome
     )
 
 
+def test_a_controller_that_is_killed_while_its_links_look_whole_is_heard_again_and_so_are_all(
+    heliarch: Start, network: Network, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--pace", "5", "--duration", "100", network=network.name)
+    run.until_recorded(5)
+    network.cut_links(run.process_of(LEAF).pid)
+    run.process_of(LEAF).kill()
+    run.until_back(LEAF)  # Its old links are closed once nothing has come over them for 8 s.
+
+    assert run.wait() == 0, run.error_text()
+    summary = summary_of(run.folder)
+    assert summary.restarts == {LEAF: 1}
+    assert summary.cycles == 100
+
+
 @pytest.mark.soak
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("cut", CUTS, ids=lambda cut: f"{cut.what}-{cut.seconds:g}")
