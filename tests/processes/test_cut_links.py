@@ -157,7 +157,7 @@ def judged(run: Heliarch, plan: RunPlan, status: int, healed_ns: int) -> Outcome
     both = [cycle for cycle in power if cycle in asked]
     return Outcome(
         status,
-        sum(summary_of(run.folder).restarts.values()),
+        sum(summary_of(run.folder).launcher.restarts.values()),
         len(power),
         sum(heard[cycle] < due for cycle in range(cycles)),
         max(again_ns - healed_ns, 0) / 1e9,
@@ -177,7 +177,7 @@ def test_a_controller_that_is_killed_while_its_links_look_whole_is_heard_again_a
 
     assert run.wait() == 0, run.error_text()
     summary = summary_of(run.folder)
-    assert summary.restarts == {LEAF: 1}
+    assert summary.launcher.restarts == {LEAF: 1}
     assert summary.cycles == 100
 
 
