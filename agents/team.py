@@ -23,8 +23,15 @@ def controller(plan: RunPlan, name: str) -> Controller:
         return CentralController(tree, control, cycle_s)
     if kind_of(name, tree) == "supervisor":
         return Supervisor(name, tree, control)
+    return direct_controller(plan, name)
+
+
+def direct_controller(
+    plan: RunPlan, name: str, kind: type[DirectController] = DirectController
+) -> DirectController:
     reverts = plan.site.settings_of(name).revert is not None
-    return DirectController(name, tree.rating_kw(name), control, cycle_s, reverts=reverts)
+    rating_kw, cycle_s = plan.tree.rating_kw(name), plan.timing.cycle_s
+    return kind(name, rating_kw, plan.control, cycle_s, reverts=reverts)
 
 
 def controllers(plan: RunPlan) -> list[Controller]:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from agents.process.events import Finished, Recorded
+from msgspec.structs import replace
+
+from agents.process.events import ExternalAccount, Finished, Recorded
 from bus_schemas.errors import InputError
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import Child
 from recordings.inspect.health import Health, LauncherAccount, WrongMessages
+from recordings.verify.verification import verify
 from results.run_summary import (
     MessageCount,
     ProcessAccount,
@@ -111,10 +114,21 @@ class RunAccount:
             figures=figures,
             messages=self._messages(recorded, found, health),
             processes=tuple(self.processes),
-            external=recorded.external,
+            external=tuple(map(self._compared, recorded.external)),
             devices=devices,
             health=health,
         )
+
+    def _compared(self, account: ExternalAccount) -> ExternalAccount:
+        """Return the account of an external agent; of a direct controller, also what differs."""
+        plan = self.preparation.plan
+        if account.agent not in plan.tree.leaves or plan.faults.device:
+            return account
+        try:
+            result = verify(self.folder.recording, account.agent).agents[account.agent]
+        except InputError:  # There is nothing to compare.
+            return account
+        return replace(account, differing=result.differences["differs"])
 
     def _messages(
         self, recorded: Recorded, found: Counter[str], health: Health | None

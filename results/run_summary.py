@@ -134,6 +134,11 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
             of = max(sum(account.recorded.values()), account.expected, refused)
             if refused > _MOST_REFUSED * of:
                 yield f"external agent {account.agent}: {refused:,} of {of:,} messages refused"
+            if account.differing:
+                yield (
+                    f"external agent {account.agent}: {account.differing:,} messages differ from "
+                    f"what it must decide, see heliarch verify {self.run.folder}"
+                )
 
     def _two_senders(self) -> list[WrongMessages]:
         """Return keys of Heliarch's processes on which another program sent messages as well."""

@@ -112,6 +112,8 @@ class ExternalAccount(msgspec.Struct, frozen=True):
     expected, answered: How many messages should have come on the keys with one in each cycle, and
         how many came.
     outages: Cycles in which it went away and came back; None: it did not.
+    differing: How many of its messages are not what a direct controller must decide; 0 if it is
+        none.
     """
 
     agent: str
@@ -120,6 +122,7 @@ class ExternalAccount(msgspec.Struct, frozen=True):
     expected: int
     answered: int
     outages: tuple[tuple[int, int | None], ...] = ()
+    differing: int = 0
 
 
 class Recorded(Event, frozen=True):

@@ -24,17 +24,41 @@ from typing import Any, TypeAlias
 import msgspec
 
 from agents.agent import Agent, Stage, Turn
+from agents.control.impp import Estimate
 from agents.cycle import stage_of
-from agents.direct import DirectState
+from agents.direct import DirectController, DirectState
 from agents.inputs import Inputs
 from agents.plan import RunPlan
-from bus_schemas.messages import Impp, Message, parse_missing
+from agents.team import direct_controller
+from bus_schemas.messages import Impp, Message, Telemetry, parse_missing
 from bus_schemas.signals import Port
 from recordings.verify.agent_result import AgentResult, Difference
 from recordings.verify.equality import Equality
 from recordings.verify.recorded_cycles import RecordedCycles
 
 Messages: TypeAlias = Mapping[Port[Message], Message]
+
+
+class StatedEstimates(DirectController):
+    """The controller of a device, which may estimate its maximum as it likes, see docs/wire.md.
+
+    stated: What it has published of its estimate in this cycle: the rest follows from that.
+    """
+
+    stated: Impp | None = None
+
+    def _estimate_now(self, telemetry: Telemetry | None, last: Estimate) -> Estimate:
+        stated = self.stated
+        if stated is None:
+            return super()._estimate_now(telemetry, last)
+        is_lost = stated.stale_cycles > self._control.hold_cycles
+        return Estimate(last.power_kw if is_lost else stated.power_kw, stated.stale_cycles)
+
+
+def device_controller(plan: RunPlan, name: str) -> Agent[Any]:
+    """Return the direct controller that a device is compared with."""
+    is_paper = plan.control.scheme == "paper"
+    return direct_controller(plan, name, DirectController if is_paper else StatedEstimates)
 
 
 @dataclass
@@ -184,6 +208,9 @@ class AgentRerun:
         sim_time_ns = self.plan.timing.sim_time_ns(cycle)
         stamp = (cycle, sim_time_ns, process.agent.name, missing, 0, 0, 0, process.incarnation)
         turn = Turn(stage.name, cycle, sim_time_ns, stamp, used)
+        if isinstance(process.agent, StatedEstimates) and stage.name == "estimate":
+            stated = (message for message in recorded.values() if isinstance(message, Impp))
+            process.agent.stated = next(stated, None)
         process.state, outputs = process.agent.step(process.state, turn)
         new = dict(outputs)
         if not is_certain or (process.unknown_since is not None and missing):

@@ -22,7 +22,7 @@ from recordings.read.reader import RunReader
 from recordings.verify.agent_result import AgentResult, Difference
 from recordings.verify.equality import BIT_FOR_BIT, Equality
 from recordings.verify.recorded_cycles import MessageCounts, RecordedCycles
-from recordings.verify.rerun import AgentRerun
+from recordings.verify.rerun import AgentRerun, device_controller
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile, load_profile
 
@@ -85,8 +85,8 @@ def verify(
 ) -> Verification:
     """Run agents again on the inputs of a recording and compare what they publish.
 
-    By default all but external agents are run again, see `find_agents`; a node that is named is
-    run again in any case. Its differences are `verify(run, node).agents[node]`.
+    By default all but external parents and plants are run again, see `find_agents`; a node that is
+    named is run again in any case. Its differences are `verify(run, node).agents[node]`.
 
     Agents remember earlier cycles, so they always run from cycle 0 on; only the cycles from `start`
     to `end` are compared. `progress` is called with the share of the recording that has been read.
@@ -101,7 +101,13 @@ def verify(
         results = {name: AgentResult(from_cycle=wanted.start) for name in team}
         reruns = [
             AgentRerun(
-                name, make, plan, recorded, equality, results[name], _forgets_after(plan, name)
+                name,
+                make,
+                plan,
+                recorded,
+                equality.of_device() if name in plan.access.external else equality,
+                results[name],
+                _forgets_after(plan, name),
             )
             for name, make in team.items()
         ]
@@ -159,7 +165,7 @@ def _team(
 ) -> tuple[dict[str, _Make], dict[str, str]]:
     """Return what makes each agent, in the order of the control tree, and why others are left out.
 
-    An external agent is run again only on request: it need not do what ours does.
+    An external parent or plant is run again only on request: it need not do what ours does.
     """
     team: dict[str, _Make] = {}
     left_out: dict[str, str] = {}
@@ -167,8 +173,11 @@ def _team(
     for name in (PLANT, *map(agent_name, plan.tree.nodes)):
         if wanted and name not in wanted:
             continue
-        if name in plan.access.external and not nodes:
+        is_device, is_direct = name in plan.access.external, name in plan.tree.leaves
+        if is_device and not nodes and (plan.faults.device or not is_direct):
             left_out[name] = "it is external"
+        elif is_device and is_direct:
+            team[name] = partial(device_controller, plan, name)
         elif name != PLANT:
             team[name] = partial(controller, plan, name)
         elif plan.site.devices:

@@ -62,7 +62,7 @@ def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
     assert (summary.lost, summary.launcher.wrong) == (0, ())
     found = verify(folder)
     assert found.equal
-    assert list(found.left_out) == [NODE]
+    assert NODE in found.agents
     assert_none_left(folder)
 
 
@@ -169,8 +169,21 @@ def test_a_device_that_does_everything_wrong_is_named_and_contained(
     assert f"wrong message on small/{NODE}/impp: " in output
     largest_mb = max(process.resident_mb for process in summary.processes)
     assert largest_mb < 150.0, "a flood fills no memory"
-    assert verify(folder).equal
+    assert verify(folder, "plant,central,c1,c2,c1/inv02").equal
     assert_none_left(folder)
+
+
+@pytest.mark.parametrize("scheme", ["paper", "predictive"])
+def test_a_device_that_states_a_wrong_residual_ends_the_run_with_status_1(
+    device: Device, plant: str, tmp_path: Path, scheme: str
+) -> None:
+    folder = tmp_path / "run"
+    device(WRONG, "residual", folder / "plan.json", NODE)
+    words = ("--duration", "25", "--scheme", scheme, "--external", NODE, "--out", folder)
+    result = command_line.heliarch("launch", plant, *words)
+    assert result.exit_code == 1
+    assert f"{NODE}: 25 messages differ" in result.stderr
+    assert list(verify(folder).first or ())[:1] == [NODE]
 
 
 def contained(launched: Decisions, right: Decisions) -> None:

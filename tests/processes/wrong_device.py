@@ -29,6 +29,8 @@ class WrongDevice(direct_controller.DirectController):
     def publish(self, signal: str, **fields: float | None) -> None:
         if "arming" in FAULTS and self.cycle < 0:
             return
+        if "residual" in FAULTS and signal == "residual":
+            fields["power_kw"] = (fields["power_kw"] or 0.0) + 10.0
         if self.cycle == 3:
             if "decisions" in FAULTS and signal == "residual":
                 fields["power_kw"] = (fields["power_kw"] or 0.0) + 1e-9

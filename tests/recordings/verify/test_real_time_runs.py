@@ -25,7 +25,7 @@ from agents.faults import Kill
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import Blackout, Disturbance
-from bus_schemas.messages import Impp, Takeover, parse_missing
+from bus_schemas.messages import Impp, Residual, Takeover, parse_missing
 from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, RESIDUAL, SETPOINT
 from launch_scripts.simulation import MemoryRun
 from recordings.verify.verification import Verification, verify
@@ -280,15 +280,37 @@ def test_a_run_that_broke_off_is_compared_up_to_there_also_without_a_dead_agent(
 # External agents ----------------------------------------------------------------------------------
 
 
-def test_an_external_agent_is_re_run_only_if_it_is_asked_for(tmp_path: Path) -> None:
-    plan = faulty_plan(LATE, external=("c1/a", "plant"))
+@pytest.mark.parametrize("scheme", ["paper", "predictive"])
+def test_of_external_agents_direct_controllers_are_re_run_others_if_asked_for(
+    tmp_path: Path, scheme: str
+) -> None:
+    plan = faulty_plan(LATE, external=("c1/a", "c2", "plant"), scheme=scheme)
     found = verified(tmp_path / "run", plan)
     assert found.equal
-    assert found.left_out.keys() == {"c1/a", "plant"}
+    assert found.left_out.keys() == {"c2", "plant"}
     assert not found.left_out.keys() & found.agents.keys()
-    asked = verify(tmp_path / "run", ("c1/a",))
+    asked = verify(tmp_path / "run", ("c2",))
     assert asked.equal
-    assert asked.agents.keys() == {"c1/a"}
+    assert asked.agents.keys() == {"c2"}
+
+
+@pytest.mark.parametrize(
+    ("scheme", "wrong"), [("paper", {"impp", "residual"}), ("predictive", {"residual"})]
+)
+def test_a_device_may_have_an_estimate_of_its_own_but_by_the_paper(
+    tmp_path: Path, scheme: str, wrong: set[str]
+) -> None:
+    plan = faulty_plan(LATE, external=("c1/a",), scheme=scheme)
+    estimates = published(plan, cloudy_profile(plan))
+    for number, (port, message) in enumerate(estimates):
+        if port.node == "c1/a" and isinstance(message, Impp | Residual) and message.cycle == 7:
+            more_kw = 1.0 if isinstance(message, Impp) else 2.0
+            estimates[number] = port, replace(message, power_kw=message.power_kw + more_kw)
+    found = verified(tmp_path / "run", plan, estimates)
+    result = found.agents["c1/a"]
+    assert result.differences["differs"] >= len(wrong)
+    assert result.first is not None
+    assert result.first.message == f"c1/a/{min(wrong)}"
 
 
 def test_of_two_messages_in_one_cycle_the_first_one_was_used_and_none_of_no_cycle(
@@ -305,5 +327,6 @@ def test_of_two_messages_in_one_cycle_the_first_one_was_used_and_none_of_no_cycl
     odd = [replace(message, power_kw=12.5), replace(message, cycle=4711)]
     messages[place + 1 : place + 1] = [(port, other) for other in odd]
     found = verified(tmp_path / "run", plan, messages)
+    assert found.agents.pop("c1/a").differences == {"sent twice": 1}
     assert found.equal
     assert found.messages.misplaced == 0
