@@ -43,8 +43,7 @@ of the next cycle."""
 class RunFollower:
     """A recording, as far as it has been read.
 
-    `cycles` are those that the plant has completed. `start_time_ns` is that of the run on its own
-    clock, None until it is recorded.
+    `cycles` are those that the plant has completed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -52,7 +51,6 @@ class RunFollower:
         self.plan = self.run.plan
         self.cycles = 0
         self.events = RunEvents(self.plan)
-        self.start_time_ns: int | None = None
         self._stop_cycle = -1
         self._failed = False
         wall_s = self.plan.timing.cycle_wall_ns / 1e9
@@ -169,7 +167,6 @@ class RunFollower:
             case Notice():
                 self.events.add("notice", cycle, message.source, message.text)
             case Run(state="start"):
-                self.start_time_ns = message.start_time_ns
                 self.events.add("run", cycle, PLANT, "the run begins")
             case Run(state="stop"):
                 self._stop_cycle = cycle

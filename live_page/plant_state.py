@@ -6,17 +6,15 @@ from collections.abc import Collection, Iterator
 from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import msgspec
 
-from agents.cycle import kind_of, stage_of, stage_place
 from agents.dispatch import own_share_kw
-from agents.plan import RunPlan
 from bus_schemas.codec import decode
 from bus_schemas.messages import Dispatch, Impp, Message, Production, Setpoint, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
-from bus_schemas.tree import PLANT, ROOT, agent_name, depth
+from bus_schemas.tree import PLANT, ROOT, agent_name
 from live_page.follower import RunFollower
 from recordings.read.mcap_file import Chunk
 from recordings.read.reader import head_of
@@ -68,14 +66,6 @@ class CycleReader:
         return by_cycle
 
 
-class _Stage(NamedTuple):
-    """Where in a cycle a message belongs."""
-
-    order: int
-    label: str
-    deadline_ms: float | None
-
-
 class PlantState:
     """Works out the state of the plant in a recording. Nodes are numbered in the order of the tree.
 
@@ -92,7 +82,6 @@ class PlantState:
         self._tree = plan.tree
         self._number = {node: number for number, node in enumerate(plan.tree.nodes)}
         self._leaves_below = {node: plan.tree.leaves_below(node) for node in plan.tree.nodes}
-        self._stages = _stages(plan)
 
     def _frame(self, cycle: int) -> dict[str, Any]:
         """Return a list for each quantity."""
@@ -105,7 +94,6 @@ class PlantState:
             "help": self._help(messages),
             "agents": columns(list(self._agent_rows(cycle, messages))),
             "unread": unread,
-            "timing": self._timing(cycle, messages),
         }
 
     def powers(self, node: str, cycle: int) -> dict[str, float | None]:
@@ -170,53 +158,6 @@ class PlantState:
                 "loop_ms": round(max(loops_ns) / 1e6, 3) if loops_ns else None,
                 "restarts": events.restarts(agent, cycle),
             }
-
-    def _timing(self, cycle: int, messages: Messages) -> list[dict[str, object]]:
-        """Return when the messages of each stage went out, after the beginning of the cycle [ms].
-
-        In lockstep a cycle begins with its first message.
-        """
-        times_ns: dict[_Stage, list[int]] = {}
-        external, timing = self._plan.access.external, self._plan.timing
-        for port, message in messages.items():
-            # A device has its own clock.
-            is_here = port.publisher not in external
-            if port in self._stages and message.cycle == cycle and is_here:
-                times_ns.setdefault(self._stages[port], []).append(message.publish_time_ns)
-        begin_ns = min(chain.from_iterable(times_ns.values()), default=0)
-        start_time_ns = self._follower.start_time_ns
-        if not timing.lockstep and start_time_ns is not None:
-            begin_ns = start_time_ns + cycle * timing.cycle_wall_ns
-        return [
-            {
-                "stage": stage.label,
-                "deadline_ms": stage.deadline_ms,
-                "first_ms": round((min(times_ns[stage]) - begin_ns) / 1e6, 3),
-                "last_ms": round((max(times_ns[stage]) - begin_ns) / 1e6, 3),
-            }
-            for stage in sorted(times_ns, key=lambda stage: stage.order)
-        ]
-
-
-def _stages(plan: RunPlan) -> dict[Port[Message], _Stage]:
-    """Return the stage of each port. Its deadline is when those close that wait for it."""
-    tree, timing = plan.tree, plan.timing
-    stages: dict[Port[Message], tuple[int, str]] = {}
-    closes_ns: dict[int, int] = {}
-    for port in plan.wiring.ports:
-        if not port.signal.is_cyclic:
-            continue
-        agent, stage = port.publisher, stage_of(port, tree)
-        kind = kind_of(agent, tree)
-        tier = f" tier {depth(agent)}" if kind == "supervisor" else ""
-        order = stage_place(agent, stage, tree)
-        stages[port] = order, f"{stage}, {kind}{tier}"
-        closes_ns[order] = plan.deadlines.deadline_ns(agent, stage)
-    closes_ns[max(closes_ns) + 1] = timing.cycle_wall_ns
-    return {
-        port: _Stage(order, label, None if timing.lockstep else closes_ns[order + 1] / 1e6)
-        for port, (order, label) in stages.items()
-    }
 
 
 def columns(rows: list[dict[str, float | None]]) -> dict[str, Values]:

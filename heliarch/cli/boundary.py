@@ -52,7 +52,7 @@ def boundary() -> Iterator[None]:
     Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit, so that every `with` and
     `finally` cleans up. A signal that is ignored (`nohup`) stays ignored.
     """
-    handle = _SignalHandler()
+    handle = _handler()
     before = {
         number: signal.signal(number, handle)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -81,8 +81,6 @@ def boundary() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    if handle.status:  # What the handler raised was lost on its way.
-        sys.exit(handle.status)
 
 
 def _show_warning(
@@ -108,27 +106,17 @@ class _Interrupt(KeyboardInterrupt):
     """
 
 
-class _SignalHandler:
-    """Raises for a signal, but for one that follows at once; keeps which one asked for the end.
+def _handler() -> Callable[[int, FrameType | None], None]:
+    """Return what raises for a signal, but for one that follows at once: `timeout` sends two."""
+    raised_at = -inf
 
-    `timeout` sends its signal twice: the second one must not interrupt the clean-up. Python drops
-    an exception that is raised in a callback of a weak reference, and a library in C may drop any:
-    the status is kept, 143 or 129. Ctrl-C leaves none: it is how some commands are ended.
-    """
+    def handle(number: int, frame: FrameType | None) -> None:
+        nonlocal raised_at
+        if time.monotonic() >= raised_at + _ONCE_S:
+            raised_at = time.monotonic()
+            raise _Interrupt if number == signal.SIGINT else SystemExit(128 + number)
 
-    def __init__(self) -> None:
-        self.status = 0
-        self._raised_at = -inf
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        now = time.monotonic()
-        if now < self._raised_at + _ONCE_S:
-            return
-        self._raised_at = now
-        if number == signal.SIGINT:
-            raise _Interrupt
-        self.status = 128 + number
-        raise SystemExit(self.status)
+    return handle
 
 
 def _text(error: Exception) -> str:

@@ -6,9 +6,6 @@ import os
 import platform
 import resource
 import shutil
-import socket
-import threading
-import time
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -28,9 +25,6 @@ _PACKAGES: Final = {
     "cryptography": "--secure needs it: pip install 'heliarch[keys]'",
     "pymodbus": "real inverters and `inverters` need it: pip install 'heliarch[modbus]'",
 }
-_CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
-_POLICIES: Final = ("SCHED_OTHER", "SCHED_BATCH", "SCHED_IDLE", "SCHED_FIFO", "SCHED_RR")
-_GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 
 
 class Finding(NamedTuple):
@@ -63,7 +57,7 @@ def doctor(
     """
     if not out.is_dir():
         raise InputError(f"--out: expected an existing folder, got {out}")
-    found = [*_machine(), *_scheduling(), _loopback(), _zenoh(), *_limits(out), *_versions()]
+    found = [*_machine(), _zenoh(), *_limits(out), *_versions()]
     write_json([finding._asdict() for finding in found], json)
     for about, what, verdict, advice in found:
         say(console_for(json), f"{about:14} {verdict:6} {what}")
@@ -83,52 +77,9 @@ def _machine() -> Iterator[Finding]:
     yield _judged("processors", f"{cores}", cores >= 4, few)
     busy = "other programs are running: end them before you measure"
     yield _judged("load", f"{load:.1f}", load <= 0.5 * cores, busy)
-    if _GOVERNOR.exists():
-        governor = _GOVERNOR.read_text(encoding="ascii").strip()
-        advice = "run: cpupower frequency-set -g performance"
-        yield _judged("frequency", governor, governor in {"performance", "schedutil"}, advice)
-    if _CLOCK.exists():
-        clock = _CLOCK.read_text(encoding="ascii").strip()
-        advice = "boot with clocksource=tsc if the processor has it"
-        yield _judged("clock", clock, clock not in {"hpet", "acpi_pm", "jiffies"}, advice)
-
-
-def _scheduling() -> Iterator[Finding]:
-    own, nice = os.sched_getscheduler(0), os.nice(0)
-    policy = next((name for name in _POLICIES if getattr(os, name) == own), "unknown")
-    is_last = policy in {"SCHED_BATCH", "SCHED_IDLE"} or nice > 0
-    advice = "runs started here get the processor after other programs: use another shell"
-    yield _judged("policy", f"{policy}, nice {nice}", not is_last, advice)
     refused = refusals(MachineSettings(priority=20), lockstep=False)
     found = "; ".join(refused) or "SCHED_FIFO is permitted"
     yield _judged("real time", found, not refused, "matters only for --priority")
-
-
-def _loopback() -> Finding:
-    """Send a byte to a thread and back over TCP again and again; see how long it takes."""
-    trips_us: list[float] = []
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        near = socket.create_connection(server.getsockname())
-        far, _ = server.accept()
-
-    def answer() -> None:
-        while byte := far.recv(1):
-            far.send(byte)
-
-    thread = threading.Thread(target=answer)
-    with near, far:
-        thread.start()
-        for _ in range(500):
-            began_ns = time.monotonic_ns()
-            near.send(b".")
-            near.recv(1)
-            trips_us.append((time.monotonic_ns() - began_ns) / 1e3)
-        near.shutdown(socket.SHUT_WR)
-        thread.join()
-    trips_us.sort()
-    text = f"median {trips_us[250]:.0f} µs there and back, 99 of 100 within {trips_us[495]:.0f} µs"
-    advice = "a cycle waits for six such hops: end other programs"
-    return _judged("loopback", text, trips_us[250] < 200.0, advice)
 
 
 def _zenoh() -> Finding:

@@ -2,35 +2,15 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from agents.plan import RunPlan, changed, load_plan
+from agents.plan import changed, load_plan
 from bus_schemas.errors import InputError
 from heliarch.cli.output import say
 from results.tables import console_for
-
-_UNIT: Final = """\
-[Unit]
-Description=Heliarch: agents of {plan.plant} on {host}
-Wants=network-online.target
-After=network-online.target
-StartLimitIntervalSec=0
-
-[Service]
-ExecStart={command}
-WorkingDirectory={folder}
-Restart=always
-RestartSec=1
-LimitRTPRIO=99
-
-[Install]
-WantedBy=multi-user.target
-"""
 
 
 def node(
@@ -39,7 +19,6 @@ def node(
     host: Annotated[str, Parameter(metavar="ADDRESS")],
     keys: Annotated[Path | None, Parameter(metavar="DIR")] = None,
     out: Annotated[Path | None, Parameter(metavar="DIR")] = None,
-    systemd: bool = False,
 ) -> None:
     """Run the controllers that `launch --on` puts on this host.
 
@@ -58,8 +37,6 @@ def node(
         Folder of the keys; default keys/PLANT.
     out
         Folder of the logs; default runs/PLANT-TIME.
-    systemd
-        Only print a systemd unit that starts this command again whenever it ends.
     """
     from launch_scripts.node import run_share, share_of
     from launch_scripts.run_folder import new_run_id, run_folder
@@ -76,19 +53,8 @@ def node(
     elif keys is not None:
         raise InputError(f"--keys: expected a plan with keys, got {plan}, which has none")
     console = console_for(None)
-    if systemd:
-        say(console, _systemd_unit(run_plan, plan, host).rstrip("\n"))
-        return
     folder = run_folder(new_run_id(run_plan.plant), out)
     with ForkServerProcess() as server:
         say(console, f"{len(agents)} agents of {run_plan.plant} on {host}, logs in {folder.logs}")
         run_share(run_plan, agents, folder, server, lambda line: say(console, line))
     say(console, "the run is over")
-
-
-def _systemd_unit(plan: RunPlan, path: Path, host: str) -> str:
-    """Return a systemd unit that runs the agents of a host, for one run after another."""
-    words = [sys.executable, "-m", "heliarch", "node"]
-    words += ["--plan", str(path.absolute()), "--host", host]
-    words += ["--keys", plan.access.keys_folder] if plan.access.keys_folder else []
-    return _UNIT.format(plan=plan, host=host, command=shlex.join(words), folder=Path.cwd())

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from bus_schemas.errors import FailureError, InputError
 from heliarch.cli.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
-from heliarch.cli.live_view import view_for
+from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import FileOptions, PageOptions, changed_scenario
 from heliarch.cli.output import do_all, say, write_json
 from launch_scripts.launch import check_processes, launch
@@ -101,7 +101,7 @@ def run(
     if server is not None:
         check_processes(plan)  # Before anything is printed.
     try:
-        with view_for(console, plan) as view:
+        with PlainView(console, plan) as view:
             for line in (preparation.scenario.scenario.title, *preparation.remarks):
                 view.say(line)
             if page is not None:

@@ -61,7 +61,7 @@ def timing(
         each of several rates, unless --to or --duration says otherwise.
     """
     options = run_options(span, plant, machine)  # Wrong ones are refused at once.
-    from heliarch.cli.live_view import view_for
+    from heliarch.cli.live_view import PlainView
     from heliarch.cli.run import page_beside, run_request
     from launch_scripts.run_folder import new_run_id, run_folder
     from results.timing.report import report_on
@@ -83,7 +83,7 @@ def timing(
         return _publish(report_on(path), path, files)
     rates, is_search = parse_rates(rate or "1")
     request = run_request(scenario, settings, files, options)
-    view = partial(view_for, console)
+    view = partial(PlainView, console)
     with page_beside(page, console) as shown:
         if len(rates) == 1:
             length_s = run_length_s(request, "60s")

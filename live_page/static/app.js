@@ -3,7 +3,7 @@
 import {$, json} from "./dom.js";
 import {plantMap} from "./map.js";
 import {nodePanel} from "./node_panel.js";
-import {eventList, figures, timingStrip} from "./panels.js";
+import {eventList, figures} from "./panels.js";
 import {playback} from "./playback.js";
 import {positionBar} from "./position_bar.js";
 import {powerPanel} from "./power_panel.js";
@@ -54,7 +54,6 @@ function showRun(plan) {
   const map = plantMap($("map"), $("map-note"), plan, select);
   const tree = controlTree($("tree"), plan, select);
   const events = eventList($("events"), time.timeOf, seek);
-  const timing = timingStrip($("timing"), $("timing-note"), plan);
   let devices = {};
 
   function select(number) {
@@ -87,7 +86,6 @@ function showRun(plan) {
     const more = map.show(frame);
     if (plan.positions_m.length) $("map-note").textContent = more > 0 ? `${more} smaller helps are not drawn.` : "";
     tree.show(frame);
-    timing(frame.timing);
     events.dim(at.cycle);
     $("clock").textContent = time.timeOf(at.cycle);
     $("clock").title = time.dayOf(at.cycle);

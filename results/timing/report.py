@@ -16,7 +16,6 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 import pandas as pd
-from msgspec.structs import replace
 
 from agents.cycle import KINDS, STAGES, kind_of
 from agents.plan import RunPlan
@@ -24,8 +23,7 @@ from agents.process.machine import MachineSettings
 from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT
-from recordings.inspect.health import health_lines, summary_in
-from recordings.inspect.overview import read_overview
+from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
 from results.run_summary import RunSummary
 from results.timing.cycle_waits import CycleWaits
@@ -126,7 +124,6 @@ class TimingReport:
     budgets: tuple[Budget, ...]
     slowest: tuple[CycleWaits, ...]
     loop_ms: pd.Series
-    health: tuple[tuple[str, str], ...]
     remarks: tuple[str, ...]
     devices: tuple[DeviceAccount, ...]
 
@@ -150,7 +147,6 @@ class TimingReport:
             **{name: getattr(self, name).to_dict("records") for name in tables},
             "budgets": [budget._asdict() for budget in self.budgets],
             "slowest_cycles": slowest,
-            "health": self.health,
             "remarks": self.remarks,
             "devices": self.devices,
         }
@@ -168,16 +164,13 @@ def report_on(
         plan, table = reader.plan, _budgets_in(reader)
         timing = run_timing(reader)
         folder, metadata = reader.path.parent, reader.metadata["run"]
-        stop_cycle, clock = reader.stop_cycle, reader.clock
-        health = summary.health if summary else None
-        health = health or read_overview(reader).health
+        stop_cycle = reader.stop_cycle
     summary = summary or summary_in(folder, plan, RunSummary)
     wall_s = summary.wall_s if summary else len(timing.loop_ms) * plan.timing.cycle_wall_ns / 1e9
     remarks: tuple[str, ...] = (_NO_SUMMARY,)
     if summary is not None:
         ended_early = summary.launcher.recording_ended
         remarks = (*summary.run.remarks, *filter(None, [ended_early]))
-        health = replace(health, launcher=summary.launcher)
     lost = None if summary is None else summary.lost
     processes = _with_accounts(timing.processes, summary, wall_s, plan)
     tiers = _tiers(processes)
@@ -203,7 +196,6 @@ def report_on(
         budgets=tuple(_judged(plan, table, timing, tiers, lost)),
         slowest=timing.slowest,
         loop_ms=timing.loop_ms,
-        health=tuple(health_lines(health, clock)),
         remarks=remarks,
         devices=summary.devices if summary else (),
     )

@@ -13,7 +13,7 @@ from results.report import style
 from results.report.decimation import extremes
 from results.report.result import Result
 from results.report.tables import devices_tables
-from results.tables import Cell, Column, Table, counted, key_column, texts_table, word_column
+from results.tables import Cell, Column, Table, counted, key_column, word_column
 from results.timing.cycle_waits import CycleWaits
 from results.timing.report import FEW, Budget, TimingReport
 from results.timing.run_timing import WHOLE_LOOP
@@ -125,7 +125,6 @@ def _tables(report: TimingReport) -> list[Table]:
         *_times_tables(report),
         _counts_table(report.tiers),
         *devices_tables(report.devices),
-        texts_table("Health of the run", report.health),
         Table("Other budgets", columns, rows),
     ]
 

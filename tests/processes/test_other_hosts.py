@@ -15,7 +15,6 @@ from pathlib import Path
 import psutil
 import pytest
 from command_line import done
-from plans_by_hand import plan_at_noon
 from running import REPOSITORY, Heliarch, Start
 from slow_network import ADDRESSES, HOP_MS, slow_network
 from test_external import our_decisions
@@ -146,15 +145,3 @@ def test_hosts_with_keys_a_slow_network_and_another_clock(
     assert (loop.p50_us / 1e3 > 4 * 0.9 * HOP_MS).any()
     assert {"command", "setpoint"} - set(report.times.of) == {"command"}
     assert verify(folder).equal
-
-
-# The command --------------------------------------------------------------------------------------
-
-
-def test_a_unit_for_systemd_runs_the_same_command(tmp_path: Path) -> None:
-    plan, path = tmp_path / "plan.json", tmp_path / "heliarch.service"
-    plan.write_bytes(plan_at_noon(addresses={"c1": SECOND}).as_json())
-    path.write_text(done("node", "--plan", plan, "--host", SECOND, "--systemd"))
-    assert f"node --plan {plan} --host {SECOND}\n" in path.read_text()
-    if shutil.which("systemd-analyze") is not None:
-        subprocess.run(["systemd-analyze", "verify", path], check=True)

@@ -19,7 +19,7 @@ from typing import Final, TextIO
 
 import psutil
 import pytest
-from command_line import heliarch, process, python, refusal
+from command_line import heliarch, process, refusal
 from plans_by_hand import with_changes
 from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 from replayed_runs import PLAN, run_in_memory, write
@@ -33,7 +33,7 @@ FULL: Final = Path("/dev/full")
 
 QUICK: Final = {
     "launch": "small.toml --duration 5",
-    "node": "--plan there.json --host 127.0.0.2 --systemd",
+    "node": "--plan there.json --host 127.0.0.2",
     "simulate": "small.toml --duration 5",
     "timing": "timed",
     "inverters": "small.toml --duration 1 --port 0",
@@ -442,31 +442,3 @@ def test_a_signal_ends_a_command_with_its_status_and_leaves_nothing_behind(
     assert not alive
     new = {path.name for path in folder.iterdir()} - {path.name for path in before}
     assert new <= {"runs"}
-
-
-DROPPED = """
-import os, signal, sys, time, weakref
-from heliarch.cli.boundary import boundary
-
-class Module:
-    pass
-
-with boundary():
-    module = Module()
-    callback = weakref.ref(module, lambda _: os.kill(os.getpid(), int(sys.argv[1])))
-    del module
-    if len(sys.argv) > 2:
-        time.sleep(1.1)
-        os.kill(os.getpid(), int(sys.argv[1]))
-        time.sleep(100)
-"""
-"""Python drops what is raised in a callback of a weak reference: `boundary` hears of it later."""
-
-
-@pytest.mark.parametrize(
-    ("number", "more"), [(SIGTERM, []), (SIGTERM, ["once more"]), (SIGINT, ["once more"])]
-)
-def test_a_signal_whose_exception_is_dropped_sets_the_status_and_the_next_one_ends(
-    number: signal.Signals, more: list[str]
-) -> None:
-    python(DROPPED, str(int(number)), *more, status=128 + number)

@@ -16,7 +16,6 @@ from reports_by_hand import MISSED, missed, reported, summary_of
 from timed_recordings import PLAN, TIMES_MS, cycle, recorded, without
 
 from agents.process.machine import MachineSettings
-from recordings.inspect.health import WrongMessages
 from results.report.page import html_page
 from results.report.result import print_result
 from results.timing.report import TimingReport, p99_limits_ms, report_on
@@ -220,17 +219,11 @@ def test_counts_and_resources_are_added_up_by_tier(tmp_path: Path) -> None:
 def test_the_header_tells_what_was_asked_of_the_machine_and_what_it_refused(tmp_path: Path) -> None:
     machine = MachineSettings(cpus=(0,), cpus_of={"direct": (1,)}, priority=7)
     recorded(tmp_path, cycle(0), plan=with_changes(PLAN, machine=machine))
-    wrong = WrongMessages("c2/d/command", "not msgpack", 3, "b'x'")
     summary = summary_of(tmp_path)
-    summary = replace(
-        summary,
-        run=replace(summary.run, remarks=("memory: not locked",)),
-        launcher=replace(summary.launcher, wrong=(wrong,)),
-    )
+    summary = replace(summary, run=replace(summary.run, remarks=("memory: not locked",)))
     text = text_of(report_on(tmp_path, summary))
     assert "SCHED_FIFO 7, direct on CPU 1, others on CPU 0" in text
     assert "memory: not locked" in text
-    assert "3 not msgpack on c2/d/command" in text
 
 
 def test_the_page_begins_with_the_verdict_and_the_slowest_cycle(tmp_path: Path) -> None:
