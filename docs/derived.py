@@ -72,7 +72,7 @@ def _lines(what: str, which: str = "") -> Iterator[str]:
             return _rows(("bytes (hex)", "what they are"), _parts(encode(_EXAMPLES[which])))
     writers: dict[str, Callable[[], Iterator[str]]] = {
         **{"signals": _signals, "stages": _stages, "bounds": _bounds},
-        **{"options": _options, "sizes": _sizes, "vector": _vector, "exchange": _exchange},
+        **{"options": _options, "vector": _vector, "exchange": _exchange},
     }
     return writers[what]()
 
@@ -329,21 +329,15 @@ def _bound(bound: Bound, value: float) -> str:
 _TIME_NS: Final = 1_270_159_202_000_000_000
 
 
-def _head(source: str, ready_ns: int, *missing: str) -> tuple[Any, ...]:
+def _head(source: str, ready_ns: int) -> tuple[Any, ...]:
     """Return the head of an example's message, of cycle 2; it is published 0.1 ms later."""
-    return 2, _TIME_NS, source, missing, ready_ns, ready_ns + 100_000, 2
+    return 2, _TIME_NS, source, (), ready_ns, ready_ns + 100_000, 2
 
 
 _EXAMPLES: Final[dict[str, Message]] = {
     "telemetry": messages.Telemetry(
         *_head(PLANT, 4_999_900_000), power_kw=120.5, alpha=0.5, limit_kw=470.0
     ),
-    "impp": messages.Impp(
-        *(-999_999, _TIME_NS - 1_000_001_000_000_000, INVERTER, (), 3_999_900_000, 4_000_000_000),
-        power_kw=241.0,
-        stale_cycles=0,
-    ),
-    "residual": messages.Residual(*_head(INVERTER, 5_002_900_000, "dispatch@1"), power_kw=-20.0),
     "setpoint": messages.Setpoint(
         *_head("c2", 5_003_400_000),
         power_kw=100.0,
@@ -352,13 +346,6 @@ _EXAMPLES: Final[dict[str, Message]] = {
     ),
     "command": messages.Command(
         *_head(INVERTER, 5_003_900_000), alpha=100.0 / 241.0, power_kw=100.0
-    ),
-    "run": messages.Run(
-        *(0, _TIME_NS - 2_000_000_000, PLANT, (), 2_799_900_000, 2_800_000_000, 0),
-        state="start",
-        start_time_ns=3_000_000_000,
-        cycle_wall_ns=1_000_000_000,
-        protocol=messages.PROTOCOL,
     ),
 }
 
@@ -493,34 +480,6 @@ def _exchange() -> Iterator[str]:
         text = payload.hex(" ")
         yield from (f"    {text[begin : begin + 96]}".rstrip() for begin in range(0, len(text), 96))
         yield ""
-
-
-def _sizes() -> Iterator[str]:
-    """Show how long the messages of a plant of six inverters in a cluster can get."""
-    tree = _example().plan.tree
-    rows = []
-    for row in (row for row in SIGNALS if row.logged and (row.is_cyclic or row.listeners)):
-        port = row.of(INVERTER if INVERTER in row.nodes(tree) else ROOT)
-        missing = [f"{one}@{10**9}" for one in _example().plan.wiring.heard[port.publisher]]
-        rows.append((f"`{row.name}`", len(encode(_largest(row.type, missing)))))
-    return _rows(("signal", "bytes at most, in `oahu`"), rows)
-
-
-def _largest(kind: type[Message], missing: list[str]) -> Message:
-    """Return a message with the longest value in each field."""
-    values: dict[str, Any] = {
-        "source": INVERTER,
-        "missing": tuple(missing),
-        "help_given": tuple(messages.HelpGiven(INVERTER, 1.0) for _ in range(5)),
-        "inverter_mpp_kw": (1.0,) * 17,
-        "inverter_power_kw": (1.0,) * 17,
-        "state": "start",
-    }
-    fields = cast("inspect.StructType", inspect.type_info(kind)).fields
-    longest = {
-        field.name: 2**61 if isinstance(field.type, inspect.IntType) else 1.0 for field in fields
-    }
-    return kind(**(longest | {name: values[name] for name in longest.keys() & values.keys()}))
 
 
 def main() -> None:

@@ -93,9 +93,10 @@ def test_the_examples_are_whole_messages_that_any_msgpack_reader_takes_apart() -
         data = bytes.fromhex("".join(re.findall(r"^\| `([0-9a-f ]+)` \|", rows, re.MULTILINE)))
         found.append(msgpack.unpackb(data))
     assert [(one["source"], one["cycle"]) for one in found] == [
-        ("plant", 2), ("c2/inv07", -999_999), ("c2/inv07", 2), ("c2", 2), ("c2/inv07", 2),
-        ("plant", 0),
-    ]  # fmt: skip
+        ("plant", 2),
+        ("c2", 2),
+        ("c2/inv07", 2),
+    ]
 
 
 HEAD = {"cycle": 1, "sim_time_ns": 2, "source": "c1", "missing": []}

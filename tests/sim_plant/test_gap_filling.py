@@ -65,17 +65,6 @@ def test_the_three_nearest_that_have_a_value_serve_and_farther_ones_in_their_ste
     np.testing.assert_allclose(found.ghi_wm2[1:, 0], [500.0, 500.0])
 
 
-def test_a_sensor_that_was_never_there_takes_the_level_of_its_neighbours() -> None:
-    given = line_of_sensors(np.array([[NAN, 100.0], [NAN, 300.0]]), [0.0, 100.0])
-    found = fill_from_neighbours(given)
-    np.testing.assert_allclose(found.ghi_wm2[:, 0], [100.0, 300.0])
-
-
-def test_two_sensors_at_one_place_do_no_harm() -> None:
-    given = line_of_sensors(np.array([[NAN, 200.0], [100.0, 100.0]]), [0.0, 0.0])
-    assert fill_from_neighbours(given).ghi_wm2[0, 0] == 200.0
-
-
 def test_where_no_sensor_has_a_value_each_draws_a_line_in_time() -> None:
     ghi_wm2 = np.array([[100.0, 10.0], [NAN, NAN], [NAN, NAN], [400.0, 40.0]])
     found = fill_from_neighbours(line_of_sensors(ghi_wm2, [0.0, 1.0]))

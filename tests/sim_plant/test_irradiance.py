@@ -57,11 +57,6 @@ def test_stations_are_taken_in_the_order_asked_for(read: Read) -> None:
     np.testing.assert_array_equal(found.lat_deg, [21.31303, 21.31236])
 
 
-def test_a_bad_value_of_a_station_not_asked_for_does_no_harm(read: Read) -> None:
-    found = read(ghi=GHI.replace("791.0", "broken"), stations=["DH3"])
-    np.testing.assert_array_equal(found.ghi_wm2[:, 0], [800.5, 801.5, 802.5, 803.5])
-
-
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [

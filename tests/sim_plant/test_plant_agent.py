@@ -39,11 +39,12 @@ class PlantAtWork:
         self.loop.begin(0, 0)
         return self.sent()
 
-    def command(self, *alphas: float, power_kw: tuple[float, ...] = (0.0, 0.0)) -> Sent:
+    def command(self, *alphas: float) -> Sent:
         """Command inverters, in their order; return what the plant sends then."""
         cycle = self.loop.cycle
-        for leaf, alpha, kw in zip(LEAVES, alphas, power_kw, strict=False):
-            message = Command(cycle, cycle * CYCLE_NS, leaf, (), alpha=alpha, power_kw=kw)
+        for leaf, alpha in zip(LEAVES, alphas, strict=False):
+            head = (cycle, cycle * CYCLE_NS, leaf, ())
+            message = Command(*head, alpha=alpha, power_kw=100.0 * alpha, revert_kw=50.0 * alpha)
             self.loop.hear(COMMAND.of(leaf), message, 0)
         return self.sent()
 
@@ -115,7 +116,7 @@ def test_an_arming_round_stands_under_the_first_sample_and_moves_nothing() -> No
 def test_inverters_of_the_limit_kind_obey_the_power_and_not_the_alpha() -> None:
     plant = PlantAtWork(actuator="limit")
     plant.begin()
-    sent = plant.command(0.5, 0.5, power_kw=(30.0, 90.0))
+    sent = plant.command(0.3, 0.9)
     assert powers_kw(sent) == (30.0, 60.0)
     assert [sent[TELEMETRY.of(leaf)].limit_kw for leaf in LEAVES] == [30.0, 90.0]
 
@@ -148,116 +149,68 @@ def test_inverters_state_their_available_power_with_a_bias_up_to_the_rating_or_n
 # How inverters follow ----------------------------------------------------------------------------
 
 FLAT = Profile(np.full((12, 2), 100.0), np.full(12, 100.0))
+"""Each could give 100 kW, and its share is 50 kW."""
 
+ON = dict(enumerate([1.0] + [0.5] * 7))
+"""Commands in every cycle: all at first, then half."""
 
-def followed(cycles: int = 4, **changes: object) -> list[tuple[float, float]]:
-    """Return what both deliver that are told to give half from cycle 1 on."""
-    plant = PlantAtWork(FLAT, **changes)
-    plant.begin()
-    found = [powers_kw(plant.command(*[1.0 if n == 0 else 0.5] * 2)) for n in range(cycles)]
-    return [(round(one, 6), round(other, 6)) for one, other in found]
-
-
-def test_a_command_takes_effect_after_its_delay_and_as_fast_as_the_ramp_allows() -> None:
-    at_once = followed()
-    assert at_once == [(100.0, 100.0)] + [(50.0, 50.0)] * 3
-    # A part of a cycle is a cycle. Until the first command acts, they hold their shares.
-    assert followed(delay_s=1.5) == [(50.0, 50.0)] * 2 + [(100.0, 100.0)] + [(50.0, 50.0)]
-    assert [kw for kw, _ in followed(ramp_percent_per_s=20.0)] == [100.0, 80.0, 60.0, 50.0]
-    assert [kw for kw, _ in followed(delay_s=1.0, ramp_percent_per_s=40.0)] == [60, 100, 60, 50]
+IN_2_S, IN_3_S = Revert(after_s=2.0, to=0.2), Revert(after_s=3.0, to=0.2)
+SHORT = {"cycle_ns": 700_000_000}
 
 
 @pytest.mark.parametrize("actuator", ["fraction", "limit"])
-def test_an_inverter_that_hears_no_command_in_cycle_0_holds_its_share(actuator: str) -> None:
-    plant = PlantAtWork(FLAT, actuator=actuator, cycle_wall_ns=CYCLE_NS)
-    plant.begin()
-    plant.at_deadline()
-    assert powers_kw(plant.at_deadline()) == (50.0, 50.0)
-
-
-def test_a_delay_and_a_revert_time_of_whole_cycles_take_these_and_not_one_more() -> None:
-    """4.2 s are 6 cycles of 0.7 s, though 4.2 / 0.7 is a little more than 6."""
-    common = {"cycle_ns": 700_000_000, "cycle_wall_ns": CYCLE_NS}
-    for changes, expected_kw in (
-        ({"delay_s": 4.2}, [50.0] * 6 + [20.0] * 3),
-        ({"revert": Revert(after_s=4.2, to=0.3)}, [20.0] * 6 + [30.0] * 3),
-    ):
-        plant = PlantAtWork(FLAT, **common, **changes)
-        plant.begin()
-        found = []
-        for cycle in range(9):
-            plant.at_deadline()
-            found.append(powers_kw(plant.command(0.2, 0.2) if not cycle else plant.at_deadline()))
-        assert [kw for kw, _ in found] == expected_kw
-
-
-@pytest.mark.parametrize("actuator", ["fraction", "limit"])
-def test_a_fresh_command_undoes_a_revert(actuator: str) -> None:
-    plant = PlantAtWork(
-        FLAT, actuator=actuator, cycle_wall_ns=CYCLE_NS, revert=Revert(after_s=2.0, to=0.2)
-    )
+@pytest.mark.parametrize(
+    ("commands", "changes", "expected_kw"),
+    [
+        (ON, {}, [100, 50, 50, 50]),
+        (ON, {"ramp_percent_per_s": 20.0}, [100, 80, 60, 50]),
+        # Until its first command acts, an inverter holds its share. A part of a cycle is a cycle,
+        (ON, {"delay_s": 1.5}, [50, 50, 100, 50]),
+        ({}, {}, [50, 50]),
+        # but 4.2 s are 6 cycles of 0.7 s, though 4.2 / 0.7 is a little more than 6.
+        ({0: 0.2}, {"delay_s": 4.2, **SHORT}, [50] * 6 + [20] * 2),
+        ({0: 0.2}, {"revert": Revert(after_s=4.2, to=0.3), **SHORT}, [20] * 6 + [30] * 2),
+        # It reverts to what is set, or to what it was commanded; a fresh command undoes that.
+        ({0: 0.7}, {"revert": Revert(after_s=2.0)}, [70, 70, 35, 35]),
+        ({0: 0.7, 4: 0.7}, {"revert": IN_2_S}, [70, 70, 20, 20, 70, 70, 20]),
+        # A revert forgets commands that had not yet taken effect.
+        ({0: 0.5, 6: 0.5}, {"revert": IN_3_S, "delay_s": 2.0}, [50, 50, 50, 20, 20, 20, 20, 20]),
+    ],
+)
+def test_what_an_inverter_makes_of_its_commands(
+    commands: dict[int, float], changes: dict[str, Any], expected_kw: list[float], actuator: str
+) -> None:
+    plant = PlantAtWork(FLAT, actuator=actuator, cycle_wall_ns=CYCLE_NS, **changes)
     plant.begin()
     found = []
-    for cycle in range(6):
+    for cycle in range(len(expected_kw)):
         plant.at_deadline()
-        heard = cycle in {0, 4}
-        sent = plant.command(0.7, 0.7, power_kw=(70.0, 70.0)) if heard else plant.at_deadline()
-        found.append(powers_kw(sent))
-    assert [kw for kw, _ in found] == [70.0] * 2 + [20.0] * 2 + [70.0] * 2
-
-
-def test_cycles_that_were_missed_count_for_delays_ramps_and_reverts() -> None:
-    plant = PlantAtWork(
-        FLAT, cycle_wall_ns=CYCLE_NS, delay_s=3.0, revert=Revert(after_s=8.0, to=0.1)
-    )
-    plant.begin()
-    plant.at_deadline()
-    plant.command(0.4, 0.4)
-    plant.loop.catch_up(6 * CYCLE_NS)
-    plant.at_deadline()
-    assert powers_kw(plant.at_deadline()) == (40.0, 40.0)
-    plant.loop.catch_up(11 * CYCLE_NS)
-    plant.at_deadline()
-    assert powers_kw(plant.at_deadline()) == (10.0, 10.0)
+        level = commands.get(cycle)
+        sent = plant.at_deadline() if level is None else plant.command(level, level)
+        found.append(powers_kw(sent)[0])
+    assert found == pytest.approx(expected_kw)
 
 
 def test_inverters_may_be_set_otherwise_and_the_last_entry_counts() -> None:
     settings = (
-        InverterSettings(nodes="c1/*", delay_s=9.0, ramp_percent_per_s=20.0),
+        InverterSettings(nodes="c1/*", delay_s=9.0, revert=Revert(2.0, 0.3)),
         InverterSettings(nodes="c1/a", delay_s=0.0),
     )
-    assert followed(settings=settings) == [(100, 80), (80, 60), (60, 50), (50, 50)]
-
-
-def test_each_inverter_reverts_after_its_own_time_to_its_own_limit() -> None:
-    settings = (InverterSettings(nodes="c1/a", revert=Revert(after_s=2.0, to=0.2)),)
-    plant = PlantAtWork(FLAT, cycle_wall_ns=CYCLE_NS, revert=Revert(4.0), settings=settings)
+    plant = PlantAtWork(FLAT, settings=settings, revert=Revert(4.0))
     plant.begin()
-    found = []
-    for cycle in range(7):
-        plant.at_deadline()
-        if cycle == 0:
-            for leaf in LEAVES:
-                message = Command(0, 0, leaf, (), alpha=0.5, power_kw=0.0, revert_kw=30.0)
-                plant.loop.hear(COMMAND.of(leaf), message, 0)
-            found.append(powers_kw(plant.sent()))
-        else:
-            found.append(powers_kw(plant.at_deadline()))
-    assert [kw for kw, _ in found] == [50.0] * 2 + [20.0] * 5
-    assert [kw for _, kw in found] == [50.0] * 4 + [30.0] * 3
+    assert [powers_kw(plant.command(0.4, 0.4)) for _ in range(3)] == [(40.0, 50.0)] * 3
 
 
-def test_a_revert_forgets_commands_that_had_not_yet_taken_effect() -> None:
-    plant = PlantAtWork(
-        FLAT, cycle_wall_ns=CYCLE_NS, delay_s=2.0, revert=Revert(after_s=3.0, to=0.2)
-    )
+def test_cycles_that_were_missed_count_for_delays_and_reverts() -> None:
+    changes = {"delay_s": 3.0, "revert": Revert(after_s=8.0, to=0.1)}
+    plant = PlantAtWork(FLAT, cycle_wall_ns=CYCLE_NS, **changes)
     plant.begin()
-    found = []
-    for cycle in range(8):
+    plant.at_deadline()
+    plant.command(0.4, 0.4)
+    for under_way, expected_kw in ((6, 40.0), (11, 10.0)):
+        plant.loop.catch_up(under_way * CYCLE_NS)
         plant.at_deadline()
-        found.append(powers_kw(plant.command(0.5, 0.5) if cycle in {0, 6} else plant.at_deadline()))
-    # The command of cycle 0 acts from cycle 2 on, is over in cycle 3, and that of 6 acts in 8.
-    assert [kw for kw, _ in found] == [50.0] * 3 + [20.0] * 5
+        assert powers_kw(plant.at_deadline()) == (expected_kw, expected_kw)
 
 
 # Profiles ----------------------------------------------------------------------------------------

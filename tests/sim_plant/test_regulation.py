@@ -98,14 +98,6 @@ def test_a_run_takes_the_signal_of_its_clock_while_it_is_offered(
     )
 
 
-@pytest.mark.parametrize(
-    "toml", ["to = 00:00:00", "from = 00:00:00", "from = 09:00:00\nto = 09:00:00"]
-)
-def test_midnight_is_an_end_of_the_day_and_equal_times_are_all_of_it(path: Path, toml: str) -> None:
-    write(path)
-    assert asked_kw(path, cycles("2010-04-01", 10), toml) == HELD_KW.tolist()
-
-
 def test_the_offer_keeps_to_the_clock_when_it_is_set_forward(path: Path) -> None:
     # 2024-03-31 in Madrid: after 01:59:59 comes 03:00:00
     write(path, first_s=3 * 3600)

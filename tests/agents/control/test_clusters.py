@@ -63,18 +63,7 @@ def test_every_inverter_is_in_one_cluster_of_the_size_asked_for(
             assert len(one) != len(other) or one[0] < other[0]
 
 
-def test_random_clusters_keep_to_their_seed() -> None:
-    found = [random_clusters((6, 5, 6), seed) for seed in range(20)]
-    assert found == [random_clusters((6, 5, 6), seed) for seed in range(20)]
-    assert len(set(found)) == 20
-
-
 def test_geographic_clusters_are_the_three_villages() -> None:
     x_m = np.array([0.0, 5000.0, 10.0, 5010.0, 20.0, 0.0, 5000.0, 10.0])
     y_m = np.array([0.0, 0.0, 10.0, 10.0, 0.0, 4000.0, 20.0, 4010.0])
     assert geographic_clusters(x_m, y_m, (3, 3, 2)) == ((0, 2, 4), (1, 3, 6), (5, 7))
-
-
-def test_geographic_clusters_of_sensors_at_one_place_are_still_a_partition() -> None:
-    clusters = geographic_clusters(np.zeros(4), np.zeros(4), (2, 2))
-    assert sorted(i for c in clusters for i in c) == [0, 1, 2, 3]
