@@ -12,7 +12,7 @@ import msgspec
 from agents.plan import RunPlan
 from agents.process.events import ExternalAccount
 from bus_schemas.errors import InputError, listed
-from recordings.inspect.health import Health, RunDocument, WrongMessages
+from recordings.inspect.health import Health, RunDocument, WrongMessages, summary_in
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import read_plant_series
@@ -184,3 +184,24 @@ def recorded_health(recording: Path, plan: RunPlan) -> Health | None:
         return None
     with RunReader(recording) as run:
         return read_overview(run).health
+
+
+def run_health(run: RunReader) -> Health:
+    """Return the health of a run: by the summary beside a whole recording, or else read."""
+    summary = summary_in(run.path.parent, run.plan, RunSummary)
+    if summary is None or not run.whole:
+        return read_overview(run).health
+    if summary.health is not None:
+        return msgspec.structs.replace(summary.health, launcher=summary.launcher)
+    # In lockstep nothing is late or missed, and nobody is away.
+    return Health(
+        fault_effects=(),
+        faults={},
+        lost={count.signal: count.lost for count in summary.messages if count.lost},
+        repeated=0,
+        misses=(),
+        absences=(),
+        stop_cycle=run.stop_cycle,
+        failure="",
+        launcher=summary.launcher,
+    )

@@ -104,8 +104,10 @@ def unpack_chunk(file: BinaryIO, chunk: Chunk) -> bytes:
         codec = body[_CHUNK_HEAD.size :][:name_length]
         if codec != b"lz4":
             raise ValueError(f"expected lz4, got {codec!r}")
-        packed = body[_CHUNK_HEAD.size + name_length + _PACKED_LENGTH_SIZE :]
-        content = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=_LARGEST_CHUNK)
+        packed = memoryview(body)[_CHUNK_HEAD.size + name_length + _PACKED_LENGTH_SIZE :]
+        # A buffer of the most that is allowed would take twice as long.
+        most = min(size, _LARGEST_CHUNK)
+        content = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=most)
         if len(content) != size or zlib.crc32(content) != checksum:
             raise ValueError("its checksum or its length is wrong")
     except _BROKEN as reason:

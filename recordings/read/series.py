@@ -7,10 +7,11 @@ the figures of merit.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isnan, nan
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
@@ -29,6 +30,7 @@ from bus_schemas.signals import (
     Port,
     Signal,
 )
+from bus_schemas.tree import parent_of
 from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 
@@ -57,6 +59,7 @@ class SeriesPlant:
     ramp_limit_percent_per_min: Ramp limit in % of the plant's rating per minute, if a grid code
         sets one.
     planned_cycles: How many cycles the run was to have; 0: as many as the series has.
+    noun: What the n columns are: in a large plant clusters may stand for their inverters.
     """
 
     inverters: tuple[str, ...]
@@ -67,6 +70,22 @@ class SeriesPlant:
     regulation_capacity_kw: float = 0.0
     ramp_limit_percent_per_min: float | None = None
     planned_cycles: int = 0
+    noun: Literal["inverter", "cluster"] = "inverter"
+
+    @classmethod
+    def of(cls, plan: RunPlan, clusters: Sequence[str] = ()) -> SeriesPlant:
+        columns = tuple(clusters) or plan.tree.leaves
+        return cls(
+            inverters=columns,
+            rating_kw=np.array([plan.tree.rating_kw(node) for node in columns]),
+            timezone=plan.timing.timezone,
+            start_time_ns=plan.timing.start_time_ns,
+            cycle_s=plan.timing.cycle_ns / 1e9,
+            regulation_capacity_kw=plan.site.regulation_capacity_kw,
+            ramp_limit_percent_per_min=plan.site.ramp_limit_percent_per_min,
+            planned_cycles=plan.timing.cycles,
+            noun="cluster" if clusters else "inverter",
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,21 +126,10 @@ class RunSeries:
 
         Those of inverters that are not given are unknown.
         """
-        leaves = plan.tree.leaves
-        plant = SeriesPlant(
-            inverters=leaves,
-            rating_kw=np.array([plan.tree.rating_kw(leaf) for leaf in leaves]),
-            timezone=plan.timing.timezone,
-            start_time_ns=plan.timing.start_time_ns,
-            cycle_s=plan.timing.cycle_ns / 1e9,
-            regulation_capacity_kw=plan.site.regulation_capacity_kw,
-            ramp_limit_percent_per_min=plan.site.ramp_limit_percent_per_min,
-            planned_cycles=plan.timing.cycles,
-        )
         unknown = dict.fromkeys(_OF_INVERTERS, np.full_like(values["mpp_kw"], nan))
         unknown["assumed_kw"] = np.zeros(len(values["mpp_kw"]))
         arrays: dict[str, Any] = unknown | values
-        return cls(label, plant, **arrays)
+        return cls(label, SeriesPlant.of(plan), **arrays)
 
     @property
     def inverters(self) -> tuple[str, ...]:
@@ -181,23 +189,31 @@ class SeriesCollector:
     goes on with the numbering of its sender; if both do, or neither, the cycle is unknown.
     """
 
-    def __init__(self, plan: RunPlan) -> None:
+    def __init__(self, plan: RunPlan, clusters: Sequence[str] = ()) -> None:
+        """Take the plant's inverters as columns, or clusters that stand for them."""
+        cycles, leaves = plan.timing.cycles, plan.tree.leaves
         self._plan = plan
-        self._column = {leaf: column for column, leaf in enumerate(plan.tree.leaves)}
-        self._of_plant = {name: np.full(plan.timing.cycles, nan) for name in _OF_DISPATCH}
+        self._clusters = clusters
+        self._column = {node: column for column, node in enumerate(clusters or leaves)}
+        self._column_of_leaf = [
+            self._column[parent_of(leaf) if clusters else leaf] for leaf in leaves
+        ]
+        self._of_plant = {name: np.full(cycles, nan) for name in _OF_DISPATCH}
         self._of_inverters = defaultdict[str, NDArray[np.float64]](
-            lambda: np.full((plan.timing.cycles, len(self._column)), nan)
+            lambda: np.full((cycles, len(self._column)), nan)
         )
-        cycles = plan.timing.cycles
-        self._has_answered = {leaf: np.zeros(cycles, bool) for leaf, _ in plan.site.devices}
+        # Of each real inverter what the plant counts in the cycles in which it does not answer.
+        devices = [leaf for leaf, _ in plan.site.devices]
+        self._assumed_kw = {leaf: np.zeros(cycles) for leaf in devices}
+        self._has_answered = {leaf: np.zeros(cycles, bool) for leaf in devices}
         # How the sender of dispatch and of production numbered each cycle; None: that is not clear.
         self._numbers = defaultdict[Port[Message], dict[int, tuple[int, int] | None]](dict)
         self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message; those that the series does not need are ignored."""
-        cycle = message.cycle
-        if not 0 <= cycle < self._plan.timing.cycles:
+        cycle, plan = message.cycle, self._plan
+        if not 0 <= cycle < plan.timing.cycles:
             return
         match message:
             case Dispatch():
@@ -206,19 +222,25 @@ class SeriesCollector:
             case Production():
                 self._cycles = max(self._cycles, cycle + 1)
                 made = {"mpp_kw": message.inverter_mpp_kw, "power_kw": message.inverter_power_kw}
-                rows = {name: np.full(len(self._column), nan) for name in made}
-                for name, listed in made.items():
-                    # An external plant may list too few or too many inverters.
-                    rows[name][: len(listed)] = listed[: len(self._column)]
+                rows = {name: self._row(listed) for name, listed in made.items()}
+                for leaf, assumed_kw in self._assumed_kw.items():
+                    assumed_kw[cycle] = message.inverter_power_kw[plan.tree.leaves.index(leaf)]
                 self._enter_of_plant(port, message, self._of_inverters, rows)
             case Impp() if port.node in self._column:
                 self._enter_of(port, "impp_kw", cycle, message.power_kw)
             case Residual() if port.node in self._column:
                 self._enter_of(port, "residual_kw", cycle, message.power_kw)
-            case Command():
+            case Command() if port.node in self._column:
                 self._enter_of(port, "alpha", cycle, message.alpha)
             case Telemetry() if port.node in self._has_answered:
                 self._has_answered[port.node][cycle] = True
+
+    def _row(self, listed: Sequence[float]) -> NDArray[np.float64]:
+        """Add up what a production lists of each inverter, by column."""
+        leaves = self._column_of_leaf
+        powers_kw = np.full(len(leaves), nan)  # An external plant may list too few or too many.
+        powers_kw[: len(listed)] = listed[: len(leaves)]
+        return np.bincount(leaves, powers_kw, len(self._column)).astype(np.float64, copy=False)
 
     def _enter_of(self, port: Port[Message], name: str, cycle: int, value: float) -> None:
         """Enter a number, unless an earlier message gave one."""
@@ -257,7 +279,11 @@ class SeriesCollector:
             raise InputError("expected a run with at least one complete cycle, got none")
         columns = self._of_plant | self._of_inverters
         values = {name: column[: self._cycles] for name, column in columns.items()}
-        series = replace(RunSeries.of(self._plan, label, **values), assumed_kw=self._assumed_kw())
+        series = RunSeries.of(self._plan, label, **values)
+        series = replace(series, plant=SeriesPlant.of(self._plan, self._clusters))
+        for leaf, power_kw in self._assumed_kw.items():
+            unknown = ~self._has_answered[leaf][: self._cycles]
+            series.assumed_kw[unknown] += power_kw[: self._cycles][unknown]
         known = int(series.known.sum())
         if known * _MOST_APART <= series.cycles:
             raise InputError(
@@ -266,31 +292,35 @@ class SeriesCollector:
             )
         return series
 
-    def _assumed_kw(self) -> NDArray[np.float64]:
-        """Return what the plant counts for real inverters that do not answer, shape (T,)."""
-        assumed_kw = np.zeros(self._cycles)
-        for leaf, has_answered in self._has_answered.items():
-            power_kw = self._of_inverters["power_kw"][: self._cycles, self._column[leaf]]
-            assumed_kw += np.where(has_answered[: self._cycles], 0.0, np.nan_to_num(power_kw))
-        return assumed_kw
-
 
 def read_series(path: Path) -> RunSeries:
-    return _read(path, DISPATCH, IMPP, RESIDUAL, COMMAND, PRODUCTION)
+    with RunReader(path) as reader:
+        return series_of(reader)
+
+
+def series_of(reader: RunReader, most_inverters: int | None = None) -> RunSeries:
+    """Read a recording; in a plant of more inverters, clusters stand for them."""
+    tree = reader.plan.tree
+    signals: tuple[Signal[Message], ...] = (IMPP, RESIDUAL, COMMAND)
+    nodes, clusters = tree.leaves, tuple[str, ...]()
+    if most_inverters is not None and len(tree.leaves) > most_inverters:
+        nodes = clusters = tuple(dict.fromkeys(map(parent_of, tree.leaves)))
+        signals = IMPP, RESIDUAL
+    return _read(reader, {signal.of(node) for signal in signals for node in nodes}, clusters)
 
 
 def read_plant_series(path: Path) -> RunSeries:
     """Read what the figures of merit need of a recording: NaN stands for IMPP, residual, alpha."""
-    return _read(path, DISPATCH, PRODUCTION)
-
-
-def _read(path: Path, *signals: Signal[Message]) -> RunSeries:
     with RunReader(path) as reader:
-        collector = SeriesCollector(reader.plan)
-        devices = {TELEMETRY.of(leaf) for leaf, _ in reader.plan.site.devices}
-        for port, message in reader.on(reader.ports(*signals) | devices):
-            collector.see(port, message)
-        try:
-            return collector.series(reader.plan.run_id)
-        except InputError as error:
-            raise InputError(f"{reader.path}: {error}") from None
+        return _read(reader, set(), ())
+
+
+def _read(reader: RunReader, ports: set[Port[Message]], clusters: tuple[str, ...]) -> RunSeries:
+    devices = {TELEMETRY.of(leaf) for leaf, _ in reader.plan.site.devices}
+    collector = SeriesCollector(reader.plan, clusters)
+    for port, message in reader.on(reader.ports(DISPATCH, PRODUCTION) | ports | devices):
+        collector.see(port, message)
+    try:
+        return collector.series(reader.plan.run_id)
+    except InputError as error:
+        raise InputError(f"{reader.path}: {error}") from None

@@ -50,28 +50,21 @@ def delivered_and_shortfall(series: Sequence[RunSeries]) -> style.ReportFigure:
         rows=count,
         cols=1,
         shared_xaxes=True,
+        shared_yaxes="all",
         vertical_spacing=0.18 / count,
         subplot_titles=[style.plain(one.label) if count > 1 else "" for one in series],
     )
     red = {"color": style.SHORTFALL, "width": 1}
     area = {"fill": "tozeroy", "fillcolor": style.faint(style.SHORTFALL)}
-    for row, (one, delivered) in enumerate(
-        zip(series, _delivered_lines(series), strict=True), start=1
-    ):
+    panels = zip(series, _delivered_lines(series), strict=True)
+    for row, (one, delivered) in enumerate(panels, start=1):
         # One entry in the legend is enough for what all panels have.
         once = {"showlegend": row == 1}
         shortfall = style.time_line(one, one.shortfall_kw, "shortfall", red, **area, **once)
         dispatch = style.time_line(one, one.dispatch_kw, "dispatch", _DASHED, **once)
-        for line in (shortfall, delivered, dispatch):
-            figure.add_trace(line, row, 1)
+        figure.add_traces([shortfall, delivered, dispatch], rows=row, cols=1)
     style.dress(figure, 110 + _PANEL_PX * count)
-    # A range that holds delivered power and dispatch of all runs, and zero.
-    curves = [curve for one in series for curve in (one.delivered_kw, one.dispatch_kw)]
-    least_kw = min(0.0, *(float(np.nanmin(curve)) for curve in curves))
-    greatest_kw = max(float(np.nanmax(curve)) for curve in curves)
-    range_kw = [least_kw, greatest_kw + 0.05 * (greatest_kw - least_kw)]
-    figure.update_yaxes(title_text="power [kW]", range=range_kw)
-    figure.update_yaxes(matches="y")
+    figure.update_yaxes(title_text="power [kW]", rangemode="tozero")
     if count > 1:  # The legend stands above the title of the first panel.
         figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * count), margin_t=70)
     style.label_time_axis(figure, series[0], rows=count)
@@ -156,8 +149,7 @@ def farthest_from_asked(series: Sequence[RunSeries]) -> range:
     error_kw = np.mean([np.abs(one.delivered_kw - one.dispatch_kw) for one in series], axis=0)
     could = first.known & (first.regulation_kw != 0.0) & (first.available_kw >= first.dispatch_kw)
     asked = np.where(could, error_kw, 0.0)
-    total_kw = np.convolve(asked, np.ones(length), mode="valid")
-    begin = int(total_kw.argmax())
+    begin = int(np.convolve(asked, np.ones(length), mode="valid").argmax())
     return range(begin, begin + length)
 
 

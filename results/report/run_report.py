@@ -17,23 +17,15 @@ from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from bus_schemas.whole_file import whole_file
-from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
-from recordings.read.series import RunSeries, read_series
-from results.report.inverter_figures import (
-    correlation_matrices,
-    residuals,
-    virtual_neighbours,
-)
+from recordings.read.series import RunSeries, series_of
+from results.report.inverter_figures import MOST_INVERTERS, correlation_matrices, residuals
 from results.report.page import html_page
-from results.report.plant_figures import (
-    available_power,
-    delivered_and_shortfall,
-    regulation,
-)
+from results.report.plant_figures import available_power, delivered_and_shortfall, regulation
 from results.report.result import Result
 from results.report.style import ReportFigure
 from results.report.tables import devices_tables, figures_tables, health_table
+from results.run_summary import run_health
 from results.tables import Table, counted
 from sunspec.process import read_accounts
 
@@ -48,9 +40,9 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         notes = _notes(reader)
         size_mb = reader.path.stat().st_size / 1e6
         with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
-            series = replace(read_series(run), label=f"hierarchical ({plan.control.scheme})")
-            health = read_overview(reader).health
-            tables = [health_table(health, reader.clock), *figures_tables([series])]
+            series = series_of(reader, MOST_INVERTERS)
+            series = replace(series, label=f"hierarchical ({plan.control.scheme})")
+            tables = [*figures_tables([series]), health_table(run_health(reader), reader.clock)]
             tables += devices_tables(read_accounts(reader.path.parent))
     with console.status("drawing"):
         title = f"{plan.plant}: run {plan.run_id}"
@@ -114,11 +106,11 @@ def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
     first = series[0]
     lines = [f"{first.plant.rating_kw.sum():,.0f} kW AC rating. {when(first)}, local time."]
     for one in series:
-        missing = one.cycles - int(one.known.sum())
-        if missing:
+        known, planned = int(one.known.sum()), one.plant.planned_cycles or one.cycles
+        if known < planned:
             lines.append(
-                f"{one.label}: {counted(missing, 'cycle')} without dispatch or production in the "
-                "recording. They are gaps in the figures and do not count in the tables."
+                f"{one.label}: {known:,} of {planned:,} cycles have dispatch and production in the "
+                "recording. The others are gaps in the figures and do not count in the tables."
             )
     return lines
 
@@ -134,15 +126,10 @@ def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
         delivered_and_shortfall(series),
         regulation(series),
     ]
-    signalling = [one for one in series if not np.isnan(one.residual_kw).all()]
-    if signalling:
-        last = signalling[-1]
-        whose = f"Under the scheme {last.label}. " if len(series) > 1 else ""
-        figures += [
-            replace(figure, caption=whose + figure.caption)
-            for figure in (residuals(last), virtual_neighbours(last))
-            if figure is not None
-        ]
+    if signalling := [one for one in series if not np.isnan(one.residual_kw).all()]:
+        figure = residuals(signalling[-1])
+        whose = f"Under the scheme {signalling[-1].label}. " if len(series) > 1 else ""
+        figures.append(replace(figure, caption=whose + figure.caption))
     figures.append(correlation_matrices(series[0]))
     return [figure for figure in figures if figure is not None]
 

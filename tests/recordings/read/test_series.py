@@ -14,7 +14,9 @@ from recordings_by_hand import PLAN, numbered, whole_run, write_run
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Dispatch
+from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, SeriesCollector, read_plant_series, read_series
+from recordings.read.series import series_of as by_nodes
 from results.figures import run_figures
 
 CYCLES = 30
@@ -77,6 +79,17 @@ def test_a_forged_dispatch_does_not_count(is_first: bool, sequence: int | None, 
     series = collector.series("")
     assert series.known.sum() == known, "of two that are numbered alike neither counts"
     assert set(series.commitment_kw[series.known]) == {230.0}
+
+
+def test_in_a_large_plant_clusters_stand_for_their_inverters(tmp_path: Path) -> None:
+    whole = series_of(tmp_path, lambda pair: True)
+    with RunReader(tmp_path) as reader:
+        found = by_nodes(reader, 3)
+        assert by_nodes(reader, 4).inverters == whole.inverters
+    assert (found.inverters, found.plant.noun) == (("c1", "c2"), "cluster")
+    assert list(found.plant.rating_kw) == [PLAN.tree.rating_kw(node) for node in ("c1", "c2")]
+    assert np.array_equal(found.delivered_kw, whole.delivered_kw)
+    assert set(found.residual_kw[:, 0]) == {15.0}, "of the supervisor c1"
 
 
 def test_power_of_a_real_inverter_that_does_not_answer_is_assumed() -> None:

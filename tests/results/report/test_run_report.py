@@ -20,7 +20,7 @@ from results.tables import Column, Table, key_column
 
 NASTY = "a <b>bold</b> & <script>alert('x')</script> label"
 TEN_O_CLOCK_LOCAL_MS = TEN_O_CLOCK_HST_NS / 1e6 - 10 * 3_600_000
-FIGURES = ["available-power", "shortfall", "regulation", "residuals", "neighbours", "correlation"]
+FIGURES = ["available-power", "shortfall", "regulation", "residuals", "correlation"]
 
 
 @dataclass
@@ -86,7 +86,7 @@ def test_the_page_has_every_figure_with_its_data_and_links_to_each() -> None:
     assert all(json.loads(data[f"{plot}-data"])["data"] for plot in plots)
     assert all(page.texts("figcaption"))
     links = [str(element.attributes["href"]).removeprefix("#") for element in page.of("a")]
-    assert links == [*FIGURES, "table-1", "table-2"]
+    assert links == ["table-1", "table-2", *FIGURES]
     assert set(links) == {element.attributes.get("id") for element in page.of("section")}
 
 
@@ -143,13 +143,27 @@ def test_the_heat_map_has_a_named_row_for_each_inverter_cluster_by_cluster() -> 
     assert layout.height >= 12 * len(names)
 
 
+def test_matrices_have_lines_between_clusters_in_every_panel() -> None:
+    run = cloudy_run(cycles=7200)
+    figure = figures_of(run)["correlation"]
+    assert [panel.z.shape for panel in figure.data] == [(5, 5), (5, 5)]
+    lines = [(one.x0, one.y0, one.xref, one.yref) for one in figure.layout.shapes]
+    # Three inverters are in the first cluster: a line goes down, and one across.
+    assert lines == [
+        (2.5, 0, "x", "y domain"),
+        (0, 2.5, "x domain", "y"),
+        (2.5, 0, "x2", "y2 domain"),
+        (0, 2.5, "x2 domain", "y2"),
+    ]
+
+
 def test_each_scheme_has_its_panel_its_column_and_one_colour() -> None:
     run = cloudy_run("hierarchical", regulation=True)
     runs = run, without_estimates(run, "no help")
     figures = figures_of(*runs)
     layout = figures["shortfall"].layout
     assert [note.text for note in layout.annotations] == ["hierarchical", "no help"]
-    assert layout.yaxis2.matches == "y"
+    assert layout.yaxis.matches == "y2", "their axes are the same"
     names = {"available-power": "delivered", "shortfall": "delivered", "regulation": "given"}
     colours = {trace(figures[at], f"{of}, no help").line.color for at, of in names.items()}
     assert len(colours) == 1
@@ -203,7 +217,7 @@ def test_cycles_without_a_message_are_gaps_in_their_own_place(fields: tuple[str,
     assert [*figures] == FIGURES
     drawn = trace(figures["available-power"], "delivered").y
     np.testing.assert_allclose(drawn, gapped.delivered_kw, rtol=1e-6)
-    said = any("30 cycles without dispatch or production" in line for line in result.lines)
+    said = any("870 of 900 cycles have dispatch and production" in line for line in result.lines)
     assert said == (gapped.known.sum() == 870)
 
 
