@@ -4,7 +4,7 @@ Examples
 --------
 >>> from heliarch import compare, compare_runs, open_run, simulate
 >>> run = simulate("oahu", duration="10m", out="runs/first")
->>> print(run.summary.metrics)
+>>> print(run.summary.figures)
 >>> with open_run(run.folder) as recording:
 ...     print(recording.plan.inverters)
 >>> table = compare("oahu", schemes=["paper", "uniform-cap"], seeds=range(1, 6))
