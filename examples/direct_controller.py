@@ -10,7 +10,6 @@ Written from docs/wire.md alone; needs `pip install eclipse-zenoh msgpack`.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import queue
 import time
@@ -19,12 +18,11 @@ from typing import Any
 
 import msgpack
 import zenoh
+from member import Member, read_plan
 
-PROTOCOL = 2  # Version of docs/wire.md that it was written from.
-METER_TOLERANCE = (
-    0.05  # Share of the rating by which a meter may read above the rating, or below 0.
-)
+METER_TOLERANCE = 0.05  # Share of the rating by which a meter may read above it, or below 0.
 SAME = 1e-6  # Share by which the rating in a dispatch may differ from the plan's.
+HIDDEN_ALPHA_MIN = 0.001  # The lowest alpha where a limit hides the maximum.
 ROUNDING = 1e-9
 BEFORE_ALL = -(2**31)  # No cycle has begun: each message takes it further.
 EARLIER = 0.98  # It closes a stage by so much of its time: its cycle begins with a message.
@@ -36,30 +34,33 @@ NUMBERS = {  # What it needs of each message beside cycle and source.
 }
 
 
-class DirectController:
+class DirectController(Member):
     """Telemetry and dispatch in, IMPP and residual out; then setpoint in, command out."""
 
-    def __init__(self, plan: dict[str, Any], node: str, session: zenoh.Session) -> None:
-        self.plan, self.node, self.session = plan, node, session
+    def __init__(self, plan: dict[str, Any], node: str, endpoints: list[str]) -> None:
+        self.node, self.parent = node, node.rpartition("/")[0] or "central"
+        # From the parent or its standby, where it has one, it hears setpoints.
+        talks_to = ["recorder", "plant", self.parent, f"{self.parent}+standby"]
+        super().__init__(plan, node, talks_to, endpoints)
         self.rating_kw: float = dict(plan["inverters"])[node]
         self.plant_rating_kw: float = sum(dict(plan["inverters"]).values())
         self.parent_period: int = plan["control"]["period_cycles"][node.count("/")]
-        self.parent = node.rpartition("/")[0] or "central"
-        self.prefix = f"{plan['plant']}/{node}"
+        self.alpha_min: float = plan["control"]["alpha_min"]
+        if (plan["control"]["scheme"], plan["control"]["actuator"]) == ("predictive", "limit"):
+            self.alpha_min = HIDDEN_ALPHA_MIN
         self.deadlines_s = deadlines_s(plan, node)
-        self.cycle = BEFORE_ALL
         self.forget()
 
     def forget(self) -> None:
         """Go back to the initial state: each arming round begins with it, and each process."""
-        self.sequences: dict[str, int] = {}  # The next number on each key.
+        self.sequences = {}
         self.incarnation = 0  # The cycle in which it joined.
         self.processes: dict[str, int] = {}  # Newest incarnation of the publisher of each input.
         self.impp_kw, self.stale_cycles = 0.0, 0
         self.measured_cycle: int | None = None
         self.heard: dict[str, int] = {}  # Newest cycle of each input, usable or not.
         self.newest: dict[str, dict[str, Any]] = {}  # Newest usable message of each input.
-        self.missing: list[str] = []
+        self.missing = []
         self.stage = ""
 
     # What comes in -------------------------------------------------------------------------------
@@ -112,6 +113,30 @@ class DirectController:
         """Say how it went: the plant has stopped the run after so many cycles."""
         commands = self.sequences.get("command", 0)
         print(f"{self.node}: commands in {commands} of {cycles} cycles, then the plant stopped")
+
+    def run(self) -> None:
+        """Hear the others until the plant stops the run."""
+        self.watch("plant")
+        self.join(f"{self.node}/telemetry", f"{self.node}/setpoint", "dispatch", "run")
+        print(f"{self.node}: waiting for the plant", flush=True)
+        while True:
+            try:
+                sample = self.arrived.get(timeout=self.seconds_left())
+            except queue.Empty:
+                self.advance(time_is_up=True)
+                continue
+            signal = str(sample.key_expr).rpartition("/")[2]
+            if signal == "alive":
+                if sample.kind == zenoh.SampleKind.DELETE:
+                    self.leave()
+                continue
+            source = self.parent if signal == "setpoint" else "plant"
+            message = read_message(signal, sample.payload.to_bytes(), source)
+            if message is not None and signal != "run":
+                self.hear(signal, message)
+            elif message is not None and message.get("state") == "stop":
+                self.end(message["cycle"])
+                return
 
     # Stages --------------------------------------------------------------------------------------
 
@@ -219,40 +244,13 @@ class DirectController:
             return
         alpha = 1.0
         if target_kw < self.impp_kw * (1.0 - ROUNDING):
-            alpha = min(max(target_kw / self.impp_kw, self.plan["control"]["alpha_min"]), 1.0)
+            alpha = min(max(target_kw / self.impp_kw, self.alpha_min), 1.0)
         power_kw = alpha * self.impp_kw if alpha < 1.0 else self.rating_kw
         if lost:
             power_kw = target_kw
         # Where to an inverter goes that hears no more of us.
         revert_kw = share_kw if self.plan["site"].get("revert") is not None else None
         self.publish("command", alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
-
-    # The bus -------------------------------------------------------------------------------------
-
-    def publish(self, signal: str, **fields: float | None) -> None:
-        """Send a message of this cycle."""
-        sequence = 0
-        if self.cycle >= 0:
-            sequence = self.sequences.get(signal, 0)
-            self.sequences[signal] = sequence + 1
-        message = {
-            "cycle": self.cycle,
-            "sim_time_ns": self.plan["timing"]["start_time_ns"]
-            + self.cycle * self.plan["timing"]["cycle_ns"],
-            "source": self.node,
-            "missing": self.missing,
-            "ready_time_ns": self.ready_ns,
-            "publish_time_ns": time.monotonic_ns(),
-            "sequence": sequence,
-            "incarnation": self.incarnation,
-            **fields,
-        }
-        self.session.put(
-            f"{self.prefix}/{signal}",
-            msgpack.packb(message),
-            encoding="application/msgpack",
-            congestion_control=zenoh.CongestionControl.BLOCK,
-        )
 
 
 def deadlines_s(plan: dict[str, Any], node: str) -> dict[str, float]:
@@ -262,16 +260,6 @@ def deadlines_s(plan: dict[str, Any], node: str) -> dict[str, float]:
         return {"estimate": stated_ns[0] * 3 / (tiers + 3) / 1e9, "actuate": stated_ns[-1] / 1e9}
     part_s = 0.9 * plan["timing"]["cycle_wall_ns"] / (2 * tiers + 4) / 1e9
     return {"estimate": 3 * part_s, "actuate": (tiers + node.count("/") + 4) * part_s}
-
-
-def read_plan(path: Path) -> dict[str, Any]:
-    """Return the plan of a run, as soon as the launcher has written it."""
-    while True:
-        try:
-            plan: dict[str, Any] = json.loads(path.read_text())
-            return plan
-        except (FileNotFoundError, json.JSONDecodeError):
-            time.sleep(0.1)
 
 
 def read_message(signal: str, payload: bytes, source: str) -> dict[str, Any] | None:
@@ -288,48 +276,6 @@ def read_message(signal: str, payload: bytes, source: str) -> dict[str, Any] | N
     return message if right else None
 
 
-def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zenoh.Config:
-    """Zenoh as a peer that neither searches nor listens: it connects to the agents it talks to."""
-    ports, keys_folder = plan["access"]["tcp_ports"], plan["access"].get("keys_folder")
-    if not endpoints:
-        parent = node.rpartition("/")[0] or "central"
-        talks_to = ["recorder", "plant", parent]
-        if f"{parent}+standby" in ports:  # From one of the two it hears setpoints.
-            talks_to.append(f"{parent}+standby")
-        link, addresses = "tls" if keys_folder else "tcp", plan["access"].get("addresses", {})
-        endpoints = [
-            f"{link}/{addresses.get(agent, plan['access']['address'])}:{ports[agent]}"
-            for agent in talks_to
-        ]
-    config = zenoh.Config()
-    settings: dict[str, object] = {
-        "mode": "peer",
-        "namespace": plan["access"]["namespace"] or plan["run_id"],
-        "listen/endpoints": [],  # Without it Zenoh listens on a port of its own choice.
-        "connect/endpoints": endpoints,
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-    }
-    if not plan["timing"]["cycle_wall_ns"]:
-        # In lockstep all agents wait for one that stands still; by default Zenoh closes its links.
-        block = "transport/link/tx/queue/congestion_control/block"
-        settings[f"{block}/wait_before_close"] = 60_000_000  # Microseconds.
-        settings["transport/link/tx/lease"] = 60_000  # Milliseconds.
-    if keys_folder:
-        own = Path(keys_folder) / node.replace("/", ".")
-        settings["transport/link/tls"] = {
-            "root_ca_certificate": str(Path(keys_folder) / "ca.pem"),
-            "enable_mtls": True,
-            "connect_certificate": f"{own}.pem",
-            "connect_private_key": f"{own}.key",
-        }
-    for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
-    return config
-
-
 def main(kind: type[DirectController] = DirectController) -> None:
     """Join the run of a plan, and control the inverter until the plant says that it is over."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -339,49 +285,9 @@ def main(kind: type[DirectController] = DirectController) -> None:
         "--connect", action="append", default=[], help="instead of the plan's ports"
     )
     options = parser.parse_args()
-    plan = read_plan(options.plan)
-    if plan["protocol"] != PROTOCOL:
-        parser.error(f"expected a plan of protocol {PROTOCOL}, got {plan['protocol']}")
-    arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-    with zenoh.open(session_config(plan, options.node, options.connect)) as session:
-        controller = kind(plan, options.node, session)
-        # What is declared holds for as long as there is a name for it.
-        subscribers = [
-            session.declare_subscriber(key, arrived.put)
-            for key in (
-                f"{controller.prefix}/telemetry",
-                f"{controller.prefix}/setpoint",
-                f"{plan['plant']}/dispatch",
-                f"{plan['plant']}/run",
-            )
-        ]
-        plant_alive = f"{plan['plant']}/plant/alive"
-        subscribers.append(
-            session.liveliness().declare_subscriber(plant_alive, arrived.put, history=True)
-        )
-        token = session.liveliness().declare_token(f"{controller.prefix}/alive")
-        print(f"{options.node}: waiting for the plant", flush=True)
-        while True:
-            try:
-                sample = arrived.get(timeout=controller.seconds_left())
-            except queue.Empty:
-                controller.advance(time_is_up=True)
-                continue
-            signal = str(sample.key_expr).rpartition("/")[2]
-            if signal == "alive":
-                if sample.kind == zenoh.SampleKind.DELETE:
-                    controller.leave()
-                continue
-            source = controller.parent if signal == "setpoint" else "plant"
-            message = read_message(signal, sample.payload.to_bytes(), source)
-            if message is None:
-                continue
-            if signal != "run":
-                controller.hear(signal, message)
-            elif message.get("state") == "stop":
-                controller.end(message["cycle"])
-                break
-        del subscribers, token
+    controller = kind(read_plan(options.plan), options.node, options.connect)
+    with controller.session:
+        controller.run()
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ arms the controllers, starts the run, ticks, and stops it. Written from docs/wir
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import queue
 import time
@@ -19,25 +18,21 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
-import zenoh
+from member import PROTOCOL, Member, read_plan
 
 FIRST_ROUND = -1_000_000  # Arming rounds count upwards from here.
 ROUND_S, LONGEST_ROUND_S = 0.3, 3.0  # How long a round may take: each one 0.1 s more, up to ...
 LEAD_S = 0.2  # In real time: how long before cycle 0 everybody is told when it begins.
-PROTOCOL = 2  # Version of docs/wire.md that it was written from.
 ADVANCE_AT = 0.9  # Share of the cycle by whose end the plant has its commands, or does without.
 
 
-class Plant:
+class Plant(Member):
     """Inverters that obey commands, and the operator who wants half of their rating."""
 
-    def __init__(self, plan: dict[str, Any], session: zenoh.Session) -> None:
-        self.plan, self.session, self.name = plan, session, plan["plant"]
+    def __init__(self, plan: dict[str, Any]) -> None:
+        super().__init__(plan, "plant", ["recorder"], [])
         self.ratings_kw: dict[str, float] = dict(plan["inverters"])
         self.wall_s = plan["timing"]["cycle_wall_ns"] / 1e9  # 0 is lockstep.
-        self.sequences: dict[str, int] = {}
-        self.arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-        self.cycle, self.missing, self.ready_ns = FIRST_ROUND, [""], 0
         self.ready_round: int | None = None
         self.stand_still()
 
@@ -134,9 +129,10 @@ class Plant:
     def await_everybody(self) -> None:
         """Wait until each agent's liveliness token is seen."""
         nodes = {path for leaf in self.ratings_kw for path in branch(leaf)}
-        absent = {f"{self.name}/{agent}/alive" for agent in {"central", "recorder", *nodes}}
+        name = self.plan["plant"]
+        absent = {f"{name}/{agent}/alive" for agent in {"central", "recorder", *nodes}}
         while absent:
-            for reply in self.session.liveliness().get(f"{self.name}/**/alive", timeout=1.0):
+            for reply in self.session.liveliness().get(f"{name}/**/alive", timeout=1.0):
                 if reply.ok is not None:
                     absent.discard(str(reply.ok.key_expr))
             time.sleep(0.05)
@@ -185,33 +181,9 @@ class Plant:
         except queue.Empty:
             return None
         message: dict[str, Any] = msgpack.unpackb(sample.payload.to_bytes())
-        if str(sample.key_expr) == f"{self.name}/ready":
+        if str(sample.key_expr) == f"{self.prefix}/ready":
             self.ready_round = message["cycle"]
         return message
-
-    def publish(self, key: str, **fields: object) -> None:
-        """Send a message of this cycle."""
-        sequence = 0
-        if self.cycle >= 0:
-            sequence = self.sequences.get(key, 0)
-            self.sequences[key] = sequence + 1
-        message = {
-            "cycle": self.cycle,
-            "sim_time_ns": self.plan["timing"]["start_time_ns"]
-            + self.cycle * self.plan["timing"]["cycle_ns"],
-            "source": "plant",
-            "missing": self.missing,
-            "ready_time_ns": self.ready_ns,
-            "publish_time_ns": time.monotonic_ns(),
-            "sequence": sequence,
-            **fields,
-        }
-        self.session.put(
-            f"{self.name}/{key}",
-            msgpack.packb(message),
-            encoding="application/msgpack",
-            congestion_control=zenoh.CongestionControl.BLOCK,
-        )
 
 
 def branch(leaf: str) -> list[str]:
@@ -220,67 +192,18 @@ def branch(leaf: str) -> list[str]:
     return ["/".join(parts[:end]) for end in range(1, len(parts) + 1)]
 
 
-def read_plan(path: Path) -> dict[str, Any]:
-    """Return the plan of a run, as soon as the launcher has written it."""
-    while True:
-        try:
-            plan: dict[str, Any] = json.loads(path.read_text())
-            return plan
-        except (FileNotFoundError, json.JSONDecodeError):
-            time.sleep(0.1)
-
-
-def session_config(plan: dict[str, Any]) -> zenoh.Config:
-    """Zenoh as a peer that listens for the controllers and connects to the recorder alone."""
-    ports, keys_folder = plan["access"]["tcp_ports"], plan["access"].get("keys_folder")
-    host = f"tls/{plan['access']['address']}" if keys_folder else "tcp/127.0.0.1"
-    config = zenoh.Config()
-    settings: dict[str, object] = {
-        "mode": "peer",
-        "namespace": plan["access"]["namespace"] or plan["run_id"],
-        "listen/endpoints": [f"{host}:{ports['plant']}"],
-        "connect/endpoints": [f"{host}:{ports['recorder']}"],
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-    }
-    if not plan["timing"]["cycle_wall_ns"]:
-        # In lockstep all agents wait for one that stands still; by default Zenoh closes its links.
-        block = "transport/link/tx/queue/congestion_control/block"
-        settings[f"{block}/wait_before_close"] = 60_000_000  # Microseconds.
-        settings["transport/link/tx/lease"] = 60_000  # Milliseconds.
-    if keys_folder:
-        own = Path(keys_folder) / "plant"
-        settings["transport/link/tls"] = {
-            "root_ca_certificate": str(Path(keys_folder) / "ca.pem"),
-            "enable_mtls": True,
-            **dict.fromkeys(("listen_certificate", "connect_certificate"), f"{own}.pem"),
-            **dict.fromkeys(("listen_private_key", "connect_private_key"), f"{own}.key"),
-        }
-    for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
-    return config
-
-
 def main() -> None:
     """Run the plant of a plan."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
     plan = read_plan(parser.parse_args().plan)
-    with zenoh.open(session_config(plan)) as session:
-        plant = Plant(plan, session)
-        # What is declared holds for as long as there is a name for it.
-        declared = [
-            session.declare_subscriber(f"{plant.name}/**/command", plant.arrived.put),
-            session.declare_subscriber(f"{plant.name}/ready", plant.arrived.put),
-            session.liveliness().declare_token(f"{plant.name}/plant/alive"),
-        ]
+    plant = Plant(plan)
+    with plant.session:
+        plant.join("**/command", "ready")
         plant.await_everybody()
         print(f"armed after {plant.arm()} rounds", flush=True)
         plant.run()
         print(f"{plan['timing']['cycles']} cycles are over", flush=True)
-        del declared
 
 
 if __name__ == "__main__":

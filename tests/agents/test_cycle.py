@@ -88,7 +88,10 @@ def test_a_direct_controller_has_the_deadline_of_its_like_from_whatever_tier_it_
 
 @pytest.mark.parametrize("tree", [FLAT, THREE_TIERS, RAGGED])
 @pytest.mark.parametrize("by_tier", [False, True])
-def test_the_example_works_out_the_same_deadlines(tree: ControlTree, by_tier: bool) -> None:
+def test_the_example_works_out_the_same_deadlines(
+    tree: ControlTree, by_tier: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(EXAMPLE.parent)
     tiers_ns = tuple(500 * MS + 50 * MS * tier for tier in range(tree.height + 1))
     plan = plan_of(
         dict(tree.inverters),

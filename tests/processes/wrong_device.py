@@ -26,7 +26,7 @@ FAULTS = set(sys.argv[1].split(",")) if __name__ == "__main__" else set[str]()
 class WrongDevice(direct_controller.DirectController):
     """The example, with faults."""
 
-    def publish(self, signal: str, **fields: float | None) -> None:
+    def publish(self, signal: str, **fields: Any) -> None:
         if "arming" in FAULTS and self.cycle < 0:
             return
         if "residual" in FAULTS and signal == "residual":
@@ -120,7 +120,7 @@ class MisbehavingDevice(direct_controller.DirectController):
             [(own, pack(good))] * FLOOD,
         ]
 
-    def publish(self, signal: str, **fields: float | None) -> None:
+    def publish(self, signal: str, **fields: Any) -> None:
         if self.cycle >= FIRST_ABSURD and signal in ("impp", "command"):
             fields["power_kw"] = ABSURD_KW[self.cycle % len(ABSURD_KW)]
         super().publish(signal, **fields)
