@@ -211,12 +211,19 @@ def with_keys(keys: Path) -> Iterator[Team]:
 def test_without_keys_nobody_hears_a_stranger(without_keys: Team, mode: str) -> None:
     assert without_keys.intrude(mode) == set()
     # Whoever links with an agent is told the id of its session.
-    plants_id = session_ids(BARE.access.secret, PLANT)[0]
-    assert without_keys.intrude(mode, session_id=plants_id) == set()
-    # Of each session there is one: as long as the plant lives, nobody can take its place.
+    in_use, *_ = session_ids(BARE.access.secret, PLANT)
+    assert without_keys.intrude(mode, session_id=in_use) == set()
+    # Of each session there is one: while the plant uses its id, nobody else can.
     plants_password = password(BARE.access.secret, PLANT)
-    found = without_keys.intrude(mode, session_id=plants_id, password=plants_password)
-    assert found == set()
+    assert without_keys.intrude(mode, session_id=in_use, password=plants_password) == set()
+
+
+def test_without_keys_agents_hear_of_who_knows_a_password_what_its_agent_may_say_and_no_more(
+    without_keys: Team,
+) -> None:
+    named = {(RECORDER, str(port)) for port in PORTS if port.publisher != RECORDER}
+    found = without_keys.intrude(password=password(BARE.access.secret, PLANT))
+    assert found == without_keys.can_forge(PLANT) | named
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
