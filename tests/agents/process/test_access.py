@@ -218,11 +218,13 @@ def test_without_keys_nobody_hears_a_stranger(without_keys: Team, mode: str) -> 
     assert without_keys.intrude(mode, session_id=in_use, password=plants_password) == set()
 
 
-def test_without_keys_agents_hear_of_who_knows_a_password_what_its_agent_may_say_and_no_more(
+def test_without_keys_agents_hear_of_who_knows_the_secret_what_the_plant_may_say_and_no_more(
     without_keys: Team,
 ) -> None:
     named = {(RECORDER, str(port)) for port in PORTS if port.publisher != RECORDER}
-    found = without_keys.intrude(password=password(BARE.access.secret, PLANT))
+    spare = session_ids(BARE.access.secret, PLANT)[1]
+    own_password = password(BARE.access.secret, PLANT)
+    found = without_keys.intrude(session_id=spare, password=own_password)
     assert found == without_keys.can_forge(PLANT) | named
 
 
