@@ -7,10 +7,11 @@ from typing import Final, TypeVar
 
 import msgspec
 
-from bus_schemas.messages import LARGEST_PAYLOAD, Message
+from bus_schemas.messages import LARGEST_PAYLOAD, Head, Message
 from bus_schemas.signals import SIGNALS, Signal
 
 M = TypeVar("M", bound=Message)
+T = TypeVar("T")
 
 encode: Final[Callable[[Message], bytes]] = msgspec.msgpack.Encoder().encode
 """Returns a message as a msgpack map."""
@@ -20,12 +21,24 @@ _decoders: dict[type[Message], msgspec.msgpack.Decoder[Message]] = {
 }
 
 
+_heads = msgspec.msgpack.Decoder(Head)
+
+
 def decode(signal: Signal[M], payload: bytes) -> M:
     """Return the message that a payload of a signal holds, or raise msgspec.DecodeError."""
     if len(payload) > LARGEST_PAYLOAD:
         raise msgspec.DecodeError(f"{len(payload)} bytes are more than {LARGEST_PAYLOAD}")
+    return _decoded(_decoders[signal.type], payload)  # type: ignore[return-value]
+
+
+def decode_head(payload: bytes) -> Head:
+    """Return the head of a message of any signal, or raise msgspec.DecodeError."""
+    return _decoded(_heads, payload)
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[T], payload: bytes) -> T:
     try:
-        return _decoders[signal.type].decode(payload)  # type: ignore[return-value]
+        return decoder.decode(payload)
     except UnicodeDecodeError as error:
         raise msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}") from None
     except RecursionError:

@@ -79,6 +79,17 @@ class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     incarnation: Count = 0
 
 
+class Head(msgspec.Struct, gc=False):
+    """What recorder and readers read of every message, with the bounds of `Message`."""
+
+    cycle: Cycle
+    source: Name
+    sim_time_ns: SimTime = 0
+    publish_time_ns: Nanoseconds = 0
+    sequence: Sequence = 0
+    incarnation: Count = 0
+
+
 class Telemetry(Message, kw_only=True):
     """What an inverter measured in the interval that just ended, and what it obeyed in it.
 

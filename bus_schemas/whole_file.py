@@ -18,7 +18,8 @@ _UNFINISHED: Final = ".unfinished"
 def whole_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     """Open a file to write to, which replaces an older one when it is complete.
 
-    A device, a pipe or a link, such as `/dev/stdout`, is written in place.
+    It keeps the older file's permissions, and is on the disk when it gets its name. A device, a
+    pipe or a link, such as `/dev/stdout`, is written in place.
     """
     with named_in_errors(path):
         if path.is_symlink() or (path.exists() and not path.is_file()):
@@ -27,8 +28,12 @@ def whole_file(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
             return
         with _beside(path) as beside:
             beside.touch(mode)
+            if path.exists():
+                beside.chmod(path.stat().st_mode & 0o777)
             with beside.open("wb") as file:
                 yield file
+                file.flush()
+                os.fsync(file.fileno())
             beside.replace(path)
 
 

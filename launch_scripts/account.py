@@ -12,6 +12,7 @@ from bus_schemas.errors import InputError
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import Child
 from recordings.inspect.health import Health, LauncherAccount, WrongMessages
+from recordings.read.counting import checked
 from recordings.verify.verification import verify
 from results.run_summary import (
     MessageCount,
@@ -20,7 +21,6 @@ from results.run_summary import (
     RunSummary,
     recorded_figures,
     recorded_health,
-    recorded_messages,
 )
 from scenarios.preparation import Preparation
 from sunspec.process import DeviceAccount
@@ -76,7 +76,8 @@ class RunAccount:
     ) -> RunSummary:
         """Return the document of the run, which has ended. Its recording is opened and counted."""
         preparation, plan, path = self.preparation, self.preparation.plan, self.folder.recording
-        found, fault = recorded_messages(path, recorded.recorded)
+        recorded, fault = checked(path, plan, recorded)
+        found = Counter(recorded.recorded)
         figures = health = None
         if found:
             try:

@@ -17,14 +17,14 @@ from typing import Final, Literal, TypeAlias
 import msgspec
 import numpy as np
 
-from bus_schemas.codec import decode
-from bus_schemas.messages import Dispatch, Message, Notice, Production, Run
+from bus_schemas.codec import decode, decode_head
+from bus_schemas.messages import Dispatch, Head, Message, Notice, Production, Run
 from bus_schemas.signals import DISPATCH, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER
 from live_page.run_events import RunEvents
 from recordings.inspect.health import FAILURE_NAME
 from recordings.read.mcap_file import Chunk, walk_on
-from recordings.read.reader import CycleHead, RunReader, head_of
+from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
@@ -138,11 +138,11 @@ class RunFollower:
 
     def _read(self, chunk: Chunk) -> None:
         ports = self.run.channels
-        begin: CycleHead | None = None
+        begin: Head | None = None
         for channel, sequence, _, _, payload in self.run.messages_of(chunk, ports):
             port = ports[channel]
             with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
-                head = head_of(payload)
+                head = decode_head(payload)
                 begin = begin or head
                 self.events.see(port, sequence, head)
                 if port.signal in _FOLLOWED:

@@ -11,13 +11,12 @@ from typing import Any, Final, TypeAlias
 import msgspec
 
 from agents.dispatch import own_share_kw
-from bus_schemas.codec import decode
+from bus_schemas.codec import decode, decode_head
 from bus_schemas.messages import Dispatch, Impp, Message, Production, Setpoint, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name
 from live_page.follower import RunFollower
 from recordings.read.mcap_file import Chunk
-from recordings.read.reader import head_of
 
 Values: TypeAlias = list[float | None]
 
@@ -62,7 +61,7 @@ class CycleReader:
         for channel, _, _, _, payload in run.messages_of(chunk, run.channels):
             port = run.channels[channel]
             if port.signal is not RUN:
-                by_cycle.setdefault(head_of(payload).cycle, []).append((port, payload))
+                by_cycle.setdefault(decode_head(payload).cycle, []).append((port, payload))
         return by_cycle
 
 

@@ -11,11 +11,10 @@ import msgspec
 import numpy as np
 
 from agents.plan import RunPlan
-from bus_schemas.messages import Message
+from bus_schemas.messages import Head, Message
 from bus_schemas.signals import IMPP, TELEMETRY, Port
 from bus_schemas.tree import PLANT, agent_name
 from recordings.read.gaps import PortGaps
-from recordings.read.reader import CycleHead
 from scenarios.fault_rules import fault_text
 
 _KEPT: Final = 500
@@ -85,7 +84,7 @@ class RunEvents:
         """Return the events that are newer than a revision, or have changed since."""
         return [event for event in self._events if event.revision > revision]
 
-    def see(self, port: Port[Message], sequence: int, head: CycleHead) -> None:
+    def see(self, port: Port[Message], sequence: int, head: Head) -> None:
         """Take in a message, by its number on its key."""
         gaps, agent = self._gaps[port], port.publisher
         if agent in self._heard and 0 <= head.cycle < len(self._heard[agent]):

@@ -1,19 +1,21 @@
-"""Makes a whole recording of a cut one: everything up to the cut, with a new index."""
+"""Makes a whole recording of a cut one: everything up to the cut, and every chunk once."""
 
 from __future__ import annotations
 
+from hashlib import blake2b
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 import msgspec
-from mcap.writer import CompressionType, Writer
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, RUN, Port, ports
 from bus_schemas.tree import ROOT
 from bus_schemas.whole_file import new_path
 from recordings.read.gaps import RunGaps
+from recordings.read.mcap_file import Chunk, DamagedChunkError
 from recordings.read.reader import RunReader
+from recordings.record.chunk_writer import ChunkWriter
 from recordings.record.writer import declare
 
 RECOVERY_METADATA: Final = "recovery"
@@ -25,6 +27,7 @@ class Recovery(msgspec.Struct, kw_only=True):
 
     `closed`: the recorder had come to its end. `cut_bytes` at the end of the file make up no whole
     record. `lost` messages are missing between others. `damage` names damaged parts of the file.
+    `copies`: chunks that were in the file before, and are left out.
     """
 
     source: str
@@ -37,6 +40,7 @@ class Recovery(msgspec.Struct, kw_only=True):
     cut_bytes: int
     lost: int = 0
     damage: str = ""
+    copies: int
 
     @property
     def lossless(self) -> bool:
@@ -45,9 +49,24 @@ class Recovery(msgspec.Struct, kw_only=True):
 
 
 def is_sound(run: RunReader) -> bool:
-    """Whether a recording was closed in order and all of it can be read."""
+    """Whether a recording was closed in order and all of it can be read, once."""
     run.check_chunks()
-    return run.whole and not run.damage_text()
+    return run.whole and not run.damage_text() and not _copies(run)
+
+
+def _copies(run: RunReader) -> set[Chunk]:
+    """Return the chunks that hold what an earlier one holds."""
+    seen: set[bytes] = set()
+    copies = set()
+    for chunk in run.followed_chunks():
+        try:
+            content = blake2b(run.unpack(chunk), digest_size=16).digest()
+        except DamagedChunkError:
+            continue
+        if content in seen:
+            copies.add(chunk)
+        seen.add(content)
+    return copies
 
 
 def recover_run(run: RunReader, out: Path) -> Recovery:
@@ -56,30 +75,28 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
     with their times, sequence numbers and order. Metadata named `recovery` is added.
     """
-    outline, gaps = run.outline, RunGaps(run.plan)
+    outline, gaps, copies = run.outline, RunGaps(run.plan), _copies(run)
     recovery = Recovery(
         source=str(run.path),
         out=str(out),
         closed=outline.closed,
         planned_cycles=run.plan.timing.cycles,
         cut_bytes=0 if outline.closed else max(outline.size - outline.readable_end, 0),
+        copies=len(copies),
     )
     with new_path(out) as beside, beside.open("xb") as file:
-        writer = Writer(file, compression=CompressionType.LZ4)
-        channel_of = _begin(writer, run)
-        for one in run.records():
-            writer.add_message(
-                channel_of[one.port],
-                one.log_time_ns,
-                one.payload,
-                one.publish_time_ns,
-                one.sequence,
-            )
-            gaps.see(one.port, one.cycle, one.sequence, one.incarnation)
-            recovery.messages += 1
-            if one.port.signal is not RUN:
-                recovery.last_cycle = max(recovery.last_cycle, one.cycle)
-        recovery.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].messages
+        writer, channel_of = _begin(file, run)
+        for chunk in run.followed_chunks():
+            for raw in () if chunk in copies else run.messages_of(chunk, run.channels):
+                number, sequence, logged_ns, published_ns, payload = raw
+                port = run.channels[number]
+                writer.add_message(channel_of[port], logged_ns, payload, published_ns, sequence)
+                recovery.messages += 1
+                if (head := run.head(raw)) is not None:
+                    gaps.see(port, head.cycle, sequence, head.incarnation)
+                    if port.signal is not RUN:
+                        recovery.last_cycle = max(recovery.last_cycle, head.cycle)
+        recovery.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].cycles
         recovery.lost, recovery.damage = gaps.lost, run.damage_text()
         metadata = {
             "recovered_from": run.path.name,
@@ -92,14 +109,14 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
     return recovery
 
 
-def _begin(writer: Writer, run: RunReader) -> dict[Port[Message], int]:
-    """Write all but the messages; return the channel of each port."""
+def _begin(file: BinaryIO, run: RunReader) -> tuple[ChunkWriter, dict[Port[Message], int]]:
+    """Write all but the messages; return the writer, and the channel of each port."""
     outline, header = run.outline, run.outline.header
-    writer.start(header.profile if header else "", header.library if header else "")
+    writer = ChunkWriter(file, header.profile if header else "", header.library if header else "")
     for entry in outline.attachments:
         writer.add_attachment(
             entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data
         )
     for name, entries in outline.metadata.items():
         writer.add_metadata(name, entries)
-    return declare(writer, run.plan, ports(run.plan.tree))
+    return writer, declare(writer, run.plan, ports(run.plan.tree))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -11,7 +10,7 @@ import msgspec
 
 from agents.plan import RunPlan
 from agents.process.events import ExternalAccount
-from bus_schemas.errors import InputError, listed
+from bus_schemas.errors import listed
 from recordings.inspect.health import Health, RunDocument, WrongMessages, summary_in
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
@@ -155,22 +154,6 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
         }
         document = msgspec.to_builtins(self) | derived
         return msgspec.json.format(msgspec.json.encode(document), indent=2)
-
-
-def recorded_messages(recording: Path, told: dict[str, int]) -> tuple[Counter[str], str]:
-    """Count the messages of each signal in a recording that its recorder has closed.
-
-    Returns what is wrong with it, too: that it cannot be read, or holds less than was `told`.
-    """
-    try:
-        with RunReader(recording) as run:
-            found = run.counts()
-    except (InputError, OSError) as error:
-        return Counter(), f"the recording cannot be read: {error}"
-    if Counter(told) - found:
-        of = f"{found.total():,} of {sum(told.values()):,} messages that were recorded"
-        return found, f"{recording}: it holds {of}"
-    return found, ""
 
 
 def recorded_figures(recording: Path) -> Figures:

@@ -105,7 +105,9 @@ class Complaint(Event, frozen=True):
 
 
 class ExternalAccount(msgspec.Struct, frozen=True):
-    """What the recorder heard of an external agent, which gives no account of itself.
+    """What was heard of an external agent, which gives no account of itself.
+
+    The recorder knows its outages; the counts are of the recording, at the end of the run.
 
     recorded: Its messages in the recording, by signal.
     lost: Its messages that their sequence numbers show to be missing.
@@ -117,10 +119,10 @@ class ExternalAccount(msgspec.Struct, frozen=True):
     """
 
     agent: str
-    recorded: dict[str, int]
-    lost: int
-    expected: int
-    answered: int
+    recorded: dict[str, int] = {}
+    lost: int = 0
+    expected: int = 0
+    answered: int = 0
     outages: tuple[tuple[int, int | None], ...] = ()
     differing: int = 0
 
@@ -128,7 +130,7 @@ class ExternalAccount(msgspec.Struct, frozen=True):
 class Recorded(Event, frozen=True):
     """The recorder has closed its file.
 
-    recorded: Messages in the file, by signal.
+    recorded: Messages in its file, by signal; a recorder before it has another file.
     foreign: Payloads on the run's keys that are no messages of the run.
     cycles: How many cycles the plant completed.
     ended_early: Why the file does not go up to the end of the run; empty if it does.

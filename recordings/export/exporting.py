@@ -51,8 +51,9 @@ def export(
     clock: Clock,
 ) -> ExportSummary:
     """Export some signals, nodes and cycles of a recording; no nodes or cycles given means all."""
-    counts: Counter[str] = Counter()
-    exported: set[int] = set()
+    counts = Counter({signal.name: 0 for signal in signals})
+    first: int | None = None
+    last: int | None = None
     ports = reader.ports(*signals, nodes=nodes)
     with new_path(path) as beside:
         out: ViewerFile | TableFolder
@@ -63,14 +64,19 @@ def export(
             out = TableFolder(beside, reader.plan, signals, anchor, form)
         with out:
             for record in reader.records(ports, cycles):
+                message = reader.decoded(record.port, record.sequence, record.payload)
+                if message is None:
+                    continue
                 try:
-                    out.add(record, record.message())
-                except InputError as error:
-                    raise InputError(f"{reader.path}: {error}") from None
+                    out.add(record, message)
+                except InputError as error:  # Of another plant: wrong as well.
+                    reader.wrong.setdefault(record.port, str(error))
+                    continue
                 counts[record.port.signal.name] += 1
                 if record.port.signal.is_cyclic:  # The end of a run names the cycle after it.
-                    exported.add(record.cycle)
-        rows = {signal.name: counts[signal.name] for signal in signals}
+                    first = record.cycle if first is None else min(first, record.cycle)
+                    last = record.cycle if last is None else max(last, record.cycle)
+        rows = dict(counts)
         if isinstance(out, TableFolder):
             rows = {name: file.rows for name, file in out.files.items()}
     return ExportSummary(
@@ -78,8 +84,8 @@ def export(
         form=form,
         path=str(path),
         whole=reader.whole,
-        first_cycle=min(exported, default=None),
-        last_cycle=max(exported, default=None),
+        first_cycle=first,
+        last_cycle=last,
         messages=counts.total(),
         rows=rows,
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -16,13 +17,14 @@ from msgspec.structs import replace
 
 from agents.faults import Fault, Freeze, Kill
 from agents.plan import RunPlan
-from bus_schemas.errors import listed
+from bus_schemas.errors import InputError, listed
 from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import FaultTally
-from bus_schemas.signals import TELEMETRY, Port
+from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER, standby_of
-from recordings.read.gaps import LISTED_GAPS, MissedInputs, RunGaps, due_step
+from recordings.inspect.absences import Absence, Absences
+from recordings.read.gaps import MissedInputs, RunGaps
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
 from scenarios.fault_rules import fault_text
@@ -93,27 +95,6 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
 Document = TypeVar("Document", bound=RunDocument)
 
 
-class Absence(msgspec.Struct, frozen=True):
-    """An agent of which nothing came in some cycles; in 0 of them if it only restarted.
-
-    It was heard again, or its other process joined, in the cycle `back_in`; None: it was not. If
-    it restarted it then was of another process, maybe its standby. A real inverter is named
-    `device c2/inv07`: it has no telemetry while it is gone.
-    """
-
-    agent: str
-    first_cycle: int
-    cycles: int
-    back_in: int | None
-    restarted: bool
-    by_standby: bool = False
-
-    @property
-    def weight(self) -> tuple[bool, int]:
-        """What it is sorted by: whether the agent came back as it was, and for how long."""
-        return self.restarted or self.back_in is None, self.cycles
-
-
 class Health(msgspec.Struct, frozen=True):
     """How a run fared.
 
@@ -149,70 +130,6 @@ class Health(msgspec.Struct, frozen=True):
         return sum(misses.old for misses in self.misses if not misses.external)
 
 
-class Absences:
-    """Follows a recording from a cycle on.
-
-    `longest` are those that are listed; `more` others were shorter.
-    """
-
-    def __init__(self, plan: RunPlan, first_cycle: int) -> None:
-        self.longest: list[Absence] = []
-        self.more = 0
-        self._standbys = plan.standbys
-        self._devices: dict[Port[Message], str] = {
-            TELEMETRY.of(node): f"device {node}" for node, _ in plan.site.devices
-        }
-        # The agents that publish in every turn, and after how many cycles.
-        steps: dict[str, int] = {}
-        for port in plan.wiring.ports:
-            if port.signal.logged and (step := due_step(plan, port)):
-                steps[port.publisher] = min(step, steps.get(port.publisher, step))
-        steps |= dict.fromkeys(self._devices.values(), 1)
-        self._step = steps
-        self._last_cycle = dict.fromkeys(steps, first_cycle - 1)
-        # The cycle in which the process that speaks for each agent joined.
-        self._joined = dict.fromkeys(steps, max(first_cycle - 1, 0))
-
-    def see(self, port: Port[Message], cycle: int, incarnation: int, *, has_lost: bool) -> None:
-        """Take in a message; `has_lost`: messages of its port before it were not recorded."""
-        agent = port.publisher
-        if agent in self._step:
-            if has_lost:  # The agent was present, only its messages were lost.
-                self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
-            is_new = incarnation > self._joined[agent]
-            if is_new:
-                self._joined[agent] = incarnation
-            self._note_until(agent, cycle, incarnation if is_new else None)
-        if port in self._devices:
-            self._note_until(self._devices[port], cycle, None)
-
-    def end(self, cycle: int) -> None:
-        """Note the agents that were not back when the run ended before a cycle."""
-        for agent, last in self._last_cycle.items():
-            # A run that broke off has not completed its last cycle.
-            if cycle > last + self._step[agent] + 1:
-                self._note(Absence(agent, last + 1, cycle - last - 1, None, False))
-
-    def _note_until(self, agent: str, cycle: int, joined: int | None) -> None:
-        """Note that an agent was absent up to a cycle, or that a new process of it joined."""
-        last = self._last_cycle[agent]
-        self._last_cycle[agent] = max(cycle, last)
-        # Where there is a standby, a restarted process becomes the new standby.
-        by_standby = joined is not None and agent in self._standbys
-        if cycle > last + self._step[agent]:
-            gone, is_new = cycle - last - 1, joined is not None
-            self._note(Absence(agent, last + 1, gone, cycle, is_new, by_standby))
-        elif joined is not None:
-            self._note(Absence(agent, joined, 0, joined, True, by_standby))
-
-    def _note(self, absence: Absence) -> None:
-        """Keep an absence; beyond `LISTED_GAPS` the shortest are only counted."""
-        self.longest.append(absence)
-        if len(self.longest) > LISTED_GAPS:
-            self.longest.remove(min(self.longest, key=lambda one: one.weight))
-            self.more += 1
-
-
 class HealthWatch:
     """Follows a recording message by message."""
 
@@ -231,9 +148,11 @@ class HealthWatch:
         lost_before = gaps.lost
         self.gaps.see(port, cycle, record.sequence, record.incarnation)
         self._absences.see(port, cycle, record.incarnation, has_lost=gaps.lost > lost_before)
+        if missing := self._missed.see(record):
+            self._absences.miss(port.publisher, cycle, missing)
         if self._plan.faults.rules and port.signal.is_cyclic:
-            self._see_faults(port, record.message())
-        self._missed.see(record)
+            with suppress(InputError):  # The reader names a wrong message.
+                self._see_faults(port, record.message())
 
     def health(self, run: RunReader, cycle: int) -> Health:
         """Return the health of the run, which ended before `cycle`, with what its folder tells."""
@@ -292,7 +211,7 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     yield "inputs", _missed_text(health, clock)
     by_weight = sorted(_true_absences(health, clock.plan), key=lambda one: one.weight, reverse=True)
     for absence in by_weight[:_NAMED]:
-        yield "absent", _absence_text(absence, clock)
+        yield "absent", absence.text(clock)
     if others := len(by_weight[_NAMED:]) + health.more_absences:
         yield "absent", f"and {others:,} times more"
     # Messages show which agents restarted; the recorder publishes none.
@@ -319,10 +238,10 @@ def _true_absences(health: Health, plan: RunPlan) -> Iterator[Absence]:
     replaced = {*launcher.restarts, *launcher.takeovers, *plan.elsewhere} if launcher else set()
     for absence in health.absences:
         is_known = launcher is None or replaced & {absence.agent, standby_of(absence.agent)}
-        if is_known or not absence.restarted:
+        if is_known or absence.how not in {"restarted", "standby took over"}:
             yield absence
         elif absence.cycles:
-            yield replace(absence, restarted=False)
+            yield replace(absence, how="back")
 
 
 def _effect_text(effect: FaultEffect, clock: RunClock) -> str:
@@ -365,16 +284,6 @@ def _missed_text(health: Health, clock: RunClock) -> str:
     worst = _named({one.agent: one.inputs for one in misses})
     used = f"{health.missing_inputs:,} missed and {health.old_inputs:,} older ones used"
     return f"{used} {clock.span_text(first, last)}, most at{worst}"
-
-
-def _absence_text(absence: Absence, clock: RunClock) -> str:
-    first, cycles = absence.first_cycle, absence.cycles
-    gone = f"nothing {clock.span_text(first, first + cycles - 1)}, " if cycles else ""
-    if absence.back_in is None:
-        return f"{absence.agent}: {gone}not back"
-    how = "its standby took over" if absence.by_standby else "restarted"
-    how = how if absence.restarted else "back"
-    return f"{absence.agent}: {gone}{how} in cycle {absence.back_in:,}"
 
 
 def summary_in(folder: Path, plan: RunPlan, kind: type[Document]) -> Document | None:

@@ -1,13 +1,18 @@
-"""The messages of one signal, or the lists in them, as tables for pandas.
+"""The messages of one signal, or the lists in them, as tables.
 
 The lists are help given, the inverters of a production, and missing inputs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from math import nan
 from operator import attrgetter
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+from msgspec import inspect
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
@@ -23,13 +28,19 @@ HEAD_FIELDS: Final = frozenset(Message.__struct_fields__)
 """Fields of every message. The others are a signal's own."""
 
 Cell: TypeAlias = int | float | str | None
+Columns: TypeAlias = tuple[tuple[str, type], ...]
+"""Names, with the unit in them, and types: `int`, `float`, `str`, or `tuple` for a list."""
+
+_TYPES: Final = {inspect.FloatType: float, inspect.IntType: int, inspect.VarTupleType: tuple}
+_NAMES: Final = frozenset({"node", "inverter", "donor", "needy", "signal", "input"})
+"""Columns of text in which few values repeat."""
 
 
 class ListTable(NamedTuple):
-    """A table: of which signal (None: of all), and its columns with their types."""
+    """A table: of which signal (None: of all), and its columns."""
 
     signal: Signal[Message] | None
-    columns: tuple[tuple[str, type], ...]
+    columns: Columns
 
 
 LISTS: Final = {
@@ -42,9 +53,23 @@ LISTS: Final = {
     # `used_cycle` is that of the older message that the sender used; empty if it used none.
     "missing_inputs": ListTable(
         None,
-        (("node", str), ("signal", str), ("sequence", int), ("input", str), ("used_cycle", int)),
+        (("node", str), ("signal", str), ("sequence", int), ("input", str), ("used_cycle", float)),
     ),
 }
+
+
+def own_columns(signal: Signal[Message]) -> Columns:
+    """Return the columns of a signal's own fields; a number that may be nil is a float."""
+    info = inspect.type_info(signal.type)
+    assert isinstance(info, inspect.StructType)
+    own = (field for field in info.fields if field.name not in HEAD_FIELDS)
+    return tuple((field.name, _column_type(field.type)) for field in own)
+
+
+def _column_type(kind: inspect.Type) -> type:
+    if isinstance(kind, inspect.UnionType):
+        return float
+    return _TYPES.get(type(kind), str)
 
 
 def list_rows(
@@ -72,32 +97,74 @@ def signal_frame(
     plan: RunPlan, signal: Signal[Message], deliveries: Iterable[Delivery]
 ) -> pd.DataFrame:
     """Return the messages of a signal, one row each, with its own fields."""
-    fields = [name for name in signal.type.__struct_fields__ if name not in HEAD_FIELDS]
-    cells = [attrgetter(name) for name in fields]
+    columns = own_columns(signal)
+    cells = [attrgetter(name) for name, _ in columns]
     rows = (
         (message, (agent_name(port.node), *(cell(message) for cell in cells)))
         for port, message in deliveries
     )
-    return _frame(plan, ["node", *fields], rows)
+    return _frame(plan, (("node", str), *columns), rows)
 
 
-def list_frame(plan: RunPlan, table: str, deliveries: Iterable[Delivery]) -> pd.DataFrame:
-    """Return the rows of a table of `LISTS`."""
-    rows = (
-        (message, row)
-        for port, message in deliveries
-        for name, row in list_rows(port, message, plan.tree.leaves)
-        if name == table
-    )
-    return _frame(plan, [name for name, _ in LISTS[table].columns], rows)
+def list_frame(
+    plan: RunPlan,
+    table: str,
+    deliveries: Iterable[Delivery],
+    on_wrong: Callable[[Port[Message], str], object],
+) -> pd.DataFrame:
+    """Return the rows of a table of `LISTS`; `on_wrong` is told of messages that have none."""
+
+    def rows() -> Iterator[tuple[Message, tuple[Cell, ...]]]:
+        for port, message in deliveries:
+            try:
+                found = list(list_rows(port, message, plan.tree.leaves))
+            except InputError as error:
+                on_wrong(port, str(error))
+                continue
+            for name, row in found:
+                if name == table:
+                    yield message, row
+
+    return _frame(plan, LISTS[table].columns, rows())
+
+
+class _Names:
+    """A column of texts, each kept once: 4 bytes a row."""
+
+    def __init__(self) -> None:
+        self.codes = array("i")
+        self.code_of: dict[str, int] = {}
+
+    def append(self, text: str) -> None:
+        self.codes.append(self.code_of.setdefault(text, len(self.code_of)))
+
+
+def _column(kind: type) -> array[int] | array[float] | list[object]:
+    if kind is float:
+        return array("d")
+    return array("q") if kind is int else []
 
 
 def _frame(
-    plan: RunPlan, columns: list[str], rows: Iterator[tuple[Message, tuple[Cell, ...]]]
+    plan: RunPlan, columns: Columns, rows: Iterator[tuple[Message, tuple[Cell, ...]]]
 ) -> pd.DataFrame:
+    """Return rows as a table, in little more memory than the table itself takes."""
     import pandas as pd  # noqa: PLC0415 - it loads slowly
 
-    cells = [(message.sim_time_ns, message.cycle, *row) for message, row in rows]
-    frame = pd.DataFrame(cells, columns=["time", "cycle", *columns]).set_index("time")
-    utc = pd.to_datetime(frame.index, unit="ns", utc=True)
-    return frame.set_index(utc.tz_convert(plan.timing.timezone))
+    times, cycles = array("q"), array("q")
+    filled = [_Names() if name in _NAMES else _column(kind) for name, kind in columns]
+    adders: list[Any] = [column.append for column in filled]
+    for message, row in rows:
+        times.append(message.sim_time_ns)
+        cycles.append(message.cycle)
+        for add, cell in zip(adders, row, strict=True):
+            add(nan if cell is None else cell)
+    data: dict[str, object] = {"cycle": np.asarray(cycles)}
+    for (name, _), column in zip(columns, filled, strict=True):
+        if isinstance(column, _Names):
+            names = pd.Index(list(column.code_of), dtype="str")
+            data[name] = pd.Categorical.from_codes(np.asarray(column.codes), names)
+        else:
+            data[name] = np.asarray(column) if isinstance(column, array) else column
+    utc = pd.DatetimeIndex(np.asarray(times).view("M8[ns]"), name="time", tz="UTC")
+    return pd.DataFrame(data, index=utc.tz_convert(plan.timing.timezone), copy=False)

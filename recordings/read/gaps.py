@@ -14,6 +14,7 @@ import msgspec
 from agents.cycle import stage_of
 from agents.plan import RunPlan
 from agents.team import stages_of_agents
+from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, parse_missing
 from bus_schemas.signals import Occurrence, Port
 
@@ -50,12 +51,13 @@ class PortGaps:
     ignored. A number lower than expected means that a device has restarted, if the cycle is newer;
     if not, that a message came again.
 
+    `cycles` counts messages of a cycle newer than those of all before them, so each cycle once.
     `missing` counts the cycles in which a message was due and none came: one is due in every
     `step`-th cycle, or never if that is 0. `newest` is the newest cycle of a message.
     """
 
     def __init__(self, step: int = 0, first_cycle: int = 0) -> None:
-        self.messages = self.missing = self.lost = self.repeated = self.restarts = 0
+        self.messages = self.cycles = self.missing = self.lost = self.repeated = self.restarts = 0
         self._step = step
         self._due = -(-first_cycle // step) * step - step if step else 0
         self.newest = first_cycle - 1
@@ -65,6 +67,7 @@ class PortGaps:
     def see(self, cycle: int, sequence: int, incarnation: int = 0) -> range:
         """Count a message; return the cycles before it in which one was due and none came."""
         self.messages += 1
+        self.cycles += cycle > self.newest
         if self._expected is None:
             self._expected, self._incarnation = sequence, incarnation
         if incarnation < self._incarnation:
@@ -139,16 +142,21 @@ class MissedInputs:
         self._turns = plan.control.periods.longest
         self._counted: dict[tuple[str, str], int] = {}
 
-    def see(self, record: RecordedMessage) -> None:
-        if _NOTHING_MISSED not in record.payload:
-            self.count(record.port, record.message())
+    def see(self, record: RecordedMessage) -> list[str]:
+        """Count what a record says; return the keys that its sender missed."""
+        if _NOTHING_MISSED in record.payload:
+            return []
+        try:
+            return self.count(record.port, record.message())
+        except InputError:  # The reader names a wrong message.
+            return []
 
-    def count(self, port: Port[Message], message: Message) -> None:
+    def count(self, port: Port[Message], message: Message) -> list[str]:
         if not message.missing or not port.signal.is_cyclic:
-            return  # A takeover tells of cycles whose own messages are counted.
+            return []  # A takeover tells of cycles whose own messages are counted.
         agent, cycle, stage = port.publisher, message.cycle, stage_of(port, self._tree)
         if cycle <= self._counted.get((agent, stage), -1):
-            return  # All messages of a stage say the same.
+            return []  # All messages of a stage say the same.
         self._counted[agent, stage] = cycle
         awaited = self._awaited.get((agent, stage, cycle % self._turns), ())
         entries = list(map(parse_missing, message.missing))
@@ -159,6 +167,7 @@ class MissedInputs:
             self.old[agent] += old
             first, _ = self.cycles.get(agent, (cycle, cycle))
             self.cycles[agent] = first, cycle
+        return missing
 
 
 def unrecorded_spans(run: RunReader) -> Iterator[tuple[str, range]]:
@@ -178,7 +187,9 @@ def unrecorded_spans(run: RunReader) -> Iterator[tuple[str, range]]:
         if chunk.file != file or chunk in run.damage:
             file, part = chunk.file, part + 1
         for raw in run.messages_of(chunk, regular):
-            port, cycle = regular[raw[0]], run.head(raw).cycle
+            if (head := run.head(raw)) is None:
+                continue
+            port, cycle = regular[raw[0]], head.cycle
             if seen_in.get(port, 0) < part:
                 key = port.publisher, part
                 before = spans.get(key, range(cycle, cycle))

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import warnings
 from bisect import bisect_left
-from collections import Counter
-from collections.abc import Callable, Collection, Container, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Collection, Container, Iterator
 from functools import cached_property
-from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import decode
-from bus_schemas.errors import InputError, InputWarning, listed
-from bus_schemas.messages import Message, Run
+from bus_schemas.codec import decode, decode_head
+from bus_schemas.errors import InputError, InputWarning, listed, printable
+from bus_schemas.messages import Head, Message, Run
 from bus_schemas.selection import find_nodes, find_signals
 from bus_schemas.signals import RUN, SIGNALS, Port, Signal, ports
 from bus_schemas.tree import ROOT
@@ -45,24 +42,6 @@ _FURTHEST_CYCLES: Final = 1000
 
 _MOST_CYCLES: Final = 1 << 40
 """No run has as many."""
-
-
-class CycleHead(msgspec.Struct, gc=False):
-    """What a reader needs to choose a message; the rest is skipped."""
-
-    cycle: Annotated[int, msgspec.Meta(ge=0, lt=_MOST_CYCLES)]
-    incarnation: Annotated[int, msgspec.Meta(ge=0)] = 0
-
-
-_head = msgspec.msgpack.Decoder(CycleHead).decode
-
-
-def head_of(payload: bytes) -> CycleHead:
-    """Return what a reader needs of a payload to choose it; DecodeError if it is not there."""
-    try:
-        return _head(payload)
-    except (UnicodeDecodeError, RecursionError) as error:
-        raise msgspec.DecodeError(str(error)) from None
 
 
 class RecordedMessage(NamedTuple):
@@ -95,22 +74,24 @@ def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
 class RunReader:
     """A recording of a run, with its further files.
 
-    A file that was cut is read up to the cut. A damaged chunk is skipped, and an `InputWarning`
-    names it as the reader is closed. A file without its plan is refused.
+    A file that was cut is read up to the cut. Damaged chunks, and payloads that are no message of
+    their key, are skipped, and an `InputWarning` names them as the reader is closed. A file without
+    its plan is refused.
 
-    `whole`: each file was closed in order and has its index. `damage`: the damaged chunks skipped
-    so far. `follow` is called now and then with the share read so far, 0 to 1.
+    `damage`: the damaged chunks skipped so far. `wrong`: the first wrong payload of each key that
+    was skipped so far. `follow` is called now and then with the share read so far, 0 to 1.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
         try:
-            self.files = [self.path.open("rb")]
+            self.files = [self.path.open("rb", buffering=0)]
         except FileNotFoundError:
             raise InputError(
                 f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
             ) from None
         self.damage: set[Chunk] = set()
+        self.wrong: dict[Port[Message], str] = {}
         self.follow: Callable[[float], None] = lambda share: None
         self._first_cycles: dict[Chunk, int | None] = {}
         try:
@@ -123,12 +104,16 @@ class RunReader:
         except BaseException:
             self._close_files()
             raise
-        self.whole = self.outline.indexed
+
+    @property
+    def whole(self) -> bool:
+        """Whether each file was closed in order."""
+        return self.outline.whole
 
     def join(self) -> None:
         """Add the files of recorders that were started again."""
         while (path := further_file(self.path, len(self.files) + 1)).exists():
-            file = path.open("rb")
+            file = path.open("rb", buffering=0)
             outline = read_outline(file)
             run_id = outline.metadata.get("run", {}).get("run_id")
             # A file that is empty, or cut that early, is of a recorder that was killed at once.
@@ -174,38 +159,40 @@ class RunReader:
     ) -> Iterator[Delivery]:
         """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
         port_of = self._channels_of(ports)
-        for channel, sequence, _, _, payload in self._raw(port_of, cycles):
-            port = port_of[channel]
-            try:
-                message = _decoded(port, sequence, payload)
-            except InputError as error:
-                raise InputError(f"{self.path}: {error}") from None
-            if cycles is None or cycles.start <= message.cycle < cycles.stop:
-                yield port, message
+        for chunk in self._chunks_of(cycles):
+            for channel, sequence, _, _, payload in self.messages_of(chunk, port_of):
+                port = port_of[channel]
+                message = self.decoded(port, sequence, payload)
+                if message is not None and (
+                    cycles is None or cycles.start <= message.cycle < cycles.stop
+                ):
+                    yield port, message
 
     def records(
         self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield messages as they are in the file; only their cycle is decoded."""
+        """Yield messages as they are in the file; only their head is decoded."""
         port_of = self._channels_of(self.ports() if ports is None else ports)
-        for raw in self._raw(port_of, cycles):
-            channel, sequence, logged_ns, published_ns, payload = raw
-            head = self.head(raw)
-            port, cycle = port_of[channel], head.cycle
-            if cycles is None or cycles.start <= cycle < cycles.stop:
-                yield RecordedMessage(
-                    port, cycle, sequence, logged_ns, published_ns, payload, head.incarnation
-                )
+        for chunk in self._chunks_of(cycles):
+            for raw in self.messages_of(chunk, port_of):
+                head = self.head(raw)
+                if head is None:
+                    continue
+                cycle = head.cycle
+                if cycles is None or cycles.start <= cycle < cycles.stop:
+                    channel, sequence, logged_ns, published_ns, payload = raw
+                    yield RecordedMessage(
+                        port_of[channel],
+                        *(cycle, sequence, logged_ns, published_ns, payload, head.incarnation),
+                    )
 
-    def counts(self) -> Counter[str]:
-        """Count the messages of each signal; those in damaged chunks are not among them."""
-        of_channel: Counter[int] = Counter()
-        for chunk in self.followed_chunks():
-            of_channel.update(raw[0] for raw in self.messages_of(chunk, self.channels))
-        counts: Counter[str] = Counter()
-        for channel, count in of_channel.items():
-            counts[self.channels[channel].signal.name] += count
-        return counts
+    def decoded(self, port: Port[Message], sequence: int, payload: bytes) -> Message | None:
+        """Return a message; None if it is wrong, which is then named at the end."""
+        try:
+            return _decoded(port, sequence, payload)
+        except InputError as error:
+            self.wrong.setdefault(port, str(error))
+            return None
 
     def frame(
         self,
@@ -225,7 +212,7 @@ class RunReader:
             source = LISTS[signal].signal
             signals = () if source is None else (source,)
             messages = self.messages(*signals, nodes=nodes, start=start, end=end)
-            return list_frame(self.plan, signal, messages)
+            return list_frame(self.plan, signal, messages, self.wrong.setdefault)
         (wanted,) = find_signals([signal])
         messages = self.messages(wanted, nodes=nodes, start=start, end=end)
         return signal_frame(self.plan, wanted, messages)
@@ -249,11 +236,10 @@ class RunReader:
     def last_cycle(self) -> int:
         """The last cycle of which there is a message, -1 if there is none."""
         # The plant's message that the run is over carries the cycle after the last one.
-        ports = {port for port in self.ports() if port.signal.name != "run"}
-        port_of = self._channels_of(ports)
+        port_of = self._channels_of({port for port in self.ports() if port.signal is not RUN})
         for chunk in reversed(self.outline.chunks):
-            cycles = [self.head(raw).cycle for raw in self.messages_of(chunk, port_of)]
-            if cycles:
+            heads = map(self.head, self.messages_of(chunk, port_of))
+            if cycles := [head.cycle for head in heads if head is not None]:
                 return max(cycles)
         return -1
 
@@ -286,16 +272,18 @@ class RunReader:
             self.damage.add(chunk)
             return iter(())
 
-    def head(self, raw: RawMessage) -> CycleHead:
-        """Return the head of a message; InputError if it has none."""
+    def head(self, raw: RawMessage) -> Head | None:
+        """Return the head of a message; None if it has none, which is then named at the end."""
         try:
-            return head_of(raw[4])
-        except msgspec.DecodeError as error:
-            port = self.channels[raw[0]]
-            raise InputError(
-                f"{self.path}: {port} number {raw[1]}: expected a message with its cycle, got: "
-                f"{error}"
-            ) from None
+            head = decode_head(raw[4])
+            if 0 <= head.cycle < _MOST_CYCLES:
+                return head
+            error = f"cycle {head.cycle}"
+        except msgspec.DecodeError as why:
+            error = str(why)
+        port = self.channels[raw[0]]
+        self.wrong.setdefault(port, f"{port} number {raw[1]}: expected a message, got: {error}")
+        return None
 
     def damage_text(self) -> str:
         """Name the damaged chunks that were skipped and damaged attachments; empty: none."""
@@ -304,6 +292,11 @@ class RunReader:
         what = f"a part of the file is damaged ({listed(parts)}): see heliarch recover"
         return f"{self.path}: {what}" if parts else ""
 
+    def wrong_text(self) -> str:
+        """Name the wrong messages that were skipped, the first one of each key; empty: none."""
+        named = printable(listed(list(self.wrong.values())))
+        return f"{self.path}: wrong messages were skipped: {named}" if self.wrong else ""
+
     def check_chunks(self) -> None:
         """Unpack every chunk, so that `damage` holds all that are damaged."""
         for chunk in self.followed_chunks():
@@ -311,8 +304,8 @@ class RunReader:
 
     def close(self) -> None:
         self._close_files()
-        if damage := self.damage_text():
-            warnings.warn(damage, InputWarning, stacklevel=1)
+        for text in filter(None, (self.damage_text(), self.wrong_text())):
+            warnings.warn(text, InputWarning, stacklevel=1)
 
     def __enter__(self) -> RunReader:
         return self
@@ -330,17 +323,15 @@ class RunReader:
     def _channels_of(self, ports: Collection[Port[Message]]) -> dict[int, Port[Message]]:
         return {number: port for number, port in self.channels.items() if port in ports}
 
-    def _raw(
-        self, channels: Mapping[int, Port[Message]], cycles: range | None
-    ) -> Iterator[RawMessage]:
-        """Yield the messages of the chunks that can hold some cycles."""
+    def _chunks_of(self, cycles: range | None) -> Iterator[Chunk]:
+        """Yield the chunks that can hold messages of some cycles."""
         begin = 0 if cycles is None else self._search(cycles.start)
         for chunk in self.followed_chunks(begin):
             if cycles is not None:
                 first = self._first_cycle(chunk)
                 if first is not None and first >= cycles.stop + self._slack:
                     return
-            yield from self.messages_of(chunk, channels)
+            yield chunk
 
     def _search(self, cycle: int) -> int:
         """Return the number of a chunk before which there is no message of a cycle.
@@ -358,10 +349,8 @@ class RunReader:
     def _first_cycle(self, chunk: Chunk) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if chunk not in self._first_cycles:
-            self._first_cycles[chunk] = None
-            with suppress(DamagedChunkError):
-                for raw in islice(messages_in(self.unpack(chunk), self.channels), 1):
-                    self._first_cycles[chunk] = self.head(raw).cycle
+            heads = map(self.head, self.messages_of(chunk, self.channels))
+            self._first_cycles[chunk] = next((head.cycle for head in heads if head), None)
         return self._first_cycles[chunk]
 
     @cached_property
@@ -369,15 +358,10 @@ class RunReader:
         """How many cycles behind the newest one a message can be in the file."""
         if self.metadata["run"].get("driver") == "simulate":
             return self.plan.control.periods.longest + 1
+        longest = self.plan.control.periods.longest
         if self.plan.timing.lockstep:
-            return _FURTHEST_CYCLES
-        return (
-            max(
-                round(_LATEST_S * 1e9 / self.plan.timing.cycle_wall_ns),
-                self.plan.control.periods.longest,
-            )
-            + 1
-        )
+            return max(_FURTHEST_CYCLES, longest + 1)
+        return max(round(_LATEST_S * 1e9 / self.plan.timing.cycle_wall_ns), longest) + 1
 
 
 def open_run(path: Path | str) -> RunReader:

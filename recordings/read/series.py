@@ -37,6 +37,7 @@ from recordings.read.reader import RunReader
 _MOST_APART: Final = 1000
 """A series has at least one cycle of so many; the rest would be gaps alone."""
 
+_MOST_COLUMNS: Final = 100
 _LOOK_BACK: Final = 100
 """Cycles in which the last clear number of a sender is looked for."""
 
@@ -126,7 +127,7 @@ class RunSeries:
 
         Those of inverters that are not given are unknown.
         """
-        unknown = dict.fromkeys(_OF_INVERTERS, np.full_like(values["mpp_kw"], nan))
+        unknown = dict.fromkeys(_OF_INVERTERS, np.broadcast_to(nan, values["mpp_kw"].shape))
         unknown["assumed_kw"] = np.zeros(len(values["mpp_kw"]))
         arrays: dict[str, Any] = unknown | values
         return cls(label, SeriesPlant.of(plan), **arrays)
@@ -300,19 +301,26 @@ def read_series(path: Path) -> RunSeries:
 
 def series_of(reader: RunReader, most_inverters: int | None = None) -> RunSeries:
     """Read a recording; in a plant of more inverters, clusters stand for them."""
-    tree = reader.plan.tree
     signals: tuple[Signal[Message], ...] = (IMPP, RESIDUAL, COMMAND)
-    nodes, clusters = tree.leaves, tuple[str, ...]()
-    if most_inverters is not None and len(tree.leaves) > most_inverters:
-        nodes = clusters = tuple(dict.fromkeys(map(parent_of, tree.leaves)))
+    nodes, clusters = reader.plan.tree.leaves, tuple[str, ...]()
+    if most_inverters is not None and len(nodes) > most_inverters:
+        nodes = clusters = _clusters(nodes)
         signals = IMPP, RESIDUAL
     return _read(reader, {signal.of(node) for signal in signals for node in nodes}, clusters)
 
 
 def read_plant_series(path: Path) -> RunSeries:
-    """Read what the figures of merit need of a recording: NaN stands for IMPP, residual, alpha."""
+    """Read what the figures of merit need of a recording: NaN stands for IMPP, residual, alpha.
+
+    In a plant of more than 100 inverters, clusters stand for them: a day is to fit into memory.
+    """
     with RunReader(path) as reader:
-        return _read(reader, set(), ())
+        leaves = reader.plan.tree.leaves
+        return _read(reader, set(), _clusters(leaves) if len(leaves) > _MOST_COLUMNS else ())
+
+
+def _clusters(leaves: Sequence[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(map(parent_of, leaves)))
 
 
 def _read(reader: RunReader, ports: set[Port[Message]], clusters: tuple[str, ...]) -> RunSeries:

@@ -11,8 +11,8 @@ from msgspec.structs import replace
 
 from agents.plan import RunPlan
 from agents.process.events import Armed, Event, Status
-from bus_schemas.codec import decode
-from bus_schemas.messages import Message, Ready, Run
+from bus_schemas.codec import decode, decode_head
+from bus_schemas.messages import Head, Message, Ready, Run
 from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT, agent_name
 from bus_schemas.zenoh_session import TokenWatch
@@ -35,18 +35,8 @@ _FAR_AHEAD: Final = 1000
 """A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
 
 
-class MessageHead(msgspec.Struct, gc=False):
-    """What the recorder reads of every message; the rest is written down undecoded."""
-
-    cycle: int
-    source: str
-    sim_time_ns: int = 0
-    publish_time_ns: int = 0
-    sequence: int = 0
-    incarnation: int = 0
-
-
-_decode_head = msgspec.msgpack.Decoder(MessageHead).decode
+_MOST_REFUSED: Final = 100
+"""So many messages of a key that do not decode are kept, for people to look at."""
 
 
 class _Key(NamedTuple):
@@ -76,7 +66,7 @@ class RunListener:
     """Hears the messages of a run.
 
     tell: Tells the launcher.
-    last_cycle: Of a run that is under way, the last cycle that was recorded before; else None.
+    joins_late: Whether the run may be under way: this recorder replaces another one.
     """
 
     def __init__(
@@ -86,10 +76,11 @@ class RunListener:
         tell: Callable[[Event], None],
         tokens: TokenWatch | None,
         now_ns: Callable[[], int],
-        last_cycle: int | None,
+        *,
+        joins_late: bool = False,
     ) -> None:
         self.monitor = RunMonitor()
-        self.position = RunPosition(plan, -1 if last_cycle is None else last_cycle)
+        self.position = RunPosition(plan)
         self.external = ExternalAgents(plan, tokens)
         self.senders = SecondSenders(plan)
         self.complaints = Complaints(tell)
@@ -97,7 +88,8 @@ class RunListener:
         self._writer = writer
         self._tell = tell
         self._now_ns = now_ns
-        self._arming = ArmingRound(plan, answered=last_cycle is not None)
+        self._arming = ArmingRound(plan, answered=joins_late)
+        self._joins_late = joins_late
         self._heard_at_ns = {agent_name(node): now_ns() for node in plan.tree.nodes}
         self._keys = {plan.wiring.key(port): _key(plan, port) for port in plan.wiring.ports}
 
@@ -114,10 +106,12 @@ class RunListener:
             return None
         port = known.port
         try:
-            head = _decode_head(payload)
+            head = decode_head(payload)
             message = decode(port.signal, payload) if known.is_read else None
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-            self.complaints.add(key, UNDECODABLE, str(error))
+        except msgspec.DecodeError as error:
+            count = self.complaints.add(key, UNDECODABLE, str(error))
+            if known.is_logged and count <= _MOST_REFUSED and self.position.newest_cycle >= 0:
+                self._keep_refused(port, payload)
             return None
         if head.source != known.publisher:
             self.complaints.add(key, WRONG_SENDER, f"it is from {head.source!r}")
@@ -149,17 +143,29 @@ class RunListener:
         """Return the last cycle that a message of an external agent can be of now."""
         if port.publisher == PLANT:
             return inf
+        if self.position.newest_cycle < 0 and self._joins_late:
+            return inf
         return self.position.newest_cycle + _FAR_AHEAD if self._arming.answered else -1
 
+    def _keep_refused(self, port: Port[Message], payload: bytes) -> None:
+        """Write down what does not decode, with no number; readers skip and name it."""
+        now_ns = self._now_ns()
+        head = Head(self.position.newest_cycle, port.publisher, publish_time_ns=now_ns)
+        self._writer.add(port, head, payload, now_ns)
+        if port.publisher in self._plan.elsewhere:
+            self.external.hear(port)
+        else:
+            self.senders.note_extra(port)
+
     def _record(
-        self, key: str, known: _Key, head: MessageHead, message: Message | None, payload: bytes
+        self, key: str, known: _Key, head: Head, message: Message | None, payload: bytes
     ) -> None:
         port, heard_ns = known.port, self._now_ns()
         self._writer.add(port, head, payload, heard_ns)
         self._heard_at_ns[head.source] = heard_ns
         complaint = self.senders.hear(port, head.cycle, head.incarnation, payload)
         if known.is_elsewhere and message is not None:
-            self.external.hear(port, message)
+            self.external.hear(port, head.cycle)
             if complaint is None and (text := out_of_range(self._plan, port, message, heard_ns)):
                 complaint = OUT_OF_RANGE, text
         if complaint is not None:

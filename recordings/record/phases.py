@@ -74,8 +74,8 @@ class RunPosition:
     `stop_cycle` is the first cycle that does not take place; None: it is not known.
     """
 
-    def __init__(self, plan: RunPlan, newest_cycle: int) -> None:
-        self.newest_cycle = newest_cycle
+    def __init__(self, plan: RunPlan) -> None:
+        self.newest_cycle = -1
         self.stop_cycle: int | None = None
         self._plan = plan
         self._over_at_s = inf

@@ -10,11 +10,10 @@ from __future__ import annotations
 import logging
 import signal
 import time
-from collections import Counter
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from agents.plan import RunPlan
 from agents.process.agent_process import run_guarded, set_up_process
@@ -25,11 +24,10 @@ from agents.process.session import session_settings
 from bus_schemas.signals import READY
 from bus_schemas.tree import RECORDER, ROOT
 from bus_schemas.zenoh_session import RunSubscriber
-from recordings.read.reader import RunReader
+from recordings.read.mcap_file import read_outline
 from recordings.read.run_file import RECORDING_NAME, further_file
 from recordings.record.listener import RunListener
 from recordings.record.phases import Closing
-from recordings.record.senders import ExternalAgents
 from recordings.record.writer import ClockAnchor, RunWriter
 
 log = logging.getLogger(__name__)
@@ -40,14 +38,6 @@ FLUSH_S: Final = 0.5
 _NAP_S: Final = 0.005
 _STATUS_S: Final = 0.25
 _MOST_AT_ONCE: Final = 2000
-
-
-class EarlierFiles(NamedTuple):
-    """What recorders before this one have recorded of a run that is under way."""
-
-    first: Path
-    anchor: ClockAnchor
-    last_cycle: int
 
 
 def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
@@ -63,29 +53,36 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
             log.error("%s", text)
             link.tell(RecordingEnded(text))
 
-        path, earlier = _new_file(folder / RECORDING_NAME)
-        anchor = earlier.anchor if earlier else None
-        writer = RunWriter(path, plan, scenario, driver="launch", anchor=anchor, on_end=on_end)
+        # The bus comes first: nobody waits for a file, and messages wait meanwhile.
         settings = session_settings(plan, RECORDER)
         with RunSubscriber(RECORDER, plan.wiring, settings, link.starts) as subscriber:
             link.tell(Joined())
             if not plan.timing.lockstep:
                 stand_back()
-            Recorder(plan, subscriber, writer, link, earlier).run()
+            path, anchor = next_file(folder / RECORDING_NAME)
+            writer = RunWriter(path, plan, scenario, driver="launch", anchor=anchor, on_end=on_end)
+            Recorder(plan, subscriber, writer, link).run()
 
     return run_guarded(RECORDER, link, run)
 
 
-def _new_file(first: Path) -> tuple[Path, EarlierFiles | None]:
-    """Return the file to write, and what was recorded before."""
+def next_file(first: Path) -> tuple[Path, ClockAnchor | None]:
+    """Return the file to write, and the clock anchor of the run's first file, which all share.
+
+    Of the first file only what stands before its messages is read, however long it is.
+    """
     path, number = first, 1
     while path.exists():
         number += 1
         path = further_file(first, number)
     if path == first:
         return path, None
-    with RunReader(first) as run:
-        return path, EarlierFiles(first, ClockAnchor.of(run.metadata, run.path), run.last_cycle)
+    with first.open("rb") as file:
+        metadata = read_outline(file, chunks=False).metadata
+    if "clock_anchor" in metadata:
+        return path, ClockAnchor.of(metadata, first)
+    first.unlink()  # It is of a recorder that was killed at once, and holds nothing.
+    return first, None
 
 
 class Recorder:
@@ -97,7 +94,6 @@ class Recorder:
         subscriber: RunSubscriber,
         writer: RunWriter,
         link: LauncherLink,
-        earlier: EarlierFiles | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
@@ -105,13 +101,13 @@ class Recorder:
         self._subscriber = subscriber
         self._writer = writer
         self._link = link
-        self._earlier = earlier
         self._now_ns = now_ns
         self._sleep = sleep
         self._closing = Closing(has_devices=bool(plan.access.external))
         tokens = subscriber.watch_tokens() if plan.elsewhere else None
-        last_cycle = earlier.last_cycle if earlier else None
-        self._listener = RunListener(plan, writer, link.tell, tokens, now_ns, last_cycle)
+        self._listener = RunListener(
+            plan, writer, link.tell, tokens, now_ns, joins_late=link.starts > 0
+        )
 
     def run(self) -> None:
         """Record until the launcher ends it, then close the file and report."""
@@ -172,24 +168,15 @@ class Recorder:
         self._link.tell(self._listener.status())
 
     def _account(self) -> Recorded:
+        """Return what is in this recorder's file; `checked` counts the whole recording."""
         listener = self._listener
-        cycles = listener.position.cycles
-        recorded, external = self._writer.recorded, listener.external
-        completed = listener.monitor.cycles
-        if self._earlier is not None:
-            recorded, external = Counter(), ExternalAgents(self._plan)
-            completed = cycles
-            with RunReader(self._earlier.first) as run:
-                for record in run.records():
-                    recorded[record.port.signal.name] += 1
-                    if record.port.publisher in self._plan.elsewhere:
-                        external.hear(record.port, record.message())
+        cycles = listener.position.cycles if self._link.starts else listener.monitor.cycles
         return Recorded(
-            recorded=dict(recorded),
+            recorded=dict(self._writer.recorded),
             foreign=listener.complaints.set_aside,
-            cycles=completed,
+            cycles=cycles,
             ended_early=self._writer.ended_early,
-            external=external.accounts(cycles),
+            external=listener.external.accounts(),
             complaints=listener.complaints.all(),
             extra=dict(listener.senders.extra),
         )

@@ -19,7 +19,7 @@ from bus_schemas.codec import decode
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port, ports
 from bus_schemas.zenoh_session import TokenWatch
-from recordings.read.gaps import PortGaps, due_step
+from recordings.read.gaps import due_step
 from recordings.record.complaints import CONFLICTING, DUPLICATE
 
 _MOST_KEPT = 4
@@ -29,17 +29,17 @@ _UNDECIDED = ("ready_time_ns", "publish_time_ns", "sequence", "incarnation", "mi
 
 
 class ExternalAgents:
-    """The external agents of a run and their messages. `tokens` tell who is there."""
+    """The external agents of a run: who is there, by their tokens, and how far they have come."""
 
     def __init__(self, plan: RunPlan, tokens: TokenWatch | None = None) -> None:
         self.heard = 0
         self._tokens = tokens
         self._agent_of = {plan.wiring.alive_key(agent): agent for agent in plan.elsewhere}
-        theirs = [port for port in ports(plan.tree) if port.publisher in plan.elsewhere]
-        self._gaps = {port: PortGaps() for port in theirs}
+        self._newest = dict.fromkeys(
+            (port for port in ports(plan.tree) if port.publisher in plan.elsewhere), -1
+        )
         # Ports whose messages come regularly, with the cycles from one to the next.
-        self._steps = {port: step for port in theirs if (step := due_step(plan, port))}
-        self._answers: Counter[Port[Message]] = Counter()
+        self._steps = {port: step for port in self._newest if (step := due_step(plan, port))}
         self._outages: dict[str, list[tuple[int, int | None]]] = {}
 
     def presence(self, cycle: int) -> Iterator[Presence]:
@@ -55,37 +55,22 @@ class ExternalAgents:
                 outages[-1] = (outages[-1][0], cycle)
             yield Presence(agent, alive, cycle)
 
-    def hear(self, port: Port[Message], message: Message) -> None:
+    def hear(self, port: Port[Message], cycle: int = -1) -> None:
         """Count a message that is recorded."""
         self.heard += 1
-        gaps = self._gaps[port]
-        self._answers[port] += message.cycle > gaps.newest
-        gaps.see(message.cycle, message.sequence, message.incarnation)
+        self._newest[port] = max(cycle, self._newest[port])
 
     def have_answered(self, cycles: int) -> bool:
         """Return whether the last message due in so many cycles has come on each port."""
         return all(
-            self._gaps[port].newest >= (cycles - 1) // step * step
-            for port, step in self._steps.items()
+            self._newest[port] >= (cycles - 1) // step * step for port, step in self._steps.items()
         )
 
-    def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:
-        """Return an account of each of them, after so many cycles."""
-        return tuple(self._account(agent, cycles) for agent in self._agent_of.values())
-
-    def _account(self, agent: str, cycles: int) -> ExternalAccount:
-        own = {port: gaps for port, gaps in self._gaps.items() if port.publisher == agent}
-        due = {port: -(-cycles // step) for port, step in self._steps.items() if port in own}
-        recorded: Counter[str] = Counter()
-        for port, gaps in own.items():
-            recorded[port.signal.name] += gaps.messages
-        return ExternalAccount(
-            agent,
-            recorded=dict(+recorded),
-            lost=sum(gaps.lost for gaps in own.values()),
-            expected=sum(due.values()),
-            answered=sum(min(self._answers[port], number) for port, number in due.items()),
-            outages=tuple(self._outages.get(agent, ())),
+    def accounts(self) -> tuple[ExternalAccount, ...]:
+        """Return the outages of each of them; the recording tells the rest."""
+        return tuple(
+            ExternalAccount(agent, outages=tuple(self._outages.get(agent, ())))
+            for agent in self._agent_of.values()
         )
 
 
@@ -113,6 +98,9 @@ class SecondSenders:
         if payloads is None:
             return None
         newest = self._newest[port]
+        if incarnation > max(cycle, 0):
+            self.note_extra(port)
+            return CONFLICTING, f"it is of cycle {cycle}, and its process joined in {incarnation}"
         if incarnation < newest:
             if cycle <= newest or port.publisher in self._standbys:  # It was on its way.
                 return None

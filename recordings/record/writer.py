@@ -16,17 +16,22 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final, Protocol
+from struct import error as StructError  # noqa: N812
+from typing import Final
 
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 
 from agents.plan import RunPlan
 from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message
+from bus_schemas.messages import Head, Message
 from bus_schemas.signals import SIGNALS, Port, Signal, ports
-from recordings.read.reader import RunReader
+from recordings.read.counting import count_messages
 from recordings.read.run_file import SCHEMA_VERSION
+from recordings.record.chunk_writer import ChunkWriter
+
+_UNWRITABLE: Final = (OSError, StructError, ValueError, OverflowError, MemoryError)
+"""What writing a message can raise."""
 
 _VERSIONED: Final = ("heliarch", "eclipse-zenoh", "msgspec", "mcap", "numpy", "pvlib")
 
@@ -58,19 +63,12 @@ class ClockAnchor:
         return monotonic_ns - self.monotonic_ns + self.wall_ns
 
 
-class Numbered(Protocol):
-    """A message, or its head."""
-
-    cycle: int
-    publish_time_ns: int
-    sequence: int
-
-
 class RunWriter:
     """A recording that is being written.
 
-    A full disk ends the recording, not the run: later messages are counted and not kept. Then
-    `ended_early` says why, and `on_end` is called with it (None: the error is raised instead).
+    What cannot be written, as on a full disk, ends the recording, not the run: later messages are
+    counted and not kept. Then `ended_early` says why, and `on_end` is called with it (None: the
+    error is raised instead).
 
     `driver` is `launch` or `simulate`; the anchor turns times of the messages' clock into wall
     clock. `heard` counts the messages that should have been written, `recorded` those in the file,
@@ -94,25 +92,26 @@ class RunWriter:
         self._cycle = 0
         self._anchor = anchor or ClockAnchor.now()
         self._file = path.open("xb")
-        self._writer = Writer(self._file, compression=CompressionType.LZ4)
-        self._writer.start(profile="heliarch", library=f"heliarch {version('heliarch')}")
+        self._writer = ChunkWriter(self._file, "heliarch", f"heliarch {version('heliarch')}")
         self._write_origin(plan, scenario, driver)
         self._channels = declare(self._writer, plan, ports(plan.tree))
+        self._unless_ended(self._file.flush)  # A recorder that is killed at once leaves its plan.
 
-    def add(self, port: Port[Message], head: Numbered, payload: bytes, logged_ns: int) -> None:
+    def add(
+        self, port: Port[Message], head: Head | Message, payload: bytes, logged_ns: int
+    ) -> None:
         self.heard += 1
         self._cycle = head.cycle
         if self.ended_early:
             return
+        wall_ns, published_ns = (
+            self._anchor.wall(logged_ns),
+            self._anchor.wall(head.publish_time_ns),
+        )
+        channel = self._channels[port]
         try:
-            self._writer.add_message(
-                channel_id=self._channels[port],
-                log_time=self._anchor.wall(logged_ns),
-                publish_time=self._anchor.wall(head.publish_time_ns),
-                sequence=head.sequence,
-                data=payload,
-            )
-        except OSError as error:
+            self._writer.add_message(channel, wall_ns, payload, published_ns, head.sequence)
+        except _UNWRITABLE as error:
             self._end(error)
         else:
             self.recorded[port.signal.name] += 1
@@ -125,27 +124,28 @@ class RunWriter:
         self._unless_ended(self._writer.finish)
         self._unless_ended(self._file.close)
         if self.ended_early:
-            self.recorded = _count(self.path)
+            with suppress(InputError):
+                self.recorded = Counter()
+                self.recorded = count_messages(self.path).by_signal()
 
     def abandon(self) -> None:
         """Close a file that cannot be written any more, as it is."""
-        with suppress(OSError):  # It tries once more to write what it could not write before.
+        with suppress(*_UNWRITABLE):  # It tries once more to write what it could not write before.
             self._file.close()
 
     def _unless_ended(self, act: Callable[[], None]) -> None:
         if not self.ended_early:
             try:
                 act()
-            except OSError as error:
+            except _UNWRITABLE as error:
                 self._end(error)
 
-    def _end(self, error: OSError) -> None:
+    def _end(self, error: Exception) -> None:
         self.abandon()
         if self._on_end is None:
             raise error
-        self.ended_early = (
-            f"the recording ended in cycle {self._cycle:,}: {self.path}: {error.strerror}"
-        )
+        why = (isinstance(error, OSError) and error.strerror) or str(error)
+        self.ended_early = f"the recording ended in cycle {self._cycle:,}: {self.path}: {why}"
         self._on_end(self.ended_early)
 
     def _write_origin(self, plan: RunPlan, scenario: str, driver: str) -> None:
@@ -170,7 +170,7 @@ class RunWriter:
 
 
 def declare(
-    writer: Writer,
+    writer: ChunkWriter | Writer,
     plan: RunPlan,
     ports: Iterable[Port[Message]],
     schema: Callable[[Signal[Message]], object] = json_schema,
@@ -194,12 +194,3 @@ def declare(
         for port in ports
         if port.signal.logged
     }
-
-
-def _count(path: Path) -> Counter[str]:
-    """Count the messages in a recording, by signal; none if it cannot be read."""
-    try:
-        with RunReader(path) as run:
-            return Counter(record.port.signal.name for record in run.records())
-    except InputError:
-        return Counter()

@@ -113,3 +113,15 @@ def test_a_new_path_replaces_nothing(tmp_path: Path, meanwhile: bool) -> None:
         make()
     assert path.read_text() == "theirs"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_is_replaced_keeps_its_permissions_and_is_synced_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, synced = tmp_path / "secret.json", []
+    path.touch(0o600)
+    monkeypatch.setattr(os, "fsync", lambda number: synced.append(path.read_bytes()))
+    with whole_file(path) as file:
+        file.write(b"new")
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert (synced, path.read_bytes()) == ([b""], b"new")

@@ -17,7 +17,7 @@ from agents.process.events import Complaint, ExternalAccount, Recorded
 from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
 from recordings.inspect.health import LauncherAccount, WrongMessages
-from recordings.read.reader import RunReader
+from recordings.read.counting import count_messages
 from results.figures import FIGURES
 from results.run_summary import MessageCount, ProcessAccount, RunFacts, RunSummary
 from results.summary_table import summary_table
@@ -148,8 +148,7 @@ def test_a_recording_that_holds_less_than_was_recorded_is_a_failure(
     heliarch("simulate", plant, "--duration", "300", "--out", folder.path)
     preparation = prepare(load_scenario(plant), RunOptions(duration="300"), "counted")
     account = RunAccount(preparation, folder, "launch", 0.0)
-    with RunReader(folder.recording) as run:
-        told = Recorded(dict(run.counts()), 0, 300)
+    told = Recorded(dict(count_messages(folder.recording).by_signal()), 0, 300)
     account.published.update(told.recorded)
     if harm is not None:
         harm(folder.recording)

@@ -14,7 +14,7 @@ from recordings_by_hand import PLAN, SCENARIO, whole_run, write_run
 
 from agents.plan import load_plan
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import json_schema
+from bus_schemas.codec import encode, json_schema
 from bus_schemas.errors import InputError
 from bus_schemas.signals import ports
 from recordings.read.reader import RunReader
@@ -53,6 +53,16 @@ def test_the_mcap_library_and_msgpack_read_the_same_messages(written: Recording)
         for port, message in deliveries
     ]
     assert all(record.publish_time <= record.log_time for _, record in found)
+
+
+def test_the_mcap_library_finds_every_message_by_its_topic(written: Recording) -> None:
+    path, deliveries = written
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        for port in {port for port, _ in deliveries}:
+            own = [message for at, message in deliveries if at is port]
+            found = list(reader.iter_messages(topics=f"field/{port}"))
+            assert [record.data for _, _, record in found] == [encode(message) for message in own]
 
 
 def test_channels_are_the_ports_of_the_run_with_their_schemas(written: Recording) -> None:

@@ -17,13 +17,8 @@ from bus_schemas.messages import Message, Takeover
 from bus_schemas.signals import HELP, TAKEOVER, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings import open_run
-from recordings.inspect.health import (
-    FAILURE_NAME,
-    SUMMARY_NAME,
-    Absence,
-    Health,
-    health_lines,
-)
+from recordings.inspect.absences import Absence, How
+from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME, Health, health_lines
 from recordings.inspect.overview import read_overview
 from recordings.read.gaps import MissedInputs
 from scenarios.preparation import RunOptions, prepare
@@ -59,7 +54,7 @@ def test_a_sound_run_has_nothing_to_report(tmp_path: Path) -> None:
 
 def test_a_process_that_died_is_absent_to_the_end(tmp_path: Path) -> None:
     health, text = written(tmp_path, lambda pair: pair[1].source != DEVICE or pair[1].cycle < 40)
-    assert health.absences == (Absence(DEVICE, 40, CYCLES - 40, None, False),)
+    assert health.absences == (Absence(DEVICE, 40, CYCLES - 40, None, "not back"),)
     assert health.messages_lost == 0
     assert "12:00:40" in text
 
@@ -75,7 +70,7 @@ def test_a_device_that_left_and_came_back_is_named_and_repeats_nothing(tmp_path:
         message.incarnation = 30 * (message.source == DEVICE and message.cycle >= 30)
     write_messages(tmp_path / "run.mcap", anew)
     health, text = health_of(tmp_path)
-    assert health.absences == (Absence(DEVICE, 20, 10, 30, True),)
+    assert health.absences == (Absence(DEVICE, 20, 10, 30, "restarted"),)
     assert (health.messages_lost, health.repeated) == (0, 0)
     assert f"{DEVICE}: nothing in cycles 20 to 29 (12:00:20 to 12:00:29)" in text
 
@@ -88,7 +83,7 @@ def test_a_real_inverter_that_was_gone_is_named(tmp_path: Path) -> None:
     )
     write_run(tmp_path / "run.mcap", run, plan=plan)
     health, text = health_of(tmp_path)
-    assert health.absences == (Absence(f"device {DEVICE}", 20, 10, 30, False),)
+    assert health.absences == (Absence(f"device {DEVICE}", 20, 10, 30),)
     assert "12:00:20 to 12:00:29" in text
 
 
@@ -110,7 +105,7 @@ def test_a_restart_is_told_once_whenever_a_rare_message_follows(tmp_path: Path) 
 
     write_messages(tmp_path / "run.mcap", joined_in_cycle_20("c1/a", is_kept))
     health, text = health_of(tmp_path)
-    assert health.absences == (Absence("c1/a", 20, 0, 20, True),)
+    assert health.absences == (Absence("c1/a", 20, 0, 20, "restarted"),)
     assert "c1/a: restarted in cycle 20" in text
 
 
@@ -133,15 +128,44 @@ def test_a_run_that_ended_before_its_last_cycle_was_interrupted(
     assert text in health_of(tmp_path)[1].splitlines()[-1]
 
 
-@pytest.mark.parametrize("standby", [(), ("c2",)])
+@pytest.mark.parametrize(("standby", "how"), [((), "restarted"), (("c2",), "standby took over")])
 def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(
-    tmp_path: Path, standby: tuple[str, ...]
+    tmp_path: Path, standby: tuple[str, ...], how: How
 ) -> None:
     plan = with_changes(PLAN, standby=standby, cycle_wall_ns=PLAN.timing.cycle_ns)
     deliveries = joined_in_cycle_20("c2", lambda pair: not 15 <= pair[1].cycle < 30)
     write_messages(tmp_path / "run.mcap", deliveries, plan=plan)
     health, _ = health_of(tmp_path)
-    assert Absence("c2", 20, 0, 20, True, by_standby=bool(standby)) in health.absences
+    assert set(health.absences) == {
+        Absence("c2", 20, 0, 20, how),
+        Absence("recorder", 15, 15, 30, "not heard"),
+    }
+
+
+def test_an_agent_whose_messages_were_lost_for_long_was_not_heard(tmp_path: Path) -> None:
+    gone = range(20, 40)
+    health, text = written(
+        tmp_path, is_kept=lambda pair: pair[1].source != "central" or pair[1].cycle not in gone
+    )
+    assert health.absences == (Absence("central", 20, 20, 40, "not heard"),)
+    assert health.messages_lost > 0
+    assert "central: not heard in cycles 20 to 39 (12:00:20 to 12:00:39)" in text
+
+
+@pytest.mark.parametrize("cut", ["central", "c1", "c1/inv05"])
+def test_an_agent_that_most_listeners_missed_was_not_heard_though_it_is_recorded(
+    tmp_path: Path, cut: str
+) -> None:
+    faults = [f"source={cut},blackout=20s..50s", f"listener={cut},blackout=20s..50s"]
+    prepared = prepare(
+        load_scenario("oahu"), RunOptions(duration="60", faults=faults, pace=1.0), "cut"
+    )
+    _, sent = run_in_memory(prepared.plan, prepared.profile)
+    write_messages(tmp_path / "run.mcap", sent.messages, plan=prepared.plan)
+    (absence,) = health_of(tmp_path)[0].absences
+    assert (absence.agent, absence.how) == (cut, "not heard")
+    assert 20 <= absence.first_cycle <= 22
+    assert 48 <= absence.first_cycle + absence.cycles <= 52
 
 
 @pytest.mark.parametrize("run_id", [PLAN.run_id, "another-run"])

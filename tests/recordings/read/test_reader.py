@@ -138,14 +138,14 @@ def test_zeros_behind_a_cut_are_no_records(recording: Recording, tmp_path: Path)
         assert list(run.messages()) == written[:400]
 
 
-def test_a_damaged_index_is_not_believed(recording: Recording) -> None:
+def test_a_damaged_summary_is_not_believed(recording: Recording) -> None:
     content = recording[0].read_bytes()
     whole, size = read_outline(BytesIO(content)), len(content)
     for place in (*range(whole.readable_end, size, 499), *range(size - 37, size)):
         torn = bytearray(content)
         torn[place] ^= 0x55
         outline = read_outline(BytesIO(torn))
-        assert (outline.indexed, outline.chunks) == (False, whole.chunks), place
+        assert (outline.whole, outline.chunks) == (False, whole.chunks), place
 
 
 # Plan, scenario and metadata are in the first hundredth of the file.

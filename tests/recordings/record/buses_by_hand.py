@@ -36,6 +36,7 @@ class LinkByHand:
     dismissed: bool = False
     expected: int | None = None
     by_hand: bool = False
+    starts: int = 0
     unheard: bool = False
     told: list[Event] = field(default_factory=list)
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from itertools import chain, repeat
 from pathlib import Path
 from typing import cast
 
+import msgspec
 import pytest
 from buses_by_hand import LinkByHand, SubscriberByHand
+from msgspec import structs
 from msgspec.structs import replace
 from plans_by_hand import with_changes
 from recorded_runs import published
@@ -20,6 +23,7 @@ from bus_schemas.messages import Impp, Message, Setpoint
 from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Occurrence, Port, ports
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from bus_schemas.zenoh_session import RunSubscriber
+from recordings.read.counting import checked
 from recordings.read.reader import RunReader
 from recordings.record.complaints import Complaints
 from recordings.record.phases import ArmingRound
@@ -62,7 +66,8 @@ def recorded(
     Recorder(
         IN_LOCKSTEP, cast("RunSubscriber", subscriber), writer, cast("LauncherLink", link)
     ).run()
-    (account,) = [event for event in link.told if isinstance(event, Recorded)]
+    (own,) = [event for event in link.told if isinstance(event, Recorded)]
+    account, _ = checked(folder, IN_LOCKSTEP, own)
     with RunReader(folder) as reader:
         return [message for port, message in reader.messages(IMPP) if port is PORT], account
 
@@ -126,6 +131,55 @@ def test_messages_of_a_device_that_are_lost_are_counted_by_their_numbers(
         spoken.insert(place, (PORT, impp(cycle, sequence=sequence)))
     (device,) = recorded(spoken, tmp_path)[1].external
     assert device.lost == lost
+
+
+@pytest.mark.parametrize("node", [DEVICE, "c1/inv01"])
+@pytest.mark.parametrize(
+    "head",
+    [
+        {"sequence": 2**40},
+        {"sequence": -1},
+        {"publish_time_ns": -(2**62)},
+        {"incarnation": 10**9},
+        {"incarnation": 2**40},
+    ],
+    ids=str,
+)
+def test_a_message_with_an_impossible_head_is_kept_and_named_and_the_recording_goes_on(
+    node: str, head: dict[str, int], tmp_path: Path
+) -> None:
+    forged = msgspec.msgpack.encode(structs.asdict(replace(impp(4), source=node)) | head)
+    place = next(n for n, (_, message) in enumerate(SAID) if message.cycle == 5)
+    kept, account = recorded([*SAID[:place], (IMPP.of(node), forged), *SAID[place:]], tmp_path)
+    assert {entry.key for entry in account.complaints} == {f"oahu/{node}/impp"}
+    assert (account.cycles, account.ended_early) == (CYCLES, "")
+    assert len(kept) >= CYCLES
+    with RunReader(tmp_path) as reader:
+        payloads = [
+            raw[4]
+            for chunk in reader.outline.chunks
+            for raw in reader.messages_of(chunk, reader.channels)
+        ]
+    assert payloads.count(forged) == 1
+    own = Counter(port.signal.name for port, _ in SAID if port.publisher != DEVICE)
+    (device,) = account.external
+    found = Counter(account.recorded) - Counter(device.recorded) - Counter(account.extra)
+    assert found == own
+
+
+def test_what_cannot_be_written_ends_the_recording_in_one_line_and_not_the_recorder(
+    tmp_path: Path,
+) -> None:
+    told: list[str] = []
+    writer = RunWriter(tmp_path / "run.mcap", IN_LOCKSTEP, "", "launch", on_end=told.append)
+    for port, message in SAID[:50]:
+        writer.add(port, message, encode(message), 1)
+    writer.add(PORT, impp(3, sequence=-1), b"", 1)
+    writer.add(PORT, impp(3), b"", 1)
+    writer.close()
+    (line,) = told
+    assert "the recording ended in cycle 3" in line
+    assert "\n" not in line
 
 
 SETPOINT_OF_C1 = SETPOINT.of("c1")

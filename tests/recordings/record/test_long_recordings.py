@@ -1,0 +1,118 @@
+"""However long a recording gets, what its recorder and its next recorder need stays the same."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import pytest
+from recordings_by_hand import PLAN, SCENARIO, whole_run, write_messages
+
+from agents.process.events import Recorded
+from bus_schemas.codec import encode
+from recordings import open_run
+from recordings.read.counting import checked, count_messages
+from recordings.record.recorder import next_file
+from recordings.record.writer import ClockAnchor, RunWriter
+
+CHUNKS = 100_000
+
+
+def bytes_read() -> int:
+    """What this process has read in all."""
+    return int(Path("/proc/self/io").read_text(encoding="ascii").split()[1])
+
+
+@pytest.fixture(scope="module")
+def long_cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 100,000 chunks, cut in the last one."""
+    path = tmp_path_factory.mktemp("long") / "run.mcap"
+    anchor = ClockAnchor(5, 1_700_000_000_000_000_000)
+    write_messages(path, whole_run(1), anchor=anchor, messages_per_chunk=10, close=False)
+    with open_run(path) as run:
+        begin = run.outline.chunks[-1].offset
+    content = path.read_bytes()
+    path.write_bytes(content[:begin] + content[begin:] * CHUNKS + content[begin:-3])
+    return path
+
+
+def test_the_next_recorder_reads_the_beginning_of_a_long_recording_alone(long_cut: Path) -> None:
+    before = bytes_read()
+    path, anchor = next_file(long_cut)
+    assert bytes_read() - before < 100_000 < long_cut.stat().st_size / 100
+    assert path == long_cut.with_name("run-2.mcap")
+    assert anchor == ClockAnchor(5, 1_700_000_000_000_000_000)
+
+
+def test_a_long_cut_recording_is_read_up_to_the_cut(long_cut: Path) -> None:
+    with open_run(long_cut) as run:
+        assert len(run.outline.chunks) > CHUNKS
+        assert run.last_cycle == 0
+
+
+def test_the_memory_of_a_recorder_does_not_grow_with_its_messages(tmp_path: Path) -> None:
+    writer = RunWriter(tmp_path / "run.mcap", PLAN, SCENARIO, "launch")
+    said = [(port, message, encode(message)) for port, message in whole_run(2)]
+
+    def write(chunks: int) -> int:
+        for number in range(chunks):
+            writer.add(*said[number % len(said)], number)
+            writer.flush()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        write(100)
+        grown = -write(100) + write(5_000)
+    finally:
+        tracemalloc.stop()
+        writer.close()
+    assert grown < 20_000, "4 bytes a chunk"
+
+
+@pytest.mark.parametrize("killed_at", ["once", "its first message"])
+def test_recorders_that_were_killed_before_a_message_leave_a_recording_that_says_so(
+    tmp_path: Path, killed_at: str
+) -> None:
+    first = tmp_path / "run.mcap"
+    if killed_at == "once":
+        first.touch()
+        assert next_file(first) == (first, None)
+    for _ in range(6):
+        path, anchor = next_file(first)
+        RunWriter(path, PLAN, SCENARIO, "launch", anchor).abandon()
+    account = Recorded({}, 0, 12)
+    assert checked(first, PLAN, account) == (account, "")
+    path, anchor = next_file(first)
+    write_messages(path, whole_run(3), anchor=anchor)
+    assert count_messages(first).complete_cycles == 3
+
+
+# The end of a run ---------------------------------------------------------------------------------
+
+
+def test_an_account_is_completed_with_what_the_recording_holds(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_messages(path, whole_run(5))
+    count = count_messages(path)
+    assert (count.complete_cycles, count.messages.total()) == (5, len(list(whole_run(5))))
+    account = Recorded(dict(count.by_signal()), 0, 5)
+    assert checked(path, PLAN, account) == (account, "")
+
+
+@pytest.mark.parametrize("lost", ["the file", "its plan", "its second half"])
+def test_a_recording_that_holds_less_than_was_recorded_is_a_failure_in_one_line(
+    tmp_path: Path, lost: str
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_messages(path, whole_run(50), messages_per_chunk=50)
+    account = Recorded(dict(count_messages(path).by_signal()), 0, 50)
+    if lost == "the file":
+        path.unlink()
+    else:
+        content = path.read_bytes()
+        path.write_bytes(content[: 50 if lost == "its plan" else len(content) // 2])
+    found, fault = checked(path, PLAN, account)
+    assert str(path) in fault
+    assert "\n" not in fault
+    assert sum(found.recorded.values()) < sum(account.recorded.values())
