@@ -271,8 +271,3 @@ class Loop(Generic[S]):
         known = msgspec.structs.asdict(state) if isinstance(state, msgspec.Struct) else {}
         port = TAKEOVER.of("" if self.agent.name == CENTRAL else self.agent.name)
         return port, Takeover(*turn.stamp, stage=turn.stage, **known)
-
-    def resume(self, takeover: Takeover) -> None:
-        """Go on with the state of a process that took over."""
-        if isinstance(self._state, msgspec.Struct):
-            self._state = msgspec.convert(takeover, type(self._state), from_attributes=True)

@@ -72,7 +72,7 @@ def _lines(what: str, which: str = "") -> Iterator[str]:
             return _rows(("bytes (hex)", "what they are"), _parts(encode(_EXAMPLES[which])))
     writers: dict[str, Callable[[], Iterator[str]]] = {
         **{"signals": _signals, "stages": _stages, "bounds": _bounds},
-        **{"options": _options, "vector": _vector, "exchange": _exchange},
+        **{"options": _options, "vector": _vector},
     }
     return writers[what]()
 
@@ -399,6 +399,9 @@ _VECTOR: Final[tuple[tuple[dict[str, float] | None, ...], ...]] = (
     ({"power_kw": 320.0, "alpha": 1.0}, {"power_kw": 3700.0}, None),
     ({"power_kw": 330.0, "alpha": 1.0}, {"power_kw": 3600.0}, None),
     ({"power_kw": 340.0, "alpha": 1.0}, {"power_kw": 3500.0}, {"power_kw": 150.0}),
+    *[(None, {"power_kw": 3500.0}, {"power_kw": 150.0})] * 2,
+    (None, {"power_kw": 3500.0}, {"power_kw": 0.0}),
+    ({"power_kw": -3.0, "alpha": 1.0}, {"power_kw": 3500.0}, {"power_kw": 0.0}),
 )
 """Fields of telemetry, dispatch and setpoint in each cycle; None: the message does not come."""
 
@@ -466,20 +469,6 @@ def _vector() -> Iterator[str]:
             row.append(" ".join(repr(value) for value in values if value is not None) or "-")
         rows.append(tuple(row))
     return _rows(("cycle", *(f"{name}: {', '.join(of)}" for name, of in fields.items())), rows)
-
-
-def _exchange() -> Iterator[str]:
-    """Show all bytes of the first cycle in the order in which they travel."""
-    said = {port.signal.name: (port, message) for port, message in _cycles()[0]}
-    for name in ("telemetry", "dispatch", "impp", "residual", "setpoint", "command"):
-        port, message = said[name]
-        payload = encode(message)
-        way = "in" if port in _INPUTS else "out"
-        yield f"{way}, `{_example().plan.wiring.key(port)}`, {len(payload)} bytes:"
-        yield ""
-        text = payload.hex(" ")
-        yield from (f"    {text[begin : begin + 96]}".rstrip() for begin in range(0, len(text), 96))
-        yield ""
 
 
 def main() -> None:
