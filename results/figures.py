@@ -81,7 +81,7 @@ FIGURES: Final = {
         ("dispatched-energy", "Dispatched energy", "kWh", 1, _SR),
         ("available-energy", "Available energy", "kWh", 1, _SR),
         ("delivered-energy", "Delivered energy", "kWh", 1, _SR),
-        ("unknown-energy", "Delivered energy, assumed", "kWh", 1, _SR),
+        ("unknown-energy", "Energy of lost inverters", "kWh", 1, _SR),
         ("satisfied", "Satisfied commitment", "%", 3, _SRC | _MORE),
         ("shortfall-energy", "Shortfall", "kWh", 2, _SRC),
         ("unavoidable-energy", "Shortfall, unavoidable", "kWh", 2, _SR),
@@ -192,7 +192,7 @@ def run_figures(series: RunSeries) -> Figures:
         "cycles": int(known.sum()),
         "planned-cycles": series.plant.planned_cycles or series.cycles,
         **energy_figures(dispatch_kw, available_kw, delivered_kw, series.cycle_s),
-        "unknown-energy": (float(series.assumed_kw[known].sum()) * hours) or None,
+        "unknown-energy": float(np.nansum(series.unknown_kw[known])) * hours or None,
         "rmse": float(np.sqrt(np.mean(error_kw**2))),
         "mae": float(np.mean(np.abs(error_kw))),
         "mileage-total": mileage_kw,
@@ -208,8 +208,7 @@ def run_figures(series: RunSeries) -> Figures:
             series.plant.ramp_limit_percent_per_min,
         ),
         **help_figures(series.residual_kw, series.inverters),
-        "missed-inputs": series.missed_inputs,
-        "reverted": series.reverted_percent,
+        **series.of_agents,
         **regulation_figures(series),
     }
 

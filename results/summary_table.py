@@ -83,7 +83,7 @@ def _figure_rows(summary: RunSummary) -> Iterator[Row]:
         if value is not None:
             note = "" if share in (None, value) else f"{share:.3f} {FIGURES['shortfall'].unit}"
             if figure.name == "unknown-energy":
-                note = "of real inverters that did not answer: nobody has measured it"
+                note = "unknown, not among the delivered: what they are assumed to have given"
             yield figure.title, Number(value, figure.decimals), figure.unit, note
 
 

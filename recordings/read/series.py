@@ -7,8 +7,8 @@ the figures of merit.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import isnan, nan
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual, Telemetry
+from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
     IMPP,
     PRODUCTION,
     RESIDUAL,
-    TELEMETRY,
     Port,
     Signal,
 )
@@ -42,7 +41,7 @@ _LOOK_BACK: Final = 100
 """Cycles in which the last clear number of a sender is looked for."""
 
 _OF_DISPATCH: Final = ("commitment_kw", "regulation_kw")
-_OF_PLANT: Final = (*_OF_DISPATCH, "assumed_kw")
+_OF_PLANT: Final = (*_OF_DISPATCH, "unknown_kw", "unlisted_kw")
 _OF_INVERTERS: Final = ("mpp_kw", "power_kw", "impp_kw", "residual_kw", "alpha")
 """Fields of a `RunSeries` with a row for each cycle, and those that have columns too."""
 
@@ -101,11 +100,9 @@ class RunSeries:
     mpp_kw, power_kw, impp_kw, residual_kw, alpha: Of each inverter, shape (T, n): true maximum
         power, power that it delivered, IMPP, IMPP less share, and the curtailment level in [0, 1]
         that it applied.
-    assumed_kw: The part of the delivered power that nobody measured, since the real inverters that
-        it is counted for did not answer, shape (T,).
-    missed_inputs: How many inputs had not come at a deadline; None: not counted.
-    reverted_percent: Share of the inverters' cycles without a command for the revert time; None:
-        not counted.
+    unknown_kw: What real inverters that do not answer may give beside the delivered power, (T,).
+    unlisted_kw: What the plant's own meter reads beyond the sum of its inverters, (T,).
+    of_agents: Figures of merit that only a run of agents in a study counts, by name.
     """
 
     label: str
@@ -117,9 +114,9 @@ class RunSeries:
     impp_kw: NDArray[np.float64]
     residual_kw: NDArray[np.float64]
     alpha: NDArray[np.float64]
-    assumed_kw: NDArray[np.float64]
-    missed_inputs: int | None = None
-    reverted_percent: float | None = None
+    unknown_kw: NDArray[np.float64]
+    unlisted_kw: NDArray[np.float64]
+    of_agents: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, plan: RunPlan, label: str, **values: NDArray[np.float64]) -> RunSeries:
@@ -128,7 +125,8 @@ class RunSeries:
         Those of inverters that are not given are unknown.
         """
         unknown = dict.fromkeys(_OF_INVERTERS, np.broadcast_to(nan, values["mpp_kw"].shape))
-        unknown["assumed_kw"] = np.zeros(len(values["mpp_kw"]))
+        for name in ("unknown_kw", "unlisted_kw"):
+            unknown[name] = np.zeros(len(values["mpp_kw"]))
         arrays: dict[str, Any] = unknown | values
         return cls(label, SeriesPlant.of(plan), **arrays)
 
@@ -157,7 +155,7 @@ class RunSeries:
     @property
     def delivered_kw(self) -> NDArray[np.float64]:
         """Power of the plant, shape (T,)."""
-        return np.asarray(self.power_kw.sum(axis=1))
+        return np.asarray(self.power_kw.sum(axis=1) + self.unlisted_kw)
 
     @property
     def shortfall_kw(self) -> NDArray[np.float64]:
@@ -199,14 +197,10 @@ class SeriesCollector:
         self._column_of_leaf = [
             self._column[parent_of(leaf) if clusters else leaf] for leaf in leaves
         ]
-        self._of_plant = {name: np.full(cycles, nan) for name in _OF_DISPATCH}
+        self._of_plant = {name: np.full(cycles, nan) for name in _OF_PLANT}
         self._of_inverters = defaultdict[str, NDArray[np.float64]](
             lambda: np.full((cycles, len(self._column)), nan)
         )
-        # Of each real inverter what the plant counts in the cycles in which it does not answer.
-        devices = [leaf for leaf, _ in plan.site.devices]
-        self._assumed_kw = {leaf: np.zeros(cycles) for leaf in devices}
-        self._has_answered = {leaf: np.zeros(cycles, bool) for leaf in devices}
         # How the sender of dispatch and of production numbered each cycle; None: that is not clear.
         self._numbers = defaultdict[Port[Message], dict[int, tuple[int, int] | None]](dict)
         self._cycles = 0
@@ -219,22 +213,21 @@ class SeriesCollector:
         match message:
             case Dispatch():
                 rows = {name: np.array(getattr(message, name)) for name in _OF_DISPATCH}
-                self._enter_of_plant(port, message, self._of_plant, rows)
+                self._enter_of_plant(port, message, rows)
             case Production():
                 self._cycles = max(self._cycles, cycle + 1)
                 made = {"mpp_kw": message.inverter_mpp_kw, "power_kw": message.inverter_power_kw}
                 rows = {name: self._row(listed) for name, listed in made.items()}
-                for leaf, assumed_kw in self._assumed_kw.items():
-                    assumed_kw[cycle] = message.inverter_power_kw[plan.tree.leaves.index(leaf)]
-                self._enter_of_plant(port, message, self._of_inverters, rows)
+                metered_kw = message.delivered_kw if plan.site.meter else rows["power_kw"].sum()
+                rows["unlisted_kw"] = np.array(metered_kw - rows["power_kw"].sum())
+                rows["unknown_kw"] = np.array(message.unknown_kw)
+                self._enter_of_plant(port, message, rows)
             case Impp() if port.node in self._column:
                 self._enter_of(port, "impp_kw", cycle, message.power_kw)
             case Residual() if port.node in self._column:
                 self._enter_of(port, "residual_kw", cycle, message.power_kw)
             case Command() if port.node in self._column:
                 self._enter_of(port, "alpha", cycle, message.alpha)
-            case Telemetry() if port.node in self._has_answered:
-                self._has_answered[port.node][cycle] = True
 
     def _row(self, listed: Sequence[float]) -> NDArray[np.float64]:
         """Add up what a production lists of each inverter, by column."""
@@ -250,13 +243,13 @@ class SeriesCollector:
             self._of_inverters[name][index] = value
 
     def _enter_of_plant(
-        self,
-        port: Port[Message],
-        message: Message,
-        values: dict[str, NDArray[np.float64]],
-        rows: dict[str, NDArray[np.float64]],
+        self, port: Port[Message], message: Message, rows: dict[str, NDArray[np.float64]]
     ) -> None:
         cycle, numbers = message.cycle, self._numbers[port]
+        values = {
+            name: self._of_plant[name] if name in _OF_PLANT else self._of_inverters[name]
+            for name in rows
+        }
         due_before = cycle // (due_step(self._plan, port) or 1)
         number: tuple[int, int] | None = (message.incarnation, message.sequence - due_before)
         if cycle in numbers:
@@ -282,9 +275,6 @@ class SeriesCollector:
         values = {name: column[: self._cycles] for name, column in columns.items()}
         series = RunSeries.of(self._plan, label, **values)
         series = replace(series, plant=SeriesPlant.of(self._plan, self._clusters))
-        for leaf, power_kw in self._assumed_kw.items():
-            unknown = ~self._has_answered[leaf][: self._cycles]
-            series.assumed_kw[unknown] += power_kw[: self._cycles][unknown]
         known = int(series.known.sum())
         if known * _MOST_APART <= series.cycles:
             raise InputError(
@@ -324,9 +314,8 @@ def _clusters(leaves: Sequence[str]) -> tuple[str, ...]:
 
 
 def _read(reader: RunReader, ports: set[Port[Message]], clusters: tuple[str, ...]) -> RunSeries:
-    devices = {TELEMETRY.of(leaf) for leaf, _ in reader.plan.site.devices}
     collector = SeriesCollector(reader.plan, clusters)
-    for port, message in reader.on(reader.ports(DISPATCH, PRODUCTION) | ports | devices):
+    for port, message in reader.on(reader.ports(DISPATCH, PRODUCTION) | ports):
         collector.see(port, message)
     try:
         return collector.series(reader.plan.run_id)

@@ -74,7 +74,9 @@ def run_scheme(
     }
     series = [RunSeries.of(plan, name, **of_plant, **result) for result in results]
     # Every message arrives here.
-    return [dataclasses.replace(one, missed_inputs=0, reverted_percent=0.0) for one in series]
+    return [
+        dataclasses.replace(one, of_agents={"missed-inputs": 0, "reverted": 0.0}) for one in series
+    ]
 
 
 def _powers_kw(

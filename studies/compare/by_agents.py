@@ -38,8 +38,10 @@ def run_by_agents(plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Act
         pass
     return dataclasses.replace(
         collector.series(scheme),
-        missed_inputs=sum(of_agent.total() for of_agent in missed.missing.values()),
-        reverted_percent=reverts.percent(),
+        of_agents={
+            "missed-inputs": sum(of_agent.total() for of_agent in missed.missing.values()),
+            "reverted": reverts.percent(),
+        },
     )
 
 

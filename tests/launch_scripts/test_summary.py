@@ -52,7 +52,7 @@ HALF = dict.fromkeys(FIGURES) | {"cycles": 35, "planned-cycles": 3600, "unknown-
         ({}, "Figures of merit", ["-", "", "of no cycle"]),
         ({}, "Tracking RMSE", None),
         ({"figures": HALF}, "Figures of merit", ["-", "", "35 of 3,600 cycles"]),
-        ({"figures": HALF}, "Delivered energy, assumed", ["2.0", "kWh", "nobody has measured"]),
+        ({"figures": HALF}, "Energy of lost inverters", ["2.0", "kWh", "not among"]),
         ({"processes": BUSY}, "Processor time per cycle", ["2.00", "ms"]),
         ({"processes": BUSY}, "Memory, direct", ["40.0", "MB", "the median of 2"]),
         ({}, "Cycle rate", ["360.0"]),

@@ -44,7 +44,8 @@ def run_of(
         impp_kw=mpp_kw,
         residual_kw=np.full_like(mpp_kw, np.nan),
         alpha=np.ones_like(mpp_kw),
-        assumed_kw=np.zeros_like(commitment),
+        unknown_kw=np.zeros_like(commitment),
+        unlisted_kw=np.zeros_like(commitment),
     )
 
 

@@ -65,9 +65,9 @@ def test_a_run_of_four_half_hours_by_hand() -> None:
     )
 
 
-def test_power_that_nobody_measured_is_a_figure_of_its_own() -> None:
+def test_power_that_nobody_measures_is_a_figure_of_its_own() -> None:
     run = run_of([100.0] * 4, 150.0, 100.0, cycle_s=900.0)
-    found = run_figures(replace(run, assumed_kw=np.array([0.0, 0.0, 40.0, 40.0])))
+    found = run_figures(replace(run, unknown_kw=np.array([0.0, 0.0, 40.0, 40.0])))
     assert (found["delivered-energy"], found["unknown-energy"]) == (100.0, 20.0)
 
 

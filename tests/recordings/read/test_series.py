@@ -13,7 +13,7 @@ from recordings_by_hand import PLAN, numbered, whole_run, write_run
 
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Dispatch
+from bus_schemas.messages import Dispatch, Production
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, SeriesCollector, read_plant_series, read_series
 from recordings.read.series import series_of as by_nodes
@@ -92,15 +92,18 @@ def test_in_a_large_plant_clusters_stand_for_their_inverters(tmp_path: Path) -> 
     assert set(found.residual_kw[:, 0]) == {15.0}, "of the supervisor c1"
 
 
-def test_power_of_a_real_inverter_that_does_not_answer_is_assumed() -> None:
-    plan = with_changes(PLAN, devices=(("c2/c", "modbus://10.0.0.7"),))
-    collector = SeriesCollector(plan)
+@pytest.mark.parametrize(("meter", "delivered_kw"), [("", 239.0), ("modbus://10.0.0.9", 230.0)])
+def test_what_the_plant_says_of_meter_and_lost_inverters_counts(
+    meter: str, delivered_kw: float
+) -> None:
+    collector = SeriesCollector(with_changes(PLAN, meter=meter))
     for port, message in whole_run(CYCLES):
-        if port.signal.name != "telemetry" or port.node != "c2/c" or message.cycle < 20:
-            collector.see(port, message)
+        if isinstance(message, Production):
+            message.delivered_kw, message.unknown_kw = 230.0, 15.0
+        collector.see(port, message)
     series = collector.series("")
-    assert not series.assumed_kw[:20].any()
-    assert list(series.assumed_kw[20:]) == [60.0] * 10
+    assert set(series.delivered_kw) == {delivered_kw}
+    assert run_figures(series)["unknown-energy"] == pytest.approx(15.0 * CYCLES / 3600)
 
 
 def test_figures_of_merit_of_the_plant_are_the_same_without_the_controllers_messages(

@@ -56,7 +56,8 @@ def cloudy_run(
         impp_kw=impp_kw,
         residual_kw=impp_kw - share_kw,
         alpha=alpha,
-        assumed_kw=np.zeros(cycles),
+        unknown_kw=np.zeros(cycles),
+        unlisted_kw=np.zeros(cycles),
     )
 
 
