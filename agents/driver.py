@@ -10,7 +10,7 @@ from typing import Any
 from agents.loop import Loop
 from bus_schemas.bus import Arrival, Bus
 from bus_schemas.messages import Message
-from bus_schemas.signals import DISPATCH, RUN, Port
+from bus_schemas.signals import DISPATCH, Occurrence, Port
 
 
 class Driver:
@@ -90,7 +90,8 @@ class Driver:
             loop = self.loops[agent]
             loop.hear(port, message, time_ns)
             # The beginning of the run, or a dispatch that takes it into a run that has begun.
-            if not loop.waiting or port.signal is RUN or port.signal is DISPATCH:
+            is_event = port.signal.occurrence is Occurrence.EVENT
+            if not loop.waiting or is_event or port.signal is DISPATCH:
                 self.advance(loop)
 
     def _close(self, loop: Loop[Any]) -> None:

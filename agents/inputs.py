@@ -65,6 +65,7 @@ class Inputs:
     dropped: Messages that were not used, by port and cause.
     missing: Awaited inputs that a deadline found missing.
     old: Inputs that a stage used and that were older than they should have been.
+    given_up: Inputs of agents that do not come back: nothing of them is awaited.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class Inputs:
         self.dropped: Counter[tuple[str, str]] = Counter()
         self.missing = 0
         self.old = 0
+        self.given_up: set[Port[Message]] = set()
         self._hold_cycles = plan.control.hold_cycles
         self._cycles = plan.timing.cycles
         self._horizon = horizon

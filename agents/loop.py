@@ -8,7 +8,7 @@ decides on the newest messages that have not expired.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from math import ceil
 from typing import Final, Generic, TypeVar
 
@@ -21,7 +21,7 @@ from agents.run_times import RunTimes
 from agents.standby import Standby
 from bus_schemas.bounds import is_within
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Run, Takeover
+from bus_schemas.messages import GivenUp, Message, Run, Takeover
 from bus_schemas.signals import DISPATCH, RUN, TAKEOVER, Port
 from bus_schemas.tree import CENTRAL, ROOT
 
@@ -115,6 +115,8 @@ class Loop(Generic[S]):
             self.inputs.drop("wrong_sender", port, message, why, self.cycle)
         elif isinstance(message, Run):
             self._hear_run(port, message, time_ns)
+        elif isinstance(message, GivenUp):
+            self.give_up(message.agents, time_ns)
         elif one is not None and not message.cycle < 0 <= self.cycle:  # None of an arming round.
             self._hear_input(one, message, time_ns)
 
@@ -192,6 +194,14 @@ class Loop(Generic[S]):
         if self.finished:
             self._stages, self.waiting, self.deadline_ns = (), set(), None
 
+    def give_up(self, agents: Collection[str], now_ns: int) -> None:
+        """Await nothing more of agents that do not come back."""
+        gone = {port for port in self.inputs.of if port.publisher in agents}
+        self.inputs.given_up |= gone
+        if self.waiting and self.waiting <= gone:
+            self._ready_ns = now_ns
+        self.waiting -= gone
+
     def enter(self, cycle: int, now_ns: int) -> None:
         """Enter an arming round or cycle 0, from the initial state."""
         self._state = self.agent.initial_state()
@@ -229,6 +239,7 @@ class Loop(Generic[S]):
                 if self.deadline_ns is not None:
                     self.deadline_ns += self.standby.extra_ns(stage.name)
             self.waiting = {port for port in awaits if inputs[port].newest_cycle != cycle}
+            self.waiting -= self.inputs.given_up
 
     def close_stage(self, now_ns: int) -> list[Delivery]:
         """Close the open stage with what there is; return what the agent sends."""

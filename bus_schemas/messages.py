@@ -241,6 +241,15 @@ class Takeover(Message, kw_only=True):
     clamped: Count | None = None
 
 
+class GivenUp(Message, kw_only=True):
+    """Agents that do not come back: their processes ended more often than they may.
+
+    `agents` are all of them so far. Nobody awaits anything of them from now on, also in lockstep.
+    """
+
+    agents: Annotated[tuple[Name, ...], msgspec.Meta(max_length=2 * MOST_INVERTERS)]
+
+
 class Clock(Message, kw_only=True):
     """Where the replay of a recording stands: the simulated time that begins now.
 

@@ -138,10 +138,11 @@ RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Ro
 READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False, decided=False)
 CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False, decided=False)
 TAKEOVER: Final   = Signal("takeover",   messages.Takeover,   About.NODES,    Role.NODE,     (),              Occurrence.EVENT, decided=False)
+GIVEN_UP: Final   = Signal("given_up",   messages.GivenUp,    About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.EVENT, decided=False)
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
     TELEMETRY, DISPATCH, METER, IMPP, RESIDUAL, HELP, SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN,
-    READY, CLOCK, TAKEOVER,
+    READY, CLOCK, TAKEOVER, GIVEN_UP,
 )
 # fmt: on
 """The table itself. A new signal comes at the end: recordings number their channels in this order."""

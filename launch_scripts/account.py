@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from msgspec.structs import replace
 
 from agents.process.events import ExternalAccount, Finished, Recorded
 from bus_schemas.errors import InputError
+from bus_schemas.signals import PRODUCTION
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import Child
 from recordings.inspect.health import Health, LauncherAccount, WrongMessages
 from recordings.read.counting import checked
+from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
 from results.run_summary import (
     MessageCount,
@@ -36,6 +40,8 @@ class RunAccount:
     dropped: Messages that processes could not use: port, cause and number.
     restarts: How often each process was started again.
     takeovers: How often a standby took each agent over.
+    given_up: Processes that were not started again, and since which cycle.
+    recording_gaps: First and last cycle of what the recorder did not hear in time.
     """
 
     preparation: Preparation
@@ -49,6 +55,8 @@ class RunAccount:
     processes: list[ProcessAccount] = field(default_factory=list)
     restarts: Counter[str] = field(default_factory=Counter)
     takeovers: Counter[str] = field(default_factory=Counter)
+    given_up: dict[str, int] = field(default_factory=dict)
+    recording_gaps: list[tuple[int, int]] = field(default_factory=list)
 
     def add_process(self, child: Child) -> None:
         """Take in the resources of a process that has ended, and what it dropped."""
@@ -104,6 +112,8 @@ class RunAccount:
                 dropped=dropped,
                 restarts=dict(self.restarts),
                 takeovers=dict(self.takeovers),
+                given_up=self.given_up,
+                recording_gaps=tuple(self._unrecorded()),
                 skipped_cycles=sum(process.skipped_cycles for process in self.processes),
                 recording_ended=recorded.ended_early or fault,
                 wrong=self._wrong_messages(recorded),
@@ -130,6 +140,17 @@ class RunAccount:
         except InputError:  # There is nothing to compare.
             return account
         return replace(account, differing=result.differences["differs"])
+
+    def _unrecorded(self) -> Iterator[tuple[int, int]]:
+        """Yield the gaps without what came late after all: first and last cycles."""
+        found: set[int] = set()
+        with suppress(InputError), RunReader(self.folder.recording) as run:
+            if self.recording_gaps:
+                found.update(message.cycle for _, message in run.messages(PRODUCTION))
+        for first, last in self.recording_gaps:
+            lacking = [cycle for cycle in range(first, last + 1) if cycle not in found]
+            if lacking:
+                yield lacking[0], lacking[-1]
 
     def _messages(
         self, recorded: Recorded, found: Counter[str], health: Health | None

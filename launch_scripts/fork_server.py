@@ -2,7 +2,7 @@
 
 It has neither threads nor a session, so a fork copies nothing that a child could not use. It speaks
 with the launcher through one socket that keeps packets apart: requests come in, events of all
-processes go out. `python -m launch_scripts.fork_server SOCKET`
+processes go out. `python -m launch_scripts.fork_server SOCKET BEATS`
 
 Nobody outlives the launcher: the kernel ends the server with it, and with the server the agents at
 once, and the recorder as soon as it has closed its file.
@@ -18,6 +18,7 @@ import signal
 import socket
 import sys
 import time
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, NoReturn
@@ -26,13 +27,14 @@ import msgspec
 
 from agents.loop import Loop
 from agents.plan import RunPlan, load_plan
+from agents.process.beats import BEAT_S, FORK_SERVER, BeatTable
 from agents.process.events import Event, Exited, Failed, Started
-from agents.process.launcher_link import LauncherLink, server_packet
+from agents.process.launcher_link import LauncherLink, Packets, packets
 from agents.process.machine import die_with_parent
 from agents.process.session import session_settings
 from agents.team import controller
 from bus_schemas.tree import RECORDER, agent_name
-from launch_scripts.fork_requests import Expect, Request, Signal, Start
+from launch_scripts.fork_requests import Request, Signal, Start
 from launch_scripts.process import run_process
 from recordings.read.run_file import log_name
 
@@ -44,12 +46,18 @@ _decoder = msgspec.json.Decoder(Request)
 
 
 class ForkServer:
-    """The server, at its end of the socket."""
+    """The server, at its end of the socket. `beats` is the descriptor of a `BeatTable`.
 
-    def __init__(self, control: socket.socket) -> None:
+    The plan is read once: what becomes of its file later does not matter.
+    """
+
+    def __init__(self, control: socket.socket, beats: int) -> None:
         self._control = control
+        self._beats = beats
+        self._run: tuple[RunPlan, BeatTable] | None = None
+        self._requests = Packets()
         self._pids: dict[int, str] = {}
-        self._to_recorder: int | None = None
+        self._starts: Counter[str] = Counter()
         self._pid = os.getpid()
         self._ended, self._wake = os.pipe()
         os.set_blocking(self._wake, False)
@@ -64,15 +72,18 @@ class ForkServer:
         poll.register(self._control, select.POLLIN)
         poll.register(self._ended, select.POLLIN)
         while True:
-            for fd, _ in poll.poll():
+            for fd, _ in poll.poll(BEAT_S * 1e3):
                 if fd == self._ended:
                     with suppress(BlockingIOError):
                         os.read(self._ended, 4096)
                     self._reap()
-                elif packet := self._control.recv(_LARGEST):
-                    self._do(_decoder.decode(packet))
+                elif packet := self._receive():
+                    if (request := self._requests.feed(packet)) is not None:
+                        self._do(_decoder.decode(request[1]))
                 else:
                     return
+            if self._run is not None:
+                self._run[1].beat(FORK_SERVER)
 
     def end(self) -> None:
         """End what is left: the recorder in order, since its file must be whole, others at once."""
@@ -85,56 +96,55 @@ class ForkServer:
         for pid in self._pids:
             os.kill(pid, signal.SIGKILL)
 
+    def _receive(self) -> bytes:
+        try:
+            return self._control.recv(_LARGEST)
+        except ConnectionResetError:  # The launcher has gone before it has read everything.
+            return b""
+
     def _do(self, request: Request) -> None:
         match request:
             case Start():
                 self._start(request)
-            case Expect():
-                if self._to_recorder is not None:
-                    with suppress(BrokenPipeError):  # The recorder has ended.
-                        os.write(self._to_recorder, str(request.messages).encode())
             case Signal():
                 for pid, agent in self._pids.items():
                     if agent in request.agents:
                         os.kill(pid, request.number)
 
     def _start(self, request: Start) -> None:
-        plan = load_plan(Path(request.plan))
-        # What all of them need is worked out once, before there are many.
-        for node in plan.tree.nodes[-1:]:
-            Loop(controller(plan, agent_name(node)), plan)
-            session_settings(plan, agent_name(node))
-        _ = plan.network_faults
-        gc.collect()
-        gc.freeze()
+        if self._run is None:
+            plan = load_plan(Path(request.plan))
+            self._run = plan, BeatTable(self._beats, plan.processes)
+            # What all of them need is worked out once, before there are many.
+            for node in plan.tree.nodes[-1:]:
+                Loop(controller(plan, agent_name(node)), plan)
+                session_settings(plan, agent_name(node))
+            _ = plan.network_faults
+            gc.collect()
+            gc.freeze()
         for agent in request.agents:
-            self._fork(agent, plan, request)
+            self._fork(agent, *self._run, request)
 
-    def _fork(self, agent: str, plan: RunPlan, request: Start) -> None:
-        expected = None
-        if agent == RECORDER:
-            if self._to_recorder is not None:
-                os.close(self._to_recorder)
-            expected, self._to_recorder = os.pipe()
-            os.set_blocking(expected, False)
+    def _fork(self, agent: str, plan: RunPlan, table: BeatTable, request: Start) -> None:
         pid = os.fork()
         if pid == 0:
-            self._become(agent, plan, request, expected)
-        if expected is not None:
-            os.close(expected)
+            self._become(agent, plan, table, request)
         self._pids[pid] = agent
+        self._starts[agent] += 1
         self._tell(agent, Started(pid))
 
-    def _become(self, agent: str, plan: RunPlan, request: Start, expected: int | None) -> NoReturn:
+    def _become(self, agent: str, plan: RunPlan, table: BeatTable, request: Start) -> NoReturn:
         """Be the process of an agent."""
         status = 1
         try:
             self._set_up(agent, Path(request.logs) / log_name(agent))
-            link = LauncherLink(agent, self._control, expected, request.starts)
+            link = LauncherLink(agent, self._control, table, self._starts[agent])
             link.end_on(signal.SIGTERM)
             link.reopen_on(signal.SIGUSR1)
-            folder, patience_s = Path(request.plan).parent, request.patience_s
-            status = run_process(agent, plan, link, folder, patience_s, rejoins=request.again)
+            link.note_sending(sends=False)
+            status = run_process(
+                agent, plan, link, Path(request.plan).parent, rejoins=request.again
+            )
         except BaseException:
             logging.exception("%s gives up", agent)
         finally:
@@ -150,9 +160,10 @@ class ForkServer:
             os._exit(1)
         os.close(self._ended)
         os.close(self._wake)
-        if self._to_recorder is not None:
-            os.close(self._to_recorder)
-        log_file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        try:
+            log_file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        except OSError:  # The run's folder has been removed.
+            log_file = os.open(os.devnull, os.O_WRONLY)
         for stream in (1, 2):
             os.dup2(log_file, stream)
         os.close(log_file)
@@ -171,22 +182,24 @@ class ForkServer:
 
     def _tell(self, agent: str, event: Event) -> None:
         with suppress(BrokenPipeError, ConnectionResetError):
-            self._control.send(server_packet(agent, msgspec.json.encode(event)))
+            for packet in packets(agent, msgspec.json.encode(event)):
+                self._control.send(packet)
 
 
 def main() -> None:
     """Serve the launcher at the other end of a socket."""
     die_with_parent()
-    control = socket.socket(fileno=int(sys.argv[1]))
-    server = ForkServer(control)
+    control, beats = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])
+    server = ForkServer(control, beats)
     try:
         server.serve()
     except ConnectionResetError:
         pass  # The launcher is gone, and left events unread.
     except Exception as error:
+        event = Failed(f"{type(error).__name__}: {error}")
         with suppress(OSError):
-            event = Failed(f"{type(error).__name__}: {error}")
-            control.send(server_packet("", msgspec.json.encode(event)))
+            for packet in packets("", msgspec.json.encode(event)):
+                control.send(packet)
         raise
     finally:
         server.end()

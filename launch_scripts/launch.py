@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Final
+
+import msgspec
 
 from agents.plan import RunPlan
 from agents.process.events import (
     Armed,
     Complaint,
     Event,
+    Joined,
     Over,
     Recorded,
     RecordingEnded,
@@ -28,25 +32,23 @@ from launch_scripts.directions import directions
 from launch_scripts.fork_requests import Start
 from launch_scripts.restarts import Restarts
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import Children, ForkServerProcess, RunFailure, stall
+from launch_scripts.supervision import Child, Children, ForkServerProcess, RunFailure, stall
 from launch_scripts.view import View
-from launch_scripts.watch import HEARTBEAT_S, Watch
+from launch_scripts.watch import SILENT_S, Externals, Hearing, Watch
 from results.run_summary import RunSummary
 from scenarios.elsewhere import check_devices, listening
 from scenarios.preparation import Preparation
 from sunspec.process import GatewayProcess
 
-_PLANT_PATIENCE_S: Final = 30.0
-"""How long the plant waits for processes to appear."""
-
 _ARMING_S: Final = 60.0
-"""How long it may take from the command to cycle 0. The plant gives up before that by itself."""
+"""How long it may take to cycle 0 once no more processes come onto the bus. The plant gives up
+before that by itself."""
 
-_PATIENCE_S: Final = 5.0
-"""How long processes may take to end once the run is over."""
+_END_S: Final = 10.0
+"""Once the run is over: how long nothing may come from processes that are to end."""
 
-_PER_PROCESS_S: Final = 0.1
-"""How much longer each of these may take for each process."""
+_STOP_S: Final = 5.0
+"""How long the plant may take to end the run after Ctrl-C, and two cycles more."""
 
 _GATHER_S: Final = 0.5
 """After the first event of a stall: time for the others to say what they wait for."""
@@ -72,9 +74,10 @@ class _Launch:
         self._gateway = gateway
         self._interruption = interruption
         plan = account.preparation.plan
-        self._watch = Watch(plan, children.rows, view.say)
+        self._watch = Watch(plan, children)
         self._restarts = Restarts(plan, children, self._watch, self._start_again, view.say)
-        self._started_at = time.monotonic()
+        self._hearing = Hearing(children, self._watch, self._reopen, view.say)
+        self._externals = Externals(plan, view.say)
         self._stalled_at: float | None = None
         self._stop_asked_at: float | None = None
         self._over: Over | None = None
@@ -87,30 +90,26 @@ class _Launch:
     def _is_armed(self) -> bool:
         return self._account.armed_at > 0.0
 
-    @property
-    def _external_s(self) -> float:
-        """How long external agents are waited for [s]."""
-        return self._account.preparation.options.external_timeout_s if self._plan.elsewhere else 0.0
-
     def run(self) -> RunSummary:
         """Start the processes, see them through the run, compare what they say at its end."""
         children, account, plan = self._children, self._account, self._plan
-        path = account.folder.plan
         if plan.timing.lockstep and plan.supervision.standby:
             self._view.say("no standby in lockstep, where nothing has a deadline: give a --pace")
         self._view.say(
             f"starting {len(children.by_agent)} processes, logs in {account.folder.logs}"
         )
-        for line in directions(plan, path, self._external_s):
+        external_s = account.preparation.options.external_timeout_s
+        for line in directions(plan, account.folder.plan, external_s):
             self._view.say(line)
         self._start(tuple(children.by_agent))
         try:
+            self._arm(external_s)
             self._follow()
         except FailureError as failure:
-            if not self._watch.unheard:
+            if not self._externals.unheard:
                 raise
             # An external agent is the likely cause, and all others wait for it.
-            keys = listed(self._watch.unheard)
+            keys = listed(self._externals.unheard)
             text = f"no answer to the arming rounds came on {keys}\n{failure}"
             raise RunFailure(text) from failure
         ended_at = time.monotonic()
@@ -120,7 +119,11 @@ class _Launch:
         recorded = self._finish()
         for child in children:
             account.add_process(child)
-        account.restarts = self._restarts.counts
+        account.restarts, account.given_up = self._restarts.counts, self._restarts.given_up
+        account.recording_gaps = self._hearing.gaps
+        if PLANT in children.by_agent:  # The recorder may not have heard of all cycles.
+            cycles = children.table.read(PLANT).cycle
+            recorded = msgspec.structs.replace(recorded, cycles=cycles)
         # In real time the last cycle lasts to its end, though all have done their part before.
         cycles_s = recorded.cycles * plan.timing.cycle_wall_ns / 1e9
         return account.summary(
@@ -130,30 +133,52 @@ class _Launch:
             devices=self._gateway.end() if self._gateway is not None else (),
         )
 
-    def _start(self, agents: tuple[str, ...], *, again: bool = False, starts: int = 0) -> None:
-        patience_s = _PLANT_PATIENCE_S + _PER_PROCESS_S * len(agents) + self._external_s
+    def _start(self, agents: tuple[str, ...], *, again: bool = False) -> None:
         folder = self._account.folder
-        request = Start(str(folder.plan), agents, str(folder.logs), patience_s, again, starts)
-        self._children.server.ask(request)
+        self._children.server.ask(Start(str(folder.plan), agents, str(folder.logs), again))
 
     def _start_again(self, agent: str) -> None:
-        self._start((agent,), again=True, starts=self._restarts.counts[agent])
-        if agent == RECORDER:
-            self._watch.begin()
+        if agent == RECORDER and not self._is_armed:  # Nothing has been recorded yet.
+            self._account.folder.recording.unlink(missing_ok=True)
+        self._start((agent,), again=self._is_armed)
+
+    def _reopen(self, agent: str) -> None:
+        self._children.signal([agent], signal.SIGUSR1)
+
+    def _arm(self, external_s: float) -> None:
+        """See the processes onto the bus, and to the beginning of cycle 0."""
+        children, externals = self._children, self._externals
+        began_at = joined_at = time.monotonic()
+        while not self._is_armed:
+            if any(isinstance(event, Joined) for _, event in self._look()):
+                joined_at = time.monotonic()
+            if self._interruption:
+                raise KeyboardInterrupt  # There is no cycle yet that could be completed.
+            now, complete_at = time.monotonic(), externals.complete_at
+            if complete_at is None:
+                if now > began_at + external_s:
+                    raise RunFailure(
+                        f"no sign of {', '.join(externals.awaited)} after {external_s:g} s: no "
+                        "liveliness token was seen; the lines above and "
+                        f"{self._account.folder.plan} say where a device finds the bus"
+                    )
+            elif now > max(complete_at, joined_at) + _ARMING_S:
+                text = f"not armed {_ARMING_S:.0f} s after the last process came: see"
+                absent = next((one.agent for one in children if not self._is_present(one)), PLANT)
+                raise children.failure(absent, f"{text} {absent}")
+        took_s = self._account.armed_at - began_at
+        self._view.say(f"armed: cycle 0 began {took_s:.2f} s after the processes were started")
+
+    def _is_present(self, child: Child) -> bool:
+        return child.ready and self._watch.silent_s(child) < SILENT_S
 
     def _follow(self) -> None:
         """Show the run until the plant says that it is over."""
         while not self._is_over():
-            for child, event in self._children.events(0.1):
-                self._hear(event)
-                self._watch.hear(event)
-                self._restarts.hear(child, event)
-                if isinstance(event, TookOver):
-                    self._account.takeovers[agent_of(child.agent)] += 1
-            if self._gateway is not None:
-                self._gateway.look(self._view.say)
-            self._restarts.look()
-            self._check_progress()
+            self._look()
+            self._check_stall()
+            if (failure := self._externals.failure()) is not None:
+                raise self._children.failure(*failure)
             if self._interruption:
                 self._ask_stop()
 
@@ -166,23 +191,32 @@ class _Launch:
         left = [child for child in children.controllers() if child.finished is None]
         return self._over is not None or (self._stop_asked_at is not None and not left)
 
+    def _look(self) -> list[tuple[Child, Event]]:
+        """Take in what has happened, and do what is due; return what the processes have said."""
+        heard = self._children.events(0.1)
+        for child, event in heard:
+            self._hear(event)
+            self._watch.hear(child, event)
+            self._externals.hear(event)
+            self._restarts.hear(child, event)
+            if isinstance(event, TookOver):
+                self._account.takeovers[agent_of(child.agent)] += 1
+        if self._gateway is not None:
+            self._gateway.look(self._view.say)
+        self._restarts.look()
+        return heard
+
     def _hear(self, event: Event) -> None:
         match event:
             case Armed():
                 self._account.armed_at = time.monotonic()
                 for child in self._children:
                     child.cpu_at_start_s = child.cpu_s()
-                self._watch.begin()
                 self._restarts.begin(event.start_time_ns / 1e9)
-                took_s = self._account.armed_at - self._started_at
-                self._view.say(
-                    f"armed: cycle 0 began {took_s:.2f} s after the processes were started"
-                )
             case Status():
-                for child in self._children:
-                    if child.waiting is not None and event.cycle > child.waiting.cycle:
-                        child.waiting = None  # It has gone on meanwhile.
                 self._view.show(event)
+                if self._is_armed and not self._is_over():
+                    self._hearing.hear(event)
             case Over():
                 self._over = event
             case Complaint():
@@ -190,69 +224,47 @@ class _Launch:
             case RecordingEnded():
                 self._view.say(f"{event.text}; the run goes on without it")
 
-    def _check_progress(self) -> None:
+    def _check_stall(self) -> None:
+        """In lockstep: find who stalls the run."""
         children, now = self._children, time.monotonic()
-        if not self._is_armed:
-            self._check_arming(now)
         waiting = [child for child in children if child.waiting is not None]
+        for child in waiting:
+            if child.waiting is not None and child.row.cycle > child.waiting.cycle:
+                child.waiting = None  # It has gone on meanwhile.
         self._stalled_at = (self._stalled_at or now) if waiting else None
-        if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
-            line, to_blame = stall(children)
-            # While the recorder stands still, everybody waits for it.
-            is_unresponsive = self._watch.rows[RECORDER].unheard_s > HEARTBEAT_S
-            if not is_unresponsive and not self._restarts.mends(to_blame):
-                raise children.failure(to_blame[0], line)
-            for child in waiting:
-                child.waiting = None
-        if self._is_armed and (failure := self._watch.failure()) is not None:
-            raise children.failure(*failure)
-
-    def _check_arming(self, now: float) -> None:
-        children, complete_at = self._children, self._watch.complete_at
-        if complete_at is None:
-            if now > self._started_at + self._external_s:
-                raise RunFailure(
-                    f"no sign of {', '.join(self._watch.awaited)} after {self._external_s:g} s: no "
-                    f"liveliness token was seen; the lines above and {self._account.folder.plan} "
-                    "say where a device finds the bus"
-                )
+        if self._stalled_at is None or now < self._stalled_at + _GATHER_S or not waiting:
             return
-        longest_s = _ARMING_S + _PER_PROCESS_S * len(children.by_agent)
-        if now > complete_at + longest_s:
-            absent = next((child.agent for child in children if not child.ready), PLANT)
-            raise children.failure(absent, f"not armed after {longest_s:.0f} s: see {absent}")
+        line, to_blame = stall(children, self._plan.tree)
+        # While the recorder stands still, everybody waits for it.
+        recorder = children[RECORDER]
+        if recorder.ready and not self._is_present(recorder):
+            return
+        if not self._restarts.mends(to_blame):
+            raise children.failure(to_blame[0], line)
+        for child in waiting:
+            child.waiting = None
 
     def _ask_stop(self) -> None:
         """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
         children, now = self._children, time.monotonic()
-        if not self._is_armed:
-            raise KeyboardInterrupt  # There is no cycle yet that could be completed.
         if self._stop_asked_at is None:
             self._restarts.end()
             self._view.say("interrupted: ending after this cycle")
             own_plant = [PLANT] if PLANT in children.by_agent else None
             children.ask_to_end(own_plant or [child.agent for child in children.controllers()])
             self._stop_asked_at = now
-        longest_s = _PATIENCE_S + 2.0 * self._plan.timing.cycle_wall_ns / 1e9
+        longest_s = _STOP_S + 2.0 * self._plan.timing.cycle_wall_ns / 1e9
         if self._interruption.count > 1 or now > self._stop_asked_at + longest_s:
             raise KeyboardInterrupt
 
     def _finish(self) -> Recorded:
         """Wait until all agents have ended; then let the recorder close its file."""
         children, account, recorder = self._children, self._account, self._children[RECORDER]
-        longest_s = _PATIENCE_S + _PER_PROCESS_S * len(children.by_agent)
         is_early = self._over is not None and self._over.cycle < self._plan.timing.cycles
         if self._interruption or is_early:
             # After an early end, a controller waits in case the plant goes on after all.
             children.ask_to_end([child.agent for child in children.controllers()])
-        if late := [
-            child.agent for child in children.await_exit(children.controllers(), longest_s)
-        ]:
-            unheard_s = time.monotonic() - recorder.row.looked_at
-            if unheard_s > HEARTBEAT_S:  # In lockstep all agents wait for it.
-                text = f"recorder has been unresponsive for {unheard_s:.0f} s"
-                raise children.failure(RECORDER, text)
-            raise children.failure(late[0], f"{listed(late)} did not end with the run")
+        self._await_end(children.controllers())
         for child in children.controllers():
             # A standby of an external agent is not the launcher's to account for.
             if child.finished and agent_of(child.agent) not in self._plan.elsewhere:
@@ -260,9 +272,28 @@ class _Launch:
         account.is_complete = not self._restarts.lost_processes
         # It is unknown what a process that died had published: wait until nothing more comes.
         children.end_recorder(account.published.total() if account.is_complete else _UNKNOWN)
-        if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
-            raise children.failure(RECORDER, "the recorder did not close its file")
-        return recorder.recorded
+        self._await_end([recorder])
+        return recorder.recorded or Recorded({}, 0, 0, "the recorder did not close its file")
+
+    def _await_end(self, some: list[Child]) -> None:
+        """Wait until processes end; kill those that do not."""
+        for last in (False, True):
+            until = time.monotonic() + _END_S
+            while left := [child for child in some if child.exited is None]:
+                heard = self._look()
+                if any(child in some for child, _ in heard):
+                    until = time.monotonic() + _END_S
+                if time.monotonic() > until:
+                    break
+            if not left:
+                return
+            if last or self._watch.server_stands_still:
+                server = self._children.server.process.pid
+                raise RunFailure(
+                    f"the fork server (process {server}) stands still: {len(left)} processes "
+                    "could not be ended"
+                )
+            self._restarts.end_by_force(left)
 
 
 def check_processes(plan: RunPlan) -> None:

@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable, Sequence
 
 from agents.plan import RunPlan, changed
+from agents.process.events import Failed
 from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
 from launch_scripts.fork_requests import Start
 from launch_scripts.restarts import Restarts
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import Children, ForkServerProcess
+from launch_scripts.supervision import Children, ForkServerProcess, RunFailure
 from launch_scripts.watch import Watch
 
 
@@ -41,24 +42,25 @@ def run_share(
     folder.write_plan(plan)
 
     def start(*names: str, again: bool = True) -> None:
-        starts = restarts.counts[names[0]] if again else 0
-        server.ask(Start(str(folder.plan), names, str(folder.logs), 0.0, again, starts))
+        server.ask(Start(str(folder.plan), names, str(folder.logs), again))
 
     with Children(server, plan, agents, folder.logs) as children:
+        watch = Watch(plan, children)
         # The launcher alone does what fault rules ask for.
-        watch = Watch(plan, children.rows, say)
         restarts = Restarts(changed(plan, faults={"rules": ()}), children, watch, start, say)
         start(*agents, again=False)
-        restarts.begin(time.monotonic())
         are_ready = False
-        while not all(child.finished and child.exited for child in children):
-            children.events(0.1)
+        while not all(child.finished or child.row.state == "given up" for child in children):
+            for child, event in children.events(0.1):
+                watch.hear(child, event)
+                if isinstance(event, Failed):
+                    raise children.failure(child.agent, f"{child.agent} gave up: {event.text}")
             if not are_ready and all(child.ready for child in children):
                 are_ready = True
+                restarts.begin(time.monotonic())
                 where = f"{plan.access.host_of(PLANT)}:{plan.access.tcp_ports[PLANT]}"
                 say(f"all are ready for the plant at {where}")
             restarts.look()
-            if not plan.timing.lockstep:
-                # No recorder hears them here: each says every second that it is there.
-                running = [c.agent for c in children if c.ready and not c.finished]
-                restarts.judge(running, 0.0)
+        children.await_exit([*children], 10.0)
+    if restarts.given_up:
+        raise RunFailure(f"given up in the run: {', '.join(restarts.given_up)}")

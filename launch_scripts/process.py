@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from math import inf
 from pathlib import Path
 
 from agents.cycle import kind_of
@@ -25,13 +26,14 @@ def run_process(
     plan: RunPlan,
     link: LauncherLink,
     folder: Path,
-    patience_s: float,
+    patience_s: float = inf,
     *,
     rejoins: bool = False,
 ) -> int:
     """Be the process of an agent in the run of a folder. Returns the exit status.
 
-    The plant waits `patience_s` for all agents. `rejoins`: the run is under way.
+    The plant waits `patience_s` for all agents, or as long as the launcher lets it. `rejoins`: the
+    run is under way.
     """
     match kind_of(agent, plan.tree):
         case "recorder":

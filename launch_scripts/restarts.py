@@ -1,30 +1,42 @@
-"""Processes that die, or say nothing, in the middle of a run: killed, and started again."""
+"""Processes that die, or do not live, in a run: killed, started again, or given up."""
 
 from __future__ import annotations
 
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
+from agents.faults import Incident, incidents
 from agents.plan import RunPlan
-from agents.process.events import Event, Exited, Status, TookOver
-from bus_schemas.tree import RECORDER, agent_of, standby_of
-from launch_scripts.process_faults import ProcessFaults
+from agents.process.events import Event, Exited, TookOver
+from bus_schemas.tree import PLANT, RECORDER, agent_of, standby_of
 from launch_scripts.supervision import Child, Children
 from launch_scripts.watch import Watch
-from recordings.record.monitor import longest_pause_s
 
 _RETURN_S: Final = 10.0
 """In lockstep: how long a process that was started again may take to join."""
 
+_KILLS_APART_S: Final = 1.0
+"""Time between two kills of processes that no signal has stopped. On a machine that is too busy,
+where each death makes more work, many healthy ones seem dead at once."""
+
+_SAME_CLOCK_S: Final = 10.0
+"""If cycle 0 began farther from now, it was by the clock of another host."""
+
+_SIGNALS: Final = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP, "thaw": signal.SIGCONT}
+
 
 class Restarts:
-    """Starts processes again and kills those that are unresponsive, by the policy of the plan.
+    """Kills processes that do not live, and starts those again that end, by the plan's policy.
 
-    `start` starts a process, `say` shows a line to the user. `counts` says how often each process
-    was started again. It also carries out the plan's fault rules.
+    One that has ended too often is given up. It also carries out the plan's fault rules.
+
+    start: Starts the process of a name. `say` shows a line to the user.
+
+    counts: How often each process was started again.
+    given_up: Processes that are not started again, and the plant's cycle at that time.
     """
 
     def __init__(
@@ -37,115 +49,217 @@ class Restarts:
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.counts: Counter[str] = Counter()
+        self.given_up: dict[str, int] = {}
         self._plan = plan
         self._children = children
         self._watch = watch
         self._start = start
         self._say = say
         self._now_s = now_s
-        self._faults = ProcessFaults(plan, watch, self._send, say)
-        self._times: dict[str, list[float]] = {}
-        self._start_at: dict[str, tuple[float, Exited | None]] = {}
-        self._killed: set[str] = set()
-        self._is_on = False
-        children.replaces = self.replaces
+        self._history = _History()
+        self._faults = _FaultRules(plan)
+        children.on_death = self.on_death
 
     def begin(self, start_s: float) -> None:
-        """Replace processes, and let rules act, from the beginning of cycle 0 on."""
-        self._faults.begin(start_s, self._now_s())
-        self._is_on = True
+        """Cycle 0 begins: let fault rules act from now on."""
+        now_s = self._now_s()
+        self._children.phase = "in the middle of the run"
+        self._faults.begin(start_s if abs(start_s - now_s) < _SAME_CLOCK_S else now_s)
 
     def end(self) -> None:
-        """Replace no more processes: the run is over."""
-        self._is_on = False
-        for name, (_, exited) in self._start_at.items():  # They do not come back.
+        """Start no more processes: the run is over."""
+        self._history.is_over = True
+        self._children.phase = "at the end of the run"
+        for name, (_, exited) in self._history.start_at.items():  # They do not come back.
             self._children[name].exited = exited
-            self._killed.add(name)
+        self._history.start_at.clear()
+
+    def end_by_force(self, children: Sequence[Child]) -> None:
+        """Kill processes that do not end with the run."""
+        for child in children:
+            self._say(f"{child.agent} (process {child.pid}) did not end with the run: killed")
+            if child.finished is None and child.recorded is None:
+                self.given_up.setdefault(child.agent, max(child.row.cycle, 0))
+            self._send(child.agent, signal.SIGKILL)
 
     @property
     def lost_processes(self) -> bool:
         """Whether a process has ended that could not say what it had published."""
-        return bool(self.counts or self._killed)
+        return bool(self.counts or self._history.killed or self.given_up)
 
-    def replaces(self, child: Child, why: str) -> bool:
-        """Start a process again that has ended; return False if the policy does not.
-
-        At the end of the run no process is started, and those that the launcher has killed may be
-        missing.
-        """
-        if not self._plan.restarts or child.kind == "plant":
+    def on_death(self, child: Child, why: str) -> bool:
+        """Start a process again that has ended, or give it up; return whether the run goes on."""
+        name, now_s, history = child.agent, self._now_s(), self._history
+        if child.kind == "plant" or (child.failed is not None and not self._faults.has_begun):
             return False
-        if not self._is_on:
-            return child.agent in self._killed
-        name, now_s, policy = child.agent, self._now_s(), self._plan.supervision.restart
-        earlier = self._times.setdefault(name, [])
-        wait_s = policy.wait_s(earlier, now_s)
+        was_killed = name in history.killed
+        if history.is_over:
+            history.killed.add(name)
+            if not was_killed:
+                self._say(why)
+            return True
+        history.killed.discard(name)
+        earlier = history.times.setdefault(name, [])
+        policy = self._plan.supervision.restart
+        # Before cycle 0, and of the recorder, a new process is as good as the first one.
+        may_return = self._plan.restarts or not self._faults.has_begun or name == RECORDER
+        wait_s = policy.wait_s(earlier, now_s) if may_return else None
         if wait_s is None:
-            self._say(f"{name} was started again {len(earlier)} times: restart.most allows no more")
-            return False
+            return self._give_up(child, why)
         earlier.append(now_s)
         self.counts[name] += 1
-        if name not in self._killed:
+        if not was_killed:
             self._say(f"{why}; it is started again")
-        self._killed.discard(name)
-        self._start_at[name] = now_s + wait_s, child.exited
+        history.start_at[name] = now_s + wait_s, child.exited
         child.begin_again()
         self._start_due(now_s)
         return True
 
     def look(self) -> None:
-        """Do what is due: fault rules, and processes that were to wait. Look at the recorder."""
-        if not self._is_on:
-            return
+        """Do what is due: fault rules, processes that wait to be started; kill who does not live.
+
+        Raises RunFailure: the plant's process does not live.
+        """
         now_s = self._now_s()
         self._start_due(now_s)
-        self._faults.look(now_s)
-        recorder = self._watch.rows.get(RECORDER)
-        is_frozen = recorder and recorder.unheard_s >= self._plan.supervision.restart.frozen_s
-        if self._plan.restarts and is_frozen:
-            self._kill_unresponsive(self._children[RECORDER])
+        for incident in self._faults.due(now_s) if not self._history.is_over else ():
+            self._say(f"fault: {incident.what} {incident.agent}")
+            self._send(incident.agent, _SIGNALS[incident.what])
+        if self._watch.server_stands_still != self._history.server_stands_still:
+            self._history.server_stands_still ^= True
+            does = "stands still" if self._history.server_stands_still else "goes on"
+            self._say(f"the fork server (process {self._children.server.process.pid}) {does}")
+        is_judged = self._plan.restarts or self._plan.timing.lockstep
+        for child, why in self._watch.look() if self._faults.has_begun else ():
+            if child.kind == "plant":
+                raise self._children.failure(PLANT, f"plant (process {child.pid}) {why}")
+            if is_judged or child.kind == "recorder":
+                self._kill(child, why)
 
     def hear(self, child: Child, event: Event) -> None:
-        """Take in what a process says of itself, or the recorder of the controllers."""
-        match event:
-            case TookOver():
-                self._say(f"{child.agent} took over in cycle {event.cycle}")
-                if not self._watch.take_over(child.agent, event.cycle):
-                    self._send(standby_of(agent_of(child.agent)), signal.SIGKILL)
-            case Status() if self._is_on:
-                self.judge(event.unresponsive, longest_pause_s(self._plan))
-
-    def judge(self, unheard: Collection[str], unheard_s: float) -> None:
-        """Kill controllers that were not heard for too long, see `Watch.unresponsive`."""
-        for name in self._watch.unresponsive(unheard, unheard_s):
-            if self._plan.restarts:
-                self._kill_unresponsive(self._children[name])
+        """Take in what a process says of itself."""
+        if isinstance(event, TookOver):
+            self._say(f"{child.agent} took over in cycle {event.cycle}")
+            if not self._faults.take_over(child.agent, event.cycle):
+                self._send(standby_of(agent_of(child.agent)), signal.SIGKILL)
 
     def mends(self, to_blame: Sequence[str]) -> bool:
-        """In lockstep: start again those that a stalled run waits for, or wait for their return."""
+        """In lockstep: kill those that a stalled run waits for, or wait for their return."""
         children = [self._children.by_agent.get(name) for name in to_blame]
-        if not self._plan.restarts or not self._is_on:
+        if self._history.is_over or PLANT not in self._children.by_agent:
             return False
         for child in children:
-            if child is None or child.kind in {"plant", "recorder"} or child.waiting is not None:
+            if child is None or child.kind in {"plant", "recorder"}:
                 return False
-            if self._now_s() - max(self._times.get(child.agent, [0.0])) > _RETURN_S:
-                self._kill_unresponsive(child)
+            if child.row.state == "given up":
+                continue
+            if self._now_s() - max(self._history.times.get(child.agent, [0.0])) > _RETURN_S:
+                self._kill(child, "does not go on")
+        return True
+
+    def _give_up(self, child: Child, why: str) -> bool:
+        """Go on without a process; return False if the run cannot.
+
+        In lockstep the others wait for it, unless the plant tells them not to.
+        """
+        is_told = PLANT in self._children.by_agent or not self._plan.timing.lockstep
+        if not self._faults.has_begun or not (is_told or child.kind == "recorder"):
+            return False
+        name, agent = child.agent, agent_of(child.agent)
+        self.given_up[name] = max(self._children.table.read(PLANT).cycle, 0)
+        child.row.state = "given up"
+        times = f" after {self.counts[name]} restarts" if self.counts[name] else ""
+        self._say(f"{why}; it is given up{times}: the run goes on without {name}")
+        both = {agent, standby_of(agent)} & self._children.by_agent.keys()
+        if both <= self.given_up.keys():
+            self._children.table.give_up(agent)
         return True
 
     def _start_due(self, now_s: float) -> None:
-        for name in [name for name, (at, _) in self._start_at.items() if at <= now_s]:
-            del self._start_at[name]
+        start_at = self._history.start_at
+        for name in [name for name, (at, _) in start_at.items() if at <= now_s]:
+            del start_at[name]
             self._start(name)
 
-    def _kill_unresponsive(self, child: Child) -> None:
-        if child.pid and child.agent not in self._killed:
-            self._say(f"{child.agent} (process {child.pid}) says nothing: killed and started again")
-            self._send(child.agent, signal.SIGKILL)
+    def _kill(self, child: Child, why: str) -> None:
+        history, ran_s = self._history, self._watch.ran_s
+        if not child.pid or child.agent in history.killed:
+            return
+        if not child.is_stopped():
+            if ran_s < history.kill_at_s:
+                return
+            history.kill_at_s = ran_s + _KILLS_APART_S
+        self._say(f"{child.agent} (process {child.pid}) {why}: killed")
+        self._send(child.agent, signal.SIGKILL)
 
     def _send(self, name: str, number: signal.Signals) -> None:
         child = self._children[name]
         if child.pid and child.exited is None:
             if number == signal.SIGKILL:
-                self._killed.add(name)
+                self._history.killed.add(name)
             self._children.signal([name], number)
+
+
+class _History:
+    """What has happened to the processes of a run.
+
+    killed: Processes that the launcher has killed and that have not been started again.
+    times: When each process was started again, monotonic [s].
+    start_at: Processes that wait to be started: when they are due, and how they have ended.
+    kill_at_s: When the next process may be killed, by the watch's clock.
+    """
+
+    def __init__(self) -> None:
+        self.is_over = False
+        self.killed: set[str] = set()
+        self.times: dict[str, list[float]] = {}
+        self.start_at: dict[str, tuple[float, Exited | None]] = {}
+        self.kill_at_s = 0.0
+        self.server_stands_still = False
+
+
+class _FaultRules:
+    """What the fault rules of a run do to controllers: kill, freeze and thaw them."""
+
+    def __init__(self, plan: RunPlan) -> None:
+        self._due = incidents(plan.faults.rules, plan.tree)
+        self._frozen: dict[str, str] = {}
+        self._wall_per_s = plan.timing.cycle_wall_ns / plan.timing.cycle_ns
+        self._began_at_s: float | None = None
+        # The process that speaks for each agent with a standby, and since which cycle.
+        self._speakers = {agent: (agent, 0) for agent in plan.standbys}
+
+    @property
+    def has_begun(self) -> bool:
+        return self._began_at_s is not None
+
+    def begin(self, at_s: float) -> None:
+        self._began_at_s = at_s
+
+    def take_over(self, name: str, cycle: int) -> bool:
+        """Note that a process speaks for its agent from a cycle on.
+
+        Returns False if both processes of the agent took over at once: neither would yield, and the
+        first one is to speak.
+        """
+        agent = agent_of(name)
+        before, since = self._speakers[agent]
+        are_both = since == cycle and before != name
+        self._speakers[agent] = (agent if are_both else name, cycle)
+        return not are_both
+
+    def due(self, now_s: float) -> list[Incident]:
+        """Return what is due, with the names of the processes that it happens to."""
+        found: list[Incident] = []
+        if self._began_at_s is None:
+            return found
+        while self._due and self._due[0].time_s * self._wall_per_s <= now_s - self._began_at_s:
+            one = self._due.pop(0)
+            # A rule means the process that speaks, or that was frozen.
+            name, _ = self._speakers.get(one.agent, (one.agent, 0))
+            if one.what == "freeze":
+                self._frozen[one.agent] = name
+            elif one.what == "thaw":
+                name = self._frozen.pop(one.agent, name)
+            found.append(one._replace(agent=name))
+        return found

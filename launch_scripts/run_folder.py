@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agents.plan import RunPlan, changed
 from agents.process.session import users
-from bus_schemas.errors import InputError
+from bus_schemas.errors import FailureError, InputError
 from bus_schemas.whole_file import named_in_errors, whole_file
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
@@ -30,7 +30,11 @@ class RunFolder:
         self.failure = path / FAILURE_NAME
 
     def make(self) -> None:
-        self.logs.mkdir(parents=True)
+        try:
+            self.logs.mkdir(parents=True)
+        except FileExistsError:
+            got = f"got {self.path}, in which another run has begun"
+            raise InputError(f"--out: expected a new or empty folder, {got}") from None
 
     def fill(
         self,
@@ -58,6 +62,10 @@ class RunFolder:
         return plan
 
     def write_summary(self, document: bytes) -> None:
+        if not self.path.is_dir():
+            raise FailureError(
+                f"{self.path}: the run's folder has been removed, with its recording"
+            )
         with whole_file(self.summary) as file:
             file.write(document + b"\n")
 

@@ -77,6 +77,7 @@ class MemoryRun:
         self._make = make
         self._frozen: dict[str, tuple[Loop[Any], int]] = {}
         self._restarted_s: dict[str, list[float]] = {}
+        self.given_up: dict[str, int] = {}
         self.bus = MemoryBus(self.plan.wiring, on_publish, clock, faults)
         team: list[Agent[Any]] = [Plant(self.plan, profile)]
         team += [make(self.plan, agent_name(node)) for node in self.plan.tree.nodes]
@@ -104,7 +105,7 @@ class MemoryRun:
                     for name, loop in self.loops.items()
                     if loop.waiting
                 }
-                raise RunFailure(who_waits(waiting)[0])
+                raise RunFailure(who_waits(waiting, self.plan.tree)[0])
         yield from range(done, plant.cycle)
 
     def _turns(self, start_ns: int) -> Iterator[Sequence[Arrival]]:
@@ -165,8 +166,8 @@ class MemoryRun:
         earlier_s, now_s = self._restarted_s.setdefault(name, []), self._driver.now_ns() / 1e9
         wait_s = self.plan.supervision.restart.wait_s(earlier_s, now_s)
         if wait_s is None:
-            times = f"after {len(earlier_s)} restarts the policy allows no other"
-            raise RunFailure(f"{name} was killed in the middle of the run; {times}")
+            self.given_up[name] = max(self.loops[PLANT].cycle, 0)
+            return
         earlier_s.append(now_s)
         yield wait_s + self._restart_takes_s, incident._replace(what="start")
 
@@ -188,7 +189,7 @@ class MemoryRun:
 
     @property
     def restarts(self) -> dict[str, int]:
-        return {name: len(times_s) for name, times_s in self._restarted_s.items()}
+        return {name: len(times_s) for name, times_s in self._restarted_s.items() if times_s}
 
     def stop(self) -> None:
         """End the run after the cycle under way."""
@@ -246,6 +247,7 @@ def simulate(
     wall_s = time.monotonic() - account.armed_at
     account.published.update(run.bus.outbox.published)
     account.restarts.update(run.restarts)
+    account.given_up = run.given_up
     memory = memory_of(os.getpid())
     account.processes.append(ProcessAccount("simulation", "simulation", {}, *memory))
     for loop in run.loops.values():

@@ -7,17 +7,18 @@ import signal
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
 import psutil
 
-from agents.cycle import Kind, kind_of
+from agents.cycle import Kind, kind_of, stage_place
 from agents.plan import RunPlan
+from agents.process.beats import BeatTable
 from agents.process.events import (
     Event,
     Exited,
@@ -28,12 +29,11 @@ from agents.process.events import (
     Started,
     Waiting,
 )
-from agents.process.launcher_link import EventReader
+from agents.process.launcher_link import Packets, decode_event, packets
 from agents.process.side_process import SideProcess
 from bus_schemas.errors import FailureError, listed
-from bus_schemas.tree import RECORDER
-from launch_scripts.fork_requests import Expect, Request, Signal
-from launch_scripts.watch import Row, State
+from bus_schemas.tree import RECORDER, ControlTree, agent_of
+from launch_scripts.fork_requests import Request, Signal
 from recordings.read.run_file import log_name
 
 _LOG_LINES: Final = 5
@@ -55,13 +55,15 @@ class Memory(NamedTuple):
     own_mb: float
 
 
+NOTHING_SEEN: Final = Memory(0.0, 0.0)
+
+State: TypeAlias = Literal["awaited", "started", "present", "ended", "given up"]
+
 _STATES: Final[dict[type[Event], State]] = {
     Started: "started",
     Joined: "present",
     Exited: "ended",
 }
-
-NOTHING_SEEN: Final = Memory(0.0, 0.0)
 
 
 def memory_of(pid: int) -> Memory:
@@ -74,16 +76,20 @@ class RunFailure(FailureError):  # noqa: N818 - what failed is the run, not the 
 
 
 class ForkServerProcess(SideProcess):
-    """The fork server. Start it early: it imports while others prepare."""
+    """The fork server. Start it early: it imports while others prepare.
+
+    beats: Descriptor of the memory in which it and its processes beat.
+    """
 
     def __init__(self) -> None:
         self.control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.beats = os.memfd_create("heliarch-beats")
         self._was_asked = False
         self._unsent: deque[bytes] = deque()
         with theirs:
             super().__init__(
                 "launch_scripts.fork_server",
-                str(theirs.fileno()),
+                *(str(theirs.fileno()), str(self.beats)),
                 env={
                     "MALLOC_ARENA_MAX": _ARENAS,
                     **os.environ,
@@ -91,12 +97,12 @@ class ForkServerProcess(SideProcess):
                     # An import must start no thread: this library would.
                     "OPENBLAS_NUM_THREADS": "1",
                 },
-                pass_fds=(theirs.fileno(),),
+                pass_fds=(theirs.fileno(), self.beats),
             )
 
     def ask(self, request: Request) -> None:
         self._was_asked = True
-        self._unsent.append(msgspec.json.encode(request))
+        self._unsent.extend(packets("", msgspec.json.encode(request)))
         self.send_requests()
 
     def send_requests(self) -> None:
@@ -114,8 +120,26 @@ class ForkServerProcess(SideProcess):
         """Let it end what is left of its processes, and itself."""
         super().hang_up()
         self.control.close()
+        if self.beats >= 0:
+            os.close(self.beats)
+            self.beats = -1
         if not self._was_asked:  # It has no processes.
             self.process.kill()
+
+
+@dataclass
+class Row:
+    """What is known of the life of a process. Times are by the clock of the `Watch`.
+
+    beat_ns, cycle: Of its newest beat.
+    beat_at_s, moved_at_s: When that beat, and that cycle, were first seen.
+    """
+
+    state: State = "awaited"
+    beat_ns: int = 0
+    cycle: int = -1
+    beat_at_s: float = 0.0
+    moved_at_s: float = 0.0
 
 
 @dataclass
@@ -146,8 +170,7 @@ class Child:
         self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 
     def note(self, event: Event) -> None:
-        state = _STATES.get(type(event))
-        self.row.hear(time.monotonic(), state)
+        self.row.state = _STATES.get(type(event), self.row.state)
         match event:
             case Started():
                 self.pid = event.pid
@@ -172,23 +195,30 @@ class Child:
 
 
 class Children:
-    """The processes of some agents of a run. Leaving the context ends those that still run."""
+    """The processes of some agents of a run. Leaving the context ends those that still run.
+
+    table: Where they beat.
+    phase: When it is now, for messages about those that end.
+    on_death: Called with each process that ends before its time, and how; returns whether the run
+        goes on.
+    """
 
     def __init__(
         self, server: ForkServerProcess, plan: RunPlan, agents: Sequence[str], logs: Path
     ) -> None:
         self.server = server
+        self.table = BeatTable(server.beats, plan.processes)
         self.by_agent = {
-            agent: Child(agent, kind_of(agent, plan.tree), logs / log_name(agent), Row(agent))
+            agent: Child(agent, kind_of(agent, plan.tree), logs / log_name(agent), Row())
             for agent in agents
         }
-        self._reader = EventReader()
+        self.phase = "before cycle 0"
+        self.on_death: Callable[[Child, str], bool] = lambda child, why: False
+        self._reader = Packets()
         self._asked_to_end: set[str] = set()
-        self._server_gone = False
         self._server_failure = ""
         self._samples = 0
         self._sample_at = 0.0
-        self.replaces: Callable[[Child, str], bool] = lambda child, why: False
 
     def __enter__(self) -> Children:
         return self
@@ -200,42 +230,50 @@ class Children:
     def __getitem__(self, agent: str) -> Child:
         return self.by_agent[agent]
 
-    @property
-    def rows(self) -> dict[str, Row]:
-        """What is known of the presence of each process."""
-        return {child.agent: child.row for child in self}
-
     def __iter__(self) -> Iterator[Child]:
         return iter(self.by_agent.values())
 
     def events(self, timeout_s: float) -> list[tuple[Child, Event]]:
         """Return what the processes say within a time; note what they report of themselves."""
-        heard: list[tuple[Child, Event]] = []
         self.server.send_requests()
-        control = self.server.control
-        control.settimeout(timeout_s)
-        for _ in range(_MOST_PACKETS):
-            try:
-                packet = control.recv(_LARGEST_PACKET)
-            except (TimeoutError, BlockingIOError):
-                break
-            except ConnectionResetError:
-                packet = b""
-            if not packet:
-                self._server_gone = True
-                break
-            control.settimeout(0.0)
+        heard: list[tuple[Child, Event]] = []
+        is_server_gone = self.server.process.poll() is not None
+        for packet in self._packets(timeout_s):
+            is_server_gone |= not packet
             if (found := self._reader.feed(packet)) is None:
                 continue
-            agent, event = found
+            agent, event = found[0], decode_event(found[1])
             if agent in self.by_agent:
                 self[agent].note(event)
                 heard.append((self[agent], event))
             elif isinstance(event, Failed):
                 self._server_failure = event.text
         self._sample_memory()
-        self._check()
+        if is_server_gone:
+            server = f"the fork server (process {self.server.process.pid})"
+            why = self._server_failure or "it was killed or ended by itself"
+            raise RunFailure(f"{server} is gone, and with it all processes of the run: {why}")
+        for child in {child.agent: child for child, event in heard if child.exited}.values():
+            why = self._why_ended_early(child)
+            if why and not self.on_death(child, why):
+                raise self.failure(child.agent, why)
         return heard
+
+    def _packets(self, timeout_s: float) -> Iterator[bytes]:
+        """Yield what comes within a time; an empty packet if the server is gone."""
+        control = self.server.control
+        control.settimeout(timeout_s)
+        for _ in range(_MOST_PACKETS):
+            try:
+                packet = control.recv(_LARGEST_PACKET)
+            except (TimeoutError, BlockingIOError):
+                return
+            except ConnectionResetError:
+                packet = b""
+            control.settimeout(0.0)
+            yield packet
+            if not packet:
+                return
 
     def controllers(self) -> list[Child]:
         """Return all processes but the recorder."""
@@ -253,7 +291,7 @@ class Children:
     def end_recorder(self, messages: int) -> None:
         """Let the recorder close its file once it has so many messages."""
         self._asked_to_end.add(RECORDER)
-        self.server.ask(Expect(messages))
+        self.table.expect(messages)
 
     def ask_to_end(self, agents: Sequence[str]) -> None:
         """Let agents end in order."""
@@ -289,40 +327,29 @@ class Children:
         with suppress(psutil.Error):
             child.memory = max(child.memory, memory_of(child.pid))
 
-    def _check(self) -> None:
-        if self._server_gone or self.server.process.poll() is not None:
-            server = f"the fork server (process {self.server.process.pid})"
-            why = self._server_failure or "it was killed or ended by itself"
-            raise RunFailure(f"{server} is gone, and with it all processes of the run: {why}")
-        for child in self:
-            why = self._why_ended_early(child)
-            died = child.exited is not None and child.failed is None  # It would give up again.
-            if why and not (died and self.replaces(child, why)):
-                raise self.failure(child.agent, why)
-
     def _why_ended_early(self, child: Child) -> str:
-        """Say how a process has ended before its time; empty if it has not."""
-        name, exited = f"{child.agent} (process {child.pid})", child.exited
+        """Say how a process that has ended did so before its time; empty if it was in time."""
+        asked, exited = child.agent in self._asked_to_end, child.exited
         if child.failed is not None:
             return f"{child.agent} gave up: {child.failed.text}"
-        ended_early = child.recorded is not None or (child.finished and child.finished.dismissed)
-        if ended_early and child.agent not in self._asked_to_end:
-            return f"{name} was ended by SIGTERM in the middle of the run"
-        done = child.finished is not None or child.recorded is not None
-        if exited is None or (done and not exited.status):
-            return ""
-        if child.agent in self._asked_to_end and exited.status == -signal.SIGTERM:
-            return ""  # It had hardly begun.
-        code = exited.status
-        how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
-        return f"{name} {how} in the middle of the run"
+        if child.recorded is not None or (child.finished and child.finished.dismissed):
+            how = "" if asked else "was ended by SIGTERM"
+        elif exited is None or child.finished or (asked and exited.status == -signal.SIGTERM):
+            how = ""  # If it was asked, it had hardly begun.
+        else:
+            code = exited.status
+            how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
+        return f"{child.agent} (process {child.pid}) {how} {self.phase}" if how else ""
 
 
-def who_waits(waiting: Mapping[str, Waiting], stopped: Sequence[str] = ()) -> tuple[str, list[str]]:
+def who_waits(
+    waiting: Mapping[str, Waiting], tree: ControlTree, stopped: Collection[str] = ()
+) -> tuple[str, list[str]]:
     """Return one line on which agents of a stalled run wait for which, and those to blame.
 
     To blame are processes that a signal has stopped; else those that others wait for and that do
-    not wait in the same cycle themselves.
+    not wait in the same cycle themselves; else who waits in the earliest stage: all that it needs
+    has been sent.
     """
     first = min(event.cycle for event in waiting.values())
     stuck = {agent: event for agent, event in waiting.items() if event.cycle == first}
@@ -330,15 +357,19 @@ def who_waits(waiting: Mapping[str, Waiting], stopped: Sequence[str] = ()) -> tu
     for agent, event in stuck.items():
         for port, publisher in event.needs:
             needed.setdefault(publisher, []).append(f"{agent} waits for {port}")
-    to_blame = list(stopped) or [agent for agent in needed if agent not in stuck] or list(needed)
+    places = {name: stage_place(agent_of(name), one.stage, tree) for name, one in stuck.items()}
+    earliest = [agent for agent, place in places.items() if place == min(places.values())]
+    to_blame = [*stopped] or [agent for agent in needed if agent not in stuck] or earliest
     what = "stopped by a signal:" if stopped else "nothing that can be used came from"
     waits = [line for agent in to_blame for line in needed.get(agent, ())]
+    if to_blame is earliest:
+        what, waits = "what they wait for was sent to", []
     line = f"stalled in cycle {first}: {what} {listed(to_blame)}"
     return "; ".join(filter(None, (line, listed(waits)))), to_blame
 
 
-def stall(children: Children) -> tuple[str, list[str]]:
+def stall(children: Children, tree: ControlTree) -> tuple[str, list[str]]:
     """Say in one line why the run of some processes stalls; return it with those to blame."""
     waiting = {child.agent: child.waiting for child in children if child.waiting is not None}
     stopped = [child.agent for child in children if child.is_stopped()]
-    return who_waits(waiting, stopped)
+    return who_waits(waiting, tree, stopped)

@@ -1,212 +1,245 @@
-"""Presence and silence: one table of the processes and external agents of a run.
+"""Who lives and who is heard. Each question has a witness of its own.
 
-The launcher sees the agents through the recorder: while that is
-unresponsive, nothing is known of them.
+A process lives if it beats. Time counts only while the launcher itself runs: a launcher or a
+machine that stood still proves nothing. Who is heard, the recorder and the listeners say; external
+agents have no beat and are only heard, or not.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final, Literal, TypeAlias
 
 from agents.plan import RunPlan
-from agents.process.agent_process import ALIVE_S
-from agents.process.events import Event, Presence, Status
-from bus_schemas.tree import PLANT, RECORDER, agent_of
-
-PATIENCE_S: Final = 10.0
-"""How long the recorder may stand still in real time, where messages queue up for it meanwhile; or
-may take to come back, where it is started again."""
-
-HEARTBEAT_S: Final = 2.0
-"""The recorder reports a few times a second: silence for this long is a fault."""
-
-PLANT_S: Final = 5.0
-"""How long a cycle of the plant may take; cycles that are long on the wall clock get more."""
+from agents.process.beats import BEAT_S, FORK_SERVER
+from agents.process.events import Event, Joined, Presence, Started, Status
+from bus_schemas.tree import PLANT, RECORDER
+from launch_scripts.supervision import Child, Children, Row
 
 LONGEST_STEP_S: Final = 0.5
-"""Between two looks no more than this counts as silence: a launcher or a machine that stood still
-proves nothing."""
+"""Between two looks of the launcher no more than this counts."""
 
-_PER_PROCESS_S: Final = 0.01
-"""How long recorder and plant may at least take for each process: 1,000 share few processors."""
+_LOOK_S: Final = 0.2
 
-State: TypeAlias = Literal["awaited", "started", "present", "gone", "ended"]
-"""Not seen yet; started by the launcher; on the bus; its liveliness token has disappeared; its
-process has ended."""
+JOIN_S: Final = 30.0
+"""How long a process may take from its start until it is on the bus, where it begins to beat."""
 
+SILENT_S: Final = 5.0
+"""From when on the fork server counts as standing still; the plant, after twice that."""
 
-@dataclass
-class Row:
-    """A process of the run, or an agent that the launcher does not start.
+UNHEARD_S: Final = 1.0
+AGAIN_S: Final = 10.0
+"""How long the recorder may name a live process as unheard, which it does after two cycles or 1 s,
+until its session is opened anew, and then again."""
 
-    unheard_s: For how long nothing was heard of it, in time in which the launcher itself ran [s].
-    looked_at: Up to when that was counted, monotonic [s].
-    """
-
-    name: str
-    state: State = "awaited"
-    unheard_s: float = 0.0
-    looked_at: float = 0.0
-
-    def hear(self, now_s: float, state: State | None = None) -> None:
-        """Note a sign of life, maybe with a new state."""
-        self.unheard_s, self.looked_at = 0.0, now_s
-        self.state = state or self.state
-
-    def count_unheard(self, now_s: float) -> float:
-        """Count the time since the last look as silence; return the silence before."""
-        before_s = self.unheard_s
-        self.unheard_s += min(now_s - self.looked_at, LONGEST_STEP_S)
-        self.looked_at = now_s
-        return before_s
+GONE_S: Final = 2.0
+"""How long a run waits for the return of an external agent without which it cannot go on."""
 
 
 class Watch:
-    """The table of a run. `say` shows a line to the user, `now_s` is the monotonic clock.
+    """Judges which of the launcher's processes live.
 
-    own: Rows of the launcher's processes, which note what these say of themselves.
-    speakers: The process that speaks for each agent with a standby, and since which cycle.
-    unheard: Keys on which nothing came from external agents in the newest arming round.
-    complete_at: When all external agents had been seen; None: some have not.
+    ran_s: How long the launcher has run [s].
+    """
+
+    def __init__(
+        self, plan: RunPlan, children: Children, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.ran_s = 0.0
+        self._children = children
+        self._now_s = now_s
+        self._looked_at_s = now_s()
+        self._look_at_s = 0.0
+        self._server = Row("present")
+        self._limit_s = plan.supervision.restart.frozen_s + BEAT_S
+        cycle_s = plan.timing.cycle_wall_ns / 1e9
+        # In lockstep a cycle may take any time.
+        self._cycle_s = 3.0 * cycle_s + self._limit_s if cycle_s else None
+        self._cycles = plan.timing.cycles
+
+    def hear(self, child: Child, event: Event) -> None:
+        """Count from the start of a process, and from when it is on the bus."""
+        if isinstance(event, Started | Joined):
+            child.row.beat_at_s = child.row.moved_at_s = self.ran_s
+            child.row.cycle = -1
+
+    def look(self) -> Iterator[tuple[Child, str]]:
+        """Yield the processes that do not live, and why. To be called several times a second."""
+        now_s = self._now_s()
+        self.ran_s += min(now_s - self._looked_at_s, LONGEST_STEP_S)
+        self._looked_at_s = now_s
+        if self.ran_s < self._look_at_s:
+            return
+        self._look_at_s = self.ran_s + _LOOK_S
+        self._see(FORK_SERVER, self._server)
+        for child in self._children:
+            sends = self._see(child.agent, child.row)
+            if why := self._objection(child, sends=sends):
+                yield child, why
+
+    def silent_s(self, child: Child) -> float:
+        """Return for how long a process has not beaten [s]."""
+        return self.ran_s - child.row.beat_at_s
+
+    @property
+    def server_stands_still(self) -> bool:
+        return self._server.beat_ns > 0 and self.ran_s - self._server.beat_at_s > SILENT_S
+
+    def _see(self, name: str, row: Row) -> bool:
+        """Take in the newest beat; return whether the process is sending."""
+        beat = self._children.table.read(name)
+        if beat.time_ns != row.beat_ns:
+            row.beat_ns, row.beat_at_s = beat.time_ns, self.ran_s
+            if beat.cycle != row.cycle:
+                row.cycle, row.moved_at_s = beat.cycle, self.ran_s
+        return beat.sends
+
+    def _objection(self, child: Child, *, sends: bool) -> str:
+        """Say why a process does not live; empty if it does."""
+        row = child.row
+        is_over = child.finished or child.recorded or child.exited
+        # In lockstep a process that sends waits for a listener.
+        if is_over or row.state not in {"started", "present"} or sends:
+            return ""
+        more_s = 2.0 * SILENT_S if child.kind == "plant" else 0.0
+        limit_s = max(self._limit_s, more_s) if row.state == "present" else JOIN_S
+        if self.silent_s(child) > limit_s:
+            return f"has not beaten for {limit_s:.1f} s"
+        if self._cycle_s is None or child.kind == "recorder" or not 0 <= row.cycle < self._cycles:
+            return ""
+        if self.ran_s - row.moved_at_s > self._cycle_s + more_s:
+            return f"beats and stays in cycle {row.cycle}"
+        return ""
+
+
+class Hearing:
+    """Which live processes are not heard: what is broken is a link, so nobody is killed.
+
+    Their sessions are opened anew, by `reopen`. If the recorder does not hear the plant, the
+    recorder is cut off, and the run goes on.
+
+    gaps: First and last cycle that are not recorded. The last is the plant's newest so far while
+        the gap is open.
+    """
+
+    def __init__(
+        self,
+        children: Children,
+        watch: Watch,
+        reopen: Callable[[str], None],
+        say: Callable[[str], None],
+    ) -> None:
+        self.gaps: list[tuple[int, int]] = []
+        self._children = children
+        self._watch = watch
+        self._reopen = reopen
+        self._say = say
+        self._is_cut = False
+        self._recorded = -1
+        self._due_s: dict[str, float] = {}
+
+    def hear(self, status: Status) -> None:
+        """Take in whom the recorder does not hear, and of whom others miss messages."""
+        live = {child.agent for child in self._children if self._lives(child)}
+        not_heard, missed = live.intersection(status.not_heard), live.intersection(status.missed)
+        hears_plant = PLANT not in not_heard
+        hears_nobody = bool(not_heard) and live - {RECORDER} <= not_heard
+        unheard = not_heard | missed
+        if hears_nobody or (not hears_plant and PLANT not in missed):
+            unheard = missed | {RECORDER}
+        for name in self._due_s.keys() - unheard:
+            del self._due_s[name]
+        for name in unheard:
+            if self._watch.ran_s >= self._due_s.setdefault(name, self._watch.ran_s + UNHEARD_S):
+                self._due_s[name] = self._watch.ran_s + AGAIN_S
+                self._say(f"{name} lives and is not heard: its session is opened anew")
+                self._reopen(name)
+        if PLANT in live:
+            self._recorded = max(self._recorded, status.cycle)
+            self._note_gap(hears_plant=hears_plant, hears_nobody=hears_nobody)
+
+    def _note_gap(self, *, hears_plant: bool, hears_nobody: bool) -> None:
+        newest, first = self._children[PLANT].row.cycle, self._recorded + 1
+        if hears_plant and self._is_cut:
+            self._is_cut = False
+            self.gaps[-1] = self.gaps[-1][0], first - 2
+            self._say(f"recorder hears the plant again, in cycle {first - 1:,}")
+        elif not hears_plant and newest > first:
+            if not self._is_cut:
+                self._is_cut = True
+                self.gaps.append((first, newest))
+                whom = "anybody" if hears_nobody else "the plant"
+                where = f"since cycle {first:,} it does not hear {whom}"
+                self._say(f"recorder is cut off: {where}; the run goes on")
+            self.gaps[-1] = self.gaps[-1][0], newest
+
+    def _lives(self, child: Child) -> bool:
+        is_over = child.finished or child.recorded or child.exited
+        return child.ready and not is_over and self._watch.silent_s(child) < 2.0 * BEAT_S
+
+
+Presences: TypeAlias = Literal["awaited", "present", "gone"]
+
+
+class Externals:
+    """The agents that the launcher does not start, as the recorder sees their liveliness tokens.
+
+    complete_at: When all had been seen; None: some have not.
+    unheard: Keys on which nothing came from them in the newest arming round.
     """
 
     def __init__(
         self,
         plan: RunPlan,
-        own: Mapping[str, Row],
         say: Callable[[str], None],
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.rows = dict(own) | {name: Row(name) for name in plan.elsewhere if name not in own}
-        self.speakers = {agent: (agent, 0) for agent in plan.standbys}
-        self.unheard: Sequence[str] = ()
         self.complete_at = None if plan.elsewhere else now_s()
+        self.unheard: Sequence[str] = ()
         self._plan = plan
-        self._own = own
         self._say = say
         self._now_s = now_s
-        least_s = _PER_PROCESS_S * len(plan.processes)
-        patience_s = HEARTBEAT_S if plan.timing.lockstep else PATIENCE_S
-        if plan.restarts:  # Before that it is killed, and a new one begins.
-            patience_s = plan.supervision.restart.frozen_s + PATIENCE_S
-        self._recorder_s = max(patience_s, least_s)
-        self._cycle_s = max(PLANT_S, least_s, 3.0 * plan.timing.cycle_wall_ns / 1e9)
-        self._cycle = -1
-
-    def begin(self) -> None:
-        """Count silence from now on: cycle 0 begins."""
-        for row in self.rows.values():
-            row.hear(self._now_s())
+        self._states: dict[str, Presences] = dict.fromkeys(plan.elsewhere, "awaited")
+        self._gone_at_s: dict[str, float] = {}
 
     @property
     def awaited(self) -> list[str]:
-        """The external agents that have not been seen."""
-        return [name for name in self._plan.elsewhere if self.rows[name].state == "awaited"]
-
-    def speaker(self, agent: str) -> str:
-        """Return the process that speaks for an agent: its first one or its standby."""
-        return self.speakers.get(agent, (agent, 0))[0]
-
-    # What is heard --------------------------------------------------------------------------------
+        """Those that have not been seen."""
+        return [name for name, state in self._states.items() if state == "awaited"]
 
     def hear(self, event: Event) -> None:
-        """Take in what the recorder says of the others."""
-        now_s = self._now_s()
-        match event:
-            case Status():
-                self.rows[RECORDER].hear(now_s)
-                self.unheard = event.unheard
-                if event.cycle != self._cycle:
-                    self._cycle = event.cycle
-                    self._hear_plant(now_s)
-            case Presence():
-                self._say(self._presence(event, self.rows[event.agent], now_s))
+        if isinstance(event, Status):
+            self.unheard = event.unheard
+        elif isinstance(event, Presence):
+            self._say(self._note(event))
 
-    def _hear_plant(self, now_s: float) -> None:
-        if self.rows[PLANT].state != "gone":
-            self.rows[PLANT].hear(now_s)
-
-    def _presence(self, event: Presence, row: Row, now_s: float) -> str:
-        """Note that an external agent has appeared or disappeared; return a message about it."""
-        agent, plan = event.agent, self._plan
+    def _note(self, event: Presence) -> str:
+        """Note that one has appeared or disappeared; return a message about it."""
+        agent, plan, lockstep = event.agent, self._plan, self._plan.timing.lockstep
         name = f"{agent} ({plan.access.addresses.get(agent, 'external')})"
         when = f"in cycle {event.cycle}" if event.cycle >= 0 else "before cycle 0"
-        was = row.state
+        was = self._states[agent]
         if not event.alive:
-            if event.cycle >= 0 and not plan.timing.lockstep and agent != PLANT:
+            if event.cycle >= 0 and not lockstep and agent != PLANT:
                 return f"{name} is gone {when}; the run goes on without it"
             if event.cycle >= 0 and agent in plan.access.external:
-                row.hear(now_s, "gone")
+                self._states[agent] = "gone"
+                self._gone_at_s[agent] = self._now_s()
             return f"{name} is gone {when}"
         # In lockstep no message is sent twice: a device that comes back lacks what it missed.
-        if was != "gone" or not plan.timing.lockstep:
-            row.hear(now_s, "present")
+        if was != "gone" or not lockstep:
+            self._states[agent] = "present"
+            self._gone_at_s.pop(agent, None)
         if was != "awaited":
             return f"{name} is back {when}"
         if not self.awaited:
-            self.complete_at = now_s
+            self.complete_at = self._now_s()
         return f"{name} is here"
 
-    def take_over(self, name: str, cycle: int) -> bool:
-        """Note that a process speaks for its agent from a cycle on.
-
-        Returns False if both processes of the agent took over at once: neither would yield, and the
-        first one is to speak.
-        """
-        agent = agent_of(name)
-        before, since = self.speakers[agent]
-        are_both = since == cycle and before != name
-        self.speakers[agent] = (agent if are_both else name, cycle)
-        return not are_both
-
-    # Silence --------------------------------------------------------------------------------------
-
     def failure(self) -> tuple[str, str] | None:
-        """Return who was not heard for so long that the run has failed, and a message about it.
-
-        To be called several times a second.
-        """
-        now_s, recorder, plant = self._now_s(), self.rows[RECORDER], self.rows[PLANT]
-        before_s = recorder.count_unheard(now_s)
-        if recorder.unheard_s > self._recorder_s:
-            return RECORDER, f"recorder has been unresponsive for {self._recorder_s:g} s"
-        if recorder.unheard_s > HEARTBEAT_S:
-            if before_s <= HEARTBEAT_S:
-                self._say(f"recorder has been unresponsive for {HEARTBEAT_S:g} s")
-            self._hear_plant(now_s)
-        elif plant.state != "gone":
-            plant.count_unheard(now_s)
-            if plant.unheard_s > self._cycle_s:
-                return PLANT, f"plant has not completed a cycle for {self._cycle_s:g} s"
-        for name in self._plan.access.external:
-            row = self.rows[name]
-            if row.state == "gone":
-                row.count_unheard(now_s)
-                if row.unheard_s > HEARTBEAT_S:
-                    return name, f"{name} is gone: the run cannot go on without it"
+        """Return who is gone for so long that the run has failed, and a message about it."""
+        for name, at_s in self._gone_at_s.items():
+            if self._now_s() > at_s + GONE_S:
+                return name, f"{name} is gone: the run cannot go on without it"
         return None
-
-    def unresponsive(self, unheard: Collection[str], unheard_s: float) -> Iterator[str]:
-        """Yield the controllers that were not heard for longer than the policy allows.
-
-        To be called again and again with the agents that were not heard for `unheard_s` or longer.
-        A process that stands by is not heard, but says so every now and then.
-        """
-        now_s, frozen_s = self._now_s(), self._plan.supervision.restart.frozen_s
-        for name, row in self._own.items():
-            agent = agent_of(name)
-            speaks = self.speaker(agent) == name
-            if name in {PLANT, RECORDER}:
-                continue
-            if row.state in {"awaited", "ended"} or (speaks and agent not in unheard):
-                row.hear(now_s)
-                continue
-            before_s = row.count_unheard(now_s)
-            if speaks and 0.0 < before_s <= LONGEST_STEP_S < row.unheard_s:
-                self._say(f"{name} says nothing")
-            longest_s = frozen_s - unheard_s if speaks else frozen_s + 2.0 * ALIVE_S
-            if before_s and row.unheard_s >= longest_s:
-                yield name

@@ -110,7 +110,8 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
         launcher = self.launcher
         counts = self.lost, self.missing_inputs, launcher.skipped_cycles, launcher.recording_ended
         events = launcher.dropped, launcher.wrong, launcher.restarts, launcher.takeovers
-        return any((*counts, *events, *(device.is_troubled for device in self.devices)))
+        lacks = launcher.given_up, launcher.recording_gaps
+        return any((*counts, *events, *lacks, *(device.is_troubled for device in self.devices)))
 
     def refused(self, account: ExternalAccount) -> int:
         """Return how many messages of an external agent were refused, but for those too late."""
@@ -122,6 +123,11 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
         launcher = self.launcher
         if launcher.recording_ended:
             yield launcher.recording_ended
+        if launcher.given_up:
+            yield f"given up in the run: {listed([*launcher.given_up])}"
+        if launcher.recording_gaps:
+            spans = [f"{first:,} to {last:,}" for first, last in launcher.recording_gaps]
+            yield f"the recorder was cut off: not recorded are cycles {listed(spans)}"
         if attacked := self._two_senders():
             text = listed([f"{one.key}: {one.example}" for one in attacked])
             yield f"more than one program sent messages on {text}"

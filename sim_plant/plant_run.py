@@ -80,6 +80,7 @@ def _await_all(process: AgentProcess, give_up_at: float) -> None:
         if time.monotonic() > give_up_at:
             absent = [agent for key, agent in others.items() if key not in tokens.alive()]
             raise FailureError(f"no sign of life from {listed(absent)}")
+        process.beat()
         time.sleep(0.005)
 
 
@@ -105,6 +106,7 @@ def _round_closes(process: AgentProcess, cycle: int, until: float) -> bool:
         for arrival in process.driver.turn(longest_ns=round(until * 1e9)):
             if arrival.port is READY.of(ROOT) and arrival.message.cycle == cycle:
                 is_recorded = True
+        process.beat()
         if is_recorded and not process.loop.stage:
             return True
     return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from math import inf
 from typing import Any, Final
@@ -18,20 +18,21 @@ from agents.eager_driver import EagerDriver
 from agents.inputs import log_drop
 from agents.loop import Loop
 from agents.plan import RunPlan
-from agents.process.events import Alive, Failed, Finished, Joined, TookOver, Waiting
+from agents.process.beats import BEAT_S
+from agents.process.events import Failed, Finished, Joined, TookOver, Waiting
 from agents.process.launcher_link import LauncherLink
 from agents.process.machine import take_machine
 from agents.process.session import session_settings
 from agents.team import controller
+from bus_schemas.bus import Arrival, Bus
 from bus_schemas.errors import FailureError
 from bus_schemas.host_clock import HostClock
-from bus_schemas.tree import PLANT, agent_of
+from bus_schemas.messages import GivenUp, Message
+from bus_schemas.signals import GIVEN_UP, Port
+from bus_schemas.tree import PLANT, ROOT, agent_of
 from bus_schemas.zenoh_bus import FaultyBus, ZenohBus
 
 log = logging.getLogger(__name__)
-
-ALIVE_S: Final = 1.0
-"""How often a process says that it is alive, if no message of it is heard on this host."""
 
 _LOOK_S: Final = 0.02
 _STOP_LOOK_S: Final = 0.5
@@ -101,7 +102,7 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
         if loop.times.stop_heard and loop.times.end_cycle == plan.timing.cycles:
             return True
         process.driver.turn(longest_ns=process.driver.now_ns() + round(_STOP_LOOK_S * 1e9))
-        process.tell_alive()
+        process.beat()
         if process.plant_is_gone():
             return True
         if time.monotonic() > give_up_at:
@@ -110,8 +111,28 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
     return link.dismissed
 
 
+class _NotingBus:
+    """The bus of an agent in lockstep, where it may have to wait until a message can go out."""
+
+    def __init__(self, bus: Bus, link: LauncherLink) -> None:
+        self._bus = bus
+        self._link = link
+
+    def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
+        self._link.note_sending(sends=True)
+        self._bus.publish(port, message, now_ns)
+        self._link.note_sending(sends=False)
+
+    def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
+        return self._bus.receive(until_ns, wanted)
+
+
 class AgentProcess:
-    """An agent in a run: its loop and driver on the bus, and its link to the launcher."""
+    """An agent in a run: its loop and driver on the bus, and its link to the launcher.
+
+    It beats after each wait. A controller's own thread waits for the lock that Zenoh's thread holds
+    while it acts: if the agent hangs on either thread, there is no beat.
+    """
 
     def __init__(
         self, plan: RunPlan, agent: Agent[Any], link: LauncherLink, name: str | None = None
@@ -120,13 +141,12 @@ class AgentProcess:
         self.plan = plan
         self.link = link
         set_up_process(plan, agent.name)
-        self._is_away = is_away = name in plan.access.addresses
-        self._tell_at = 0.0
+        is_away = name in plan.access.addresses
         self._bus = ZenohBus(
             name,
             plan.wiring,
             session_settings(plan, name),
-            patience_s=min(plan.timing.stall_timeout_s, ALIVE_S),
+            patience_s=min(plan.timing.stall_timeout_s, BEAT_S),
             clock=HostClock() if is_away else None,
             starts=link.starts,
         )
@@ -141,9 +161,13 @@ class AgentProcess:
         if plan.faults.device:
             disturbed = DeviceFaults(plan.faults.device).disturbed
             self._bus.change_device_puts(partial(disturbed, cycle_time_ns=self.loop.times.time_ns))
+        if plan.timing.lockstep and link.table is not None:
+            self.driver.bus = _NotingBus(self.driver.bus, link)
         self.watch_tokens = self._bus.watch_tokens
         self._tokens = self.watch_tokens() if is_away or link.by_hand else None
         self._plant_left_at = inf
+        self._given_up: tuple[str, ...] = ()
+        self.beat()
         link.tell(Joined())
 
     def __enter__(self) -> AgentProcess:
@@ -170,7 +194,7 @@ class AgentProcess:
                 self.link.tell(Waiting(loop.cycle, loop.stage, loop.needs))
             if was_silent and not loop.standby.silent:
                 self.link.tell(TookOver(loop.standby.incarnation))
-            self.tell_alive()
+            self.beat()
             # Controllers act on the bus's thread meanwhile: what they publish is lost.
             if self.link.unheard:
                 self.link.unheard = False
@@ -178,11 +202,19 @@ class AgentProcess:
             was_silent = loop.standby.silent
             yield
 
-    def tell_alive(self) -> None:
-        """Say that the process is alive, if nothing else is heard of it."""
-        if (self.loop.standby.silent or self._is_away) and time.monotonic() >= self._tell_at:
-            self._tell_at = time.monotonic() + ALIVE_S
-            self.link.tell(Alive())
+    def beat(self) -> None:
+        """Show that the process is alive; as the plant, say who has been given up since."""
+        loop, table = self.loop, self.link.table
+        self.link.beat(loop.cycle)
+        if loop.name != PLANT or table is None or loop.cycle < 0:
+            return
+        if table.number_given_up != len(self._given_up):
+            self._given_up = agents = table.given_up()
+            sim_time_ns = self.plan.timing.sim_time_ns(loop.cycle)
+            message = GivenUp(loop.cycle, sim_time_ns, PLANT, (), agents=agents)
+            self.driver.publish(GIVEN_UP.of(ROOT), message)
+            loop.give_up(agents, self.driver.now_ns())
+            self.driver.advance(loop)
 
     def plant_is_gone(self) -> bool:
         """Whether the plant has disappeared and, if it is on another host, does not come back.
@@ -205,6 +237,7 @@ class AgentProcess:
             if publishers <= tokens.alive():
                 for _, port, message, time_ns in self._bus.newest():
                     self.loop.hear(port, message, time_ns)
+            self.beat()
             time.sleep(_LOOK_S)
 
     def report(self) -> None:

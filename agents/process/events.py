@@ -30,9 +30,9 @@ class Waiting(Event, frozen=True):
 class Status(Event, frozen=True):
     """What the recorder has seen so far, for a live view. Powers in kW.
 
-    `unheard` are the keys on which external agents have said nothing in an arming round,
-    `unresponsive` the controllers that have said nothing for longer than they may between
-    two cycles.
+    `unheard` are the keys on which external agents have said nothing in an arming round. In real
+    time, `not_heard` are the agents that the recorder has not heard for a while, `missed` those of
+    which their listeners lack more than one message.
     """
 
     cycle: int
@@ -43,11 +43,8 @@ class Status(Event, frozen=True):
     needy: list[str]
     recorded: int
     unheard: list[str] = []
-    unresponsive: list[str] = []
-
-
-class Alive(Event, frozen=True):
-    """The process is alive. Its messages are not heard here: a standby, or on another host."""
+    not_heard: list[str] = []
+    missed: list[str] = []
 
 
 class TookOver(Event, frozen=True):

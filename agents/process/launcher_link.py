@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
 import sys
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import reduce
 from operator import or_
@@ -13,7 +13,8 @@ from typing import Final
 
 import msgspec
 
-from agents.process.events import Alive, Event, Status
+from agents.process.beats import BeatTable
+from agents.process.events import Event, Status
 
 _PART: Final = 60_000
 """Bytes of an event in one packet: a socket takes packets of some 200 kB at most."""
@@ -26,8 +27,7 @@ class LauncherLink:
     """A process's end of the link. One that was started by hand prints its events.
 
     events: Socket that keeps packets apart, shared with the other processes of the run.
-    expected: Pipe on which the launcher tells the recorder how many messages to expect.
-
+    table: Where the process beats.
     starts: How many processes the agent had before this one.
 
     dismissed: Whether the launcher wants the agent to end.
@@ -37,17 +37,17 @@ class LauncherLink:
 
     def __init__(
         self,
-        agent: str,
+        name: str,
         events: socket.socket | None = None,
-        expected: int | None = None,
+        table: BeatTable | None = None,
         starts: int = 0,
     ) -> None:
         self.dismissed = False
         self.unheard = False
         self.starts = starts
-        self._agent = agent
+        self.table = table
+        self._name = name
         self._events = events
-        self._expected = expected
 
     @property
     def by_hand(self) -> bool:
@@ -60,7 +60,7 @@ class LauncherLink:
             signal.signal(number, self._dismiss)
 
     def reopen_on(self, number: signal.Signals) -> None:
-        """Treat a signal as the launcher's word that nobody hears the agent."""
+        """Treat a signal as news that nobody hears the agent."""
         signal.signal(number, self._note_unheard)
 
     def _dismiss(self, *_: object) -> None:
@@ -69,6 +69,19 @@ class LauncherLink:
     def _note_unheard(self, *_: object) -> None:
         self.unheard = True
 
+    def beat(self, cycle: int) -> None:
+        """Show that the loop that does the work is at work, or waits in this cycle."""
+        if self.table is not None:
+            self.table.beat(self._name, cycle)
+
+    def note_sending(self, *, sends: bool) -> None:
+        if self.table is not None:
+            self.table.note_sending(self._name, sends=sends)
+
+    def expected_messages(self) -> int | None:
+        """Return how many messages of the run were published in all; None: not known yet."""
+        return self.table.expected() if self.table is not None else None
+
     def tell(self, event: Event) -> None:
         data = msgspec.json.encode(event)
         if self._events is None:
@@ -76,46 +89,42 @@ class LauncherLink:
             sys.stdout.buffer.flush()
             return
         # A launcher that stands still must not delay the run.
-        flags = socket.MSG_DONTWAIT if isinstance(event, Status | Alive) else 0
+        flags = socket.MSG_DONTWAIT if isinstance(event, Status) else 0
         # The launcher may be gone; the recorder still closes its file.
         with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):
-            for packet in packets(self._agent, data):
+            for packet in packets(self._name, data):
                 self._events.send(packet, flags)
 
-    def expected_messages(self) -> int | None:
-        """Return how many messages of the run were published in all; None: not known yet."""
-        if self._expected is None:
+
+def packets(name: str, data: bytes) -> Iterator[bytes]:
+    """Cut a text into packets: whether it is the first and the last, who says it, and a part."""
+    for start in range(0, len(data) or 1, _PART):
+        marks = ("^" if start == 0 else "-") + ("$" if start + _PART >= len(data) else "-")
+        yield f"{marks}{name}\n".encode() + data[start : start + _PART]
+
+
+class Packets:
+    """Puts together again what was cut into packets."""
+
+    def __init__(self) -> None:
+        self._begun: dict[str, bytes] = {}
+
+    def feed(self, packet: bytes) -> tuple[str, bytes] | None:
+        """Take in a packet; return who said it and the text once it is whole.
+
+        Who found no room for the rest of a text, or died, begins with another one.
+        """
+        head, _, part = packet.partition(b"\n")
+        name = head[2:].decode()
+        begun = b"" if head[:1] == b"^" else self._begun.pop(name, None)
+        if begun is None:
             return None
-        with suppress(BlockingIOError, ValueError):  # Nothing yet, or the server is gone.
-            return int(os.read(self._expected, 32))
+        if head[1:2] == b"$":
+            self._begun.pop(name, None)
+            return name, begun + part
+        self._begun[name] = begun + part
         return None
 
 
-def packets(agent: str, data: bytes) -> list[bytes]:
-    """Cut an event into packets: a mark for the last one, the agent, a part of the event."""
-    parts = [data[start : start + _PART] for start in range(0, len(data), _PART)]
-    head = f"{agent}\n".encode()
-    return [b"+" + head + part for part in parts[:-1]] + [b"." + head + parts[-1]]
-
-
-def server_packet(agent: str, data: bytes) -> bytes:
-    """Return a packet of the fork server about an agent, with a whole event."""
-    return b"!" + f"{agent}\n".encode() + data
-
-
-class EventReader:
-    """The launcher's end: puts events together again."""
-
-    def __init__(self) -> None:
-        self._parts: dict[str, bytes] = {}
-
-    def feed(self, packet: bytes) -> tuple[str, Event] | None:
-        """Take in a packet; return agent and event once it is whole."""
-        name, _, part = packet[1:].partition(b"\n")
-        agent = name.decode()
-        begun = self._parts.pop(agent, b"")
-        if packet[:1] == b"+":
-            self._parts[agent] = begun + part
-            return None
-        # An agent of which the server speaks does not complete the event that it has begun.
-        return agent, _decoder.decode(part if packet[:1] == b"!" else begun + part)
+def decode_event(data: bytes) -> Event:
+    return _decoder.decode(data)

@@ -73,7 +73,9 @@ class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
 
     `dropped`: messages that agents could not use, by cause. `takeovers` counts how often a standby
     took each agent over. `skipped_cycles` were over before a process came to them.
-    `recording_ended`: why the recording does not hold the run as a whole.
+    `recording_ended`: why the recording does not hold the run as a whole. `given_up`: processes
+    that were not started again, and since which cycle. `recording_gaps`: first and last cycles that
+    the recorder did not hear.
     """
 
     dropped: dict[str, int] = {}
@@ -81,6 +83,8 @@ class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
     takeovers: dict[str, int] = {}
     skipped_cycles: int = 0
     recording_ended: str = ""
+    given_up: dict[str, int] = {}
+    recording_gaps: tuple[tuple[int, int], ...] = ()
     wrong: tuple[WrongMessages, ...] = ()
     interrupted: bool = False
 
@@ -219,6 +223,7 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "absent", f"{RECORDER}: restarted ({recorder:,})"
     elif not by_weight:
         yield "absent", "none"
+    yield from _lacks(launcher, clock) if launcher else ()
     end, planned = "ended in order", clock.plan.timing.cycles
     if health.failure:
         end = f"failed: {health.failure}"
@@ -242,6 +247,13 @@ def _true_absences(health: Health, plan: RunPlan) -> Iterator[Absence]:
             yield absence
         elif absence.cycles:
             yield replace(absence, how="back")
+
+
+def _lacks(launcher: LauncherAccount, clock: RunClock) -> Iterator[tuple[str, str]]:
+    for name, cycle in launcher.given_up.items():
+        yield "given up", f"{name} {clock.span_text(cycle, cycle)}"
+    for first, last in launcher.recording_gaps:
+        yield "gap", f"not recorded {clock.span_text(first, last)}: the recorder was cut off"
 
 
 def _effect_text(effect: FaultEffect, clock: RunClock) -> str:

@@ -25,7 +25,7 @@ LISTED_GAPS: Final = 100
 """So many gaps are kept with their cycles."""
 
 
-_NOTHING_MISSED = b"missing\x90"
+NOTHING_MISSED = b"missing\x90"
 """In a payload: an empty list."""
 
 
@@ -144,7 +144,7 @@ class MissedInputs:
 
     def see(self, record: RecordedMessage) -> list[str]:
         """Count what a record says; return the keys that its sender missed."""
-        if _NOTHING_MISSED in record.payload:
+        if NOTHING_MISSED in record.payload:
             return []
         try:
             return self.count(record.port, record.message())

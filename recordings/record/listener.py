@@ -14,7 +14,7 @@ from agents.process.events import Armed, Event, Status
 from bus_schemas.codec import decode, decode_head
 from bus_schemas.messages import Head, Message, Ready, Run
 from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, RUN, Port
-from bus_schemas.tree import PLANT, RECORDER, ROOT, agent_name
+from bus_schemas.tree import PLANT, RECORDER, ROOT
 from bus_schemas.zenoh_session import TokenWatch
 from recordings.record.complaints import (
     CONFLICTING,
@@ -25,9 +25,10 @@ from recordings.record.complaints import (
     WRONG_SENDER,
     Complaints,
 )
-from recordings.record.monitor import RunMonitor, longest_pause_s
+from recordings.record.monitor import RunMonitor
 from recordings.record.phases import ArmingRound, RunPosition
 from recordings.record.plausibility import out_of_range
+from recordings.record.reach import Reach
 from recordings.record.senders import ExternalAgents, SecondSenders
 from recordings.record.writer import RunWriter
 
@@ -90,7 +91,7 @@ class RunListener:
         self._now_ns = now_ns
         self._arming = ArmingRound(plan, answered=joins_late)
         self._joins_late = joins_late
-        self._heard_at_ns = {agent_name(node): now_ns() for node in plan.tree.nodes}
+        self._reach = Reach(plan, now_ns())
         self._keys = {plan.wiring.key(port): _key(plan, port) for port in plan.wiring.ports}
 
     @property
@@ -116,7 +117,7 @@ class RunListener:
         if head.source != known.publisher:
             self.complaints.add(key, WRONG_SENDER, f"it is from {head.source!r}")
         elif head.cycle < 0:
-            self._heard_at_ns[head.source] = self._now_ns()
+            self._reach.hear(head, payload, self._now_ns())
             if self._arming.hear(port, head.cycle):
                 return Ready(head.cycle, head.sim_time_ns, RECORDER, ())
         elif known.is_logged:
@@ -134,9 +135,9 @@ class RunListener:
         if self._plan.elsewhere and self.position.newest_cycle < 0:
             status = replace(status, unheard=self._arming.unheard(self._plan.elsewhere))
         if not self._plan.timing.lockstep:
-            since_ns = self._now_ns() - round(longest_pause_s(self._plan) * 1e9)
-            late = [agent for agent, at_ns in self._heard_at_ns.items() if at_ns < since_ns]
-            status = replace(status, unresponsive=late)
+            now_ns = self._now_ns()
+            heard, missed = self._reach.not_heard(now_ns), self._reach.missed(now_ns)
+            status = replace(status, not_heard=heard, missed=missed)
         return status
 
     def _last_cycle_of(self, port: Port[Message]) -> float:
@@ -162,7 +163,7 @@ class RunListener:
     ) -> None:
         port, heard_ns = known.port, self._now_ns()
         self._writer.add(port, head, payload, heard_ns)
-        self._heard_at_ns[head.source] = heard_ns
+        self._reach.hear(head, payload, heard_ns)
         complaint = self.senders.hear(port, head.cycle, head.incarnation, payload)
         if known.is_elsewhere and message is not None:
             self.external.hear(port, head.cycle)

@@ -129,6 +129,7 @@ class Recorder:
                 self._ask_launcher()
                 self._sleep(_NAP_S)
             now = self._now_s()
+            self._link.beat(position.newest_cycle)
             if now >= flush_at:
                 self._writer.flush()
                 flush_at = now + FLUSH_S

@@ -9,7 +9,7 @@ from typing import Final, TypeAlias
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Takeover
+from bus_schemas.messages import GivenUp, Message, Takeover
 from bus_schemas.signals import Port
 
 _READ_AHEAD: Final = 50_000
@@ -94,6 +94,9 @@ class RecordedCycles:
                 self._add(port, message)
             elif isinstance(message, Takeover):
                 self.takeovers[port.publisher, message.incarnation] = message
+            elif isinstance(message, GivenUp):
+                for agent in message.agents:
+                    self._absences.append((agent, range(message.cycle, self._end)))
             while self._waiting > most_waiting:
                 yield self._pop()
         if self._broke_off:  # The agents may not have completed their last cycle.

@@ -45,6 +45,7 @@ class LiveControllers:
         self._children = children
         self._on_message = on_message
         self._key = plan.wiring.key
+        self._tree = plan.tree
         self._inbox = Inbox()
         self._ports = [port for port in plan.wiring.ports if port.publisher in names]
         self._steps = {port: step for port in self._ports if (step := due_step(plan, port))}
@@ -99,7 +100,9 @@ class LiveControllers:
     def stall(self, cycle: int) -> RunFailure:
         """Return why a cycle does not end: the controllers say what they wait for."""
         is_known = any(child.waiting for child in self._children)
-        return RunFailure(stall(self._children)[0] if is_known else f"stalled in cycle {cycle}")
+        return RunFailure(
+            stall(self._children, self._tree)[0] if is_known else f"stalled in cycle {cycle}"
+        )
 
     def receive_the_last(self) -> None:
         """Let the controllers end, and receive all that they have sent."""

@@ -71,7 +71,7 @@ def replay_live(
             LiveBus(its_plan, live, tcp_ports[_OTHERS], observers, children, interruption) as bus,
         ):
             say(out, f"live: {', '.join(live)}; all others as recorded")
-            server.ask(Start(str(path), tuple(live), str(folder), 0.0))
+            server.ask(Start(str(path), tuple(live), str(folder)))
             upcoming = UpcomingMessages(reader, reader.ports(), range(plan.timing.cycles))
             clock = PlaybackClock(0.0 if plan.timing.lockstep else 1.0, sleep=bus.listen)
             playback = Playback(upcoming, bus, clock, no_keyboard, interruption, line)

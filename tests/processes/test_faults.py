@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import io
 import re
+import shutil
 import signal
 from pathlib import Path
 
@@ -12,11 +13,12 @@ import psutil
 import pytest
 from command_line import python
 from rich.console import Console
-from running import Heliarch, Start, assert_none_left, small_plant
+from running import Heliarch, Start, assert_none_left
 from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded
 
-from bus_schemas.signals import IMPP
+from bus_schemas.messages import GivenUp
+from bus_schemas.signals import GIVEN_UP, IMPP
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import RECORDER
 from heliarch.cli.live_view import PlainView
@@ -45,25 +47,95 @@ def run(heliarch: Start, plant: str) -> Heliarch:
     return command
 
 
-# Whoever is killed, the run ends, says who it was, and leaves no process -------------------------
+# The plant alone ends a run. Whoever else dies is named, and no process is left -------------------
 
 
-@pytest.mark.parametrize(
-    ("victim", "number"),
-    [
-        (INVERTER, signal.SIGTERM),
-        ("plant", signal.SIGKILL),
-        ("recorder", signal.SIGTERM),
-    ],
-)
-def test_a_process_that_a_signal_ends_ends_the_run_and_is_named(
-    run: Heliarch, victim: str, number: signal.Signals
-) -> None:
-    process = run.process_of(victim)
-    process.send_signal(number)
+def test_a_killed_plant_ends_the_run_and_is_named(run: Heliarch) -> None:
+    process = run.process_of("plant")
+    process.send_signal(signal.SIGKILL)
     assert run.wait() == 1
-    assert f"{victim} (process {process.pid})" in run.error_text()
+    assert f"plant (process {process.pid})" in run.error_text()
+    assert "in the middle of the run" in run.error_text()
     assert run.recorded_cycles() > 0
+
+
+@pytest.mark.parametrize("words", [("--pace", "20", "--set", "restart.when=never"), ()])
+def test_a_controller_that_is_not_started_again_is_given_up_and_the_run_goes_on(
+    heliarch: Start, plant: str, words: tuple[str, ...]
+) -> None:
+    run = heliarch("launch", plant, "--duration", "10h", *words)
+    run.until_recorded()
+    for victim in (INVERTER, "c1", "central"):
+        run.process_of(victim).send_signal(signal.SIGTERM)
+        run.until_shown(f"without {victim}")
+        run.until_recorded(run.recorded_cycles() + 3)
+    assert run.interrupt() == 1
+    assert INVERTER in run.error_text()
+    assert list(summary_of(run.folder).launcher.given_up) == [INVERTER, "c1", "central"]
+    with RunReader(run.folder) as reader:
+        (*_, (_, told)) = reader.messages(GIVEN_UP)
+        assert isinstance(told, GivenUp)
+        assert set(told.agents) == {INVERTER, "c1", "central"}
+    assert_equal_as_far_as_recorded(run, verify(run.folder))
+
+
+def test_a_recorder_that_is_not_started_again_is_given_up_and_the_run_goes_on(
+    run: Heliarch,
+) -> None:
+    run.process_of(RECORDER).send_signal(signal.SIGTERM)
+    run.until_shown("without recorder")
+    assert run.interrupt() == 1
+    assert list(summary_of(run.folder).launcher.given_up) == [RECORDER]
+    assert run.recorded_cycles() > 0
+
+
+def test_a_process_that_dies_before_cycle_0_is_started_again(
+    heliarch: Start, plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = DIES_ONCE.replace("FOLDER", repr(str(tmp_path)))
+    (tmp_path / "sitecustomize.py").write_text(code, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    run = heliarch("launch", plant, "--duration", "5")
+    assert run.wait() == 0, run.error_text()
+    assert run.output.read_text().count("killed by signal 9 before cycle 0") == 2
+    assert summary_of(run.folder).launcher.restarts == {RECORDER: 1, INVERTER: 1}
+
+
+DIES_ONCE = f"""
+import os, signal
+from pathlib import Path
+import launch_scripts.process as process
+
+run_process = process.run_process
+
+def die_once(agent, *arguments, **options):
+    flag = Path(FOLDER) / f"killed {{agent.replace('/', '.')}}"
+    if agent in ({INVERTER!r}, "recorder") and not flag.exists():
+        flag.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return run_process(agent, *arguments, **options)
+
+process.run_process = die_once
+"""
+
+
+def test_a_run_whose_folder_and_plan_are_gone_starts_controllers_again_and_fails_at_its_end(
+    heliarch: Start, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "20")
+    run.until_recorded()
+    process = run.process_of(INVERTER)
+    (run.folder / "plan.json").write_text("{", encoding="utf-8")
+    shutil.rmtree(run.folder)
+    process.send_signal(signal.SIGKILL)
+    run.until_shown("it is started again")
+    server = psutil.Process(process.ppid()) if process.is_running() else None
+    assert server is None or server.is_running()
+    cycle = re.compile(r"(\d+) of [\d,]+ cycles")
+    last = int(cycle.findall(run.output.read_text())[-1])
+    run.until(lambda: int(cycle.findall(run.output.read_text())[-1]) > last, "a later cycle")
+    assert run.interrupt() == 1
+    assert "Traceback" not in run.error_text() + run.output.read_text()
 
 
 def test_the_fork_server_is_the_parent_of_all_agents_and_killed_it_is_named(run: Heliarch) -> None:
@@ -125,28 +197,40 @@ def test_a_recorder_that_has_hardly_begun_when_its_launcher_is_killed_ends_too(
 # Frozen -------------------------------------------------------------------------------------------
 
 
-def test_in_lockstep_a_frozen_process_ends_the_run_and_is_named_with_those_who_wait_for_it(
-    heliarch: Start, tmp_path: Path
+def test_in_lockstep_a_frozen_process_is_killed_and_the_run_goes_on_without_it(
+    heliarch: Start, plant: str
 ) -> None:
-    impatient = ("stall_timeout_s = 60", "stall_timeout_s = 3")
-    run = heliarch("launch", small_plant(tmp_path / "plant", impatient))
+    run = heliarch("launch", plant, "--duration", "10h", "--set", "restart.frozen_s=1")
     run.until_recorded()
     run.process_of(INVERTER).send_signal(signal.SIGSTOP)
-    assert run.wait() == 1
-    # Where in its cycle it froze decides whether its parent or the plant misses it first.
-    named = rf"stopped by a signal: {INVERTER}(.|\n)*(c2|plant) waits for {INVERTER}/"
-    assert re.search(named, run.error_text()), run.error_text()
+    run.until_shown(f"without {INVERTER}")
+    run.until_recorded(run.recorded_cycles() + 1)
+    assert run.interrupt() == 1
+    assert "has not beaten" in run.output.read_text()
+    assert_equal_as_far_as_recorded(run, verify(run.folder))
 
 
 def test_a_recorder_that_stands_still_as_a_short_run_ends_is_named_and_not_who_waits_for_it(
     heliarch: Start, plant: str
 ) -> None:
-    run = heliarch("launch", plant, "--duration", "100")
+    run = heliarch("launch", plant, "--duration", "100", "--set", "restart.when=never")
     run.until_shown("armed")
     run.process_of("recorder").send_signal(signal.SIGSTOP)
     assert run.wait() == 1
-    assert "recorder" in run.error_text().splitlines()[0]
+    assert re.search(r"recorder \(process \d+\) .*killed", run.output.read_text())
+    assert len(re.findall("killed", run.output.read_text())) <= 2
     assert_none_left(run.folder)
+
+
+def test_a_fork_server_that_stands_still_at_the_end_is_named_and_not_its_processes(
+    heliarch: Start, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--duration", "100")
+    run.until_shown("armed")
+    server = run.fork_server()
+    server.send_signal(signal.SIGSTOP)
+    assert run.wait() == 1
+    assert f"fork server (process {server.pid}) stands still" in run.error_text()
 
 
 def test_a_run_over_a_bad_network_with_a_supervisor_that_stood_still_verifies_equal(
@@ -212,7 +296,7 @@ def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path
             server.process.send_signal(signal.SIGSTOP)
             for _ in range(2000):  # More than the socket between them takes.
                 server.ask(fork_requests.Signal(agents, signal.SIGCONT))
-            server.ask(fork_requests.Start(str(folder.plan), agents, str(folder.logs), 0.0))
+            server.ask(fork_requests.Start(str(folder.plan), agents, str(folder.logs)))
             server.process.send_signal(signal.SIGCONT)
             while not children[RECORDER].ready:
                 children.events(0.1)

@@ -43,5 +43,8 @@ class LinkByHand:
     def tell(self, event: Event) -> None:
         self.told.append(event)
 
+    def beat(self, cycle: int) -> None:
+        """Nobody looks."""
+
     def expected_messages(self) -> int | None:
         return self.expected

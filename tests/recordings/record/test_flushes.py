@@ -99,7 +99,7 @@ def test_who_answered_the_arming_round_is_not_unresponsive_when_cycle_0_begins(
 
     writer = RunWriter(tmp_path / "run.mcap", IN_REAL_TIME, SCENARIO, "launch")
     told = record(clock, SubscriberByHand(drain), writer, link, IN_REAL_TIME)
-    unresponsive = [event.unresponsive for event in told if isinstance(event, Status)]
-    assert unresponsive[0] == []
-    assert PLAN.tree.leaves[0] in max(unresponsive, key=len), "before it answers it is unresponsive"
-    assert unresponsive[-1] == []
+    not_heard = [event.not_heard for event in told if isinstance(event, Status)]
+    assert not_heard[0] == []
+    assert PLAN.tree.leaves[0] in max(not_heard, key=len), "before it answers"
+    assert not_heard[-1] == []

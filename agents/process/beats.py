@@ -1,0 +1,82 @@
+"""Signs of life: memory that the processes of a run share with their launcher.
+
+A beat needs no bus, and cannot be lost or dropped. Through the same memory the launcher says who
+was given up, and how many messages the recorder is to expect.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+from collections.abc import Sequence
+from mmap import mmap
+from typing import Final, NamedTuple
+
+BEAT_S: Final = 0.8
+"""No process waits longer than this without a beat."""
+
+FORK_SERVER: Final = "fork server"
+"""It beats too, in the first place of the table."""
+
+_HEAD: Final = struct.Struct("qq")
+"""Messages to expect, counted from 1 (0: not known), and how many agents were given up."""
+
+_PLACE: Final = struct.Struct("qq??6x")
+_SENDS: Final = 16
+_GIVEN_UP: Final = 17
+
+
+class Beat(NamedTuple):
+    """The newest beat of a process.
+
+    time_ns: Its monotonic time; 0: there was none.
+    sends: Whether the process is sending a message, for which it may have to wait in lockstep.
+    """
+
+    time_ns: int
+    cycle: int
+    sends: bool
+    is_given_up: bool
+
+
+class BeatTable:
+    """A table with a place for each process. `file` is a descriptor of memory without a name."""
+
+    def __init__(self, file: int, processes: Sequence[str]) -> None:
+        names = (FORK_SERVER, *processes)
+        size = _HEAD.size + len(names) * _PLACE.size
+        if os.fstat(file).st_size < size:
+            os.ftruncate(file, size)
+        self._memory = mmap(file, size)
+        self._places = {name: _HEAD.size + n * _PLACE.size for n, name in enumerate(names)}
+
+    def beat(self, name: str, cycle: int = -1) -> None:
+        struct.pack_into("qq", self._memory, self._places[name], time.monotonic_ns(), cycle)
+
+    def note_sending(self, name: str, *, sends: bool) -> None:
+        self._memory[self._places[name] + _SENDS] = sends
+
+    def read(self, name: str) -> Beat:
+        return Beat._make(_PLACE.unpack_from(self._memory, self._places[name]))
+
+    def give_up(self, name: str) -> None:
+        """Say that an agent does not come back."""
+        self._memory[self._places[name] + _GIVEN_UP] = True
+        expected, number = _HEAD.unpack_from(self._memory)
+        _HEAD.pack_into(self._memory, 0, expected, number + 1)
+
+    @property
+    def number_given_up(self) -> int:
+        return int(_HEAD.unpack_from(self._memory)[1])
+
+    def given_up(self) -> tuple[str, ...]:
+        return tuple(name for name in self._places if self.read(name).is_given_up)
+
+    def expect(self, messages: int) -> None:
+        """Let the recorder end once so many messages of the run have come."""
+        _HEAD.pack_into(self._memory, 0, messages + 1, self.number_given_up)
+
+    def expected(self) -> int | None:
+        count, _ = _HEAD.unpack_from(self._memory)
+        return int(count) - 1 if count else None
