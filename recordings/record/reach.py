@@ -24,7 +24,7 @@ _decode_lacks = msgspec.msgpack.Decoder(_Lacks).decode
 
 
 class Reach:
-    """When each agent was heard last, and when a listener last lacked more than one message of it."""
+    """When each agent was last heard, and when a listener last lacked several messages of it."""
 
     def __init__(self, plan: RunPlan, now_ns: int) -> None:
         self._plan = plan
