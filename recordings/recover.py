@@ -12,7 +12,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, RUN, Port, ports
 from bus_schemas.tree import ROOT
 from bus_schemas.whole_file import new_path
-from recordings.read.gaps import RunGaps
+from recordings.read.gaps import gaps_of_ports
 from recordings.read.mcap_file import Chunk, DamagedChunkError
 from recordings.read.reader import RunReader
 from recordings.record.chunk_writer import ChunkWriter
@@ -75,7 +75,7 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
     with their times, sequence numbers and order. Metadata named `recovery` is added.
     """
-    outline, gaps, copies = run.outline, RunGaps(run.plan), _copies(run)
+    outline, gaps, copies = run.outline, gaps_of_ports(run.plan), _copies(run)
     recovery = Recovery(
         source=str(run.path),
         out=str(out),
@@ -93,11 +93,12 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
                 writer.add_message(channel_of[port], logged_ns, payload, published_ns, sequence)
                 recovery.messages += 1
                 if (head := run.head(raw)) is not None:
-                    gaps.see(port, head.cycle, sequence, head.incarnation)
+                    gaps[port].see(head.cycle, sequence, head.incarnation)
                     if port.signal is not RUN:
                         recovery.last_cycle = max(recovery.last_cycle, head.cycle)
-        recovery.complete_cycles = gaps.ports[PRODUCTION.of(ROOT)].cycles
-        recovery.lost, recovery.damage = gaps.lost, run.damage_text()
+        recovery.complete_cycles = gaps[PRODUCTION.of(ROOT)].cycles
+        recovery.lost = sum(one.lost for one in gaps.values())
+        recovery.damage = run.damage_text()
         metadata = {
             "recovered_from": run.path.name,
             "lossless": str(recovery.lossless).lower(),

@@ -23,7 +23,6 @@ from results.tables import (
     key_column,
     print_table,
     texts_table,
-    word_column,
 )
 from sunspec.process import read_accounts
 
@@ -31,8 +30,6 @@ if TYPE_CHECKING:
     from recordings.inspect.overview import Overview
     from recordings.inspect.timeline import NodeCycle
     from recordings.read.reader import RunReader
-
-_SHOWN_GAPS: Final = 10
 
 _ROWS: Final = 60
 """Cycles of a node in one table: its heading stays in sight, and a day is not kept in memory."""
@@ -145,19 +142,12 @@ def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Ov
         Column("repeated"),
         Column("cycles without", name="missing_cycles"),
     )
-    gaps = tuple(
-        (gap.port, f"{gap.cycles:,} {run.clock.span_text(gap.first_cycle, gap.last_cycle)}")
-        for gap in found.gaps[:_SHOWN_GAPS]
-    )
     tables = [
         texts_table(found.run_id, facts(run, found)),
         Table("Signals", columns, attributes(found.signals, columns)),
         health_table(found.health, run.clock),
         *devices_tables(read_accounts(run.path.parent)),
     ]
-    if found.gaps:
-        title = f"Cycles without a message that was due: the first {_SHOWN_GAPS} gaps"
-        tables.append(Table(title, (key_column("key"), word_column("cycles")), gaps))
     for table in tables:
         print_table(console, table)
     return found

@@ -19,8 +19,10 @@ from agents.team import stages_of_agents
 from bus_schemas.messages import Message
 from bus_schemas.signals import TELEMETRY, Port
 from bus_schemas.tree import RECORDER
-from recordings.read.gaps import LISTED_GAPS, due_step
+from recordings.read.gaps import due_step
 from recordings.read.run_clock import RunClock
+
+_MOST_LISTED: Final = 100
 
 _OPEN_CYCLES: Final = 1000
 """How many cycles may pass until the last listener has said what it missed."""
@@ -149,9 +151,9 @@ class Absences:
         self._note(Absence(agent, first, gone, back_in, how))
 
     def _note(self, absence: Absence) -> None:
-        """Keep an absence; beyond `LISTED_GAPS` the shortest are only counted."""
+        """Keep an absence; beyond `_MOST_LISTED` the shortest are only counted."""
         self.longest.append(absence)
-        if len(self.longest) > LISTED_GAPS:
+        if len(self.longest) > _MOST_LISTED:
             self.longest.remove(min(self.longest, key=lambda one: one.weight))
             self.more += 1
 
@@ -193,5 +195,5 @@ class _Missed:
             spans = self._spans[agent]
             if spans and cycle <= spans[-1].stop + self._tolerance:
                 spans[-1] = range(spans[-1].start, max(cycle + 1, spans[-1].stop))
-            elif len(spans) < LISTED_GAPS:
+            elif len(spans) < _MOST_LISTED:
                 spans.append(range(cycle, cycle + 1))

@@ -24,7 +24,7 @@ from bus_schemas.network_faults import FaultTally
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER, standby_of
 from recordings.inspect.absences import Absence, Absences
-from recordings.read.gaps import MissedInputs, RunGaps
+from recordings.read.gaps import MissedInputs, gaps_of_ports
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
 from scenarios.fault_rules import fault_text
@@ -138,7 +138,7 @@ class HealthWatch:
     """Follows a recording message by message."""
 
     def __init__(self, plan: RunPlan, cycles: range) -> None:
-        self.gaps = RunGaps(plan, cycles.start)
+        self.gaps = gaps_of_ports(plan, cycles.start)
         self._plan = plan
         # The fate of a message follows from its link and cycle, so it can be worked out again here.
         self._faults = plan.network_faults()
@@ -148,9 +148,9 @@ class HealthWatch:
 
     def see(self, record: RecordedMessage) -> None:
         port, cycle = record.port, record.cycle
-        gaps = self.gaps.ports[port]
+        gaps = self.gaps[port]
         lost_before = gaps.lost
-        self.gaps.see(port, cycle, record.sequence, record.incarnation)
+        gaps.see(cycle, record.sequence, record.incarnation)
         self._absences.see(port, cycle, record.incarnation, has_lost=gaps.lost > lost_before)
         if missing := self._missed.see(record):
             self._absences.miss(port.publisher, cycle, missing)
@@ -160,9 +160,10 @@ class HealthWatch:
 
     def health(self, run: RunReader, cycle: int) -> Health:
         """Return the health of the run, which ended before `cycle`, with what its folder tells."""
-        self.gaps.end(cycle)
+        for one in self.gaps.values():
+            one.end(cycle)
         self._absences.end(cycle)
-        ports, missed, external = self.gaps.ports, self._missed, self._plan.access.external
+        ports, missed, external = self.gaps, self._missed, self._plan.access.external
         misses = [
             Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
             for agent, at in missed.cycles.items()

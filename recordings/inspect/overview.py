@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import msgspec
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import PRODUCTION, SIGNALS, Signal
+from bus_schemas.signals import PRODUCTION, SIGNALS, Port, Signal
 from bus_schemas.tree import ROOT
 from recordings.inspect.health import Health, HealthWatch
-from recordings.read.gaps import Gap, RunGaps
+from recordings.read.gaps import PortGaps
 from recordings.read.reader import RunReader
 from recordings.recover import RECOVERY_METADATA
 
@@ -47,7 +47,6 @@ class Overview(msgspec.Struct, frozen=True):
     interrupted: bool
     wall_s: float
     signals: tuple[SignalCount, ...]
-    gaps: tuple[Gap, ...]
     health: Health
 
 
@@ -60,7 +59,7 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         watch.see(record)
         first_ns = first_ns or record.log_time_ns
         last_ns = record.log_time_ns
-    production = watch.gaps.ports[PRODUCTION.of(ROOT)]
+    production = watch.gaps[PRODUCTION.of(ROOT)]
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = production.newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
     health = watch.health(run, end)
@@ -79,14 +78,15 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         signals=tuple(
             _count(signal, watch.gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
         ),
-        gaps=tuple(watch.gaps.gaps),
         health=health,
     )
 
 
-def _count(signal: Signal[Message], gaps: RunGaps, cycles: int, wall_s: float) -> SignalCount:
+def _count(
+    signal: Signal[Message], gaps: dict[Port[Message], PortGaps], cycles: int, wall_s: float
+) -> SignalCount:
     """Add up what there is of one signal."""
-    own = [one for port, one in gaps.ports.items() if port.signal is signal]
+    own = [one for port, one in gaps.items() if port.signal is signal]
     messages = sum(one.messages for one in own)
     return SignalCount(
         signal=signal.name,

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
-
-import msgspec
+from typing import TYPE_CHECKING
 
 from agents.cycle import stage_of
 from agents.plan import RunPlan
@@ -21,21 +19,8 @@ from bus_schemas.signals import Occurrence, Port
 if TYPE_CHECKING:
     from recordings.read.reader import RecordedMessage, RunReader
 
-LISTED_GAPS: Final = 100
-"""So many gaps are kept with their cycles."""
-
-
 NOTHING_MISSED = b"missing\x90"
 """In a payload: an empty list."""
-
-
-class Gap(msgspec.Struct, frozen=True):
-    """Cycles without the message that was due in them."""
-
-    port: str
-    first_cycle: int
-    last_cycle: int
-    cycles: int
 
 
 def due_step(plan: RunPlan, port: Port[Message]) -> int:
@@ -64,61 +49,36 @@ class PortGaps:
         self._incarnation = 0
         self._expected: int | None = None if first_cycle else 0
 
-    def see(self, cycle: int, sequence: int, incarnation: int = 0) -> range:
-        """Count a message; return the cycles before it in which one was due and none came."""
+    def see(self, cycle: int, sequence: int, incarnation: int = 0) -> None:
+        """Count a message, and the cycles before it in which one was due and none came."""
         self.messages += 1
         self.cycles += cycle > self.newest
+        self.end(cycle)
         if self._expected is None:
             self._expected, self._incarnation = sequence, incarnation
         if incarnation < self._incarnation:
-            return self.end(cycle)
+            return
         if incarnation > self._incarnation or sequence < self._expected:
             if incarnation == self._incarnation and cycle <= self.newest:
                 self.repeated += 1
-                return range(0)
+                return
             self._expected = 0
             self.restarts += 1
         self.lost += sequence - self._expected
         self._expected, self._incarnation = sequence + 1, incarnation
         self.newest = max(cycle, self.newest)
-        return self.end(cycle)
-
-    def end(self, cycle: int) -> range:
-        """Return the cycles before this one in which a message was due and none came."""
-        if not self._step or cycle <= self._due:
-            return range(0)
-        gap = range(self._due + self._step, cycle, self._step)
-        self._due = cycle
-        self.missing += len(gap)
-        return gap
-
-
-class RunGaps:
-    """What is missing in a run, port by port."""
-
-    def __init__(self, plan: RunPlan, first_cycle: int = 0) -> None:
-        logged = sorted((port for port in plan.wiring.ports if port.signal.logged), key=str)
-        self.ports = {port: PortGaps(due_step(plan, port), first_cycle) for port in logged}
-        self.gaps: list[Gap] = []
-
-    def see(self, port: Port[Message], cycle: int, sequence: int, incarnation: int = 0) -> None:
-        if gap := self.ports[port].see(cycle, sequence, incarnation):
-            self._note(port, gap)
 
     def end(self, cycle: int) -> None:
-        """Note what was due before the cycle that the run ended with."""
-        for port, gaps in self.ports.items():
-            if gap := gaps.end(cycle):
-                self._note(port, gap)
+        """Count the cycles before this one in which a message was due and none came."""
+        if self._step and cycle > self._due:
+            self.missing += len(range(self._due + self._step, cycle, self._step))
+            self._due = cycle
 
-    @property
-    def lost(self) -> int:
-        """Messages that the numbers leave out."""
-        return sum(gaps.lost for gaps in self.ports.values())
 
-    def _note(self, port: Port[Message], gap: range) -> None:
-        if len(self.gaps) < LISTED_GAPS:
-            self.gaps.append(Gap(str(port), gap[0], gap[-1], len(gap)))
+def gaps_of_ports(plan: RunPlan, first_cycle: int = 0) -> dict[Port[Message], PortGaps]:
+    """Return what to count the messages of a run with, port by port."""
+    logged = sorted((port for port in plan.wiring.ports if port.signal.logged), key=str)
+    return {port: PortGaps(due_step(plan, port), first_cycle) for port in logged}
 
 
 class MissedInputs:

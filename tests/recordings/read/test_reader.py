@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 import warnings
 from io import BytesIO
 from pathlib import Path
@@ -243,3 +244,17 @@ def test_a_damaged_chunk_is_skipped_and_named_where_it_would_have_been_read(
         assert list(run.messages()) == written[:4000] + written[4200:]
     with warnings.catch_warnings(action="error"), open_run(path) as run:
         assert list(run.messages(end=50)) == [pair for pair in written if pair[1].cycle < 50]
+
+
+@pytest.mark.parametrize("table", ["impp", "production_inverters"])
+def test_a_frame_takes_little_more_memory_than_its_columns(tmp_path: Path, table: str) -> None:
+    write_run(tmp_path / "run.mcap", whole_run(1000))
+    with open_run(tmp_path) as run:
+        run.frame(table, end=10)  # What is imported and kept once.
+        tracemalloc.start()
+        try:
+            frame = run.frame(table)
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+    assert peak < 2.0 * frame.memory_usage(index=True).sum() + 300_000
