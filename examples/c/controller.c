@@ -359,6 +359,8 @@ static void read_plan(const char *json, const char *node, char **endpoints) {
         if (*endpoints) snprintf(plan.endpoints[to], sizeof plan.endpoints[to], "%s", *endpoints++);
     }
     plan.rating_kw = atof(value_of(json, node)), plan.alpha_min = atof(value_of(json, "alpha_min"));
+    bool forecasts = !strncmp(value_of(json, "scheme"), "predictive", 10);
+    if (forecasts && !strncmp(value_of(json, "actuator"), "limit", 5)) plan.alpha_min = 0.001;
     plan.start_ns = atoll(value_of(json, "start_time_ns")), plan.cycle_ns = atoll(value_of(json, "cycle_ns"));
     plan.cycle_wall_ns = atoll(value_of(json, "cycle_wall_ns")), plan.cycles = atoll(value_of(json, "cycles"));
     plan.hold = atoll(value_of(json, "hold_cycles"));
