@@ -8,54 +8,38 @@ goes out at its recorded time, and the live controllers have their deadlines.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Iterable
 from itertools import count
 from typing import Final
 
+import msgspec
+import zenoh
 from msgspec.structs import replace
 
 from agents.cycle import stage_of
-from agents.plan import RunPlan, changed
+from agents.plan import RunPlan
 from agents.process.interruption import Interruption
-from agents.process.machine import MachineSettings
 from bus_schemas.codec import decode, encode
 from bus_schemas.errors import listed
+from bus_schemas.inbox import Inbox
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import REPLAYER, ROOT, ControlTree
-from launch_scripts.supervision import Children, RunFailure
+from launch_scripts.supervision import Children, RunFailure, stall
 from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus
 from recordings.verify.agent_result import AgentResult
 from recordings.verify.equality import BIT_FOR_BIT
 from sim_plant.plant_run import FIRST_ROUND, longest_round_s
-from studies.live_replay.controllers import LiveControllers
 
 _ARMING_S: Final = 30.0
 _EARLY_CYCLES: Final = 100
 """Every agent publishes within so many first cycles, even if messages are lost."""
-
-
-def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], port: int) -> RunPlan:
-    """Return the plan by which live controllers find each other, and all others at one TCP port.
-
-    That port is of the `LiveBus`: every agent connects to the recorder, and so to it.
-    """
-    all_ports = dict.fromkeys(plan.links.listening, port)
-    all_ports.update({agent: tcp_ports[agent] for agent in live if agent in all_ports})
-    return changed(
-        plan.public,
-        access={
-            "tcp_ports": all_ports,
-            "namespace": "",
-            "external": (),
-            "address": "127.0.0.1",
-            "addresses": {},
-        },
-        faults={"rules": ()},
-        supervision={"machine": MachineSettings()},
-    )
+_LOOK_S: Final = 0.1
+"""How often the processes are checked."""
+_END_S: Final = 5.0
+"""How long the live controllers may take to end after the run."""
 
 
 class MessagePairs:
@@ -72,18 +56,19 @@ class MessagePairs:
         other = self._waiting.pop((port, message.cycle, not is_recorded), None)
         if other is None:
             self._waiting[port, message.cycle, is_recorded] = message
-        elif is_recorded:
-            self._compare(port, message, other)
         else:
-            self._compare(port, other, message)
+            self._compare(port, message, other, is_recorded=is_recorded)
 
     def finish(self, before_cycle: int) -> None:
         """Count the messages without a counterpart in the cycles before one."""
         for (port, cycle, is_recorded), message in self._waiting.items():
             if cycle < before_cycle:
-                self._compare(port, *((message, None) if is_recorded else (None, message)))
+                self._compare(port, message, None, is_recorded=is_recorded)
 
-    def _compare(self, port: Port[Message], recorded: Message | None, new: Message | None) -> None:
+    def _compare(
+        self, port: Port[Message], one: Message, other: Message | None, *, is_recorded: bool
+    ) -> None:
+        recorded, new = (one, other) if is_recorded else (other, one)
         stage = stage_of(port, self._tree)
         self.results[port.publisher].compare(BIT_FOR_BIT, port, recorded, new, stage)
 
@@ -91,7 +76,7 @@ class MessagePairs:
 class LiveBus(ReplayBus):
     """Gives live controllers the messages of the others, observers those of all, and compares.
 
-    The plan is that of the live controllers, see `live_plan`; its cycles are those to run.
+    The plan is that of the live controllers; its cycles are those to run.
 
     cycles: How many are over.
     """
@@ -99,19 +84,19 @@ class LiveBus(ReplayBus):
     def __init__(
         self,
         plan: RunPlan,
-        live: Collection[str],
         tcp_port: int,
         observers: ReplayBus,
         children: Children,
         interruption: Interruption,
     ) -> None:
-        others = [port for port in plan.wiring.ports if port.publisher not in {REPLAYER, *live}]
-        super().__init__(plan, others, f"tcp/127.0.0.1:{tcp_port}")
-        self.pairs = MessagePairs(plan.tree, live)
+        self._names = children.by_agent.keys()
+        others = [port for port in plan.wiring.ports if port.publisher not in self._names]
+        without_clock = [port for port in others if port.publisher != REPLAYER]
+        super().__init__(plan, without_clock, f"tcp/127.0.0.1:{tcp_port}")
+        self.pairs = MessagePairs(plan.tree, self._names)
         self.cycles = 0
         self._observers = observers
-        self._live = LiveControllers(plan, live, children, interruption, self._take_new)
-        self._subscribers = self._live.subscribe(self.session)
+        self._live = LiveControllers(plan, children, self.session, interruption, self._take_new)
 
     def arm(self, reader: RunReader) -> None:
         """Send arming rounds until the live controllers are there and answer a whole one.
@@ -143,7 +128,7 @@ class LiveBus(ReplayBus):
                 lead_ns = run.start_time_ns - run.publish_time_ns
                 self._publish_run(replace(run, start_time_ns=time.monotonic_ns() + lead_ns))
             return False
-        if port.publisher in self._live.names:
+        if port.publisher in self._names:
             self.pairs.take(port, decode(port.signal, payload), is_recorded=True)
             return False
         self._observers.put(port, payload)
@@ -169,9 +154,8 @@ class LiveBus(ReplayBus):
 
     def _first_messages(self, reader: RunReader) -> dict[Port[Message], Message]:
         """Return the first message of each port on which the others publish in every cycle."""
-        others = (
-            port for port in self._plan.wiring.ports if port.publisher not in self._live.names
-        )
+        ports = self._plan.wiring.ports
+        others = (port for port in ports if port.publisher not in self._names)
         wanted = {port for port in others if due_step(self._plan, port)}
         first: dict[Port[Message], Message] = {}
         for port, message in reader.on(wanted, range(_EARLY_CYCLES)):
@@ -201,3 +185,84 @@ class LiveBus(ReplayBus):
         self._outbox.stamp(port, run, time.monotonic_ns())
         for put in (super().put, self._observers.put):
             put(port, encode(run))
+
+
+class LiveControllers:
+    """The processes of some controllers, and what they publish on a session.
+
+    `on_message` is called with each message of the run, and with its payload.
+    """
+
+    def __init__(
+        self,
+        plan: RunPlan,
+        children: Children,
+        session: zenoh.Session,
+        interruption: Interruption,
+        on_message: Callable[[Port[Message], Message, bytes], None],
+    ) -> None:
+        self.interruption = interruption
+        self._children = children
+        self._on_message = on_message
+        self._tree = plan.tree
+        self._inbox = Inbox()
+        ports = [port for port in plan.wiring.ports if port.publisher in children.by_agent]
+        self._steps = {port: step for port in ports if (step := due_step(plan, port))}
+        self._newest: dict[Port[Message], int] = {}
+        self._received = 0
+        self._look_at = 0.0
+        self._subscribers = [
+            session.declare_subscriber(
+                plan.wiring.key(port),
+                zenoh.handlers.Callback(self._inbox.callback(port), indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+            for port in ports
+        ]
+
+    def receive(self, wanted: int, timeout_s: float) -> int:
+        """Take in what is published within a time; return how many messages came."""
+        arrivals = self._inbox.take(wanted, timeout_s)
+        for port, received, _ in arrivals:
+            payload = received.to_bytes()
+            try:
+                message = decode(port.signal, payload)
+            except msgspec.DecodeError as error:
+                expected = port.signal.type.__name__
+                raise RunFailure(f"{port}: expected a {expected}, got: {error}") from None
+            self._newest[port] = message.cycle
+            if message.cycle >= 0:
+                self._received += 1
+                self._on_message(port, message, payload)
+        if time.monotonic() >= self._look_at:
+            self._look_at = time.monotonic() + _LOOK_S
+            self._children.events(0.0)
+        return len(arrivals)
+
+    def await_cycle(self, cycle: int, patience_s: float) -> set[Port[Message]]:
+        """Return the ports of a cycle, or a round, on which nothing came for a time of silence."""
+        awaited = {port for port, step in self._steps.items() if cycle < 0 or cycle % step == 0}
+        until = time.monotonic() + patience_s
+        while awaited := {p for p in awaited if self._newest.get(p, FIRST_ROUND) < cycle}:
+            if self.receive(len(awaited), _LOOK_S):
+                until = time.monotonic() + patience_s
+            if self.interruption or time.monotonic() > until:
+                break
+        return awaited
+
+    def stall(self, cycle: int) -> RunFailure:
+        """Return why a cycle does not end: the controllers say what they wait for."""
+        is_known = any(child.waiting for child in self._children)
+        text = f"stalled in cycle {cycle}"
+        return RunFailure(stall(self._children, self._tree)[0] if is_known else text)
+
+    def receive_the_last(self) -> None:
+        """Let the controllers end, and receive all that they have sent."""
+        if late := self._children.await_exit(list(self._children), _END_S):
+            agent = late[0].agent
+            raise self._children.failure(agent, f"{agent} did not end with the run")
+        ended = [child.finished for child in self._children if child.finished is not None]
+        sent = sum(sum(finished.published.values()) for finished in ended)
+        until = time.monotonic() + _END_S
+        while self._received < sent and time.monotonic() < until:
+            self.receive(sent - self._received, _LOOK_S)

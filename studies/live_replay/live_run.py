@@ -15,6 +15,7 @@ import msgspec
 
 from agents.plan import RunPlan, changed, load_plan
 from agents.process.interruption import interruptible
+from agents.process.machine import MachineSettings
 from bus_schemas.errors import InputError
 from bus_schemas.selection import find_nodes
 from bus_schemas.tcp_ports import reserved_ports
@@ -28,7 +29,7 @@ from recordings.replay.keyboard import no_keyboard
 from recordings.replay.playback import Playback, StatusLine
 from recordings.replay.schedule import PlaybackClock, UpcomingMessages
 from recordings.verify.report import agents_data, difference_lines
-from studies.live_replay.live_bus import LiveBus, live_plan
+from studies.live_replay.live_bus import LiveBus
 
 _OTHERS: Final = "others"
 _SHARED: Final = (
@@ -64,11 +65,11 @@ def replay_live(
         Children(server, plan, live, folder) as children,
     ):
         path = folder / "plan.json"
-        its_plan = live_plan(plan, live, tcp_ports, tcp_ports[_OTHERS])
+        its_plan = _live_plan(plan, tcp_ports)
         path.write_bytes(its_plan.as_json())
         with (
             replay_bus(reader, selected_ports(reader), listen, out) as observers,
-            LiveBus(its_plan, live, tcp_ports[_OTHERS], observers, children, interruption) as bus,
+            LiveBus(its_plan, tcp_ports[_OTHERS], observers, children, interruption) as bus,
         ):
             say(out, f"live: {', '.join(live)}; all others as recorded")
             server.ask(Start(str(path), tuple(live), str(folder)))
@@ -113,6 +114,18 @@ def _folder() -> Iterator[Path]:
         shutil.rmtree(folder)
         raise
     shutil.rmtree(folder)
+
+
+def _live_plan(plan: RunPlan, tcp_ports: dict[str, int]) -> RunPlan:
+    """Return the plan by which live controllers find each other, and all others at one TCP port."""
+    ports = {agent: tcp_ports.get(agent, tcp_ports[_OTHERS]) for agent in plan.links.listening}
+    access = {"tcp_ports": ports, "namespace": "", "external": (), "address": "127.0.0.1"}
+    return changed(
+        plan.public,
+        access=access | {"addresses": {}},
+        faults={"rules": (), "device": ()},
+        supervision={"machine": MachineSettings()},
+    )
 
 
 def _plan(reader: RunReader, file: Path | None, end: str | None) -> RunPlan:
