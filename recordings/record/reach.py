@@ -36,7 +36,11 @@ class Reach:
         self._heard_at_ns[head.source] = now_ns
         if head.cycle < 0 or NOTHING_MISSED in payload:
             return
-        for key, cycle in map(parse_missing, _decode_lacks(payload).missing):
+        try:
+            missing = _decode_lacks(payload).missing
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            return  # Its body is not decoded here: readers skip and name it.
+        for key, cycle in map(parse_missing, missing):
             port = self._plan.wiring.port(f"{self._plan.plant}/{key}")
             if port is None:
                 continue

@@ -19,6 +19,7 @@ from recorded_runs import published
 from agents.process.events import Complaint, Recorded
 from agents.process.launcher_link import LauncherLink
 from bus_schemas.codec import encode
+from bus_schemas.errors import InputWarning
 from bus_schemas.messages import Impp, Message, Setpoint
 from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Occurrence, Port, ports
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
@@ -165,6 +166,20 @@ def test_a_message_with_an_impossible_head_is_kept_and_named_and_the_recording_g
     (device,) = account.external
     found = Counter(account.recorded) - Counter(device.recorded) - Counter(account.extra)
     assert found == own
+
+
+@pytest.mark.parametrize("missing", [5, [7], [b"\xff"], "c1/impp", None])
+def test_a_message_with_an_impossible_body_does_not_end_the_recorder(
+    missing: object, tmp_path: Path
+) -> None:
+    fields = structs.asdict(replace(impp(4), source="c1/inv01")) | {"missing": missing}
+    forged = msgspec.msgpack.encode(fields)
+    place = next(n for n, (_, message) in enumerate(SAID) if message.cycle == 5)
+    said: list[Spoken] = [*SAID[:place], (IMPP.of("c1/inv01"), forged), *SAID[place:]]
+    _, account = recorded(said, tmp_path)
+    assert (account.cycles, account.ended_early) == (CYCLES, "")
+    with pytest.warns(InputWarning, match="c1/inv01/impp"), RunReader(tmp_path) as reader:
+        assert len(list(reader.messages())) == len(SAID)
 
 
 def test_what_cannot_be_written_ends_the_recording_in_one_line_and_not_the_recorder(
