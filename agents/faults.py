@@ -14,7 +14,7 @@ from bus_schemas.tree import ControlTree, agent_name
 
 
 class _ProcessRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
-    """A fault of processes."""
+    """A fault of processes, or of an inverter."""
 
 
 class Kill(_ProcessRule, frozen=True, tag="kill"):
@@ -22,10 +22,12 @@ class Kill(_ProcessRule, frozen=True, tag="kill"):
 
     agents: Their name or pattern: `c1`, `c2/*`.
     at: When, in simulated time since cycle 0 [s].
+    until: When a successor is there [s], in `simulate` alone. Default: as `[restart]` says.
     """
 
     agents: str
     at: Second
+    until: Second | None = None
 
 
 class Freeze(_ProcessRule, frozen=True, tag="freeze"):
@@ -33,13 +35,27 @@ class Freeze(_ProcessRule, frozen=True, tag="freeze"):
 
     agents: Their name or pattern: `c1`, `c2/*`.
     at: Beginning and end, in simulated time since cycle 0 [s].
+    zombie: Whether it is replaced at once and then wakes up beside its successor, hearing nobody,
+        in `simulate` alone.
+    """
+
+    agents: str
+    at: Interval
+    zombie: bool = False
+
+
+class Trip(_ProcessRule, frozen=True, tag="trip"):
+    """Inverters draw standby power instead of giving any. Controllers go on.
+
+    agents: Their path or pattern: `c1/inv01`, `c2/*`.
+    at: Beginning and end, in simulated time since cycle 0 [s].
     """
 
     agents: str
     at: Interval
 
 
-ProcessFault: TypeAlias = Kill | Freeze
+ProcessFault: TypeAlias = Kill | Freeze | Trip
 Fault: TypeAlias = LinkFault | ProcessFault
 
 
@@ -48,7 +64,8 @@ class Incident(NamedTuple):
 
     time_s: float
     agent: str
-    what: Literal["kill", "freeze", "thaw", "watch", "start"]
+    what: Literal["kill", "freeze", "thaw", "watch", "start", "replace"]
+    until_s: float = 0.0
 
 
 def incidents(faults: Sequence[Fault], tree: ControlTree) -> list[Incident]:
@@ -56,12 +73,22 @@ def incidents(faults: Sequence[Fault], tree: ControlTree) -> list[Incident]:
     due: list[Incident] = []
     for fault in faults:
         match fault:
-            case Kill(at=at_s):
-                due += (Incident(at_s, agent, "kill") for agent in _stopped(fault, tree))
+            case Kill():
+                stopped = _stopped(fault, tree)
+                due += (Incident(fault.at, agent, "kill", fault.until or 0.0) for agent in stopped)
+            case Freeze(at=(begin_s, end_s), zombie=True):
+                stopped = _stopped(fault, tree)
+                due += (Incident(begin_s, agent, "replace", end_s) for agent in stopped)
             case Freeze(at=(begin_s, end_s)):
                 for agent in _stopped(fault, tree):
                     due += Incident(begin_s, agent, "freeze"), Incident(end_s, agent, "thaw")
     return sorted(due)
+
+
+def trips(faults: Sequence[Fault], tree: ControlTree, time_s: float) -> list[bool]:
+    """Return whether each inverter is tripped at a simulated time since cycle 0 [s]."""
+    active = [one for one in faults if isinstance(one, Trip) and one.at[0] <= time_s < one.at[1]]
+    return [any(fnmatchcase(leaf, one.agents) for one in active) for leaf in tree.leaves]
 
 
 def check_fault(
@@ -76,7 +103,7 @@ def check_fault(
     external: Agents that Heliarch does not run: faults cannot act on what they receive.
     addresses: Agents on other hosts: their processes cannot be stopped from here.
     """
-    if isinstance(fault, Kill | Freeze):
+    if isinstance(fault, ProcessFault):
         objections = _process_objections(fault, tree, {*external, *addresses})
     else:
         objections = link_objections(fault, tree, external)
@@ -85,9 +112,13 @@ def check_fault(
 
 
 def _process_objections(fault: ProcessFault, tree: ControlTree, away: set[str]) -> Iterator[str]:
-    if isinstance(fault, Freeze):
+    if not isinstance(fault, Kill):
         yield from interval_objections(fault.at)
+    elif fault.until is not None and fault.until <= fault.at:
+        yield f"until: expected more than {fault.at:g} s, got {fault.until:g} s"
     stopped = _stopped(fault, tree)
+    if isinstance(fault, Trip):
+        stopped = [name for name in stopped if tree.is_leaf(name)]
     if not stopped or not away.isdisjoint(stopped):
         names = [name for name in map(agent_name, tree.nodes) if name not in away]
         yield f"expected controllers of this host, such as {listed(names)}, got {fault.agents!r}"

@@ -14,7 +14,7 @@ from msgspec.structs import asdict, replace
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.cycle import Deadlines, Periods
 from agents.device_faults import DeviceFault
-from agents.faults import Fault, Freeze, Kill, check_fault
+from agents.faults import Fault, ProcessFault, check_fault
 from agents.process.machine import MachineSettings
 from agents.settings import Actuator, InverterSettings, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError, listed
@@ -264,7 +264,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         on_links = {
             number: fault
             for number, fault in enumerate(self.faults.rules)
-            if not isinstance(fault, Kill | Freeze)
+            if not isinstance(fault, ProcessFault)
         }
         return NetworkFaults(on_links, self.faults.seed, self.tree, self.timing.cycle_ns)
 

@@ -303,6 +303,9 @@ def check_processes(plan: RunPlan) -> None:
             "--fault, faults: expected a --pace such as 1 with faults, got lockstep, where an "
             "agent would wait forever for a lost message"
         )
+    for fault in plan.faults.rules:
+        if getattr(fault, "until", None) is not None or getattr(fault, "zombie", False):
+            raise InputError("--fault, faults: until and zombie are for `simulate` alone")
     check_devices(plan)
     if plan.access.keys_folder:
         from scenarios.plant_keys import check_keys  # noqa: PLC0415 - optional

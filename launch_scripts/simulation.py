@@ -141,7 +141,8 @@ class MemoryRun:
                 if policy.when != "never":
                     yield policy.frozen_s, incident._replace(what="watch")
             case "thaw" if name in self._frozen:
-                self.bus.release(name)
+                if name in self.loops:
+                    self.bus.release(name)
                 driver.join(self._frozen.pop(name)[0])
             case "watch" if name in self._frozen:
                 _, since_ns = self._frozen[name]
@@ -149,6 +150,13 @@ class MemoryRun:
                     yield from self._kill(incident)
             case "kill" if name in driver.loops or name in self._frozen:
                 yield from self._kill(incident)
+            case "replace" if name in driver.loops:
+                # It no longer has its name, so that nothing on the bus is for it.
+                old = driver.leave(name)
+                old.name = f"{name} {incident.time_s}"
+                self._frozen[old.name] = (old, driver.now_ns())
+                yield incident.until_s - incident.time_s, Incident(0.0, old.name, "thaw")
+                yield from self._kill(incident._replace(until_s=0.0))
             case "start":
                 self.loops[name] = self._loop(name)
                 self.bus.release(name)
@@ -162,6 +170,9 @@ class MemoryRun:
         self._frozen.pop(name, None)
         self.bus.hold(name, keep=False)
         if not isfinite(self._restart_takes_s):
+            return
+        if incident.until_s:
+            yield incident.until_s - incident.time_s, incident._replace(what="start")
             return
         earlier_s, now_s = self._restarted_s.setdefault(name, []), self._driver.now_ns() / 1e9
         wait_s = self.plan.supervision.restart.wait_s(earlier_s, now_s)

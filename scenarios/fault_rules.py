@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
-from agents.faults import Fault, Freeze, Kill, check_fault
+from agents.faults import Fault, Freeze, Kill, Trip, check_fault
 from bus_schemas.errors import InputError
 from bus_schemas.faults import Blackout, Disturbance, Partition
 from bus_schemas.tree import ControlTree
@@ -23,6 +23,7 @@ _KINDS: Final[dict[str, type[Fault]]] = {
     "partition": Partition,
     "kill": Kill,
     "freeze": Freeze,
+    "trip": Trip,
 }
 """The words that name a kind of fault; without one of them it is a `Disturbance`."""
 
@@ -33,11 +34,12 @@ _FIELDS: Final = {
     "partition": "between",
     "kill": "agents",
     "freeze": "agents",
+    "trip": "agents",
 }
 """The field of each word that is named otherwise."""
 
 _NAMES: Final = ("source", "listener", "signal", "distribution", "loss", "duplicate", "reorder")
-_WORDS: Final = (*_NAMES, *_TIMES, *_KINDS, "at")
+_WORDS: Final = (*_NAMES, *_TIMES, *_KINDS, "at", "until", "zombie")
 
 
 def fault_rules(
@@ -90,8 +92,10 @@ def _field(kind: type[Fault], word: str, value: str, where: str) -> tuple[str, o
         read = _share(value, where)
     elif word == "partition":
         read = value.split("|")
-    elif word == "at" and kind is Kill:
+    elif word == "until" or (word == "at" and kind is Kill):
         read = _duration_s(value, where)
+    elif word == "zombie":
+        read = {"yes": True, "no": False}.get(value, value)
     elif word in {"at", "blackout"}:
         read = [_duration_s(time, where) for time in split_range(value, where)]
     return _FIELDS.get(word, word), read
@@ -111,6 +115,10 @@ def fault_text(fault: Fault) -> str:
         if field.name == "at":
             times_s = (value,) if isinstance(fault, Kill) else value
             value = "..".join(f"{time_s:.15g}s" for time_s in times_s)
+        elif field.name == "until":
+            value = f"{value:.15g}s"
+        elif field.name == "zombie":
+            value = "yes"
         elif field.name == "between":
             value = "|".join(value)
         elif field.name in _TIMES.values():

@@ -7,18 +7,24 @@ apply  command of each inverter -> production: what really happened in the inter
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from agents.agent import Stage, Turn
 from agents.control.allocation import total
+from agents.faults import Trip, trips
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY
 from bus_schemas.tree import PLANT, ROOT
+from sim_plant import Floats
 from sim_plant.inverters import Inverters, PlantState
 from sim_plant.profile import Profile
+
+STANDBY_SHARE: Final = 0.001
+"""Share of its rating that a tripped inverter draws."""
 
 
 class Plant:
@@ -35,6 +41,8 @@ class Plant:
         self._profile = profile
         self._inverters = Inverters(plan)
         self._available_bias = plan.site.available_bias
+        self._trips = [fault for fault in plan.faults.rules if isinstance(fault, Trip)]
+        self._tree, self._cycle_s = plan.tree, plan.timing.cycle_s
         self._plant_rating_kw = plan.tree.rating_kw(ROOT)
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in plan.tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
@@ -84,12 +92,20 @@ class Plant:
         """Return what each inverter states that it could have given in the last interval."""
         if self._available_bias is None:
             return [None] * len(self._inverters.rating_kw)
-        stated_kw = self._profile.mpp_kw[max(cycle - 1, 0)] * (1.0 + self._available_bias)
+        stated_kw = self._mpp_kw(max(cycle - 1, 0)) * (1.0 + self._available_bias)
         return list(np.minimum(stated_kw, self._inverters.rating_kw).tolist())
+
+    def _mpp_kw(self, cycle: int) -> Floats:
+        """Return the power that each inverter could give; a tripped one draws standby power."""
+        mpp_kw: Floats = self._profile.mpp_kw[cycle]
+        if self._trips:
+            tripped = trips(self._trips, self._tree, cycle * self._cycle_s)
+            mpp_kw = np.where(tripped, -STANDBY_SHARE * self._inverters.rating_kw, mpp_kw)
+        return mpp_kw
 
     def _apply(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         cycle = max(turn.cycle, 0)
-        mpp_kw = self._profile.mpp_kw[cycle]
+        mpp_kw = self._mpp_kw(cycle)
         state = self._inverters.obey(state, map(turn.get, self._commands), turn.cycle)
         power_kw = self._inverters.power_kw(state, mpp_kw)
         dispatch_kw = float(self._profile.commitment_kw[cycle] + self._profile.regulation_kw[cycle])

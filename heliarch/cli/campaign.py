@@ -15,6 +15,7 @@ from heliarch.cli.output import publish, shared
 from scenarios.run_options import RunOptions
 
 _LISTED: Final = 10
+_STANDBY: Final = 'standby=["central","supervisors"]'
 
 
 def campaign(
@@ -30,9 +31,10 @@ def campaign(
 ) -> int:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
 
-    Each seed is one simulated run. If a run breaks an invariant (docs/resilience.md), prints a
-    command that repeats it with the shortest list of faults that still breaks it. Exit status 1: an
-    invariant was broken. --report writes campaign.html by default.
+    Each seed is one simulated run; seed 0 has no faults but the scenario's own, which every seed
+    has. If a run breaks an invariant (docs/resilience.md), prints a command that repeats it with
+    the shortest list of faults that still breaks it. Exit status 1: an invariant was broken.
+    --report writes campaign.html by default.
 
     Example: `heliarch campaign oahu --seeds 1..200 --workers 2`
 
@@ -55,21 +57,22 @@ def campaign(
     length_s, least_s = plan.timing.cycles * plan.timing.cycle_ns / 1e9, study.least_length_s(plan)
     if length_s < least_s:
         raise InputError(f"--duration: expected {least_s:g} s or more, got {length_s:g} s")
-    chosen = parse_seeds(seeds)
     found = study.campaign(preparation)
-    outcomes = shared(partial(study.run_seed, found), chosen, workers, "runs")
+    outcomes = shared(partial(study.run_seed, found), parse_seeds(seeds), workers, "runs")
     broken = [outcome for outcome in outcomes if outcome.violations]
-    # The command that repeats a run, without its faults.
+    # The command that repeats a run, without the faults and standbys of its seed.
     words = ["heliarch", "simulate", scenario, "--duration", duration]
     words += ["--from", start] if start else []
+    words += ["--data", str(files.data)] if files.data else []
     words += [word for setting in settings or () for word in ("--set", setting)]
     more = []
     for outcome in broken[:_LISTED]:
         first = outcome.violations[0]
-        faults = [word for rule in outcome.rules for word in ("--fault", rule)]
+        its = ["--set", _STANDBY] if outcome.standby else []
+        its += [word for rule in outcome.rules for word in ("--fault", rule)]
         more += [
             f"seed {outcome.seed}: {first.invariant}, cycle {first.cycle}: {first.text}",
-            f"  {shlex.join([*words, *faults])}",
+            f"  {shlex.join([*words, *its])}",
         ]
-    publish(results.campaign_result(preparation, found, outcomes), files, "campaign.html", *more)
+    publish(results.campaign_result(preparation, outcomes), files, "campaign.html", *more)
     return FAILED if broken else OK

@@ -15,7 +15,7 @@ from typing import Final, TypeVar
 import msgspec
 from msgspec.structs import replace
 
-from agents.faults import Fault, Freeze, Kill
+from agents.faults import Fault, Kill, ProcessFault
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError, listed
 from bus_schemas.faults import UNHEARD, Blackout, Disturbance
@@ -186,7 +186,7 @@ class HealthWatch:
     def _effects(self, last_cycle: int) -> Iterator[FaultEffect]:
         """Yield what each fault did in a run of so many cycles."""
         for number, fault in enumerate(self._plan.faults.rules):
-            if isinstance(fault, Kill | Freeze):
+            if isinstance(fault, ProcessFault):
                 begin_s = fault.at if isinstance(fault, Kill) else fault.at[0]
                 cycle = int(begin_s * 1e9 / self._plan.timing.cycle_ns)
                 came = cycle <= last_cycle
@@ -263,7 +263,7 @@ def _effect_text(effect: FaultEffect, clock: RunClock) -> str:
         return f"changed nothing: no agent acts on {fault.signal}"
     if effect.first_cycle is None or effect.last_cycle is None:
         return "never acted"
-    on = "" if isinstance(fault, Kill | Freeze) else f"on {effect.messages:,} messages "
+    on = "" if isinstance(fault, ProcessFault) else f"on {effect.messages:,} messages "
     return f"acted {on}{clock.span_text(effect.first_cycle, effect.last_cycle)}"
 
 

@@ -138,8 +138,7 @@ def verify(
 
 def _forgets_after(plan: RunPlan, agent: str) -> int | None:
     """Return the cycles after which the plant has done all that it was commanded before them."""
-    reverts = any(plan.site.settings_of(leaf).revert for leaf in plan.tree.leaves)
-    if agent != PLANT or (reverts and plan.control.actuator == "fraction"):
+    if agent != PLANT:
         return None
     slowest_s = max(map(plan.site.follows_within_s, plan.tree.leaves))
     return ceil(slowest_s / plan.timing.cycle_s) + 2

@@ -1,32 +1,29 @@
 """What must hold in every cycle of every run, whatever is killed, frozen, cut off or lost.
 
-A run is judged by its messages alone, beside the run of the same plant without faults. So the
-judge knows nothing of the agents' insides, and a mistake in them cannot hide.
+A run is judged by its messages alone, by what the wire document promises, so the judge knows
+nothing of the agents' insides. Each message says in `missing` which inputs it rests on: what it
+should say follows from them. Only `recovery` needs the run of the same plant without faults.
 
-An invariant is a function that yields the cycles of a run in which it does not hold. To add one,
-write it, enter it into `INVARIANTS`, and plant a mistake that it must find in the tests.
+To add an invariant, write it, enter it into `INVARIANTS`, and plant a bug that it must find
+(`tests/studies/campaign/planted/`).
 """
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from math import ceil, inf
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.plan import RunPlan
-from bus_schemas.messages import Command, Message, Production, Setpoint, Telemetry
-from bus_schemas.signals import Port
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, SETPOINT, TELEMETRY
+from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name
+from studies.campaign.trace import Decision, FaultyRun
 
-OVER_SHARE: Final = 0.05
-"""Share of the rating by which a plant with faults may deliver more than without, for as long as it
-likes."""
-
-UNDER_SHARE: Final = 0.05
-"""Share of the rating by which it may deliver less than its inverters would, each by itself."""
+OUT_SHARE: Final = 0.05
+"""Share of the rating by which a plant may deliver more than its dispatch, for as long as it likes,
+or less than its inverters would, each by itself."""
 
 SETTLED_SHARE: Final = 0.01
 """Share of the rating to which it is as without faults, once it has settled."""
@@ -34,7 +31,12 @@ SETTLED_SHARE: Final = 0.01
 SETTLES_S: Final = 30.0
 """Time after the last fault in which it settles, besides `hold_cycles`."""
 
-_ROUNDING_KW: Final = 1e-6
+_MOST_CORRECTION: Final = 0.1
+_EXACT: Final = 1e-6
+"""Rounding error, as a share of a rating."""
+
+Breaches: TypeAlias = Iterator[tuple[int, str]]
+"""Cycles in which an invariant does not hold, and how."""
 
 
 class Violation(NamedTuple):
@@ -45,175 +47,259 @@ class Violation(NamedTuple):
     text: str
 
 
-@dataclass
-class Trace:
-    """The messages of a run that the invariants are about, by node. Call it with each message.
-
-    `twice` are setpoints that one process sent again in a cycle. `ended` says why the run ended
-    before its time; it is empty if it did not.
-    """
-
-    produced: list[Production] = field(default_factory=list)
-    telemetry: dict[str, list[Telemetry]] = field(default_factory=dict)
-    commands: dict[str, list[Command]] = field(default_factory=dict)
-    setpoints: dict[str, dict[int, Setpoint]] = field(default_factory=dict)
-    twice: list[tuple[Port[Message], int]] = field(default_factory=list)
-    ended: str = ""
-
-    def __call__(self, port: Port[Message], message: Message) -> None:
-        if message.cycle < 0:
-            return
-        match message:
-            case Production():
-                self.produced.append(message)
-            case Telemetry():
-                self.telemetry.setdefault(port.node, []).append(message)
-            case Command():
-                self.commands.setdefault(port.node, []).append(message)
-            case Setpoint():
-                of_node = self.setpoints.setdefault(port.node, {})
-                before = of_node.get(message.cycle)
-                if before is not None and before.incarnation == message.incarnation:
-                    self.twice.append((port, message.cycle))
-                of_node[message.cycle] = message
-
-    @property
-    def delivered_kw(self) -> NDArray[np.float64]:
-        return np.array([one.delivered_kw for one in self.produced])
-
-    @property
-    def dispatch_kw(self) -> NDArray[np.float64]:
-        return np.array([one.dispatch_kw for one in self.produced])
-
-
-@dataclass(frozen=True)
-class FaultyRun:
-    """A run under faults, as the invariants see it.
-
-    healthy_kw: Power of the same run without faults, shape (cycles,) [kW].
-    last_fault_s: Simulated time since cycle 0 at which the last fault has ended [s].
-    longest_s: How long power may be out of bounds at a time [s]: what the faults allow.
-    """
-
-    plan: RunPlan
-    trace: Trace
-    healthy_kw: NDArray[np.float64]
-    last_fault_s: float
-    longest_s: float
-
-    @property
-    def rating_kw(self) -> float:
-        return self.plan.tree.rating_kw("")
-
-    def cycles_of(self, time_s: float) -> int:
-        return round(time_s * 1e9 / self.plan.timing.cycle_ns)
-
-
-Breaches: TypeAlias = Iterator[tuple[int, str]]
-"""Cycles in which an invariant does not hold, and how."""
-
-
 def violations(run: FaultyRun) -> Iterator[Violation]:
     """Yield each invariant that does not hold, with the first cycle in which it does not."""
     if run.trace.ended:
         yield Violation("end", len(run.trace.produced), run.trace.ended)
         return
     for name, invariant in INVARIANTS.items():
-        for cycle, text in invariant(run):
+        for cycle, text in sorted(invariant(run))[:1]:
             yield Violation(name, cycle, text)
 
 
 def _over_delivery(run: FaultyRun) -> Breaches:
-    """Check that the plant does not deliver more than the dispatch, or than without faults."""
-    due_kw = np.maximum(run.trace.dispatch_kw, run.healthy_kw)
-    return _lasting(run, run.trace.delivered_kw - due_kw, OVER_SHARE)
+    """Check that the plant does not deliver more than its dispatch."""
+    produced = run.trace.produced
+    return _lasting(run, np.array([one.delivered_kw - one.dispatch_kw for one in produced]))
 
 
 def _under_delivery(run: FaultyRun) -> Breaches:
     """Check that it does not deliver less than all inverters would if each acted by itself."""
-    tree, trace = run.plan.tree, run.trace
+    tree, produced = run.plan.tree, run.trace.produced
     rating_kw = np.array([tree.rating_kw(leaf) for leaf in tree.leaves])
-    mpp_kw = np.array([one.inverter_mpp_kw for one in trace.produced])
-    dispatch_kw = np.clip(trace.dispatch_kw, 0.0, rating_kw.sum())
-    share_kw = dispatch_kw[:, None] * (rating_kw / rating_kw.sum())
-    alone_kw = np.minimum(mpp_kw, share_kw).sum(axis=1)
-    return _lasting(run, alone_kw - trace.delivered_kw, UNDER_SHARE)
+    mpp_kw = np.array([one.inverter_mpp_kw for one in produced])
+    dispatch_kw = np.clip([one.dispatch_kw for one in produced], 0.0, rating_kw.sum())
+    alone_kw = np.minimum(mpp_kw, np.outer(dispatch_kw, rating_kw / rating_kw.sum()))
+    return _lasting(run, alone_kw.sum(axis=1) - run.trace.delivered_kw)
 
 
-def _lasting(run: FaultyRun, beyond_kw: NDArray[np.float64], share: float) -> Breaches:
+def _lasting(run: FaultyRun, beyond_kw: NDArray[np.float64]) -> Breaches:
     """Check that no power is above a share of the rating for longer than the faults allow."""
-    since, longest = 0, run.cycles_of(run.longest_s)
+    since = 0
     for cycle, kw in enumerate(beyond_kw.tolist()):
-        if kw <= share * run.rating_kw:
+        if kw <= OUT_SHARE * run.plan.tree.rating_kw(ROOT):
             since = cycle + 1
-        elif cycle - since >= longest:
-            yield since, f"{kw:,.0f} kW beyond what is due, for more than {longest} cycles"
-            return
+        elif cycle - since >= run.longest:
+            yield since, f"{kw:,.0f} kW beyond what is due, for more than {run.longest} cycles"
 
 
 def _recovery(run: FaultyRun) -> Breaches:
     """Check that some time after the last fault all is as if there had been none."""
-    settles = run.cycles_of(SETTLES_S) + run.plan.control.hold_cycles
-    begin = run.cycles_of(run.last_fault_s) + settles
-    apart_kw = np.abs(run.trace.delivered_kw - run.healthy_kw)[begin:]
-    wrong = np.flatnonzero(apart_kw > SETTLED_SHARE * run.rating_kw)
-    if len(wrong):
-        text = f"still {apart_kw[wrong[0]]:,.0f} kW apart from the run without faults"
-        yield begin + int(wrong[0]), text
+    apart_kw = np.abs(run.trace.delivered_kw - run.healthy_kw)
+    for cycle in np.flatnonzero(apart_kw > SETTLED_SHARE * run.plan.tree.rating_kw(ROOT)).tolist():
+        if run.is_quiet(cycle):
+            yield cycle, f"{apart_kw[cycle]:,.0f} kW apart from the run without faults"
 
 
-def _revert(run: FaultyRun) -> Breaches:
-    """Check that no command stays in force for longer than the revert time."""
-    plan = run.plan
-    for leaf in plan.tree.leaves:
-        revert = plan.site.settings_of(leaf).revert
-        if revert is None:
-            continue
-        # A cycle more, for what is sent and under way.
-        obeys_s = revert.after_s + plan.site.follows_within_s(leaf)
-        longest = obeys_s * 1e9 / plan.timing.cycle_ns + 1
-        rating_kw = plan.tree.rating_kw(leaf)
-        commands = run.trace.commands.get(leaf, [])
-        sent = [command.cycle for command in commands]
-        for telemetry in run.trace.telemetry.get(leaf, ()):
-            newest = bisect_right(sent, telemetry.cycle - 1) - 1
-            if newest < 0 or telemetry.cycle - 1 - sent[newest] <= longest:
-                continue
-            limit_kw = commands[newest].revert_kw if revert.to == "share" else rating_kw
-            if isinstance(revert.to, float):
-                limit_kw = revert.to * rating_kw
-            if telemetry.alpha < 1.0 or (limit_kw is not None and telemetry.limit_kw > limit_kw):
-                yield telemetry.cycle - 1, f"{leaf} obeys a command of cycle {sent[newest]}"
-                return
+def _inputs(run: FaultyRun) -> Breaches:
+    """Check that inputs were sent, have not expired, come in order, and of no replaced process.
 
-
-def _shares(run: FaultyRun) -> Breaches:
-    """Check that a parent gives its children no more than its own setpoint, if nothing is old."""
-    tree, setpoints = run.plan.tree, run.trace.setpoints
-    for parent in filter(None, tree.parents):
-        children = [setpoints.get(child, {}) for child in tree.children(parent)]
-        floor_kw = run.plan.control.alpha_floor * tree.rating_kw(parent)
-        for cycle, own in setpoints.get(parent, {}).items():
-            given = [child[cycle] for child in children if cycle in child]
-            if not given or any(setpoint.missing for setpoint in given):
-                continue
-            given_kw = sum(setpoint.power_kw for setpoint in given)
-            if given_kw > own.power_kw + floor_kw + _ROUNDING_KW:
-                yield cycle, f"{parent} shares out {given_kw:,.1f} of {own.power_kw:,.1f} kW"
-                return
+    Without a fault none is missing.
+    """
+    assert run.decisions
+    yield from run.wrong_inputs
 
 
 def _one_authority(run: FaultyRun) -> Breaches:
-    """Check that a node gets one setpoint in a cycle from each process of its parent."""
-    for port, cycle in run.trace.twice:
-        yield cycle, f"{port} has two setpoints in one cycle"
+    """Check that a process sends one message on a port in a cycle."""
+    yield from run.trace.twice
+
+
+def _inverters(run: FaultyRun) -> Breaches:
+    """Check that an inverter obeys its newest command until its revert time is over, then reverts.
+
+    A fresh command undoes a revert. An inverter with a ramp is not judged.
+    """
+    applied = [one for one in run.decisions if PRODUCTION.of(ROOT) in one.outputs]
+    for leaf in run.plan.tree.leaves:
+        near = 1.0, run.plan.tree.rating_kw(leaf)
+        for decision, wanted in zip(applied, _in_force(run, leaf, applied), strict=False):
+            shown = run.trace.of[TELEMETRY.of(leaf)].get(decision.cycle + 1)
+            if shown is None or wanted is None or decision.is_doubtful:
+                continue
+            got = shown[0].alpha, shown[0].limit_kw
+            if any(abs(got[at] - wanted[at]) > _EXACT * near[at] for at in (0, 1)):
+                yield decision.cycle, f"{leaf} obeys alpha and limit {got}, not {wanted}"
+
+
+def _in_force(
+    run: FaultyRun, leaf: str, applied: Iterable[Decision]
+) -> Iterator[tuple[float, float] | None]:
+    """Yield alpha and limit [kW] that are in force after each decision; None: not known."""
+    site, cycle_s, rating_kw = run.plan.site, run.plan.timing.cycle_s, run.plan.tree.rating_kw(leaf)
+    settings, limits = site.settings_of(leaf), run.plan.control.actuator == "limit"
+    if settings.ramp_percent_per_s is not None:
+        return
+    delay = ceil(round((settings.delay_s or 0.0) / cycle_s, 9))
+    to = settings.revert.to if settings.revert else "release"
+    revert_kw = rating_kw * (to if isinstance(to, float) else 1.0)
+    after = ceil(round(settings.revert.after_s / cycle_s, 9)) if settings.revert else inf
+    renewed, ordered = 0, list[tuple[float, float]]()
+    for decision in applied:
+        command = decision.used[COMMAND.of(leaf)]
+        if command is not None:
+            renewed = command.cycle
+            ordered.append((command.alpha, min(command.power_kw if limits else inf, rating_kw)))
+            if to == "share" and command.revert_kw is not None:
+                revert_kw = min(command.revert_kw, rating_kw)
+        elif ordered:
+            ordered.append(ordered[-1])
+        if decision.cycle - renewed >= after:
+            ordered = [(1.0, revert_kw)] * (delay + 1)
+        yield ordered[-1 - delay] if len(ordered) > delay else None
+
+
+def _reports(run: FaultyRun) -> Breaches:
+    """Check that a parent reports the sum of its children's IMPPs; of a silent one, its share."""
+    tree = run.plan.tree
+    for one in run.decisions:
+        report = one.outputs.get(IMPP.of(one.node)) if one.agent != PLANT else None
+        children = tree.children(one.node) if report is not None else ()
+        if report is None or not children or one.is_doubtful or one.share_kw(ROOT) is None:
+            continue
+        sum_kw = sum(_counts_kw(one, child) for child in children)
+        if abs(sum_kw - report.power_kw) > _EXACT * tree.rating_kw(one.node):
+            yield one.cycle, f"{one.agent} reports {report.power_kw:,.1f} of {sum_kw:,.1f} kW"
+
+
+def _counts_kw(one: Decision, child: str) -> float:
+    """Return what a parent should count on from a child: its IMPP, or its share if it is silent."""
+    impp = one.used[IMPP.of(child)]
+    return (one.share_kw(child) or 0.0) if impp is None else float(impp.power_kw)
+
+
+def _tripped(run: FaultyRun) -> Breaches:
+    """Check that an inverter that has given nothing for `hold_cycles` is not counted on."""
+    gave_in: dict[str, int] = {}
+    for one in run.decisions:
+        if one.stage != "estimate":
+            continue
+        telemetry, leaf = one.used[TELEMETRY.of(one.agent)], one.agent
+        if telemetry is None or telemetry.power_kw > 0.0:
+            gave_in[leaf] = one.cycle
+        counted_kw = one.outputs[IMPP.of(leaf)].power_kw
+        is_none = one.cycle - gave_in.get(leaf, -1) > run.plan.control.hold_cycles
+        if is_none and counted_kw > SETTLED_SHARE * run.plan.tree.rating_kw(leaf):
+            yield one.cycle, f"{leaf} counts on {counted_kw:,.1f} kW that are not there"
+
+
+def _division(run: FaultyRun) -> Breaches:
+    """Check that a parent divides its target, or its share without one: all of it, and no more.
+
+    A silent child has its share. No other one gets more than it has, but part of what is lacking.
+    """
+    for one in run.decisions:
+        if one.stage != "solve" or one.is_doubtful or one.share_kw(ROOT) is None:
+            continue
+        children = run.plan.tree.children(one.node)
+        given = [one.outputs.get(SETPOINT.of(child)) for child in children]
+        if None not in given:
+            yield from ((one.cycle, f"{one.agent} {text}") for text in _wrong_division(run, one))
+        elif any(given):
+            yield one.cycle, f"{one.agent} has no setpoint for some of its children"
+
+
+def _wrong_division(run: FaultyRun, one: Decision) -> Iterator[str]:
+    tree = run.plan.tree
+    near_kw, children = _EXACT * tree.rating_kw(one.node), tree.children(one.node)
+    given = {child: one.outputs[SETPOINT.of(child)] for child in children}
+    silent = [child for child in children if one.used[IMPP.of(child)] is None]
+    silent_kw = sum(_counts_kw(one, child) for child in silent)
+    impp_kw = sum(_counts_kw(one, child) for child in children) - silent_kw
+    given_kw = sum(given[child].power_kw for child in children if child not in silent)
+    shared_kw, own_kw = sum(one.share_kw for one in given.values()), one.share_kw(one.node) or 0.0
+    target_kw = shared_kw
+    if one.agent == CENTRAL:  # What it adds by correction is not published.
+        most_kw = _MOST_CORRECTION * tree.rating_kw(ROOT) + near_kw
+        if abs(max(own_kw - silent_kw, 0.0) - shared_kw) > most_kw:
+            yield f"shares out {shared_kw:,.1f} of {own_kw:,.1f} kW"
+    else:
+        setpoint = one.used[SETPOINT.of(one.node)]
+        wanted_kw = own_kw if setpoint is None else setpoint.power_kw
+        target_kw = max(wanted_kw - silent_kw, 0.0)
+    floor_kw = run.plan.control.alpha_floor * impp_kw
+    if not min(target_kw, impp_kw) - near_kw <= given_kw <= max(target_kw, floor_kw) + near_kw:
+        yield f"gives {given_kw:,.1f} kW of {target_kw:,.1f} kW"
+    for child, setpoint in given.items():
+        beyond_kw = setpoint.power_kw - _counts_kw(one, child)
+        if (beyond_kw > near_kw and target_kw < impp_kw - near_kw) or (
+            child in silent and abs(beyond_kw) > near_kw
+        ):
+            yield f"gives {child} {beyond_kw:,.1f} kW beyond what it has"
+
+
+def _commands(run: FaultyRun) -> Breaches:
+    """Check that an inverter is commanded its setpoint, or its share, and to revert to its share.
+
+    It is commanded nothing before it has been measured.
+    """
+    for one in run.decisions:
+        command = one.outputs.get(COMMAND.of(one.agent)) if one.stage == "actuate" else None
+        if command is not None:
+            if not one.was_measured:
+                yield one.cycle, f"{one.agent} is commanded before it has been measured"
+            if not one.is_doubtful and one.reported:
+                wrong = _wrong_command(run, one)
+                yield from ((one.cycle, f"{one.agent} is commanded {text}") for text in wrong)
+
+
+def _wrong_command(run: FaultyRun, one: Decision) -> Iterator[str]:
+    leaf, control = one.agent, run.plan.control
+    command, report = one.outputs[COMMAND.of(leaf)], one.reported[IMPP.of(leaf)]
+    setpoint, share_kw = one.used[SETPOINT.of(leaf)], one.share_kw(leaf)
+    near_kw, impp_kw = _EXACT * run.plan.tree.rating_kw(leaf), report.power_kw
+    revert_kw = share_kw if run.plan.site.settings_of(leaf).revert else None
+    got = command.revert_kw
+    if (got is None) != (revert_kw is None) or abs((got or 0.0) - (revert_kw or 0.0)) > near_kw:
+        yield f"to revert to {got}, not {revert_kw}"
+    target_kw = share_kw if setpoint is None else setpoint.power_kw
+    # An inverter that is not heard is commanded its share, so that it shows itself if it lives.
+    if target_kw is None or report.stale_cycles > control.hold_cycles:
+        return
+    least_kw = min(target_kw, impp_kw) - near_kw
+    most_kw = max(target_kw, control.alpha_floor * impp_kw) + near_kw
+    if command.power_kw < least_kw or (
+        target_kw < impp_kw - near_kw and command.power_kw > most_kw
+    ):
+        yield f"{command.power_kw:,.1f} kW of {target_kw:,.1f} kW"
+
+
+def _silence(run: FaultyRun) -> Breaches:
+    """Check that who lives and knows its share acts; without a fault everybody always speaks."""
+    control, last = run.plan.control, len(run.trace.produced) - 1
+    spoke = {(one.agent, one.cycle, one.stage) for one in run.decisions}
+    for one in run.decisions:
+        stopped = any(one.cycle in cycles for cycles in run.stopped.get(one.agent, ()))
+        if one.cycle == last or stopped or one.used.get(DISPATCH.of(ROOT)) is None:
+            continue
+        if one.stage == "actuate":
+            continue
+        if one.stage == "estimate":
+            acts = not one.was_measured or (one.agent, one.cycle, "actuate") in spoke
+        else:
+            acts = (one.agent, one.cycle, "solve") in spoke
+            if one.agent == CENTRAL:
+                acts = SETPOINT.of(run.plan.tree.children(ROOT)[0]) in one.outputs
+            acts |= not control.periods.is_turn(one.node, one.cycle)
+        if not acts:
+            yield one.cycle, f"{one.agent} does not act, though it knows its share"
+    spoken = {(agent, cycle) for agent, cycle, _ in spoke}
+    for cycle in filter(run.is_quiet, range(last)):
+        for agent in map(agent_name, run.plan.tree.nodes):
+            if (agent, cycle) not in spoken:
+                yield cycle, f"{agent} says nothing"
 
 
 INVARIANTS: Final[dict[str, Callable[[FaultyRun], Breaches]]] = {
     "over-delivery": _over_delivery,
     "under-delivery": _under_delivery,
     "recovery": _recovery,
-    "revert": _revert,
-    "shares": _shares,
+    "inputs": _inputs,
     "one authority": _one_authority,
+    "inverters": _inverters,
+    "reports": _reports,
+    "tripped": _tripped,
+    "division": _division,
+    "commands": _commands,
+    "silence": _silence,
 }

@@ -1,38 +1,41 @@
 """A campaign: one plant, thousands of seeds, each with random faults on the virtual clock.
 
 A seed and a scenario give the same faults and the same run on every machine. A seed that breaks an
-invariant is shrunk to the shortest list of faults that still does.
+invariant is shrunk to the shortest list of faults that still does. Faults last for less or for
+longer than each time-out of the system: hold, restart, revert.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.faults import Fault, Freeze, Kill
+from agents.cycle import kind_of
+from agents.faults import Fault, Freeze, Kill, ProcessFault, Trip, incidents
 from agents.plan import RunPlan, changed
-from agents.team import Controller, controller
-from bus_schemas.faults import Disturbance, Partition, links
-from bus_schemas.tree import agent_name, depth
+from bus_schemas.faults import Blackout, Disturbance, LinkFault, Partition, links
+from bus_schemas.tree import CENTRAL, PLANT, agent_name, depth, parent_of
 from launch_scripts.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
 from launch_scripts.supervision import RunFailure
-from scenarios.fault_rules import fault_text, parse_fault
+from scenarios.fault_rules import fault_text
 from scenarios.preparation import Preparation
 from sim_plant.profile import Profile
-from studies.campaign.invariants import SETTLES_S, FaultyRun, Trace, Violation, violations
+from studies.campaign.invariants import SETTLES_S, Violation, violations
+from studies.campaign.trace import FaultyRun, Trace
 
 _MOST_FAULTS: Final = 5
 _FIRST_S: Final = 10.0
 """No fault begins before: estimates need some cycles."""
 
-_LONGEST_S: Final = 40.0
-"""How long a process stands still, or a network is bad, at most."""
+_APART_S: Final = 15.0
+"""All faults of a seed begin within this time, so that they meet."""
 
 _SETTLED_S: Final = 10.0
 """How long a run goes on once it must be as without faults."""
@@ -40,31 +43,42 @@ _SETTLED_S: Final = 10.0
 _OLD_REPORTS_S: Final = 3.0
 """How much longer than `hold_cycles` a parent may divide power by old reports."""
 
+_MARGIN_S: Final = 10.0
+"""How much longer or shorter than a time-out a fault lasts at most."""
+
+_STOPPED_S: Final = 3.0
+"""So long before and after a process stands still it may leave a cycle unfinished."""
+
+_NEVER_S: Final = 1e6
+"""When a process is there again that never is."""
+
+_STANDBY_SHARE: Final = 0.25
+"""Share of the seeds in which parents have a standby."""
+
 
 class SeedResult(msgspec.Struct, frozen=True, kw_only=True):
     """The result of one seed.
 
     rules: Its faults, as `--fault` reads them; the shortest list that breaks the first invariant.
-    over_kwh, under_kwh: Energy beyond and below what the plant delivers without faults.
+    standby: Whether all parents had one.
+    over_kwh, under_kwh: Energy beyond and below what the plant delivers without faults, under all
+        faults that were drawn.
     over_kw, under_kw: The most of it in a cycle.
     """
 
     seed: int
     rules: tuple[str, ...]
+    standby: bool
     violations: tuple[Violation, ...]
     over_kwh: float
     under_kwh: float
     over_kw: float
     under_kw: float
 
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        return tuple(map(parse_fault, self.rules))
-
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """A plant, and its power without faults, shape (cycles,)."""
+    """A plant, its own faults among those of each seed, and its power without any [kW]."""
 
     plan: RunPlan
     profile: Profile
@@ -72,23 +86,29 @@ class Campaign:
 
 
 def campaign(preparation: Preparation) -> Campaign:
-    plan = on_the_clock(preparation.plan)
-    profile = preparation.profile
+    plan, profile = on_the_clock(preparation.plan), preparation.profile
     return Campaign(plan, profile, trace_of(plan, profile, ()).delivered_kw)
 
 
-def run_seed(campaign: Campaign, seed: int) -> SeedResult:
-    """Run one seed; shrink it if it breaks an invariant."""
-    faults = faults_of(campaign.plan, seed)
-    trace, broken = judged_run(campaign, faults)
-    if broken:
-        faults = _shrunk(campaign, faults, broken[0].invariant)
-        trace, broken = judged_run(campaign, faults)
-    apart_kw = trace.delivered_kw - campaign.healthy_kw[: len(trace.produced)]
-    hours = campaign.plan.timing.cycle_ns / 3.6e12
+def run_seed(found: Campaign, seed: int) -> SeedResult:
+    """Run one seed; shrink it if it breaks an invariant. Seed 0 draws no faults."""
+    plan, own = found.plan, found.plan.faults.rules
+    faults, standby = faults_of(plan, seed) if seed else ((), False)
+    if standby:
+        parents = tuple(map(agent_name, plan.tree.parents))
+        plan = changed(plan, supervision={"standby": parents})
+    trace, broken = judged_run(found, plan, own + faults)
+    apart_kw = trace.delivered_kw - found.healthy_kw[: len(trace.produced)]
+    for fault in faults if broken else ():
+        fewer = tuple(other for other in faults if other is not fault)
+        its = judged_run(found, plan, own + fewer)[1]
+        if any(one.invariant == broken[0].invariant for one in its):
+            faults, broken = fewer, its
+    hours = plan.timing.cycle_ns / 3.6e12
     return SeedResult(
         seed=seed,
         rules=tuple(map(fault_text, faults)),
+        standby=standby,
         violations=tuple(broken),
         over_kwh=float(np.maximum(apart_kw, 0.0).sum() * hours),
         under_kwh=float(np.maximum(-apart_kw, 0.0).sum() * hours),
@@ -97,104 +117,138 @@ def run_seed(campaign: Campaign, seed: int) -> SeedResult:
     )
 
 
-def least_length_s(plan: RunPlan) -> float:
-    """Length of a run in which faults can come about and be over [s]."""
-    return 2 * _FIRST_S + _LONGEST_S + _settles_s(plan)
-
-
-def judged_run(campaign: Campaign, faults: Sequence[Fault]) -> tuple[Trace, list[Violation]]:
-    """Return a run under some faults, up to when it must have settled, and what it breaks."""
-    plan = campaign.plan
-    last_s = max(map(end_s, faults)) + _settles_s(plan) + _SETTLED_S
-    last = round(last_s * 1e9 / plan.timing.cycle_ns)
-    shorter = changed(plan, timing={"cycles": min(plan.timing.cycles, last)})
-    trace = trace_of(shorter, campaign.profile, faults)
-    return trace, judge(campaign, faults, trace)
-
-
-def judge(campaign: Campaign, faults: Sequence[Fault], trace: Trace) -> list[Violation]:
-    """Return the invariants that a run under some faults breaks."""
-    plan = campaign.plan
-    # When all faults are over, and inverters have obeyed the last commands.
-    last_s = max(map(end_s, faults)) + _slowest_s(plan)
-    # An inverter that hears nothing more obeys for the revert time. If direct controllers live and
-    # hear the plant, only parents decide wrongly, on reports that are at most `hold_cycles` old.
-    reverts = [plan.site.settings_of(leaf).revert for leaf in plan.tree.leaves]
-    revert_s = max(last_s if revert is None else revert.after_s for revert in reverts)
-    spared = all(spares_inverters(plan, fault) for fault in faults)
-    longest_s = _hold_s(plan) + (_OLD_REPORTS_S if spared else revert_s) + _slowest_s(plan)
-    healthy_kw = campaign.healthy_kw[: len(trace.produced)]
-    return list(violations(FaultyRun(plan, trace, healthy_kw, last_s, longest_s)))
-
-
-def trace_of(
-    plan: RunPlan,
-    profile: Profile,
-    faults: Sequence[Fault],
-    restart_takes_s: float = RESTART_TAKES_S,
-    make: Callable[[RunPlan, str], Controller] = controller,
-) -> Trace:
-    """Return the messages of a run under some faults; see `MemoryRun`."""
+def trace_of(plan: RunPlan, profile: Profile, faults: Sequence[Fault]) -> Trace:
+    """Return the messages of a run under some faults."""
     trace = Trace()
     # A run without faults goes by the same clock: a rule of no length says so.
     idle = Disturbance(loss=1.0, at=(1e9, 2e9))
     plan = changed(plan, faults={"rules": tuple(faults) or (idle,)})
     try:
-        for _ in MemoryRun(plan, profile, trace, restart_takes_s, make).cycles():
+        for _ in MemoryRun(plan, profile, trace).cycles():
             pass
     except RunFailure as failure:
         trace.ended = str(failure)
     return trace
 
 
-def _shrunk(campaign: Campaign, faults: tuple[Fault, ...], invariant: str) -> tuple[Fault, ...]:
-    """Leave out one fault after the other, as long as the invariant still breaks."""
-    for fault in faults:
-        fewer = tuple(other for other in faults if other is not fault)
-        if fewer and any(one.invariant == invariant for one in judged_run(campaign, fewer)[1]):
-            faults = fewer
-    return faults
+def judged_run(
+    found: Campaign, plan: RunPlan, faults: Sequence[Fault]
+) -> tuple[Trace, list[Violation]]:
+    """Return a run under some faults, up to when it must have settled, and what it breaks."""
+    cycle_s = plan.timing.cycle_s
+    slowest_s = max(map(plan.site.follows_within_s, plan.tree.leaves))
+    hold_s = plan.control.hold_cycles * cycle_s
+    # When all faults are over, and inverters have obeyed the last commands.
+    last_s = max((end_s(fault) for fault in faults), default=0.0) + slowest_s
+    settled_s = last_s + SETTLES_S + hold_s if faults else 0.0
+    cycles = min(settled_s + _SETTLED_S, 1e9) / cycle_s if faults else inf
+    plan = changed(plan, timing={"cycles": round(min(plan.timing.cycles, cycles))})
+    trace = trace_of(plan, found.profile, faults)
+    # An inverter that hears nothing more obeys for the revert time. If direct controllers live and
+    # hear the plant, only parents decide wrongly, on reports that are at most `hold_cycles` old.
+    reverts = [plan.site.settings_of(leaf).revert for leaf in plan.tree.leaves]
+    revert_s = max(last_s if revert is None else revert.after_s for revert in reverts)
+    spared = all(_spares_inverters(plan, fault) for fault in faults)
+    longest_s = hold_s + slowest_s + (_OLD_REPORTS_S if spared else revert_s)
+    first_s = min(map(begin_s, faults), default=inf)
+    stopped: dict[str, list[range]] = {}
+    for one in incidents(faults, plan.tree):
+        until_s = max(one.time_s, one.until_s) + _STOPPED_S
+        cycles_of = range(int((one.time_s - _STOPPED_S) / cycle_s), int(until_s / cycle_s) + 1)
+        stopped.setdefault(one.agent, []).append(cycles_of)
+    quiet = (first_s / cycle_s, settled_s / cycle_s)
+    healthy_kw = found.healthy_kw[: len(trace.produced)]
+    run = FaultyRun(plan, trace, healthy_kw, quiet, round(longest_s / cycle_s), stopped)
+    return trace, list(violations(run))
 
 
-def _slowest_s(plan: RunPlan) -> float:
-    """Return how long the slowest inverter takes to obey [s]."""
-    return max(map(plan.site.follows_within_s, plan.tree.leaves))
+def least_length_s(plan: RunPlan) -> float:
+    """Length of a run in which the longest faults are over and the plant has settled [s]."""
+    slowest_s = max(map(plan.site.follows_within_s, plan.tree.leaves))
+    hold_s = plan.control.hold_cycles * plan.timing.cycle_s
+    longest_s = max(_time_outs_s(plan)) + _MARGIN_S
+    return _FIRST_S + _APART_S + longest_s + slowest_s + SETTLES_S + hold_s + _SETTLED_S
 
 
-def _hold_s(plan: RunPlan) -> float:
-    return plan.control.hold_cycles * plan.timing.cycle_ns / 1e9
+def _time_outs_s(plan: RunPlan) -> list[float]:
+    """Return the times after which something changes: hold, restart, revert [s]."""
+    reverts = [plan.site.settings_of(leaf).revert for leaf in plan.tree.leaves]
+    return [
+        RESTART_TAKES_S,
+        plan.supervision.restart.frozen_s,
+        plan.control.hold_cycles * plan.timing.cycle_s,
+        *{revert.after_s for revert in reverts if revert is not None},
+    ]
 
 
-def _settles_s(plan: RunPlan) -> float:
-    """Return the time after the last fault in which the plant becomes as without any [s]."""
-    return SETTLES_S + _hold_s(plan) + _slowest_s(plan)
-
-
-def faults_of(plan: RunPlan, seed: int) -> tuple[Fault, ...]:
-    """Return the random faults of a seed. The run goes on until it must have settled after them."""
+def faults_of(plan: RunPlan, seed: int) -> tuple[tuple[Fault, ...], bool]:
+    """Return the random faults of a seed, and whether parents have standbys."""
     draw = random.Random(seed)
-    last_s = plan.timing.cycles * plan.timing.cycle_ns / 1e9 - _settles_s(plan) - _FIRST_S
+    standby = draw.random() < _STANDBY_SHARE
     # The upper tiers are few and matter most: each tier is as likely as the others.
     tiers: dict[int, list[str]] = {}
     for node in plan.tree.nodes:
         tiers.setdefault(depth(node), []).append(agent_name(node))
-    pairs = sorted({(port.publisher, listener) for port, listener in links(plan.tree)})
+    focus = draw.choice(draw.choice(list(tiers.values())))
     faults: list[Fault] = []
     for _ in range(draw.randint(1, _MOST_FAULTS)):
-        begin_s = round(draw.uniform(_FIRST_S, last_s - _FIRST_S), 1)
-        end_s = round(min(begin_s + draw.uniform(0.5, _LONGEST_S), last_s), 1)
-        at = (begin_s, end_s)
-        agent = draw.choice(draw.choice(list(tiers.values())))
-        match draw.choice(["kill", "freeze", "partition", "network"]):
-            case "kill":
-                faults.append(Kill(agent, begin_s))
-            case "freeze":
-                faults.append(Freeze(agent, at))
-            case "partition":
-                faults.append(Partition(draw.choice(pairs), at))
-            case _:
-                faults.append(_bad_network(draw, draw.choice(["*", agent]), at))
-    return tuple(faults)
+        begin_s = round(draw.uniform(_FIRST_S, _FIRST_S + _APART_S), 1)
+        lasts_s = draw.choice(_time_outs_s(plan)) + draw.uniform(-1.0, 1.0) * _MARGIN_S
+        at = (begin_s, round(begin_s + max(lasts_s, 0.5), 1))
+        agent = draw.choice([focus, draw.choice(draw.choice(list(tiers.values())))])
+        if draw.random() < 0.5:
+            faults += _process_faults(draw, plan, agent, at)
+        else:
+            faults.append(_link_fault(draw, plan, agent, at))
+    return tuple(faults), standby
+
+
+def _process_faults(
+    draw: random.Random, plan: RunPlan, agent: str, at: tuple[float, float]
+) -> Iterator[Fault]:
+    begin_s, end_s = at
+    agents = draw.choice([agent, agent, _beside(agent)])
+    match draw.choice(["kill", "down", "freeze", "zombie", "trip"]):
+        case "kill":
+            yield Kill(agents, begin_s)
+        case "down":
+            yield Kill(agents, begin_s, draw.choice([end_s, end_s, _NEVER_S]))
+        case "freeze":
+            yield Freeze(agents, at)
+        case "zombie":
+            yield Freeze(agents, at, zombie=True)
+            if draw.random() < 0.5:  # Its successor dies as well.
+                yield Kill(agents, end_s, round(2.0 * end_s - begin_s, 1))
+        case _:
+            leaf = draw.choice(plan.tree.leaves)
+            yield Trip(draw.choice([leaf, _beside(leaf)]), at)
+
+
+def _link_fault(
+    draw: random.Random, plan: RunPlan, agent: str, at: tuple[float, float]
+) -> LinkFault:
+    """Draw a fault of links: each kind of link is as likely as the others."""
+    kinds: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
+    for port, listener in links(plan.tree):
+        kind = kind_of(port.publisher, plan.tree), kind_of(listener, plan.tree), port.signal.name
+        kinds.setdefault(kind, []).append((port.publisher, listener, port.signal.name))
+    source, listener, signal = draw.choice(draw.choice(list(kinds.values())))
+    match draw.choice(["partition", "blackout", "deaf", "dumb", "network"]):
+        case "partition":
+            return Partition((draw.choice([source, _beside(source)]), listener), at)
+        case "blackout":
+            source = draw.choice([source, _beside(source)])
+            return Blackout(source=source, listener=listener, signal=signal, at=at)
+        case "deaf":
+            return Blackout(listener=draw.choice([listener, agent]), at=at)
+        case "dumb":
+            return Blackout(source=draw.choice([source, agent]), at=at)
+    return _bad_network(draw, draw.choice(["*", source, agent]), at)
+
+
+def _beside(agent: str) -> str:
+    """Return a pattern for an agent and all its siblings."""
+    return f"{parent_of(agent)}/*" if agent != PLANT and parent_of(agent) else "*"
 
 
 def _bad_network(draw: random.Random, source: str, at: tuple[float, float]) -> Disturbance:
@@ -204,28 +258,36 @@ def _bad_network(draw: random.Random, source: str, at: tuple[float, float]) -> D
         jitter_ms=draw.choice([0.0, 50.0]),
         loss=draw.choice([0.02, 0.2, 0.5]),
         duplicate=draw.choice([0.0, 0.1]),
+        reorder=(reorder := draw.choice([0.0, 0.2])),
+        reorder_ms=3000.0 if reorder else None,
         at=at,
     )
 
 
+def begin_s(fault: Fault) -> float:
+    """Return when a fault begins [s]."""
+    if isinstance(fault, Kill):
+        return fault.at
+    return fault.at[0] if fault.at else 0.0
+
+
 def end_s(fault: Fault) -> float:
     """Return when a fault and its effects on processes and links are over [s]."""
-    match fault:
-        case Kill(at=at_s):
-            return at_s + RESTART_TAKES_S
-        case Disturbance(at=(_, end_s)):  # Jitter is uniform; nothing is reordered.
-            return end_s + (fault.delay_ms + fault.jitter_ms) / 1e3
-        case Freeze(at=(_, end_s)) | Partition(at=(_, end_s)):
-            return end_s
-    raise ValueError(f"a campaign draws no {fault}")
+    if isinstance(fault, Kill):
+        return (fault.until or fault.at) + RESTART_TAKES_S
+    if fault.at is None:
+        return inf
+    if isinstance(fault, Disturbance):  # Jitter may be that much, and be doubled.
+        return fault.at[1] + (fault.delay_ms + 2.0 * fault.jitter_ms + fault.held_back_ms) / 1e3
+    return fault.at[1] + (RESTART_TAKES_S if isinstance(fault, ProcessFault) else 0.0)
 
 
-def spares_inverters(plan: RunPlan, fault: Fault) -> bool:
+def _spares_inverters(plan: RunPlan, fault: Fault) -> bool:
     """Whether a fault leaves direct controllers alone, and all that they and the plant publish."""
     inverters = set(plan.tree.leaves)
     match fault:
         case Kill(agents=agent) | Freeze(agents=agent):
-            return agent not in inverters
+            return agent in {CENTRAL, *plan.tree.parents}
         case Partition(between=agents):
-            return inverters.isdisjoint(agents)
+            return inverters.isdisjoint(agents) and not any("*" in agent for agent in agents)
     return False
