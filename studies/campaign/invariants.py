@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, SETPOINT, TELEMETRY
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, SETPOINT, TELEMETRY
 from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name
 from studies.campaign.trace import Decision, FaultyRun
 
@@ -150,16 +150,23 @@ def _in_force(
 
 
 def _reports(run: FaultyRun) -> Breaches:
-    """Check that a parent reports the sum of its children's IMPPs; of a silent one, its share."""
+    """Check that IMPP and residual follow from a share, or from those of the children."""
     tree = run.plan.tree
     for one in run.decisions:
         report = one.outputs.get(IMPP.of(one.node)) if one.agent != PLANT else None
-        children = tree.children(one.node) if report is not None else ()
-        if report is None or not children or one.is_doubtful or one.share_kw(ROOT) is None:
+        share_kw = None if report is None or one.is_doubtful else one.share_kw(one.node)
+        if report is None or share_kw is None:
             continue
-        sum_kw = sum(_counts_kw(one, child) for child in children)
-        if abs(sum_kw - report.power_kw) > _EXACT * tree.rating_kw(one.node):
-            yield one.cycle, f"{one.agent} reports {report.power_kw:,.1f} of {sum_kw:,.1f} kW"
+        children, left_kw = tree.children(one.node), one.outputs[RESIDUAL.of(one.node)].power_kw
+        impp_kw, due_kw = report.power_kw, report.power_kw - share_kw
+        if children:
+            impp_kw = sum(_counts_kw(one, child) for child in children)
+            due_kw = sum(_left_kw(one, child) for child in children)
+        if max(abs(impp_kw - report.power_kw), abs(due_kw - left_kw)) > _EXACT * tree.rating_kw(
+            ROOT
+        ):
+            text = f"reports {report.power_kw:,.1f} and {left_kw:,.1f} kW"
+            yield one.cycle, f"{one.agent} {text}, not {impp_kw:,.1f} and {due_kw:,.1f} kW"
 
 
 def _counts_kw(one: Decision, child: str) -> float:
@@ -168,18 +175,29 @@ def _counts_kw(one: Decision, child: str) -> float:
     return (one.share_kw(child) or 0.0) if impp is None else float(impp.power_kw)
 
 
+def _left_kw(one: Decision, child: str) -> float:
+    """Return what a child has beyond its share: its residual, if that is of its IMPP."""
+    impp, residual = one.used[IMPP.of(child)], one.used[RESIDUAL.of(child)]
+    if impp is not None and residual is not None and residual.cycle == impp.cycle:
+        return float(residual.power_kw)
+    return _counts_kw(one, child) - (one.share_kw(child) or 0.0)
+
+
 def _tripped(run: FaultyRun) -> Breaches:
-    """Check that an inverter that has given nothing for `hold_cycles` is not counted on."""
-    gave_in: dict[str, int] = {}
+    """Check that an inverter which gives nothing, or is not heard, for longer is not counted on."""
+    gave_in, newest = dict[str, int](), dict[str, int]()
     for one in run.decisions:
         if one.stage != "estimate":
             continue
         telemetry, leaf = one.used[TELEMETRY.of(one.agent)], one.agent
-        if telemetry is None or telemetry.power_kw > 0.0:
-            gave_in[leaf] = one.cycle
+        if telemetry is not None and telemetry.cycle > newest.get(leaf, -1):
+            newest[leaf] = telemetry.cycle
+            if telemetry.power_kw > 0.0:
+                gave_in[leaf] = one.cycle
         counted_kw = one.outputs[IMPP.of(leaf)].power_kw
         is_none = one.cycle - gave_in.get(leaf, -1) > run.plan.control.hold_cycles
-        if is_none and counted_kw > SETTLED_SHARE * run.plan.tree.rating_kw(leaf):
+        is_heard = one.used[DISPATCH.of(ROOT)] is not None
+        if is_none and is_heard and counted_kw > SETTLED_SHARE * run.plan.tree.rating_kw(leaf):
             yield one.cycle, f"{leaf} counts on {counted_kw:,.1f} kW that are not there"
 
 

@@ -94,9 +94,7 @@ def run_seed(found: Campaign, seed: int) -> SeedResult:
     """Run one seed; shrink it if it breaks an invariant. Seed 0 draws no faults."""
     plan, own = found.plan, found.plan.faults.rules
     faults, standby = faults_of(plan, seed) if seed else ((), False)
-    if standby:
-        parents = tuple(map(agent_name, plan.tree.parents))
-        plan = changed(plan, supervision={"standby": parents})
+    plan = with_standbys(plan, standby)
     trace, broken = judged_run(found, plan, own + faults)
     apart_kw = trace.delivered_kw - found.healthy_kw[: len(trace.produced)]
     for fault in faults if broken else ():
@@ -115,6 +113,11 @@ def run_seed(found: Campaign, seed: int) -> SeedResult:
         over_kw=float(max(apart_kw.max(), 0.0)),
         under_kw=float(max(-apart_kw.min(), 0.0)),
     )
+
+
+def with_standbys(plan: RunPlan, standby: bool) -> RunPlan:
+    parents = tuple(map(agent_name, plan.tree.parents))
+    return changed(plan, supervision={"standby": parents}) if standby else plan
 
 
 def trace_of(plan: RunPlan, profile: Profile, faults: Sequence[Fault]) -> Trace:
@@ -227,23 +230,26 @@ def _process_faults(
 def _link_fault(
     draw: random.Random, plan: RunPlan, agent: str, at: tuple[float, float]
 ) -> LinkFault:
-    """Draw a fault of links: each kind of link is as likely as the others."""
+    """Draw a fault of links, often those of an agent: each kind is as likely as the others."""
     kinds: dict[tuple[str, ...], list[tuple[str, str, str]]] = {}
+    any_agent = draw.random() < 0.5
     for port, listener in links(plan.tree):
+        if not any_agent and agent not in {port.publisher, listener}:
+            continue
         kind = kind_of(port.publisher, plan.tree), kind_of(listener, plan.tree), port.signal.name
         kinds.setdefault(kind, []).append((port.publisher, listener, port.signal.name))
     source, listener, signal = draw.choice(draw.choice(list(kinds.values())))
+    sources, listeners = (draw.choice([end, _beside(end)]) for end in (source, listener))
     match draw.choice(["partition", "blackout", "deaf", "dumb", "network"]):
         case "partition":
-            return Partition((draw.choice([source, _beside(source)]), listener), at)
+            return Partition((sources, listeners), at)
         case "blackout":
-            source = draw.choice([source, _beside(source)])
-            return Blackout(source=source, listener=listener, signal=signal, at=at)
+            return Blackout(source=sources, listener=listeners, signal=signal, at=at)
         case "deaf":
-            return Blackout(listener=draw.choice([listener, agent]), at=at)
+            return Blackout(listener=listeners, at=at)
         case "dumb":
-            return Blackout(source=draw.choice([source, agent]), at=at)
-    return _bad_network(draw, draw.choice(["*", source, agent]), at)
+            return Blackout(source=sources, at=at)
+    return _bad_network(draw, draw.choice(["*", sources]), at)
 
 
 def _beside(agent: str) -> str:

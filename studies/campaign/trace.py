@@ -153,6 +153,8 @@ class FaultyRun:
             used[port], period = None, control.period(port)
             of = missing.get(str(port), cycle - cycle % period)
             if of is None:
+                if port in heard and cycle - heard[port][0] - period < control.hold_cycles:
+                    wrong.append(f"{port}, heard in cycle {heard[port][0]}")
                 continue
             newest, process = heard.get(port, (of, 0))
             sent = self.trace.of.get(port, {}).get(of, ())
