@@ -170,7 +170,8 @@ class PlantOptions:
         Make links imperfect: `source=c1/*,delay=50ms` (fields: source, listener, signal, delay,
         jitter, distribution, loss, duplicate, reorder, reorder-by, at=60s..90s). Or cut links,
         freeze or kill controllers: `source=c1,blackout=5s..9s`, `partition=c1|c2,at=5s..9s`,
-        `freeze=c2,at=5s..9s`, `kill=c2,at=5s`. May be given several times.
+        `freeze=c2,at=5s..9s`, `kill=c2,at=5s`, `trip=c2/inv07,at=5s..9s`. May be given several
+        times.
     """
 
     seed: Seed = None

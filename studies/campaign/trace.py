@@ -115,12 +115,15 @@ class FaultyRun:
 
     def _of_agent(self, agent: str, turns: Sequence[Sequence[Stage]]) -> Iterator[Decision]:
         plan, of = self.plan, self.trace.of
-        decided = [port for port in plan.wiring.published[agent] if port.signal.decided]
+        ports_of: dict[str, list[Port[Message]]] = {}
+        for port in plan.wiring.published[agent]:
+            if port.signal.decided:
+                ports_of.setdefault(stage_of(port, plan.tree), []).append(port)
         speaks, was_measured, heard = 0, False, dict[Port[Message], tuple[int, int]]()
         for cycle in range(len(self.trace.produced)):
             reported: dict[Port[Message], Any] = {}
             for stage in turns[cycle % len(turns)]:
-                ports = [port for port in decided if stage_of(port, plan.tree) == stage.name]
+                ports = ports_of[stage.name]
                 sent = [(port, one) for port in ports for one in of.get(port, {}).get(cycle, ())]
                 newest = max((one.incarnation for _, one in sent), default=-1)
                 if newest < speaks:

@@ -14,7 +14,7 @@ from memory_runs import run_with
 from agents.settings import RestartPolicy, Revert
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Setpoint, Takeover
-from bus_schemas.signals import SETPOINT
+from bus_schemas.signals import IMPP, SETPOINT
 from bus_schemas.tree import CENTRAL
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
@@ -74,6 +74,31 @@ def test_a_controller_that_stays_frozen_is_replaced_and_thaws_no_more(oahu: Prep
     assert run.loops["c2"].times.skipped_cycles >= 13, (
         "nobody kills it where nobody would replace it"
     )
+
+
+def test_a_zombie_is_refused_by_who_has_heard_its_successor(oahu: Preparation) -> None:
+    run, _ = run_with(oahu, [f"freeze=c2,at={KILLED_AT}s..{KILLED_AT + 40}s,zombie=yes"])
+    of_zombie = CYCLES - KILLED_AT - 40
+    dropped = run.loops[CENTRAL].inputs.dropped
+    for signal in ("impp", "residual"):
+        assert dropped[f"c2/{signal}", "wrong_sender"] == of_zombie
+
+
+def test_a_killed_controller_comes_back_as_late_as_its_rule_says(oahu: Preparation) -> None:
+    run, _ = run_with(oahu, [f"kill=c2,at={KILLED_AT}s,until={KILLED_AT + 40}s"])
+    assert run.loops["c2"].standby.incarnation in {KILLED_AT + 40, KILLED_AT + 41}
+
+
+def test_a_tripped_inverter_draws_power_and_is_counted_on_again_afterwards(
+    oahu: Preparation,
+) -> None:
+    tripped = slice(KILLED_AT, KILLED_AT + 40)
+    _, trace = run_with(oahu, [f"trip=c2/inv07,at={KILLED_AT}s..{KILLED_AT + 40}s"])
+    place = oahu.plan.tree.leaves.index("c2/inv07")
+    assert (trace.power_kw[tripped, place] < 0.0).all()
+    assert (np.delete(trace.power_kw, tripped, axis=0)[:, place] > 0.0).all()
+    impp_kw = [message.power_kw for _, message in sorted(trace.of(IMPP.of("c2/inv07")).items())]
+    assert max(impp_kw[KILLED_AT + 2 : KILLED_AT + 40]) < 1.0 < min(impp_kw[KILLED_AT + 42 :])
 
 
 def test_inverters_that_a_scenario_sets_otherwise_must_exist(oahu: Preparation) -> None:

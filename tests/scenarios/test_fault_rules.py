@@ -8,7 +8,7 @@ import pytest
 from complaints import complaint_of
 from own_scenarios import Folder
 
-from agents.faults import Fault, Freeze, Kill
+from agents.faults import Fault, Freeze, Kill, Trip
 from bus_schemas.errors import InputError
 from bus_schemas.faults import Blackout, Disturbance, Partition
 from bus_schemas.tree import ControlTree
@@ -28,7 +28,10 @@ from scenarios.scenario import load_scenario
         ("delay=1s,distribution=normal", Disturbance(delay_ms=1000.0, distribution="normal")),
         ("loss=1,at=1s..2s", Disturbance(loss=1.0, at=(1.0, 2.0))),
         ("kill=c2,at=30s", Kill("c2", 30.0)),
+        ("kill=c2,at=30s,until=2m", Kill("c2", 30.0, 120.0)),
         ("freeze=c2,at=30s..31.5s", Freeze("c2", (30.0, 31.5))),
+        ("freeze=c2,at=1s..2s,zombie=yes", Freeze("c2", (1.0, 2.0), zombie=True)),
+        ("trip=c1/*,at=1s..2s", Trip("c1/*", (1.0, 2.0))),
         ("partition=c1|central", Partition(("c1", "central"))),
         ("partition=c1|central,at=30s..60s", Partition(("c1", "central"), (30.0, 60.0))),
     ],
@@ -108,6 +111,8 @@ TREE = ControlTree((("c1/a", 1.0), ("c1/b", 1.0), ("c2/d", 1.0)))
         ("kill=plant,at=30s", ""),
         ("kill=c9,at=30s", ""),
         ("kill=c2,at=30s..40s", "at"),
+        ("kill=c2,at=30s,until=20s", "until"),
+        ("trip=c2,at=30s..40s", ""),
         ("freeze=c2,at=30s", "at"),
         ("freeze=c2,at=40s..30s", "at"),
         ("kill=c2,at=30s,loss=2%", ""),

@@ -12,13 +12,14 @@ from pathlib import Path
 import agents
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
+from studies.campaign.invariants import Violation
 from studies.campaign.study import campaign, faults_of, judged_run, with_standbys
 from studies.compare.cases import parse_seeds
 
 
 def main(scenario: str, duration: str, seeds: str) -> None:
     found = campaign(prepare(load_scenario(scenario), RunOptions(duration=duration), "campaign"))
-    first, broken = 0, []
+    first, broken = 0, list[Violation]()
     for seed in parse_seeds(seeds):
         faults, standby = faults_of(found.plan, seed)
         _, broken = judged_run(found, with_standbys(found.plan, standby), faults)
