@@ -45,7 +45,7 @@ QUICK: Final = {
     "verify": "RUN",
     "replay": "RUN --pace max",
     "compare": "small.toml --duration 5 --schemes paper",
-    "campaign": "small.toml --seeds 1..2 --duration 110",
+    "campaign": "small.toml --seeds 1..2 --duration 145",
     "export": "RUN --format csv",
     "recover": "RUN",
     "doctor": "",
