@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -22,10 +22,10 @@ from agents.plan import (
     Site,
     Supervision,
     Timing,
+    changed,
     check_plan,
     check_size,
 )
-from agents.process.machine import MachineSettings
 from agents.settings import Revert
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ROOT, ControlTree, agent_name
@@ -127,29 +127,35 @@ class _Day:
         return tuple((float(east), float(north)) for east, north in (both - both.mean(0)).round(2))
 
 
-class _Choice(NamedTuple):
-    """What options and scenario say about a run that needs neither data nor the control tree."""
-
-    times: pd.DatetimeIndex
-    cycle_wall_ns: int
-    machine: MachineSettings
-    keys_folder: str
-
-
 def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Preparation:
     """Work out a run; whatever can be wrong with its options is checked first."""
     scenario = scenario_file.scenario
     if options.cycle_s is not None:
         scenario = replace(scenario, time=replace(scenario.time, cycle_s=options.cycle_s))
-    choice = _choose(scenario_file, scenario, options)
-    times, offer = choice.times, scenario.regulation
+    check_options(options)  # All that can be wrong without data comes first.
+    if options.seed is not None and not isinstance(scenario.irradiance, CloudIrradiance):
+        raise InputError("--seed: expected a scenario with synthetic clouds, got measured data")
+    path, pace = scenario_file.path, parse_pace(options.pace) or scenario.pace
+    times = _times(scenario_file, scenario, options)
+    wall_ns = cycle_wall_ns(
+        scenario.time.cycle_s, pace, "--pace" if options.pace else f"{path}: pace"
+    )
+    machine = machine_settings(
+        scenario.machine,
+        f"{path}: machine.cpus:",
+        options.cpus or (),
+        options.priority,
+        lockstep=pace == "max",
+    )
+    keys_folder, offer = _keys_folder(scenario, options), scenario.regulation
     with scenario_file.named():
         day = _day(scenario_file, scenario, options.seed, times)
         regulation = np.zeros(len(times))
         if offer is not None:
             zone, data_path = scenario.time.timezone, scenario_file.data_path
             regulation = regulation_kw(offer, times, zone, data_path)
-    plan = _plan(scenario_file, scenario, options, run_id, day, choice)
+    plan = _plan(scenario_file, scenario, options, run_id, day, wall_ns, keys_folder)
+    plan = changed(plan, supervision={"machine": machine})
     remarks = [f"warning: {one}" for one in _warnings(day)] + list(day.source.remarks)
     if plan.site.revert is not None and plan.site.revert != scenario.plant.revert:
         remarks.append(
@@ -166,27 +172,6 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         meter_error=scenario.plant.meter_noise * meter.standard_normal(day.available_kw.shape),
     )
     return Preparation(plan, profile, scenario_file, options, tuple(remarks))
-
-
-def _choose(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -> _Choice:
-    """Check options, alone and with the scenario, as far as they go without data."""
-    check_options(options)
-    if options.seed is not None and not isinstance(scenario.irradiance, CloudIrradiance):
-        raise InputError("--seed: expected a scenario with synthetic clouds, got measured data")
-    pace = parse_pace(options.pace) or scenario.pace
-    where = "--pace" if options.pace else f"{scenario_file.path}: pace"
-    return _Choice(
-        _times(scenario_file, scenario, options),
-        cycle_wall_ns(scenario.time.cycle_s, pace, where),
-        machine_settings(
-            scenario.machine,
-            f"{scenario_file.path}: machine.cpus:",
-            options.cpus or (),
-            options.priority,
-            lockstep=pace == "max",
-        ),
-        _keys_folder(scenario, options),
-    )
 
 
 def _day(
@@ -240,15 +225,16 @@ def _plan(
     options: RunOptions,
     run_id: str,
     day: _Day,
-    choice: _Choice,
+    wall_ns: int,
+    keys_folder: str,
 ) -> RunPlan:
     """Return what all agents of the run agree on."""
     control = scenario.control
     with scenario_file.named():
-        deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, choice.cycle_wall_ns)
+        deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
     external = external_agents(options.external or (), day.tree)
     addresses = addresses_of(
-        options.on or (), day.tree, external, options.address, secure=bool(choice.keys_folder)
+        options.on or (), day.tree, external, options.address, secure=bool(keys_folder)
     )
     where = f"{scenario_file.path}: devices"
     devices = real_inverters(scenario.devices, where, options.devices or (), day.tree)
@@ -265,7 +251,7 @@ def _plan(
             cycle_ns=round(scenario.time.cycle_s * 1e9),
             cycles=len(day.times),
             timezone=scenario.time.timezone,
-            cycle_wall_ns=choice.cycle_wall_ns,
+            cycle_wall_ns=wall_ns,
             stall_timeout_s=control.stall_timeout_s,
             tier_deadlines_ns=deadlines_ns,
         ),
@@ -302,7 +288,7 @@ def _plan(
             external=external,
             address=options.address,
             addresses=addresses,
-            keys_folder=choice.keys_folder,
+            keys_folder=keys_folder,
         ),
         faults=Faults(
             fault_rules(scenario_file, options.faults or (), day.tree, external, addresses),
@@ -311,7 +297,6 @@ def _plan(
         supervision=Supervision(
             restart=scenario.restart,
             standby=_standby(scenario.standby, day.tree, external),
-            machine=choice.machine,
         ),
     )
     with scenario_file.named():

@@ -84,6 +84,8 @@ class RunReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
+        if self.path.exists() and not self.path.is_file():  # A pipe would be waited for.
+            raise InputError(f"{self.path}: expected a recording, got no regular file")
         try:
             self.files = [self.path.open("rb", buffering=0)]
         except FileNotFoundError:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
@@ -39,14 +39,9 @@ _COUNTS: Final = ("missed_deadlines", "missing_inputs", "dropped", "overruns", "
 _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 """Decimals of a budget's figures, by unit."""
 
-CURVES_PX: Final = 440
+_LOOP_PX: Final = 440
 _ROW_PX: Final = 17
 _FRAME_PX: Final = 120
-
-ROUND_TICKS: Final = {
-    "tickvals": [digit * 10.0**power for power in range(-3, 6) for digit in (1, 2, 5)],
-    "tickformat": ",~g",
-}
 
 
 def cycles_per_s(rate_hz: float) -> str:
@@ -175,58 +170,31 @@ def _counts_table(tiers: pd.DataFrame) -> Table:
 def waits_figure(anchor: str, cycle: CycleWaits) -> style.ReportFigure:
     """Draw who waited for whom in a cycle: a row for each agent, in the order of the tree."""
     rows = [PLANT, CENTRAL, *sorted({*cycle.waits.agent} - {PLANT, CENTRAL})]
-    others = cycle.waits[~cycle.waits.index.isin(cycle.chain.index)]
-    # The messages of the chain: from their publisher to the agent that waited for them.
-    times_ms: list[float | None] = []
-    ends: list[str | None] = []
-    for (earlier, ended_ms), (later, _) in pairwise(
-        zip(cycle.chain.agent, cycle.chain.ended_ms, strict=True)
-    ):
-        times_ms += [ended_ms, ended_ms, None]
-        ends += [earlier, later, None]
-    dotted = {"color": style.VERMILLION, "width": 1, "dash": "dot"}
-    messages = style.curve(times_ms, ends, "messages of the chain", dotted, hoverinfo="skip")
-    figure = go.Figure(
-        [
-            _bars(others, "others", style.faint(style.BLUE, 0.35)),
-            _bars(cycle.chain, "chain that set the length of the cycle", style.VERMILLION),
-            messages,
-        ]
-    )
-    style.dress(figure, _FRAME_PX + _ROW_PX * len(rows))
-    figure.update_layout(barmode="overlay", bargap=0.25)
-    figure.update_yaxes(
-        categoryorder="array",
-        categoryarray=rows,
-        range=[len(rows) - 0.4, -0.6],
-        tickfont={"size": 11},
-        automargin=True,
-        showgrid=False,
-        dtick=1,
-    )
-    figure.update_xaxes(title_text="time after the plant's scheduled tick [ms]", rangemode="tozero")
-    return style.ReportFigure(
-        anchor,
-        f"Who waited for whom in cycle {cycle.cycle:,}",
-        f"A bar begins when the last input that an agent waited for was published and ends with "
-        f"the agent's last message of that stage; it includes the hop. Orange: the chain from the "
-        f"tick to the plant's production; the other bars did not delay the cycle. "
-        f"{cycle.in_words().capitalize()}.",
-        figure,
-    )
-
-
-def _bars(waits: pd.DataFrame, name: str, colour: str) -> go.Bar:
+    waits = pd.concat([cycle.waits[~cycle.waits.index.isin(cycle.chain.index)], cycle.chain])
+    in_chain = waits.index.isin(cycle.chain.index)
     texts = waits.text + ", after " + waits.cause.replace("", "the tick")
-    return go.Bar(
+    bars = go.Bar(
         orientation="h",
         y=waits.agent.tolist(),
         base=waits.began_ms.tolist(),
         x=(waits.ended_ms - waits.began_ms).tolist(),
-        name=name,
-        marker={"color": colour, "line": {"color": "white", "width": 0.5}},
+        marker={"color": np.where(in_chain, style.VERMILLION, style.faint(style.BLUE, 0.35))},
         customdata=texts.map(style.plain).tolist(),
         hovertemplate="%{customdata}<extra></extra>",
+    )
+    figure = style.dress(go.Figure(bars), _FRAME_PX + _ROW_PX * len(rows), legend=False)
+    figure.update_layout(barmode="overlay", bargap=0.25)
+    order = {"categoryorder": "array", "categoryarray": rows, "range": [len(rows) - 0.4, -0.6]}
+    figure.update_yaxes(**order, tickfont={"size": 11}, automargin=True, showgrid=False, dtick=1)
+    figure.update_xaxes(title_text="time after the plant's scheduled tick [ms]", rangemode="tozero")
+    return style.ReportFigure(
+        anchor,
+        f"Who waited for whom in cycle {cycle.cycle:,}",
+        "A bar begins when the last input that an agent waited for was published and ends with "
+        "the agent's last message of that stage; it includes the hop. Orange: the chain from the "
+        "tick to the plant's production; the other bars did not delay the cycle. "
+        f"{cycle.in_words().capitalize()}.",
+        figure,
     )
 
 
@@ -235,14 +203,12 @@ def loop_figure(report: TimingReport) -> style.ReportFigure:
     drawn = loop_ms.iloc[extremes(loop_ms.to_numpy())]
     seconds = (drawn.index / report.run.rate_hz).tolist()
     blue, hover = {"color": style.BLUE, "width": 1.2}, "%{x:,.1f} s: %{y:.2f} ms"
-    lines = [style.curve(seconds, drawn.tolist(), "loop time", blue, hovertemplate=hover)]
-    budgets = [one for one in report.budgets if one.line.startswith(f"loop {WHOLE_LOOP}")]
-    for dash, one in zip(("dash", "dot"), budgets, strict=False):
-        look = {"color": style.BLACK, "width": 1.3, "dash": dash}
-        name = f"{one.line.split()[-1]} at most {one.limit:g} ms"
-        lines.append(style.curve([seconds[0], seconds[-1]], [one.limit] * 2, name, look))
-    figure = style.dress(go.Figure(lines), CURVES_PX)
+    line = style.curve(seconds, drawn.tolist(), "loop time", blue, hovertemplate=hover)
+    figure = style.dress(go.Figure(line), _LOOP_PX, legend=False)
+    for one in report.budgets:
+        if one.line.startswith(f"loop {WHOLE_LOOP}"):
+            figure.add_hline(one.limit, line={"color": style.BLACK, "width": 1.3, "dash": "dash"})
     figure.update_xaxes(title_text="time since cycle 0 [s]")
-    figure.update_yaxes(type="log", title_text="loop time [ms]", **ROUND_TICKS)
+    figure.update_yaxes(type="log", title_text="loop time [ms]")
     caption = "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
     return style.ReportFigure("loop", "Loop time over time", caption, figure)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,7 +26,8 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_plan_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    for path in (tmp_path / "plan.json", tmp_path):
+    os.mkfifo(tmp_path / "pipe.json")
+    for path in (tmp_path / "plan.json", tmp_path, tmp_path / "pipe.json"):
         assert complaint_of(load_plan, path).startswith(f"{path}: ")
 
 

@@ -128,7 +128,8 @@ def test_a_file_that_cannot_be_is_refused_before_any_work(
 def test_what_is_no_recording_is_refused(name: str, folder: Path) -> None:
     (folder / "text.mcap").write_text("cycle,power_kw\n")
     (folder / "empty").mkdir()
-    for bad in ("nowhere", "text.mcap", "empty"):
+    os.mkfifo(folder / "pipe.mcap")
+    for bad in ("nowhere", "text.mcap", "pipe.mcap", "empty"):
         line = refusal(name, *QUICK[name].replace("RUN", bad).split())
         assert bad in line or "run.mcap" in line
 
