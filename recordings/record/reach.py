@@ -36,6 +36,8 @@ class Reach:
         self._heard_at_ns[head.source] = now_ns
         if head.cycle < 0 or NOTHING_MISSED in payload:
             return
+        if head.source in self._plan.access.external:
+            return  # No session of ours is opened anew because a device says so.
         try:
             missing = _decode_lacks(payload).missing
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):

@@ -23,7 +23,8 @@ _RANDOM_FAULTS: Final = 12
 _NO_RUN_IS_AS_LONG: Final = 100_000_000
 """Cycles."""
 _AWAY_S: Final = 6.0
-"""How long the device may take to be back once it has been killed."""
+_MOST_AWAY: Final = 300
+"""How long the device may take to be back once it has been killed: seconds, and cycles."""
 
 AWAY: Final = "away"
 """What is shown while the device may be gone: nothing."""
@@ -146,7 +147,8 @@ def restart(script: Script) -> range:
     """Add cycles in which the device is killed and started again, and those after it."""
     first = script.cycle
     wall_ns = script.plan.timing.cycle_wall_ns
-    script.lose(AWAY, script.inputs, 1 + round(_AWAY_S * 1e9 / wall_ns))
+    cycles = min(1 + round(_AWAY_S * 1e9 / wall_ns), _MOST_AWAY)
+    script.lose(AWAY, script.inputs, cycles)
     away = range(first, script.cycle)
     script.undisturbed("restart")
     return away
