@@ -128,7 +128,7 @@ class ZenohBus(AgentSessions):
         self,
         change: Callable[[Port[Message], Callable[[bytes], None]], Callable[[bytes], None]],
     ) -> None:
-        """Change how messages are put on the links with devices."""
+        """Change how messages are put on the links with devices, until they are opened anew."""
         for port, puts in self._puts.items():
             puts[1:] = [change(port, put) for put in puts[1:]]
 

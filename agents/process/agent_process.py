@@ -40,7 +40,14 @@ _STOP_LOOK_S: Final = 0.5
 it. Of 1,000 controllers, frequent checks would starve those that are still joining."""
 
 _PLANT_PATIENCE_S: Final = 2.0
-"""How long an agent on another host goes on after the plant has disappeared."""
+_CUT_PATIENCE_S: Final = 60.0
+"""How long an agent on another host goes on after the plant has disappeared, in lockstep and in
+real time, where a cut of the network looks the same."""
+
+_MOST_EAGER: Final = 200
+"""Messages of a cycle up to which a controller sends on Zenoh's thread. With 1,500 of them the
+queue of its link to the recorder was full, and nobody there to empty it: 60 s, and the link was
+closed."""
 
 _STOP_PATIENCE_S: Final = 10.0
 """How long a controller waits after its last cycle for the plant to end the run."""
@@ -151,13 +158,11 @@ class AgentProcess:
             starts=link.starts,
         )
         self.loop = Loop(agent, plan, log_drop, name)
-        self.driver: Driver = EagerDriver(self.loop, self._bus)
+        self.driver = driver_of(self.loop, self._bus, plan)
         faults = plan.network_faults()
         if faults.concern(agent.name):
             faulty = FaultyBus(self._bus, agent.name, faults)
             self.driver = Driver([self.loop], faulty, self._bus.now_ns)
-        elif agent.name == PLANT:
-            self.driver = Driver([self.loop], self._bus, self._bus.now_ns)
         if plan.faults.device:
             disturbed = DeviceFaults(plan.faults.device).disturbed
             self._bus.change_device_puts(partial(disturbed, cycle_time_ns=self.loop.times.time_ns))
@@ -226,7 +231,8 @@ class AgentProcess:
                 self._plant_left_at = inf if is_there else time.monotonic()
                 if self.link.by_hand and not is_there:
                     return True
-        return time.monotonic() > self._plant_left_at + _PLANT_PATIENCE_S
+        patience_s = _PLANT_PATIENCE_S if self.plan.timing.lockstep else _CUT_PATIENCE_S
+        return time.monotonic() > self._plant_left_at + patience_s
 
     def catch_up(self) -> None:
         """Join a run in lockstep, where the others wait: ask them for what they have said last."""
@@ -252,6 +258,13 @@ class AgentProcess:
                 dismissed=self.link.dismissed and loop.cycle < self.plan.timing.cycles,
             )
         )
+
+
+def driver_of(loop: Loop[Any], bus: ZenohBus, plan: RunPlan) -> Driver:
+    """Return the driver of an agent: Zenoh's thread must not wait for room in its own queue."""
+    if loop.agent.name != PLANT and len(plan.wiring.published[loop.agent.name]) <= _MOST_EAGER:
+        return EagerDriver(loop, bus)
+    return Driver([loop], bus, bus.now_ns)
 
 
 def set_up_process(plan: RunPlan, agent: str) -> None:

@@ -80,7 +80,7 @@ def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
 def test_agents_end_when_the_plant_disappears_also_while_their_node_stands_still(
     heliarch: Start, plant: str
 ) -> None:
-    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--on", f"{SECOND}=c2/*")
+    run = heliarch("launch", plant, "--duration", "12h", "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)
     run.until_running()
     agents = [other.process_of(name) for name in ("c2", "c2/inv03", "c2/inv04")]
