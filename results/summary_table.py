@@ -79,9 +79,10 @@ def _figure_rows(summary: RunSummary) -> Iterator[Row]:
         yield "Figures of merit", None, "", f"they cover {covered}"
     for figure in shown_in(Shown.SUMMARY):
         value = figures[figure.name]
-        share = figures.get(figure.name.removesuffix("-energy"))
+        share_name = figure.name.removesuffix("-energy")
+        share = None if share_name == figure.name else figures.get(share_name)
         if value is not None:
-            note = "" if share in (None, value) else f"{share:.3f} {FIGURES['shortfall'].unit}"
+            note = "" if share is None else f"{share:.3f} {FIGURES['shortfall'].unit}"
             if figure.name == "unknown-energy":
                 note = "unknown, not among the delivered: what they are assumed to have given"
             yield figure.title, Number(value, figure.decimals), figure.unit, note

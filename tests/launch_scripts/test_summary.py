@@ -43,7 +43,10 @@ BUSY = (
     ProcessAccount("c1/b", "direct", {}, 40.0),
 )
 DEVICE = ExternalAccount("c1/inv01", {"impp": 5}, lost=100, expected=20, answered=5)
-HALF = dict.fromkeys(FIGURES) | {"cycles": 35, "planned-cycles": 3600, "unknown-energy": 2.0}
+HALF = dict.fromkeys(FIGURES) | {
+    **{"cycles": 35, "planned-cycles": 3600, "unknown-energy": 2.0},
+    **{"shortfall": 0.0, "shortfall-energy": 0.0},
+}
 
 
 @pytest.mark.parametrize(
@@ -52,6 +55,7 @@ HALF = dict.fromkeys(FIGURES) | {"cycles": 35, "planned-cycles": 3600, "unknown-
         ({}, "Figures of merit", ["-", "", "of no cycle"]),
         ({}, "Tracking RMSE", None),
         ({"figures": HALF}, "Figures of merit", ["-", "", "35 of 3,600 cycles"]),
+        ({"figures": HALF}, "Shortfall", ["0.00", "kWh", "0.000 % of dispatch"]),
         ({"figures": HALF}, "Energy of lost inverters", ["2.0", "kWh", "not among"]),
         ({"processes": BUSY}, "Processor time per cycle", ["2.00", "ms"]),
         ({"processes": BUSY}, "Memory, direct", ["40.0", "MB", "the median of 2"]),
