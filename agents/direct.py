@@ -21,7 +21,6 @@ from agents.control.impp import (
     is_lost,
     stale,
 )
-from agents.control.share import residual_kw
 from agents.dispatch import own_report, own_share_kw
 from agents.plan import Control
 from bus_schemas.bus import Delivery
@@ -91,8 +90,8 @@ class DirectController:
         # Where the dispatch has expired too, it is the plant that is not heard.
         if share_kw is not None and is_lost(estimate, self._control.hold_cycles):
             impp_kw = 0.0
-        residual = residual_kw(impp_kw, share_kw or 0.0)
-        outputs = own_report(self.name, turn, impp_kw, estimate.stale_cycles, residual)
+        residual_kw = impp_kw - (share_kw or 0.0)
+        outputs = own_report(self.name, turn, impp_kw, estimate.stale_cycles, residual_kw)
         measured = state.telemetry_cycle if telemetry is None else telemetry.cycle
         return DirectState(estimate, measured), outputs
 

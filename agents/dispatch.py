@@ -21,7 +21,7 @@ def own_share_kw(dispatch: Dispatch | None, rating_kw: float) -> float | None:
 def own_report(
     node: str, turn: Turn, impp_kw: float, stale_cycles: int, residual_kw: float
 ) -> list[Delivery]:
-    """Report upwards. A negative residual is a call for help."""
+    """Report upwards: IMPP, and residual (eq. 4). If that is negative, it is a call for help."""
     outputs: list[Delivery] = [
         (IMPP.of(node), Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)),
         (RESIDUAL.of(node), Residual(*turn.stamp, power_kw=residual_kw)),

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, help_order, total
 from agents.control.correction import corrected
-from agents.control.share import residual_kw, usable_dispatch_kw
+from agents.control.share import usable_dispatch_kw
 from agents.dispatch import own_report, own_share_kw
 from agents.plan import Control
 from bus_schemas.bus import Delivery
@@ -106,7 +106,7 @@ class Parent:
                 expired = self._control.hold_cycles + 1
                 reports.append(Report(share_kw, 0.0, expired, is_old=True, is_expired=True))
                 continue
-            left_kw = residual_kw(impp.power_kw, share_kw)
+            left_kw = impp.power_kw - share_kw
             if residual is not None and residual.cycle == impp.cycle:
                 left_kw = residual.power_kw
             age = turn.cycle - impp.cycle

@@ -105,6 +105,7 @@ def forecast_impp(
     """
     if not is_plausible(power_kw, alpha, rating_kw):
         return stale(last)
+    power_kw = max(power_kw, 0.0)
     maximum_kw = measured_maximum_kw(power_kw, alpha, available_kw, rating_kw)
     reads_low = _reads_low(maximum_kw, cycle_s, last)
     is_limited = limit_kw < rating_kw

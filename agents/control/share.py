@@ -1,4 +1,4 @@
-"""Step 2: the share of a node, and what it has left or lacks."""
+"""Step 2: the share of a node."""
 
 from __future__ import annotations
 
@@ -15,8 +15,3 @@ def share_kw(dispatch_kw: float, rating_kw: float, plant_rating_kw: float) -> fl
     own.
     """
     return dispatch_kw * (rating_kw / plant_rating_kw)
-
-
-def residual_kw(impp_kw: float, share_kw: float) -> float:
-    """Return what a node could give beyond its share (eq. 4) [kW]; negative: it needs help."""
-    return impp_kw - share_kw

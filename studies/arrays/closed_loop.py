@@ -24,7 +24,7 @@ from agents.control.impp import (
     estimate_impp,
     is_lost,
 )
-from agents.control.share import residual_kw, share_kw, usable_dispatch_kw
+from agents.control.share import share_kw, usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
@@ -168,7 +168,7 @@ def closed_loop(
         for i in range(inverters):
             node = tree.inverters[i]
             own_kw = share_kw(heard_kw, tree.rating_kw[node], plant_rating_kw)
-            residuals_kw[cycle, i] = residual_kw(node_impp_kw[node], own_kw)
+            residuals_kw[cycle, i] = node_impp_kw[node] - own_kw
             impp_kw[cycle, i] = node_impp_kw[node]
             is_gone = is_lost(estimates[i], settings.hold_cycles)
             known_kw, wanted_kw_now = estimates[i].power_kw, own_kw if is_gone else target_kw[node]

@@ -17,7 +17,6 @@ from clock_by_hand import ClockByHand
 from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Device
 from sunspec2.modbus.modbus import ModbusClientException
 
-from bus_schemas.errors import InputError
 from sunspec.addresses import parse_address
 from sunspec.limited_inverter import LimitedInverter
 from sunspec.server import Sky, served
@@ -193,16 +192,6 @@ def test_only_limits_can_be_written_and_only_in_their_range(site: Site) -> None:
     assert watts(device) == 80_000
 
 
-def test_a_revert_time_that_no_other_model_can_show_is_refused(site: Site) -> None:
-    site.serve()
-    device = site.client()
-    with pytest.raises(ModbusClientException):
-        limit_704(device, 50.0, 65_535)
-    (model,) = device.models[123]
-    model.read()
-    assert model.WMaxLimPct_RvrtTms.value == 0
-
-
 def test_the_sky_moves_on_and_may_wait_for_the_first_limit(site: Site) -> None:
     site.serve(waits=True)
     device = site.client("c1/b")
@@ -217,10 +206,3 @@ def test_each_inverter_can_have_a_port_of_its_own(site: Site) -> None:
     addresses = site.serve(a_port_each=True)
     assert len({parse_address(place, "")[1] for place in addresses.values()}) == 3
     assert [watts(site.client(name)) for name in ("c1/a", "c1/b")] == [80_000, 60_000]
-
-
-def test_a_port_that_is_taken_is_named(site: Site) -> None:
-    addresses = site.serve()
-    port = parse_address(addresses["meter"], "")[1]
-    with pytest.raises(InputError, match=str(port)):
-        site.serve(port=port)

@@ -13,7 +13,7 @@ pytest.importorskip("sunspec2")
 
 from clock_by_hand import ClockByHand
 
-from sunspec.client import DeviceError, SunSpecInverter
+from sunspec.client import DeviceError, SunSpecInverter, SunSpecMeter
 from sunspec.limited_inverter import LimitedInverter
 from sunspec.registers import Points, inverter_points
 from sunspec.server import Sky, served
@@ -102,11 +102,15 @@ def test_a_model_or_point_that_is_missing_is_named(
         inverter.connect()
 
 
-def test_a_wrong_unit_and_a_port_where_nobody_listens_are_named(serve: Serve) -> None:
+def test_a_wrong_unit_what_is_no_meter_and_a_port_where_nobody_listens_are_named(
+    serve: Serve,
+) -> None:
     inverter, _ = serve(OLD)
     wrong = inverter.address.removesuffix("/1") + "/9"
     with pytest.raises(DeviceError, match="unit"):
         SunSpecInverter(wrong).connect()
+    with pytest.raises(DeviceError, match="203"):
+        SunSpecMeter(inverter.address).connect()
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     with pytest.raises(DeviceError, match="refused"):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from agents.control.forecast import (
@@ -116,7 +116,7 @@ def test_a_missing_or_absurd_measurement_keeps_the_last_forecast_and_ends_the_tr
 @given(
     st.lists(
         st.tuples(
-            st.floats(0.0, 105.0),
+            st.floats(-5.0, 105.0),
             st.floats(0.05, 1.0),
             st.one_of(st.just(math.nan), st.floats(0.0, 105.0)),
             st.floats(0.0, 120.0),
@@ -125,6 +125,7 @@ def test_a_missing_or_absurd_measurement_keeps_the_last_forecast_and_ends_the_tr
     ),
     st.sampled_from(CYCLES_S),
 )
+@example([(-1.0, 1.0, math.nan, 0.0)], 1.0)
 def test_whatever_is_measured_the_forecast_lies_between_zero_and_the_rating(
     history: list[tuple[float, float, float, float]], cycle_s: float
 ) -> None:
