@@ -74,6 +74,7 @@ class Absences:
         self.more = 0
         self._hold = plan.control.hold_cycles
         self._standbys = plan.standbys
+        self._external = plan.access.external
         self._devices: dict[Port[Message], str] = {
             TELEMETRY.of(node): f"device {node}" for node, _ in plan.site.devices
         }
@@ -95,9 +96,10 @@ class Absences:
         agent = port.publisher
         if agent not in self._step:
             return
-        if cycle > self._newest + 1:
-            self._nobody.append(range(self._newest + 1, cycle))
-        self._newest = max(cycle, self._newest)
+        if agent not in self._external:  # A device may name any cycle.
+            if cycle > self._newest + 1:
+                self._nobody.append(range(self._newest + 1, cycle))
+            self._newest = max(cycle, self._newest)
         is_new = incarnation > self._joined[agent]
         self._joined[agent] = max(incarnation, self._joined[agent])
         self._note_until(agent, cycle, incarnation if is_new else None, has_lost=has_lost)

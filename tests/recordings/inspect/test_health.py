@@ -142,6 +142,14 @@ def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(
     }
 
 
+def test_a_device_that_runs_ahead_does_not_make_the_recorder_absent(tmp_path: Path) -> None:
+    plan = with_changes(PLAN, external=(DEVICE,))
+    run = list(numbered(whole_run(CYCLES)))
+    ahead = next(pair for pair in run if pair[1].source == DEVICE and pair[1].cycle == 50)
+    write_messages(tmp_path / "run.mcap", [*run[:400], ahead, *run[400:]], plan=plan)
+    assert "recorder" not in {absence.agent for absence in health_of(tmp_path)[0].absences}
+
+
 def test_an_agent_whose_messages_were_lost_for_long_was_not_heard(tmp_path: Path) -> None:
     gone = range(20, 40)
     health, text = written(
