@@ -18,12 +18,12 @@ Actuator: TypeAlias = Literal["fraction", "limit"]
 class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the launcher does when a controller's process ends before the run does.
 
-    when: `never`: the run ends. `on-failure`: the process is restarted. `always`: the same, without
-        a limit. Default: `on-failure` in real time, `never` in lockstep.
-    most: Largest number of restarts of one process within `within_s`; one more ends the run.
+    when: `never`: it is given up. `on-failure`: the process is restarted. `always`: the same,
+        without a limit. Default: `on-failure` in real time, `never` in lockstep.
+    most: Largest number of restarts of one process within `within_s`; then it is given up.
     within_s: Time in which the restarts of a process are counted [s].
     backoff_s: Wait before the second restart within that time, doubled each time [s].
-    frozen_s: A process that reports nothing for this time is killed [s].
+    frozen_s: A process that does not beat for this time is killed [s].
     """
 
     when: Literal["never", "on-failure", "always"] | None = None

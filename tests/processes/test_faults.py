@@ -7,6 +7,7 @@ import io
 import re
 import shutil
 import signal
+import socket
 from pathlib import Path
 
 import psutil
@@ -17,6 +18,7 @@ from running import Heliarch, Start, assert_none_left
 from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded
 
+from bus_schemas.errors import InputError
 from bus_schemas.messages import GivenUp
 from bus_schemas.signals import GIVEN_UP, IMPP
 from bus_schemas.tcp_ports import reserved_ports
@@ -301,3 +303,25 @@ def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path
             while not children[RECORDER].ready:
                 children.events(0.1)
     assert_none_left(folder.path)
+
+
+def test_what_the_launcher_has_not_read_of_its_fork_server_is_no_error(
+    plant: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    preparation = prepare(load_scenario(plant), RunOptions(duration="5"), "unread")
+    folder = RunFolder(tmp_path / "run")
+    with (
+        reserved_ports(preparation.plan.links.listening) as tcp_ports,
+        ForkServerProcess() as server,
+    ):
+        folder.fill(preparation, tcp_ports)
+        server.ask(fork_requests.Start(str(folder.plan), (RECORDER,), str(folder.logs)))
+        server.control.setblocking(True)
+        assert server.control.recv(1, socket.MSG_PEEK)
+    assert "Error" not in capfd.readouterr().err
+
+
+def test_a_folder_in_which_another_run_has_begun_meanwhile_is_refused(tmp_path: Path) -> None:
+    RunFolder(tmp_path / "run").make()
+    with pytest.raises(InputError, match="another run"):
+        RunFolder(tmp_path / "run").make()
