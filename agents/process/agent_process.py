@@ -153,7 +153,7 @@ class AgentProcess:
             name,
             plan.wiring,
             session_settings(plan, name),
-            patience_s=min(plan.timing.stall_timeout_s, BEAT_S),
+            patience_s=min(plan.timing.stall_timeout_s / 2.0, BEAT_S),
             clock=HostClock() if is_away else None,
             starts=link.starts,
         )
