@@ -28,10 +28,12 @@ JOIN_S: Final = 30.0
 SILENT_S: Final = 5.0
 """From when on the fork server counts as standing still; the plant, after twice that."""
 
-UNHEARD_S: Final = 1.0
-AGAIN_S: Final = 10.0
-"""How long the recorder may name a live process as unheard, which it does after two cycles or 1 s,
-until its session is opened anew, and then again."""
+UNHEARD_S: Final = 12.0
+UNHEARD_PER_PROCESS_S: Final = 0.06
+AGAIN_S: Final = 30.0
+"""How long the recorder may name a live process as unheard, until its session is opened anew, and
+then again. Before that a link that is dead is closed and opened by itself. A session that is opened
+anew aborts links that are whole, too: soon after a cut, each would have made others unheard."""
 
 GONE_S: Final = 2.0
 """How long a run waits for the return of an external agent without which it cannot go on."""
@@ -138,6 +140,7 @@ class Hearing:
         self._is_cut = False
         self._recorded = -1
         self._due_s: dict[str, float] = {}
+        self._patience_s = max(UNHEARD_S, UNHEARD_PER_PROCESS_S * len(list(children)))
 
     def hear(self, status: Status) -> None:
         """Take in whom the recorder does not hear, and of whom others miss messages."""
@@ -151,7 +154,9 @@ class Hearing:
         for name in self._due_s.keys() - unheard:
             del self._due_s[name]
         for name in unheard:
-            if self._watch.ran_s >= self._due_s.setdefault(name, self._watch.ran_s + UNHEARD_S):
+            if self._watch.ran_s >= self._due_s.setdefault(
+                name, self._watch.ran_s + self._patience_s
+            ):
                 self._due_s[name] = self._watch.ran_s + AGAIN_S
                 self._say(f"{name} lives and is not heard: its session is opened anew")
                 self._reopen(name)

@@ -16,9 +16,11 @@ from bus_schemas.messages import (
     HelpGiven,
     Impp,
     Message,
+    Missing,
+    parse_missing,
 )
 from bus_schemas.signals import IMPP, SIGNALS, Signal
-from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
+from bus_schemas.tree import LONGEST_PATH
 
 HEAD_FIELDS = [
     *("cycle", "sim_time_ns", "source", "missing"),
@@ -80,14 +82,6 @@ def test_more_than_any_agent_can_say_is_refused(field: str, value: object) -> No
         decode(IMPP, msgpack.packb({**whole, field: value}))
 
 
-def test_all_inputs_of_the_largest_tree_can_be_named() -> None:
-    # A parent waits for impp, residual and help of each child, and for its own parent's words.
-    assert max(3 * MOST_CHILDREN + 2, MOST_INVERTERS) < MOST_MISSING, "and one more: skipped@CYCLE"
-    longest = max(len(signal.name) for signal in SIGNALS if signal.is_cyclic)
-    cycle = str(10**18 - 1)
-    assert LONGEST_PATH + len("/") + longest + len("@") + len(cycle) <= LONGEST_MISSING
-
-
 @pytest.mark.parametrize(
     "payload",
     [
@@ -123,3 +117,19 @@ def test_a_payload_and_its_json_schema_refuse_the_same_fields(signal: Signal[Mes
         assert not validator.is_valid(fields), complaint
         with pytest.raises(msgspec.DecodeError, match=complaint):
             decode(signal, msgpack.packb(fields))
+
+
+@pytest.mark.parametrize(
+    ("entry", "expected"),
+    [
+        ("c1/inv07/impp", Missing("c1/inv07/impp", None)),
+        ("c1/inv07/impp@41", Missing("c1/inv07/impp", 41)),
+        ("c1/impp@-3", Missing("c1/impp@-3", None)),
+        ("c1/impp@" + "9" * 18, Missing("c1/impp", 10**18 - 1)),
+        ("c1/impp@1" + "0" * 18, Missing("c1/impp@1" + "0" * 18, None)),
+        ("c1/impp@\u0661\u0662", Missing("c1/impp@\u0661\u0662", None)),
+    ],
+)
+def test_an_entry_is_a_key_with_or_without_a_cycle(entry: str, expected: Missing) -> None:
+    assert parse_missing(entry) == expected
+    assert str(parse_missing(entry)) == entry

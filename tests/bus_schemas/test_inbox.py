@@ -42,17 +42,6 @@ def test_a_rare_event_wakes_it_however_many_it_wants() -> None:
     puts.join()
 
 
-def test_samples_that_come_between_two_waits_do_not_wake_the_second_too_soon() -> None:
-    inbox = Inbox()
-    put(inbox, 0)
-    assert take(inbox, 1, FOR_EVER_S) == [0]
-    put(inbox, 1, 2)
-    puts = threading.Thread(target=put, args=(inbox, 3))
-    puts.start()
-    assert take(inbox, 3, FOR_EVER_S) == [1, 2, 3]
-    puts.join()
-
-
 def test_nothing_is_lost_or_turned_round_between_several_threads() -> None:
     inbox = Inbox()
     threads, each = 4, 500
@@ -73,9 +62,6 @@ def test_nothing_is_lost_or_turned_round_between_several_threads() -> None:
         assert own == sorted(own)
 
 
-# A flood ------------------------------------------------------------------------------------------
-
-
 def test_a_flood_of_one_port_is_bounded_and_counted_and_others_are_heard_through_it() -> None:
     inbox = Inbox()
     put(inbox, *range(50_000))
@@ -88,11 +74,3 @@ def test_a_flood_of_one_port_is_bounded_and_counted_and_others_are_heard_through
     assert inbox.dropped == {("c1/inv07/impp", "flooded"): 100_002 - len(found)}
     put(inbox, *range(5))
     assert take(inbox, 1, timeout_s=0.0) == [*range(5)], "there is room again"
-
-
-def test_what_a_whole_plant_sends_at_once_finds_room() -> None:
-    inbox = Inbox()
-    for number in range(9_000):
-        put(inbox, number, port=IMPP.of(f"c1/inv{number}"))
-    assert len(take(inbox, 1, timeout_s=0.0)) == 9_000
-    assert not inbox.dropped

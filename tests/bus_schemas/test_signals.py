@@ -39,11 +39,6 @@ def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple
     assert listeners(port, OAHU) == heard_by
 
 
-@pytest.mark.parametrize("key", ["oahu/c1/inv99/impp", "oahu/setpoint", "lanai/c1/inv07/impp", ""])
-def test_a_key_of_no_port_is_known_as_such(key: str) -> None:
-    assert WIRING.port(key) is None
-
-
 @pytest.mark.parametrize("tree", TREES)
 def test_listeners_are_others_of_the_run_linked_and_wired_with_whom_they_hear(
     tree: ControlTree,

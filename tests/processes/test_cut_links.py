@@ -1,6 +1,6 @@
 """Links that packets do not get over: no healthy process is killed, and no run ends for it.
 
-`make cuts` performs all cuts on `oahu` and prints the table of docs/resilience.md.
+`pytest -m soak -s tests/processes/test_cut_links.py` prints the table of docs/resilience.md.
 """
 
 from __future__ import annotations
@@ -83,20 +83,25 @@ CUTS = [
 
 
 class Outcome(NamedTuple):
-    """What a cut did. `heard_s`: how long after it ended all heard each other again."""
+    """What a cut did.
+
+    heard_s: How long after it ended the first cycle began in which all heard each other.
+    later: Cycles after that one in which somebody did not hear something, or the recorder.
+    """
 
     status: int
     restarts: int
     cycles: int
     unrecorded: int
     heard_s: float
+    later: int
     over_kw: float
     under_kw: float
 
     def row(self, cut: Cut) -> str:
         return (
             f"| {cut.what} | {cut.seconds:g} | {self.status} | {self.restarts} | {self.unrecorded} "
-            f"| {self.heard_s:.1f} | {self.over_kw:.0f} | {self.under_kw:.0f} |"
+            f"| {self.heard_s:.1f} | {self.later} | {self.over_kw:.0f} | {self.under_kw:.0f} |"
         )
 
 
@@ -142,8 +147,8 @@ def judged(run: Heliarch, plan: RunPlan, status: int, healed_ns: int) -> Outcome
     start_ns = min(at_ns - cycle * cycle_ns for cycle, at_ns in ready_ns.items())
     cycles = plan.timing.cycles
     unheard = lacking | {cycle for cycle in range(cycles) if heard[cycle] < due}
-    after = [cycle for cycle in unheard if start_ns + cycle * cycle_ns >= healed_ns - cycle_ns]
-    again_ns = start_ns + (max(after) + 1) * cycle_ns if after else healed_ns
+    healed = max((healed_ns - start_ns) // cycle_ns, 0)
+    again = min({*range(healed, cycles)} - unheard, default=cycles)
     without = {}
     options = RunOptions(duration=str(cycles))
     preparation = prepare(load_scenario(plan.plant), options, "without")
@@ -160,7 +165,8 @@ def judged(run: Heliarch, plan: RunPlan, status: int, healed_ns: int) -> Outcome
         sum(summary_of(run.folder).launcher.restarts.values()),
         len(power),
         sum(heard[cycle] < due for cycle in range(cycles)),
-        max(again_ns - healed_ns, 0) / 1e9,
+        max(start_ns + again * cycle_ns - healed_ns, 0) / 1e9,
+        sum(cycle > again for cycle in unheard),
         max(power[cycle] - max(asked[cycle], without[cycle]) for cycle in both),
         max(min(asked[cycle], without[cycle]) - power[cycle] for cycle in both),
     )
@@ -191,4 +197,4 @@ def test_a_cut_ends_no_run_and_kills_nobody(
     with capsys.disabled():
         print(found.row(cut))
     assert found.restarts == cut.is_killed
-    assert found.heard_s < 5.0 or "%" in cut.what
+    assert found.heard_s < 5.0
