@@ -5,7 +5,7 @@ nothing of the agents' insides. Each message says in `missing` which inputs it r
 should say follows from them. Only `recovery` needs the run of the same plant without faults.
 
 To add an invariant, write it, enter it into `INVARIANTS`, and plant a bug that it must find
-(`tests/studies/campaign/planted/`).
+(`tests/studies/campaign/planted_bugs.py`).
 """
 
 from __future__ import annotations

@@ -198,6 +198,14 @@ def test_where_both_are_gone_one_takes_over_after_its_return(minute: Preparation
     assert all(len(incarnations) == 1 for incarnations in run.setpoints_of("c2").values())
 
 
+def test_a_standby_that_hears_nobody_does_not_take_over(minute: Preparation) -> None:
+    # The second rule is for the process that the first one leaves, which is the standby.
+    rules = ["freeze=c2,at=20s..24s", "freeze=c2,at=20s..30s,zombie=yes"]
+    _, trace = run_with(minute, rules, standby=("c2",))
+    takeovers = [message for _, message in trace.messages if isinstance(message, Takeover)]
+    assert [message for message in takeovers if message.cycle >= 30] == []
+
+
 def test_an_agent_cut_off_from_others_keeps_its_process(minute: Preparation) -> None:
     run = Run(minute, f"partition=c2|{CENTRAL},at=20s..30s", "loss=20%")
     assert run.takeovers == []
