@@ -138,10 +138,6 @@ class Periods:
         """Whether a parent acts in a cycle. In arming rounds (below 0) all parents do."""
         return cycle < 0 or cycle % self.cycles[depth(parent)] == 0
 
-    def rests_between(self, parent: str) -> bool:
-        own = depth(parent)
-        return self.cycles[own] > (*self.cycles, 1)[own + 1]
-
     @property
     def longest(self) -> int:
         """The longest period: how far one agent can run ahead of another in lockstep."""

@@ -12,7 +12,7 @@ from typing import Final
 import msgspec
 
 from agents.agent import Stage, Turn
-from agents.control.forecast import forecast_impp
+from agents.control.forecast import forecast_impp, held_kw
 from agents.control.impp import (
     NOTHING_KNOWN,
     Estimate,
@@ -129,6 +129,8 @@ class DirectController:
         power_kw = alpha * impp_kw if alpha < 1.0 else self._rating_kw
         if lost:
             power_kw = target_kw
+        elif alpha == 1.0 and self._control.holds_limits:
+            power_kw = held_kw(target_kw, self._rating_kw, state.estimate)
         revert_kw = share_kw if self._reverts else None
         command = Command(*turn.stamp, alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
         return [(self._command, command)]

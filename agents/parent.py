@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, help_order, total
-from agents.control.correction import corrected
+from agents.control.correction import Response, corrected, expected_kw, mean_error_kw
 from agents.control.share import usable_dispatch_kw
 from agents.dispatch import own_report, own_share_kw
 from agents.plan import Control
@@ -40,16 +40,11 @@ _DISPATCH: Final = DISPATCH.of(ROOT)
 
 
 class Report(NamedTuple):
-    """What a parent knows of a child: of an expired one its own share, and nothing beyond it.
-
-    is_old, is_expired: Whether the report is of an earlier cycle, and whether it is too old to
-        count.
-    """
+    """What a parent knows of a child: of an expired one its own share, and nothing beyond it."""
 
     impp_kw: float
     residual_kw: float
     stale_cycles: int
-    is_old: bool
     is_expired: bool = False
 
 
@@ -81,7 +76,6 @@ class Parent:
             _DISPATCH,
         )
         self._control = control
-        self._rests = control.periods.rests_between(node)
         hours = control.neighbourhoods_of(node)
         alike = [[0.0] * len(self._children)] * len(self._children)
         self._orders = [(hour.from_time_ns, help_order(hour.correlation)) for hour in hours] or [
@@ -104,13 +98,13 @@ class Parent:
                 share_kw = target_kw * (child.rating_kw / self._rating_kw)
             if impp is None:
                 expired = self._control.hold_cycles + 1
-                reports.append(Report(share_kw, 0.0, expired, is_old=True, is_expired=True))
+                reports.append(Report(share_kw, 0.0, expired, is_expired=True))
                 continue
             left_kw = impp.power_kw - share_kw
             if residual is not None and residual.cycle == impp.cycle:
                 left_kw = residual.power_kw
-            age = turn.cycle - impp.cycle
-            reports.append(Report(impp.power_kw, left_kw, impp.stale_cycles + age, is_old=age > 0))
+            stale_cycles = impp.stale_cycles + turn.cycle - impp.cycle
+            reports.append(Report(impp.power_kw, left_kw, stale_cycles))
         return reports
 
     def report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
@@ -121,14 +115,7 @@ class Parent:
         return own_report(self._node, turn, impp_kw, stale_cycles, left_kw)
 
     def setpoints(self, turn: Turn, target_kw: float, reports: list[Report]) -> list[Delivery]:
-        """Divide a target (step 4): return a setpoint for each child.
-
-        Between its turns, or where a report is old, `predictive` gives needy children what they
-        lack as well, for power that comes back before the parent hears of it.
-        """
-        tops_up = self._control.scheme == "predictive" and (
-            self._rests or any(report.is_old for report in reports)
-        )
+        """Divide a target (step 4): return a setpoint for each child."""
         expired_kw = total([report.impp_kw for report in reports if report.is_expired])
         later = bisect_right(self._orders, turn.sim_time_ns, key=itemgetter(0))
         _, order = self._orders[max(later - 1, 0)]
@@ -138,7 +125,7 @@ class Parent:
             [0.0 if report.is_expired else report.impp_kw for report in reports],
             self._control.alpha_floor,
             order,
-            tops_up,
+            self._control.scheme == "predictive",
         )
         help_given: list[tuple[HelpGiven, ...]] = [()] * len(self._children)
         for donor, asking, kw in zip(donors, needy, given_kw, strict=True):
@@ -199,6 +186,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     readings: int = 0
     meter_cycle: int = 0
     clamped: int = 0
+    error_kw: float = 0.0
 
 
 # A standby that takes over says its state in these fields, and `verify` goes on from them.
@@ -208,9 +196,13 @@ assert {*CentralState.__struct_fields__} <= {*Takeover.__struct_fields__}
 class CentralController(Parent):
     """Takes the operator's dispatch and moves power between clusters to meet it."""
 
-    def __init__(self, tree: ControlTree, control: Control, cycle_s: float) -> None:
+    def __init__(
+        self, tree: ControlTree, control: Control, cycle_s: float, response: Response
+    ) -> None:
         super().__init__(ROOT, tree, control)
         self._cycle_s = cycle_s
+        self._turn_s = cycle_s * control.periods.cycles[0]
+        self._response = response
         self._meter = METER.of(ROOT)
         self._stages = (Stage("solve", (*self._inputs, self._meter)),)
 
@@ -239,7 +231,8 @@ class CentralController(Parent):
             # The way down to the inverters is taken to be as long as that of their reports up.
             delay = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
             state = self._correct(state, usable_kw, impp_kw, delay * self._cycle_s)
-            target_kw = min(state.wanted_kw + state.correction_kw, self._rating_kw)
+            aim_kw = self._aim_kw(usable_kw, state)
+            target_kw = min(max(aim_kw + state.correction_kw, 0.0), self._rating_kw)
             outputs += self.setpoints(turn, target_kw, reports)
         return state, outputs
 
@@ -258,17 +251,29 @@ class CentralController(Parent):
         self, state: CentralState, dispatch_kw: float, impp_kw: float, delay_s: float
     ) -> CentralState:
         """Correct by the mean of the readings since the last turn."""
-        correction_kw = state.correction_kw
-        if self._control.correction and state.readings:
-            correction_kw = corrected(
-                correction_kw,
-                state.wanted_kw,
-                state.metered_kw / state.readings,
-                dispatch_kw >= impp_kw,
-                self._rating_kw,
-                state.readings * self._cycle_s,
-                delay_s,
-            )
-        return replace(
-            state, correction_kw=correction_kw, wanted_kw=dispatch_kw, metered_kw=0.0, readings=0
+        control, correction_kw, error_kw = self._control, state.correction_kw, state.error_kw
+        if state.readings:
+            metered_kw = state.metered_kw / state.readings
+            is_free, cycle_s = dispatch_kw >= impp_kw, state.readings * self._cycle_s
+            error_kw = mean_error_kw(error_kw, state.wanted_kw, metered_kw, is_free, cycle_s)
+            if control.correction:
+                correction_kw = corrected(
+                    correction_kw,
+                    state.wanted_kw,
+                    metered_kw,
+                    is_free,
+                    self._rating_kw,
+                    cycle_s,
+                    delay_s + self._response.delay_s,
+                )
+        state = replace(
+            state, correction_kw=correction_kw, metered_kw=0.0, readings=0, error_kw=error_kw
         )
+        wanted_kw = aim_kw = self._aim_kw(dispatch_kw, state)
+        if state.meter_cycle > 0:
+            wanted_kw = expected_kw(state.wanted_kw, aim_kw, self._turn_s, self._response)
+        return replace(state, wanted_kw=wanted_kw)
+
+    def _aim_kw(self, dispatch_kw: float, state: CentralState) -> float:
+        control = self._control
+        return dispatch_kw + control.offset_kw + control.offset_errors * state.error_kw

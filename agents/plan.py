@@ -5,12 +5,14 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Mapping
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import msgspec
 from msgspec.structs import asdict, replace
 
+from agents.control.correction import Response
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.cycle import Deadlines, Periods
 from agents.device_faults import DeviceFault
@@ -92,6 +94,8 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     period_cycles: Period of each tier that has children, the central controller's first.
     hold_cycles: An input that is older than this is expired.
     correction: Whether the central controller corrects its target by the plant's meter.
+    offset_kw, offset_errors: How much more than the dispatch the plant aims at: a power, and so
+        many times its own mean error.
     """
 
     period_cycles: tuple[int, ...]
@@ -101,6 +105,8 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     hold_cycles: int
     neighbourhoods: tuple[NodeNeighbourhoods, ...]
     correction: bool = False
+    offset_kw: float = 0.0
+    offset_errors: float = 0.0
 
     @cached_property
     def periods(self) -> Periods:
@@ -109,8 +115,12 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @cached_property
     def alpha_floor(self) -> float:
         """Lowest curtailment level of any inverter: what everybody knows it cannot go below."""
-        hides = self.scheme == "predictive" and self.actuator == "limit"
-        return HIDDEN_ALPHA_MIN if hides else self.alpha_min
+        return HIDDEN_ALPHA_MIN if self.holds_limits else self.alpha_min
+
+    @property
+    def holds_limits(self) -> bool:
+        """Whether inverters that are asked for all they have are held near their forecast."""
+        return self.scheme == "predictive" and self.actuator == "limit"
 
     def neighbourhoods_of(self, node: str) -> tuple[Neighbourhood, ...]:
         return next((entry.hours for entry in self.neighbourhoods if entry.node == node), ())
@@ -157,6 +167,18 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
                 given = {name: value for name, value in asdict(entry).items() if value is not None}
                 found = replace(found, **given)
         return found
+
+    def response(self, tree: ControlTree) -> Response:
+        """Return how the plant as a whole follows commands."""
+        settings = {leaf: self.settings_of(leaf) for leaf in tree.leaves}
+        ramps = {leaf: one.ramp_percent_per_s for leaf, one in settings.items()}
+        return Response(
+            delay_s=max(one.delay_s or 0.0 for one in settings.values()),
+            ramp_kw_per_s=sum(
+                inf if ramp is None else tree.rating_kw(leaf) * ramp / 100.0
+                for leaf, ramp in ramps.items()
+            ),
+        )
 
     def follows_within_s(self, leaf: str) -> float:
         """Return the longest time in which an inverter comes to obey a command [s]."""

@@ -20,7 +20,7 @@ def controller(plan: RunPlan, name: str) -> Controller:
     """Return the controller of a name: `central`, or the path of a cluster or an inverter."""
     tree, control, cycle_s = plan.tree, plan.control, plan.timing.cycle_s
     if name == CENTRAL:
-        return CentralController(tree, control, cycle_s)
+        return CentralController(tree, control, cycle_s, plan.site.response(tree))
     if kind_of(name, tree) == "supervisor":
         return Supervisor(name, tree, control)
     return direct_controller(plan, name)

@@ -227,9 +227,9 @@ class Takeover(Message, kw_only=True):
 
     `incarnation` is this cycle, and `stage` the first stage that the standby decides. The other
     fields are the state of a central controller at the beginning of this stage, so that `verify`
-    can repeat the recording: what it adds to the dispatch, the dispatch of its last turn, the sum
-    of the meter's readings since then, their number, the cycle of the last reading, and how many
-    dispatches it has clamped.
+    can repeat the recording: its correction, what it aimed at in its last turn, the sum of the
+    meter's readings since then, their number, the cycle of the last reading, how many dispatches it
+    has clamped, and the mean error of the plant's power.
     """
 
     stage: Annotated[str, msgspec.Meta(max_length=20)]
@@ -239,6 +239,7 @@ class Takeover(Message, kw_only=True):
     readings: Count | None = None
     meter_cycle: Cycle | None = None
     clamped: Count | None = None
+    error_kw: float | None = None
 
 
 class GivenUp(Message, kw_only=True):

@@ -265,6 +265,8 @@ def _plan(
                 day.tree, day.covariance, day.order, _beginnings_ns(day.times, scenario)
             ),
             correction=scheme == "predictive" if control.correction is None else control.correction,
+            offset_kw=control.offset * day.tree.rating_kw(ROOT),
+            offset_errors=control.offset_errors,
         ),
         site=Site(
             seed=seed,

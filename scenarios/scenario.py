@@ -168,6 +168,8 @@ class ControlTable(_Table, frozen=True):
     hold_cycles: An input that is older than this has expired [cycles].
     stall_timeout_s: In lockstep: how long a cycle may stall [s].
     correction: Correct the central target by the plant's meter. Default: by `scheme`.
+    offset: How much more than the dispatch the plant aims at, as a share of its rating.
+    offset_errors: So many times its own mean error (20 s) the plant aims higher.
     deadlines_ms: In real time: deadline of each tier in the cycle [ms], central first.
     """
 
@@ -181,6 +183,8 @@ class ControlTable(_Table, frozen=True):
     hold_cycles: NotNegative = 10
     stall_timeout_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 3.0
     correction: bool | None = None
+    offset: Annotated[float, Meta(ge=-1.0, le=1.0)] = 0.0
+    offset_errors: Annotated[float, Meta(ge=-10.0, le=10.0)] = 0.0
     deadlines_ms: tuple[Deadline, ...] | None = None
 
 

@@ -36,7 +36,7 @@ def allocate(
     impp_kw: Numbers,
     alpha_min: float,
     order: Orders,
-    tops_up: bool,
+    adds_up: bool,
 ) -> tuple[list[float], list[float], list[int], list[int], list[float]]:
     """Divide a target among n children (paper, section II-D).
 
@@ -56,15 +56,15 @@ def allocate(
     order
         For each child the positions of its siblings, the one to ask first at the front, from
         `help_order`. In an array rows are filled up with -1.
-    tops_up
-        Whether children that lack power are given their part of the shortfall as well, for
-        whatever they may have before their parent acts again.
+    adds_up
+        Whether the setpoints add up to a target that is more than the children have. Each is then
+        asked for a part of the rest, by what it lacks to its rating: power that comes is needed.
 
     Returns
     -------
     power_kw : list of float
         The setpoints, shape (n,): from the floor to the IMPP, together min(target, sum of IMPP) or
-        the sum of the floors, if that is more. Topped up they add up to the target itself.
+        the sum of the floors, if that is more. With `adds_up`, the target itself if it is more.
     share_kw : list of float
         Each child's share of the target, before any help, shape (n,).
     donors, needy : list of int
@@ -80,10 +80,11 @@ def allocate(
     impp_sum_kw = total(impp_kw)
     if target_kw >= impp_sum_kw:
         power_kw = [impp_kw[child] for child in range(count)]
-        lacks_sum_kw = total(lacks_kw)
-        if tops_up and lacks_sum_kw > 0.0:
+        dark_kw = total(ratings_kw) - impp_sum_kw
+        if adds_up and dark_kw > 0.0:
+            part = (target_kw - impp_sum_kw) / dark_kw
             for child in range(count):
-                power_kw[child] += (target_kw - impp_sum_kw) * (lacks_kw[child] / lacks_sum_kw)
+                power_kw[child] += part * (ratings_kw[child] - impp_kw[child])
     else:
         power_kw = [min(share_kw[child], impp_kw[child]) for child in range(count)]
         for line in range(len(donors)):

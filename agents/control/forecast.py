@@ -5,10 +5,9 @@ shortfall. The direct controller reduces it in three ways:
 
 * the maximum is extrapolated along its last change (damped trend: Gardner and McKenzie, Management
   Science 31 (1985), doi:10.1287/mnsc.31.10.1237);
-* a part of the forecast's own mean error is subtracted, so that a changing sky is trusted less
-  than a steady one. Then a little more is delivered than asked for, and much less is missing, than
-  with the symmetric error of a best estimate (newsvendor rule). Small errors, such as a meter's,
-  are not counted: they differ from inverter to inverter and average out over the plant;
+* an inverter that holds a power limit and is asked for all it has is not set free, but held a
+  little above its forecast. A free inverter gives whatever the sky gives, and over-delivers when a
+  cloud leaves;
 * where the inverter holds a power limit below its maximum, the maximum cannot be measured. Unless
   the inverter states what it could give, it is then assumed to grow from the last value that was
   seen: a slow probe, as in extremum seeking. The inverter's own meter, whose error is learned,
@@ -19,7 +18,14 @@ from __future__ import annotations
 
 from typing import Final
 
-from agents.control.impp import Estimate, is_plausible, is_stated, measured_maximum_kw, stale
+from agents.control.impp import (
+    ROUNDING,
+    Estimate,
+    is_plausible,
+    is_stated,
+    measured_maximum_kw,
+    stale,
+)
 
 DAMPING: Final = 0.8
 """Share of the trend that is expected to go on. At equal over-delivery 0.8 to 1 miss about as
@@ -28,12 +34,13 @@ little on measurements of 1 s and 10 s; 0.8 overshoots least."""
 TREND_TIME_S: Final = 0.5
 """Time constant of the trend [s]: in short cycles the last change alone is mostly noise."""
 
-MARGIN: Final = 0.5
-"""Share of the mean forecast error beyond `SMALL_ERROR` that is taken off the forecast."""
+HELD_SPREADS: Final = 1.0
+"""An inverter that is asked for all it has is held this many mean forecast errors above its
+forecast, ..."""
 
-SMALL_ERROR: Final = 0.0035
-"""Mean forecast error that needs no margin, as a share of the rating: a meter's noise of 0.5 %
-alone makes about this, and averages out over the plant."""
+HELD_SHARE: Final = 0.005
+"""... and this share of its rating more. So a limit that hides the maximum always leaves room in
+which the maximum shows: at dawn and after a trip forecast and error are 0."""
 
 ERROR_MEMORY_S: Final = 20.0
 """Time constant of the mean forecast error [s]."""
@@ -123,6 +130,18 @@ def forecast_impp(
     return _hidden(limit_kw, rating_kw, cycle_s, meter_error, reads_low, last)
 
 
+def held_kw(setpoint_kw: float, rating_kw: float, known: Estimate) -> float:
+    """Return the power limit of an inverter that is asked for all it has, or for more.
+
+    Asked for its forecast, it is held near that; asked for more, since the whole plant lacks
+    power, it is free.
+    """
+    if setpoint_kw > known.power_kw * (1.0 + ROUNDING):
+        return rating_kw
+    room_kw = HELD_SPREADS * known.spread_kw + HELD_SHARE * rating_kw
+    return min(known.power_kw + room_kw, rating_kw)
+
+
 def _seen(
     maximum_kw: float,
     rating_kw: float,
@@ -141,9 +160,8 @@ def _seen(
         error_kw = abs(maximum_kw - last.expected_kw)
         spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
     expected_kw = min(max(maximum_kw + DAMPING * trend_kw_per_s * cycle_s, 0.0), rating_kw)
-    margin_kw = MARGIN * max(spread_kw - SMALL_ERROR * rating_kw, 0.0)
     return Estimate(
-        power_kw=max(expected_kw - margin_kw, 0.0),
+        power_kw=expected_kw,
         stale_cycles=0,
         is_seen=True,
         maximum_kw=maximum_kw,

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.control.allocation import allocate, total
-from agents.control.correction import corrected
-from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp
+from agents.control.correction import corrected, mean_error_kw
+from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp, held_kw
 from agents.control.impp import (
     NOTHING_KNOWN,
     Estimate,
@@ -39,7 +39,8 @@ class LoopSettings(NamedTuple):
     """The settings of a run besides its control tree.
 
     Whether the IMPP is a forecast or that of the last cycle; whether inverters hold a power limit
-    or give a fraction of their maximum; whether the target is corrected by the plant's meter.
+    or give a fraction of their maximum; whether the target is corrected by the plant's meter; how
+    much more than the dispatch the plant aims at.
     """
 
     is_forecast: bool
@@ -48,6 +49,8 @@ class LoopSettings(NamedTuple):
     alpha_min: float
     cycle_s: float
     hold_cycles: int
+    offset_kw: float
+    offset_errors: float
 
 
 class LoopResult(NamedTuple):
@@ -88,6 +91,8 @@ def loop_inputs(
         alpha_min=HIDDEN_ALPHA_MIN if is_forecast and is_limited else plan.control.alpha_min,
         cycle_s=plan.timing.cycle_ns / 1e9,
         hold_cycles=plan.control.hold_cycles,
+        offset_kw=plan.control.offset_kw,
+        offset_errors=plan.control.offset_errors,
     )
     return (
         control_arrays(plan, profile.cycles),
@@ -129,9 +134,9 @@ def closed_loop(
     estimates = [NOTHING_KNOWN for _ in range(inverters)]
     node_impp_kw = np.zeros(len(tree.rating_kw))
     target_kw = tree.rating_kw.copy()
-    # The central controller: the dispatch of its last turn, the correction added to it, the sum of
-    # the meter's readings since then, and their number.
-    wanted_kw, correction_kw, metered_kw, metered_cycles = 0.0, 0.0, 0.0, 0
+    # The central controller: what it aimed at in its last turn, the correction added to that, its
+    # mean error, the sum of the meter's readings since then, and their number.
+    wanted_kw, correction_kw, error_kw, metered_kw, metered_cycles = 0.0, 0.0, 0.0, 0.0, 0
     for cycle in range(cycles):
         for i in range(inverters):
             node = tree.inverters[i]
@@ -152,18 +157,17 @@ def closed_loop(
             metered_kw += total(last_kw)
             metered_cycles += 1
         if cycle % tree.period[0] == 0:
-            if settings.is_corrected and metered_cycles > 0:
-                correction_kw = corrected(
-                    correction_kw,
-                    wanted_kw,
-                    metered_kw / metered_cycles,
-                    heard_kw >= node_impp_kw[0],
-                    plant_rating_kw,
-                    metered_cycles * settings.cycle_s,
-                    0.0,
-                )
-            wanted_kw, metered_kw, metered_cycles = heard_kw, 0.0, 0
-            target_kw[0] = min(wanted_kw + correction_kw, plant_rating_kw)
+            if metered_cycles > 0:
+                mean_kw, mean_s = metered_kw / metered_cycles, metered_cycles * settings.cycle_s
+                is_free = heard_kw >= node_impp_kw[0]
+                error_kw = mean_error_kw(error_kw, wanted_kw, mean_kw, is_free, mean_s)
+                if settings.is_corrected:
+                    correction_kw = corrected(
+                        correction_kw, wanted_kw, mean_kw, is_free, plant_rating_kw, mean_s, 0.0
+                    )
+            wanted_kw = heard_kw + settings.offset_kw + settings.offset_errors * error_kw
+            metered_kw, metered_cycles = 0.0, 0
+            target_kw[0] = min(max(wanted_kw + correction_kw, 0.0), plant_rating_kw)
         solve_down(cycle, tree, settings, node_impp_kw, target_kw)
         for i in range(inverters):
             node = tree.inverters[i]
@@ -176,7 +180,10 @@ def closed_loop(
             alpha[cycle, i] = share = level[i]
             if settings.is_limited:
                 limit_kw[i] = tree.rating_kw[node] if share >= 1.0 else share * known_kw
-                limit_kw[i] = own_kw if is_gone else limit_kw[i]
+                if is_gone:
+                    limit_kw[i] = own_kw
+                elif share >= 1.0 and settings.is_forecast:
+                    limit_kw[i] = held_kw(wanted_kw_now, tree.rating_kw[node], estimates[i])
                 share = 1.0
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
     return LoopResult(power_kw, impp_kw, residuals_kw, alpha)
@@ -217,7 +224,7 @@ def solve_down(
                 impp_kw[first:end],
                 settings.alpha_min,
                 tree.order[tree.hour[cycle], row],
-                tree.rests[row] and settings.is_forecast,
+                settings.is_forecast,
             )
             for child in range(end - first):
                 target_kw[first + child] = setpoints_kw[child]

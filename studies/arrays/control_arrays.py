@@ -24,7 +24,6 @@ class ControlArrays(NamedTuple):
     parents: Node number of each parent, the root first and each before its children, shape (P,).
     first, end: Node number of each parent's first child, and the number after its last, shape (P,).
     period: Every how many cycles each parent acts, shape (P,).
-    rests: Whether the children of each parent act between its turns, shape (P,).
     order: For each hour, parent and child the places of its siblings in the order of help, shape
         (H, P, C, C - 1); -1 where there is none.
     hour: Row in `order` that holds in each cycle, shape (cycles,).
@@ -36,7 +35,6 @@ class ControlArrays(NamedTuple):
     first: NDArray[np.int64]
     end: NDArray[np.int64]
     period: NDArray[np.int64]
-    rests: NDArray[np.bool_]
     order: NDArray[np.int64]
     hour: NDArray[np.int64]
 
@@ -71,7 +69,6 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
         period=np.array(
             [plan.control.periods.cycles[depth(path)] for path in parents], dtype=np.int64
         ),
-        rests=np.array([plan.control.periods.rests_between(path) for path in parents]),
         order=_orders(plan, parents, max(children), times_ns),
         hour=hour.astype(np.int64),
     )

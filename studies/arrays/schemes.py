@@ -22,7 +22,7 @@ SCHEMES: Final = {
     "uniform-cap": "each inverter held to its share of the dispatch by rating",
     "grouping": "reference group at full power, the rest curtailed alike",
     "paper": "hierarchical, IMPP of the last cycle (eq. 1)",
-    "predictive": "hierarchical, IMPP forecast with a margin",
+    "predictive": "hierarchical, IMPP forecast, target corrected by the meter",
     "physical-limit": "the least of dispatch and available power: no controller does better",
 }
 """Name and one line of each scheme."""
@@ -100,8 +100,9 @@ def _grouping(
 ) -> Iterator[NDArray[np.float64]]:
     rating_kw = _rating_kw(plan)
     measured_kw = _measured_maximum_kw(profile)
+    aim_kw = _dispatch_kw(profile) + plan.control.offset_kw
     for mask in reference_groups(len(rating_kw)) if groups is None else groups:
-        seen = measured_kw[:, mask].sum(axis=1), _dispatch_kw(profile), rating_kw, mask
+        seen = measured_kw[:, mask].sum(axis=1), aim_kw, rating_kw, mask
         if actuator == "limit":
             yield np.minimum(profile.mpp_kw, grouping_limits_kw(*seen))
         else:
@@ -111,8 +112,8 @@ def _grouping(
 def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
     """Each inverter gives its share; behind a fraction, of what it could give a cycle ago."""
     rating_kw = _rating_kw(plan)
-    dispatch_kw = np.clip(_dispatch_kw(profile), 0.0, rating_kw.sum())
-    share_kw = np.outer(dispatch_kw, rating_kw / rating_kw.sum())
+    aim_kw = np.clip(_dispatch_kw(profile) + plan.control.offset_kw, 0.0, rating_kw.sum())
+    share_kw = np.outer(aim_kw, rating_kw / rating_kw.sum())
     if actuator == "limit":
         return np.minimum(profile.mpp_kw, share_kw)
     impp_kw = np.minimum(_measured_maximum_kw(profile), rating_kw)

@@ -28,10 +28,10 @@ def allocate(
     order: tuple[tuple[int, ...], ...],
     *,
     alpha_min: float = 0.0,
-    tops_up: bool = False,
+    adds_up: bool = False,
 ) -> Allocation:
     power_kw, share_kw, donors, needy, given_kw = allocation.allocate(
-        target_kw, ratings_kw, impp_kw, alpha_min, order, tops_up
+        target_kw, ratings_kw, impp_kw, alpha_min, order, adds_up
     )
     lines = list(zip(donors, needy, given_kw, strict=True))
     return Allocation(power_kw, share_kw, lines)
@@ -94,17 +94,15 @@ THREE = (100.0, 100.0, 100.0)
 THREE_IN_ORDER = ((1, 2), (0, 2), (0, 1))
 
 
-def test_what_all_together_lack_tops_up_those_that_lack_it() -> None:
-    # 30 kW for each of three; they have 10, 20 and 36: 24 kW are missing, and 6 kW are to spare.
-    # The lacks are 20 and 10 kW: of the 24 kW they are given 16 and 8 on top.
-    found = allocate(90.0, THREE, (10.0, 20.0, 36.0), THREE_IN_ORDER, tops_up=True)
-    assert found.power_kw == pytest.approx([26.0, 28.0, 36.0])
-    assert sum(found.power_kw) == pytest.approx(90.0), "never more than the target"
+def test_what_all_together_lack_is_asked_of_each_by_what_it_lacks_to_its_rating() -> None:
+    # They have 10, 20 and 40 kW: 23 of 93 kW are missing, and they are 230 kW below their ratings.
+    found = allocate(93.0, THREE, (10.0, 20.0, 40.0), THREE_IN_ORDER, adds_up=True)
+    assert found.power_kw == pytest.approx([19.0, 28.0, 46.0])
 
 
-def test_nothing_is_topped_up_where_the_target_is_met() -> None:
+def test_nothing_is_added_where_the_target_is_met() -> None:
     plain = allocate(60.0, THREE, (10.0, 20.0, 36.0), THREE_IN_ORDER)
-    assert allocate(60.0, THREE, (10.0, 20.0, 36.0), THREE_IN_ORDER, tops_up=True) == plain
+    assert allocate(60.0, THREE, (10.0, 20.0, 36.0), THREE_IN_ORDER, adds_up=True) == plain
 
 
 @pytest.mark.parametrize(
@@ -132,17 +130,17 @@ def test_a_child_at_its_floor_gives_more_than_its_share_and_the_others_give_way(
     st.lists(st.tuples(st.floats(1.0, 500.0), st.floats(0.0, 1.0)), min_size=1, max_size=8),
     st.floats(0.0, 1.0),
 )
-def test_topped_up_powers_add_up_to_the_target_and_stay_within_the_shares(
+def test_powers_that_add_up_to_the_target_stay_within_the_ratings(
     children: list[tuple[float, float]], share: float
 ) -> None:
     ratings_kw = tuple(rating for rating, _ in children)
     impp_kw = tuple(rating * light for rating, light in children)
     target_kw = share * sum(ratings_kw)
     order = help_order([[0.0] * len(children)] * len(children))
-    found = allocate(target_kw, ratings_kw, impp_kw, order, tops_up=True)
+    found = allocate(target_kw, ratings_kw, impp_kw, order, adds_up=True)
     assert sum(found.power_kw) == pytest.approx(target_kw, abs=1e-6)
-    for power_kw, share_kw, impp in zip(found.power_kw, found.share_kw, impp_kw, strict=True):
-        assert power_kw <= max(share_kw, impp) + 1e-9
+    for power_kw, rating_kw in zip(found.power_kw, ratings_kw, strict=True):
+        assert power_kw <= rating_kw + 1e-9
 
 
 @pytest.mark.parametrize(

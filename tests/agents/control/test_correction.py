@@ -1,8 +1,8 @@
-"""The integral correction: what the plant's meter shows to be missing is asked for on top."""
+"""The integral correction: what the plant's meter shows to be wrong moves the target."""
 
 import pytest
 
-from agents.control.correction import HIGHEST_CORRECTION, corrected
+from agents.control.correction import HIGHEST_CORRECTION, Response, corrected, expected_kw
 
 RATING_KW = 1000.0
 
@@ -37,10 +37,28 @@ def test_it_takes_the_same_time_whatever_the_cycle() -> None:
     assert fast[-1] == pytest.approx(slow[-1], abs=2.5)
 
 
-def test_what_is_delivered_too_much_takes_a_correction_back_but_not_below_0() -> None:
-    assert corrected(10.0, 500.0, 510.0, False, RATING_KW, 1.0, 0.0) == 5.0
-    assert corrected(2.0, 500.0, 510.0, False, RATING_KW, 1.0, 0.0) == 0.0
+def test_what_is_delivered_too_much_lowers_the_target() -> None:
+    assert corrected(10.0, 500.0, 510.0, False, RATING_KW, 1.0, 0.0) == 6.0
+    assert corrected(2.0, 500.0, 510.0, False, RATING_KW, 1.0, 0.0) == -2.0
+
+
+@pytest.mark.parametrize(
+    ("response", "second"),
+    [
+        (Response(), 4000.0),
+        (Response(ramp_kw_per_s=100.0), 1200.0),
+        (Response(delay_s=3.0), 2312.5),
+    ],
+    ids=["at once", "as fast as the ramp", "later"],
+)
+def test_what_is_expected_follows_a_new_aim_as_the_inverters_do(
+    response: Response, second: float
+) -> None:
+    first = expected_kw(1000.0, 4000.0, 1.0, response)
+    assert expected_kw(first, 4000.0, 1.0, response) == pytest.approx(second)
 
 
 def test_it_never_exceeds_its_share_of_the_rating() -> None:
-    assert settled(300.0, 1.0, 100.0)[-1] == 200.0 + HIGHEST_CORRECTION * RATING_KW
+    most_kw = HIGHEST_CORRECTION * RATING_KW
+    assert settled(300.0, 1.0, 100.0)[-1] == 200.0 + most_kw
+    assert settled(-300.0, 1.0, 100.0)[-1] == 800.0 - most_kw

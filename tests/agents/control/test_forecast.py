@@ -1,4 +1,4 @@
-"""The IMPP as a forecast: trend, margin, and what is assumed of a maximum that is hidden."""
+"""The IMPP as a forecast: trend, what is assumed of a hidden maximum, and where it is held."""
 
 import math
 from collections.abc import Sequence
@@ -13,10 +13,9 @@ from agents.control.forecast import (
     ERROR_MEMORY_S,
     HIDDEN_GROWTH_PER_S,
     LOW_READING_SAFETY,
-    MARGIN,
-    SMALL_ERROR,
     TREND_TIME_S,
     forecast_impp,
+    held_kw,
 )
 from agents.control.impp import FIRST_METER_ERROR, NOTHING_KNOWN, Estimate
 
@@ -77,18 +76,33 @@ def test_a_maximum_that_is_seen(found: Estimate, maximum_kw: float) -> None:
     assert (found.maximum_kw, found.stale_cycles) == (maximum_kw, 0)
 
 
-def test_the_last_change_is_expected_to_go_on_damped_and_the_own_error_is_taken_off_in_part() -> (
-    None
-):
+def test_the_last_change_is_expected_to_go_on_damped() -> None:
     found = measured(40.0, 50.0)
     trend_kw_per_s = 10.0 / (1.0 + TREND_TIME_S)
     spread_kw = 10.0 / (1.0 + ERROR_MEMORY_S)
     assert found.trend_kw_per_s == pytest.approx(trend_kw_per_s)
     assert found.expected_kw == pytest.approx(50.0 + DAMPING * trend_kw_per_s)
     assert found.spread_kw == pytest.approx(spread_kw)
-    margin_kw = MARGIN * (spread_kw - SMALL_ERROR * RATING_KW)
-    assert margin_kw > 0.0
-    assert found.power_kw == pytest.approx(found.expected_kw - margin_kw)
+    assert found.power_kw == found.expected_kw
+
+
+def test_asked_for_all_it_has_it_is_held_near_its_forecast_and_asked_for_more_it_is_free() -> None:
+    known = measured(40.0, 50.0)
+    held = held_kw(known.power_kw, RATING_KW, known)
+    assert known.power_kw + known.spread_kw < held < known.power_kw + known.spread_kw + 1.0
+    assert held_kw(known.power_kw + 0.1, RATING_KW, known) == RATING_KW
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES_S)
+def test_no_limit_keeps_an_inverter_dark_that_saw_no_sun_for_an_hour(cycle_s: float) -> None:
+    """At dawn and after a trip: asked for all it has, it is seen at full power in time."""
+    dark = measured(*[0.0] * 400, cycle_s=cycle_s)
+    cycles = 0
+    while dark.maximum_kw < RATING_KW:
+        limit_kw = held_kw(dark.power_kw, RATING_KW, dark)
+        dark = forecast(limit_kw, limit_kw, dark, cycle_s=cycle_s)
+        cycles += 1
+    assert cycles * cycle_s < max(120.0, 40.0 * cycle_s)
 
 
 @pytest.mark.parametrize(("limit_kw", "from_kw"), [(40.0, 60.0), (80.0, 80.0)])
