@@ -117,7 +117,7 @@ def forecast_impp(
     reads_low = _reads_low(maximum_kw, cycle_s, last)
     is_limited = limit_kw < rating_kw
     if not is_limited or power_kw < limit_kw * (1.0 - _tolerance(reads_low, last)):
-        below_limit = 1.0 - power_kw / limit_kw if is_limited else 0.0
+        below_limit = 1.0 - power_kw / limit_kw if is_limited and limit_kw > 0.0 else 0.0
         return _seen(maximum_kw, rating_kw, cycle_s, last.meter_error, below_limit, reads_low, last)
     meter_error = last.meter_error
     if limit_kw > 0.0:

@@ -130,7 +130,8 @@ def closed_loop(
     plant_rating_kw = tree.rating_kw[0]
     last_kw = mpp_kw[0].copy()
     level = np.ones(inverters)
-    limit_kw = tree.rating_kw[tree.inverters]
+    rating_kw = tree.rating_kw[tree.inverters]
+    limit_kw = rating_kw.copy()
     estimates = [NOTHING_KNOWN for _ in range(inverters)]
     node_impp_kw = np.zeros(len(tree.rating_kw))
     target_kw = tree.rating_kw.copy()
@@ -179,11 +180,9 @@ def closed_loop(
             level[i] = curtailment_level(wanted_kw_now, known_kw, settings.alpha_min)
             alpha[cycle, i] = share = level[i]
             if settings.is_limited:
-                limit_kw[i] = tree.rating_kw[node] if share >= 1.0 else share * known_kw
-                if is_gone:
-                    limit_kw[i] = own_kw
-                elif share >= 1.0 and settings.is_forecast:
-                    limit_kw[i] = held_kw(wanted_kw_now, tree.rating_kw[node], estimates[i])
+                limit_kw[i] = own_kw if is_gone else share * known_kw
+                if share >= 1.0 and not is_gone:
+                    limit_kw[i] = free_kw(settings, target_kw[node], rating_kw[i], estimates[i])
                 share = 1.0
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
     return LoopResult(power_kw, impp_kw, residuals_kw, alpha)
@@ -203,6 +202,11 @@ def estimate(
         return estimate_impp(power_kw, alpha, available_kw, rating_kw, last)
     share = 1.0 if settings.is_limited else alpha
     return forecast_impp(power_kw, share, available_kw, limit_kw, rating_kw, settings.cycle_s, last)
+
+
+def free_kw(settings: LoopSettings, target_kw: float, rating_kw: float, last: Estimate) -> float:
+    """Limit an inverter that is asked for all it has."""
+    return held_kw(target_kw, rating_kw, last) if settings.is_forecast else rating_kw
 
 
 def report_up(tree: ControlArrays, impp_kw: Floats) -> None:
