@@ -35,8 +35,9 @@ def test_a_killed_controller_is_replaced_and_the_plant_is_as_before(
     oahu: Preparation, victim: str
 ) -> None:
     nothing = "blackout=1000000s..2000000s"  # The rule puts the run on the clock.
-    _, healthy = run_with(oahu, [nothing], scheme="paper")
-    run, trace = run_with(oahu, [f"kill={victim},at={KILLED_AT}s"], scheme="paper")
+    law = {"scheme": "paper", "correction": False}
+    _, healthy = run_with(oahu, [nothing], **law)
+    run, trace = run_with(oahu, [f"kill={victim},at={KILLED_AT}s"], **law)
     assert run.restarts == {victim: 1}
     successor = run.loops[victim]
     assert 0 < successor.standby.incarnation <= KILLED_AT + 2
