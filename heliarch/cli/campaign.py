@@ -57,6 +57,8 @@ def campaign(
     length_s, least_s = plan.timing.cycles * plan.timing.cycle_ns / 1e9, study.least_length_s(plan)
     if length_s < least_s:
         raise InputError(f"--duration: expected {least_s:g} s or more, got {length_s:g} s")
+    if plan.supervision.restart.when == "never":
+        raise InputError("restart.when: expected that controllers come back, got never")
     found = study.campaign(preparation)
     outcomes = shared(partial(study.run_seed, found), parse_seeds(seeds), workers, "runs")
     broken = [outcome for outcome in outcomes if outcome.violations]

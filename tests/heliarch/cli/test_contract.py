@@ -204,6 +204,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "replay run --live c1 --loop",
         "compare run",
         "compare run nowhere",
+        "campaign small.toml --set restart.when=never",
         "compare small.toml run",
         "compare run run --seeds 1,2",
         "compare small.toml --seeds 1,2 --report",
