@@ -34,21 +34,15 @@ Columns = Mapping[str, tuple[str, int | None]]
 CASE: Final[Columns] = {"scheme": ("scheme", None), "actuator": ("actuator", None)}
 COMMITMENT: Final[Columns] = {
     "satisfied": ("satisfied %", 2),
-    "shortfall-energy": ("unsatisfied kWh", 1),
-    "unavoidable": ("unavoidable %", 3),
     "control-caused": ("control-caused %", 3),
-    "over-delivered": ("over-delivered %", 2),
-    "mileage": ("mileage kW/h", 0),
+    "over-delivered": ("over-delivered %", 3),
     "rmse": ("RMSE kW", 1),
-}
-REGULATION: Final[Columns] = {
-    "regd-strict": ("fulfilled to 0.1 %", 2),
-    "regd": ("to 1 %", 2),
-    "regd-feasible-strict": ("of the feasible, to 0.1 %", 2),
-    "regd-feasible": ("to 1 %", 2),
+    "regd-feasible": ("RegD of the feasible, to 1 %", 2),
     "score": ("PJM score", 3),
-    "score-unclipped": ("not clipped", 3),
 }
+
+
+ERRORS: Final = ("control-caused %", "over-delivered %")
 
 
 def row(cells: Iterable[object]) -> str:
@@ -77,35 +71,16 @@ def only(columns: Columns, *names: str) -> Columns:
 # docs/results.md
 
 
-@cache
-def case_study() -> pd.DataFrame:
-    return compare("oahu-day", actuators=BOTH)
-
-
-def headroom() -> Lines:
-    shares = {"commitment.share": [0.9, 0.8, 0.7]}
-    schemes = ("grouping", *HIERARCHICAL, "physical-limit")
-    rows = compare(
-        "oahu-day", schemes=schemes, actuators=["fraction"], settings=shares, workers=WORKERS
-    )
-    energies = only(COMMITMENT, "satisfied", "control-caused", "over-delivered")
-    return table(
-        rows,
-        {
-            "commitment.share": ("commitment", None),
-            **CASE,
-            "ancillary-potential": ("potential kWh", 0),
-            **energies,
-            "regd-feasible": ("RegD of the feasible, to 1 %", 2),
-        },
-    )
+def case_study() -> Lines:
+    rows = compare("oahu-day", actuators=BOTH)
+    return table(rows[rows["scheme"] != "grouping worst"], {**CASE, **COMMITMENT})
 
 
 def skies() -> Lines:
     """Write means over a hundred skies."""
     schemes = ("uniform-cap", "grouping", *HIERARCHICAL)
     rows = compare("oahu", schemes=schemes, actuators=BOTH, seeds=range(1, 101), workers=WORKERS)
-    yield from header(["scheme", "actuator", "control-caused %", "5 to 95 %", "over-delivered %"])
+    yield from header(["scheme", "actuator", ERRORS[0], "5 to 95 %", ERRORS[1]])
     for names, group in rows.groupby(["scheme", "actuator"], sort=False):
         missing, beyond = group["control-caused"], group["over-delivered"]
         spread = f"{missing.quantile(0.05):.3f} to {missing.quantile(0.95):.3f}"
@@ -113,16 +88,17 @@ def skies() -> Lines:
 
 
 def cycle_lengths() -> Lines:
+    cycles = {"time.cycle_s": [0.1, 1, 10, 60]}
     rows = compare(
         "oahu",
         schemes=HIERARCHICAL,
         actuators=BOTH,
-        settings={"time.cycle_s": [1, 10, 60], "plant.meter_noise": [0, 0.005]},
+        duration="30m",
+        settings=cycles,
         workers=WORKERS,
     )
-    settings: Columns = {"time.cycle_s": ("cycle [s]", None), "plant.meter_noise": ("noise", None)}
     figures = only(COMMITMENT, "control-caused", "over-delivered", "rmse")
-    return table(rows, {**settings, **CASE, **figures})
+    return table(rows, {"time.cycle_s": ("cycle [s]", None), **CASE, **figures})
 
 
 def hope(data: Path) -> ScenarioFile:
@@ -137,30 +113,50 @@ def hour(letter: str) -> dict[str, Any]:
     return {"irradiance.currents": f"hour_{letter}.csv"}
 
 
-def hours(data: Path) -> Lines:
-    settings = {"irradiance.currents": [f"hour_{letter}.csv" for letter in "abc"]}
-    rows = compare(real_plant(data), actuators=BOTH, settings=settings)
-    return table(rows, {"irradiance.currents": ("file", None), **CASE, **COMMITMENT})
+@cache
+def known_skies(data: Path) -> pd.DataFrame:
+    """Compare on four measured skies: 4 commitments, without and with 0.5 % of meter noise."""
+    skies: dict[str, tuple[ScenarioFile, dict[str, Any]]] = {"HOPE": (hope(data), {})}
+    skies |= {f"hour {letter}": (real_plant(data), hour(letter)) for letter in "abc"}
+    cells = {"commitment.share": [0.5, 0.7, 0.8, 0.9], "plant.meter_noise": [0, 0.005]}
+    run = partial(compare, actuators=BOTH, workers=WORKERS)
+    tables = []
+    for sky, (scenario, settings) in skies.items():
+        cases = {**cells, **settings}
+        aims = {**cases, "control.offset_errors": [0.0, 0.5, 1.0, 1.5, 2.0]}
+        tables += [
+            run(scenario, schemes=["uniform-cap", "paper"], settings=cases).assign(sky=sky),
+            run(scenario, schemes=["predictive"], settings=aims).assign(sky=sky),
+        ]
+    return pd.concat(tables).fillna({"control.offset_errors": 0.0})
 
 
-def estimators(scenario: ScenarioFile, settings: Mapping[str, Any]) -> Lines:
-    """Write control-caused and over-delivered of each scheme by share, without and with noise."""
-    shares = [0.5, 0.7, 0.8, 0.9]
-    rows = compare(
-        scenario,
-        schemes=("uniform-cap", "grouping", *HIERARCHICAL),
-        actuators=BOTH,
-        settings={"commitment.share": shares, "plant.meter_noise": [0, 0.005], **settings},
-        workers=WORKERS,
-    )
-    yield from header(["actuator", "scheme", *(f"{share:.0%}" for share in shares)])
-    rows = rows[rows["scheme"] != "grouping worst"]
-    keys = ["actuator", "plant.meter_noise"]
-    groups = rows.sort_values(keys, kind="stable").groupby([*keys, "scheme"], sort=False)
-    for (actuator, noise, scheme), group in groups:
-        pairs = zip(group["control-caused"], group["over-delivered"], strict=True)
-        cells = (f"{missing:.3f} ({beyond:.2f})" for missing, beyond in pairs)
-        yield row([actuator, f"{scheme}, noise" if noise else scheme, *cells])
+def measured_skies(data: Path) -> Lines:
+    """Write control-caused / over-delivered by sky and commitment, means without and with noise."""
+    rows = known_skies(data)
+    rows = rows[rows["control.offset_errors"] == 0.0]
+    shares = sorted(rows["commitment.share"].unique())
+    yield from header(["sky", "actuator", "scheme", *(f"{share:.0%}" for share in shares)])
+    for names, group in rows.groupby(["sky", "actuator", "scheme"], sort=False):
+        means = group.groupby("commitment.share")[["control-caused", "over-delivered"]].mean()
+        yield row([*names, *(f"{missed:.3f} / {over:.3f}" for missed, over in means.to_numpy())])
+
+
+def offsets(data: Path) -> Lines:
+    """Write means over all cells, and in how many both errors are at most those of `paper`."""
+    rows = known_skies(data)
+    errors, names = ["control-caused", "over-delivered"], ["sky", "commitment.share"]
+    cells = rows.set_index([*names, "plant.meter_noise"])
+    titles = ["actuator", "scheme", "offset_errors", *ERRORS, "sum %", "at most the paper's"]
+    yield from header(titles)
+    keys = ["actuator", "scheme", "control.offset_errors"]
+    for (actuator, scheme, aim), group in cells.groupby(keys, sort=False):
+        is_paper = (cells["actuator"] == actuator) & (cells["scheme"] == "paper")
+        apart = group[errors] - cells.loc[is_paper, errors].reindex(group.index)
+        missed, over = group[errors].mean()
+        count = (apart <= 5e-4).all(axis=1).sum()
+        figures = (f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}", count)
+        yield row([actuator, scheme, f"{aim:g}", *figures])
 
 
 # docs/clusters.md
@@ -254,9 +250,7 @@ Tables = dict[str, Callable[[], Lines]]
 
 SYNTHETIC: Final[dict[str, Tables]] = {
     "results.md": {
-        "case study": lambda: table(case_study(), {**CASE, **COMMITMENT}),
-        "case study, regulation": lambda: table(case_study(), {**CASE, **REGULATION}),
-        "headroom": headroom,
+        "case study": case_study,
         "skies": skies,
         "cycles": cycle_lengths,
     },
@@ -282,14 +276,8 @@ def measured(data: Path) -> dict[str, Tables]:
     plant = real_plant(data)
     return {
         "results.md": {
-            "HOPE": lambda: table(compare(hope(data), actuators=BOTH), {**CASE, **COMMITMENT}),
-            "HOPE, estimators": lambda: estimators(hope(data), {}),
-            **{
-                f"hour {letter}, estimators": partial(estimators, plant, hour(letter))
-                for letter in "abcde"
-                if (data / "plant20mw-combiners-10s" / f"hour_{letter}.csv").exists()
-            },
-            "hours": partial(hours, data),
+            "measured skies": partial(measured_skies, data),
+            "offsets": partial(offsets, data),
         },
         "clusters.md": {
             "HOPE": lambda: clusters({"HOPE": (hope(data), {})}),
