@@ -1,6 +1,6 @@
 """The messages of one signal, or the lists in them, as tables.
 
-The lists are help given, the inverters of a production, and missing inputs.
+The lists are help given, the inverters of a production, agents given up, and missing inputs.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from msgspec import inspect
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message, Production, Setpoint, parse_missing
-from bus_schemas.signals import PRODUCTION, SETPOINT, Port, Signal
+from bus_schemas.messages import GivenUp, Message, Production, Setpoint, parse_missing
+from bus_schemas.signals import GIVEN_UP, PRODUCTION, SETPOINT, Port, Signal
 from bus_schemas.tree import agent_name
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ Columns: TypeAlias = tuple[tuple[str, type], ...]
 """Names, with the unit in them, and types: `int`, `float`, `str`, or `tuple` for a list."""
 
 _TYPES: Final = {inspect.FloatType: float, inspect.IntType: int, inspect.VarTupleType: tuple}
-_NAMES: Final = frozenset({"node", "inverter", "donor", "needy", "signal", "input"})
+_NAMES: Final = frozenset({"node", "inverter", "donor", "needy", "signal", "input", "agent"})
 """Columns of text in which few values repeat."""
 
 
@@ -50,6 +50,7 @@ LISTS: Final = {
     "production_inverters": ListTable(
         PRODUCTION, (("inverter", str), ("mpp_kw", float), ("power_kw", float), ("sequence", int))
     ),
+    "given_up_agents": ListTable(GIVEN_UP, (("agent", str), ("sequence", int))),
     # `used_cycle` is that of the older message that the sender used; empty if it used none.
     "missing_inputs": ListTable(
         None,
@@ -89,6 +90,9 @@ def list_rows(
             )
         for row in zip(leaves, mpp_kw, power_kw, strict=True):
             yield "production_inverters", (*row, sequence)
+    elif isinstance(message, GivenUp):
+        for agent in message.agents:
+            yield "given_up_agents", (agent, sequence)
     for entry in message.missing:
         yield "missing_inputs", (node, port.signal.name, sequence, *parse_missing(entry))
 

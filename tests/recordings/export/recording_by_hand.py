@@ -14,8 +14,9 @@ from plans_by_hand import with_changes
 from recordings_by_hand import numbered, whole_run, write_messages
 
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import HelpGiven, Notice, Production, Setpoint, Telemetry
-from bus_schemas.signals import IMPP, NOTICE
+from bus_schemas.messages import GivenUp, HelpGiven, Notice, Production, Setpoint, Telemetry
+from bus_schemas.signals import GIVEN_UP, IMPP, NOTICE
+from bus_schemas.tree import ROOT
 
 PLAN: Final = with_changes(
     recordings_by_hand.PLAN, cycles=4, cycle_ns=500_000_000, cycle_wall_ns=500_000_000
@@ -59,3 +60,5 @@ def _said() -> Iterator[Delivery]:
         yield port, message
     notice = Notice(1, PLAN.timing.sim_time_ns(1), "c2", (), text=QUOTED, count=2**53 + 1)
     yield NOTICE.of("c2"), notice
+    given_up = GivenUp(1, PLAN.timing.sim_time_ns(1), "plant", (), agents=("c1/a",))
+    yield GIVEN_UP.of(ROOT), given_up

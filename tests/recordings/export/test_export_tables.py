@@ -68,6 +68,7 @@ def rebuilt(frames: Frames) -> Iterator[tuple[str, str, Message]]:
     for row in frames["production_inverters"]:
         mpp_kw[row["sequence"]].append(row["mpp_kw"])
         power_kw[row["sequence"]].append(row["power_kw"])
+    agents = [row["agent"] for row in frames["given_up_agents"]]
     for signal in RECORDED:
         for row in frames[signal.name]:
             node, number = row.pop("node"), row["sequence"]
@@ -76,6 +77,8 @@ def rebuilt(frames: Frames) -> Iterator[tuple[str, str, Message]]:
             assert row.pop("log_time_ns") - row["publish_time_ns"] == RECORDER_LAG_NS
             for field in {"available_kw", "revert_kw"} & row.keys():
                 row[field] = None if isnan(row[field]) else row[field]
+            if signal.name == "given_up":
+                row["agents"] = agents
             if signal.name == "setpoint":
                 row["help_given"] = help_given[node, number]
             if signal.name == "production":
