@@ -53,6 +53,7 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
     assert (summary.lost, summary.launcher.wrong) == (0, ())
 
 
+@pytest.mark.soak
 def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
     heliarch: Start, plant: str
 ) -> None:
