@@ -82,8 +82,10 @@ def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> b
     """Run a controller; return False if the plant disappeared first, and may come back."""
     with AgentProcess(plan, controller(plan, agent_of(name)), link, name) as process:
         log.info("%s is on the bus", name)
-        if rejoins and plan.timing.lockstep:
-            process.catch_up()
+        if rejoins:
+            process.await_plant()
+            if plan.timing.lockstep:
+                process.catch_up()
         while not link.dismissed:
             for _ in process.drive():
                 if link.dismissed:
@@ -109,7 +111,8 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
         if loop.times.stop_heard and loop.times.end_cycle == plan.timing.cycles:
             return True
         process.driver.turn(longest_ns=process.driver.now_ns() + round(_STOP_LOOK_S * 1e9))
-        process.beat()
+        # It is through with its cycles: who stays in one of them counts as stuck.
+        link.beat(plan.timing.cycles)
         if process.plant_is_gone():
             return True
         if time.monotonic() > give_up_at:
@@ -170,7 +173,7 @@ class AgentProcess:
             self.driver.bus = _NotingBus(self.driver.bus, link)
         self.watch_tokens = self._bus.watch_tokens
         self._tokens = self.watch_tokens() if is_away or link.by_hand else None
-        self._plant_left_at = inf
+        self._plant_gone_at = inf
         self._given_up: tuple[str, ...] = ()
         self.beat()
         link.tell(Joined())
@@ -228,18 +231,23 @@ class AgentProcess:
         """
         for key, is_there in self._tokens.changes() if self._tokens is not None else ():
             if key == self.plan.wiring.alive_key(PLANT):
-                self._plant_left_at = inf if is_there else time.monotonic()
+                patience_s = _PLANT_PATIENCE_S if self.plan.timing.lockstep else _CUT_PATIENCE_S
+                self._plant_gone_at = inf if is_there else time.monotonic() + patience_s
                 if self.link.by_hand and not is_there:
                     return True
-        patience_s = _PLANT_PATIENCE_S if self.plan.timing.lockstep else _CUT_PATIENCE_S
-        return time.monotonic() > self._plant_left_at + patience_s
+        return time.monotonic() > self._plant_gone_at
+
+    def await_plant(self) -> None:
+        """Join a run under way: on another host, a plant that is not seen in time has gone."""
+        if self._tokens is not None:
+            self._plant_gone_at = time.monotonic() + _CUT_PATIENCE_S
 
     def catch_up(self) -> None:
         """Join a run in lockstep, where the others wait: ask them for what they have said last."""
         heard = self.plan.wiring.heard[self.loop.agent.name]
         publishers = {self.plan.wiring.alive_key(port.publisher) for port in heard}
         tokens = self.watch_tokens()
-        while self.loop.cycle < 0 and not self.link.dismissed:
+        while self.loop.cycle < 0 and not (self.link.dismissed or self.plant_is_gone()):
             if publishers <= tokens.alive():
                 for _, port, message, time_ns in self._bus.newest():
                     self.loop.hear(port, message, time_ns)

@@ -53,7 +53,6 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
     assert (summary.lost, summary.launcher.wrong) == (0, ())
 
 
-@pytest.mark.soak
 def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
     heliarch: Start, plant: str
 ) -> None:
@@ -91,6 +90,21 @@ def test_agents_end_when_the_plant_disappears_also_while_their_node_stands_still
     assert not alive
     other.process.send_signal(signal.SIGCONT)
     assert other.wait() == 1
+
+
+@pytest.mark.soak  # It waits for the 60 s that a plant may be away.
+def test_agents_that_are_started_again_after_the_plant_has_gone_end(
+    heliarch: Start, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "2", "--on", f"{SECOND}=c2/*")
+    other = node(heliarch, run, SECOND)
+    run.until_running()
+    agents = [other.process_of(name) for name in ("c2", "c2/inv03", "c2/inv04")]
+    run.process.kill()
+    for agent in agents:
+        agent.kill()
+    assert other.wait() == 1
+    assert "the plant is gone" in other.error_text()
 
 
 # Over a network ----------------------------------------------------------------------------------
