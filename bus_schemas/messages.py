@@ -168,7 +168,7 @@ class Setpoint(Message, kw_only=True):
 class Command(Message, kw_only=True):
     """What a direct controller tells its inverter: the curtailment level alpha (eq. 6).
 
-    `power_kw` says the same in absolute power, IMPP x alpha; the rating where alpha is 1, since
+    `power_kw` says the same in absolute power, IMPP x alpha; the rating where alpha is 1 and
     nothing is to be held back. A run has one actuator: `fraction` inverters apply alpha to their
     true maximum, `limit` inverters hold `power_kw`.
 
