@@ -1,7 +1,7 @@
 """Faults of what a device hears: `heliarch conform` puts them into the plan.
 
 Heliarch cannot stop a message inside a device, so they act where an agent sends to one. The plan
-states them cycle by cycle, so whoever reads a recording knows what the device was sent.
+states them cycle by cycle, so a recording shows what the device was sent.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ class DirectController:
         return DirectState(NOTHING_KNOWN, _NEVER)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
-        """Return the stages; between its parent's turns it waits for nobody but its inverter."""
+        """Return the stages; between its parent's turns it waits for its inverter alone."""
         return (
             self._with_parent if self._control.periods.is_turn(self._parent, cycle) else self._alone
         )

@@ -35,7 +35,7 @@ class Freeze(_ProcessRule, frozen=True, tag="freeze"):
 
     agents: Their name or pattern: `c1`, `c2/*`.
     at: Beginning and end, in simulated time since cycle 0 [s].
-    zombie: Whether it is replaced at once and then wakes up beside its successor, hearing nobody,
+    zombie: Whether it is replaced at once and then wakes up beside its successor, hearing no agent,
         in `simulate` alone.
     """
 

@@ -120,7 +120,7 @@ class Inputs:
         return False
 
     def take(self, one: Input, message: Message, cycle: int) -> None:
-        """Make a message the newest of its input; with a bad number it keeps nobody waiting."""
+        """Make a message the newest of its input; with a bad number it keeps no agent waiting."""
         if message.cycle <= one.newest_cycle or message.incarnation < one.incarnation:
             self.drop("late", one.port, message, "was overtaken", cycle)
             return

@@ -89,7 +89,7 @@ class Standby:
         if not any(port in waiting for port in self.heard):
             return False
         if stage.awaits and all(port in waiting for port in stage.awaits):
-            return False  # It hears nobody: it is itself cut off.
+            return False  # It hears no agent: it is itself cut off.
         if self.incarnation and cycle <= self.incarnation + 1:
             return False
         newest = max(inputs.of[port].incarnation for port in self.heard)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 
@@ -16,7 +16,7 @@ T = TypeVar("T")
 encode: Final[Callable[[Message], bytes]] = msgspec.msgpack.Encoder().encode
 """Returns a message as a msgpack map."""
 
-_decoders: dict[type[Message], msgspec.msgpack.Decoder[Message]] = {
+_decoders: dict[type[Message], msgspec.msgpack.Decoder[Any]] = {
     signal.type: msgspec.msgpack.Decoder(signal.type) for signal in SIGNALS
 }
 
@@ -28,7 +28,8 @@ def decode(signal: Signal[M], payload: bytes) -> M:
     """Return the message that a payload of a signal holds, or raise msgspec.DecodeError."""
     if len(payload) > LARGEST_PAYLOAD:
         raise msgspec.DecodeError(f"{len(payload)} bytes are more than {LARGEST_PAYLOAD}")
-    return _decoded(_decoders[signal.type], payload)  # type: ignore[return-value]
+    decoder: msgspec.msgpack.Decoder[M] = _decoders[signal.type]
+    return _decoded(decoder, payload)
 
 
 def decode_head(payload: bytes) -> Head:

@@ -49,7 +49,7 @@ Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_M
 class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     """The head that every message carries.
 
-    The bus sets `publish_time_ns` and `sequence` as the message goes out. Nobody changes a message
+    The bus sets `publish_time_ns` and `sequence` as the message goes out. No code changes a message
     after that.
 
     cycle: The control cycle that the message belongs to. Negative in arming rounds.
@@ -185,7 +185,7 @@ class Production(Message, kw_only=True):
     """What really happened in the interval of this cycle. No controller may listen to it.
 
     `inverter_mpp_kw` and `inverter_power_kw` list the inverters in the order of the control tree.
-    `unknown_kw` is what lost real inverters may give beside `delivered_kw`: nobody knows.
+    `unknown_kw` is what lost real inverters may give beside `delivered_kw`; it is not measured.
     """
 
     dispatch_kw: float
@@ -245,7 +245,7 @@ class Takeover(Message, kw_only=True):
 class GivenUp(Message, kw_only=True):
     """Agents that do not come back: their processes ended more often than they may.
 
-    `agents` are all of them so far. Nobody awaits anything of them from now on, also in lockstep.
+    `agents` are all of them so far. From now on their messages are not awaited, in lockstep either.
     """
 
     agents: Annotated[tuple[Name, ...], msgspec.Meta(max_length=2 * MOST_INVERTERS)]

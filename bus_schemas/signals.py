@@ -170,7 +170,7 @@ def _agents(role: Role, node: str, tree: ControlTree | None = None) -> tuple[str
         case Role.NODE:
             return (agent_name(node),)
         case Role.PARENT:
-            # Above the root is the operator, who is no process and does not listen.
+            # Above the root is the operator, which is no process and does not listen.
             return (agent_name(parent_of(node)),) if node != ROOT else ()
         case Role.CONTROLLERS:
             return tuple(map(agent_name, tree.nodes)) if tree is not None else ()

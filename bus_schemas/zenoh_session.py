@@ -9,6 +9,7 @@ import socket
 import struct
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -241,7 +242,7 @@ class TokenWatch:
         return self._alive
 
 
-class AgentSessions:
+class AgentSessions(ABC):
     """An agent's sessions, open until the context is left.
 
     starts: How many processes the agent had before.
@@ -270,7 +271,7 @@ class AgentSessions:
         self._close()
 
     def reopen(self) -> None:
-        """Open the sessions anew: nobody hears the agent. What it knows and does stays.
+        """Open the sessions anew, because no other process hears the agent. Its state stays.
 
         A new session has another id: to the others, the old one may still be there.
         """
@@ -282,7 +283,7 @@ class AgentSessions:
         self._declare()
         for watch in self._watches:
             watch.listen(self._sessions)
-        log.warning("nobody hears this process: its sessions were opened anew")
+        log.warning("no other process heard this one: its sessions were opened anew")
 
     def watch_tokens(self) -> TokenWatch:
         watch = TokenWatch(self._wiring.alive_key("**"))
@@ -290,9 +291,9 @@ class AgentSessions:
         self._watches.append(watch)
         return watch
 
+    @abstractmethod
     def _declare(self) -> None:
         """Declare what the sessions publish and hear."""
-        raise NotImplementedError
 
     def _close(self) -> None:
         for session in self._sessions:

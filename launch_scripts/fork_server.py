@@ -4,8 +4,8 @@ It has neither threads nor a session, so a fork copies nothing that a child coul
 with the launcher through one socket that keeps packets apart: requests come in, events of all
 processes go out. `python -m launch_scripts.fork_server SOCKET BEATS`
 
-Nobody outlives the launcher: the kernel ends the server with it, and with the server the agents at
-once, and the recorder as soon as it has closed its file.
+No process outlives the launcher: the kernel ends the server with it, and with the server the agents
+at once, and the recorder as soon as it has closed its file.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Who lives and who is heard. Each question has a witness of its own.
+"""Which processes live and which are heard. Each question has a witness of its own.
 
 A process lives if it beats. Time counts only while the launcher itself runs: a launcher or a
-machine that stood still proves nothing. Who is heard, the recorder and the listeners say; external
-agents have no beat and are only heard, or not.
+machine that stood still proves nothing. The recorder and the listeners say which processes are
+heard. External agents have no beat: they are only heard, or not.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Watch:
 
 
 class Hearing:
-    """Which live processes are not heard: what is broken is a link, so nobody is killed.
+    """Which live processes are not heard: the link is broken, so no process is killed.
 
     Their sessions are opened anew, by `reopen`. If the recorder does not hear the plant, the
     recorder is cut off, and the run goes on.
@@ -143,13 +143,13 @@ class Hearing:
         self._patience_s = max(UNHEARD_S, UNHEARD_PER_PROCESS_S * len(list(children)))
 
     def hear(self, status: Status) -> None:
-        """Take in whom the recorder does not hear, and of whom others miss messages."""
+        """Take in which agents the recorder does not hear, and whose messages others miss."""
         live = {child.agent for child in self._children if self._lives(child)}
         not_heard, missed = live.intersection(status.not_heard), live.intersection(status.missed)
         hears_plant = PLANT not in not_heard
-        hears_nobody = bool(not_heard) and live - {RECORDER} <= not_heard
+        hears_none = bool(not_heard) and live - {RECORDER} <= not_heard
         unheard = not_heard | missed
-        if hears_nobody or (not hears_plant and PLANT not in missed):
+        if hears_none or (not hears_plant and PLANT not in missed):
             unheard = missed | {RECORDER}
         for name in self._due_s.keys() - unheard:
             del self._due_s[name]
@@ -162,9 +162,9 @@ class Hearing:
                 self._reopen(name)
         if PLANT in live:
             self._recorded = max(self._recorded, status.cycle)
-            self._note_gap(hears_plant=hears_plant, hears_nobody=hears_nobody)
+            self._note_gap(hears_plant=hears_plant, hears_none=hears_none)
 
-    def _note_gap(self, *, hears_plant: bool, hears_nobody: bool) -> None:
+    def _note_gap(self, *, hears_plant: bool, hears_none: bool) -> None:
         newest, first = self._children[PLANT].row.cycle, self._recorded + 1
         if hears_plant and self._is_cut:
             self._is_cut = False
@@ -174,8 +174,8 @@ class Hearing:
             if not self._is_cut:
                 self._is_cut = True
                 self.gaps.append((first, newest))
-                whom = "anybody" if hears_nobody else "the plant"
-                where = f"since cycle {first:,} it does not hear {whom}"
+                unheard = "any agent" if hears_none else "the plant"
+                where = f"since cycle {first:,} it does not hear {unheard}"
                 self._say(f"recorder is cut off: {where}; the run goes on")
             self.gaps[-1] = self.gaps[-1][0], newest
 
@@ -243,7 +243,7 @@ class Externals:
         return f"{name} is here"
 
     def failure(self) -> tuple[str, str] | None:
-        """Return who is gone for so long that the run has failed, and a message about it."""
+        """Return the agent whose absence has made the run fail, and a message about it."""
         for name, at_s in self._gone_at_s.items():
             if self._now_s() > at_s + GONE_S:
                 return name, f"{name} is gone: the run cannot go on without it"

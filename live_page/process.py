@@ -1,7 +1,7 @@
 """The page as a process of its own beside a run: where it is served, the launcher's hold on it.
 
 The launcher writes the settings to the process's standard input, and `over` when the run is. The
-process then ends as soon as nobody looks on; when the launcher is gone, at once.
+process then ends as soon as no page is open; when the launcher is gone, at once.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class PageProcess(SideProcess):
         return self._address.text()
 
     def let_end(self, say: Callable[[str], None]) -> None:
-        """Wait until nobody looks at the page any more, or until Ctrl-C."""
+        """Wait until the page is no longer open anywhere, or until Ctrl-C."""
         self.tell(b"over")
         with suppress(KeyboardInterrupt):
             try:

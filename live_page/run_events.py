@@ -41,7 +41,7 @@ class Event(msgspec.Struct):
 
 
 class RunEvents:
-    """The newest events of a run: who has restarted, who is unresponsive, which messages were lost.
+    """The newest events of a run: restarts, unresponsive agents, lost messages.
 
     It also knows in which cycles each agent was heard and began again.
     """
@@ -114,7 +114,7 @@ class RunEvents:
         return bisect_right(self._restarts[agent], cycle)
 
     def note_unresponsive(self, newest_cycle: int) -> None:
-        """Note who has said nothing for longer than inputs are held."""
+        """Note the agents that have sent nothing for longer than inputs are held."""
         for port, cycle in self._heard_in.items():
             if newest_cycle > cycle + self._hold_cycles:
                 self._note_absence(port)

@@ -102,7 +102,7 @@ def _row(name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
 
 
 class RunView:
-    """A run that pages look at. Nothing is read while nobody does.
+    """A run that pages look at. Nothing is read while no page is open.
 
     `path` is the recording.
     """

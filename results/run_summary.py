@@ -182,7 +182,7 @@ def run_health(run: RunReader) -> Health:
         return read_overview(run).health
     if summary.health is not None:
         return msgspec.structs.replace(summary.health, launcher=summary.launcher)
-    # In lockstep nothing is late or missed, and nobody is away.
+    # In lockstep nothing is late or missed, and no agent is away.
     return Health(
         fault_effects=(),
         faults={},

@@ -8,6 +8,7 @@ https://github.com/sunspec/models
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import isfinite, nan
@@ -39,7 +40,7 @@ class DeviceRefusedError(DeviceError):
     """A device answers that it does not do what is asked; the connection stays."""
 
 
-class SunSpecDevice:
+class SunSpecDevice(ABC):
     """What inverters and meters have in common: a connection, and its errors in one line.
 
     address: `modbus://host:port/unit`.
@@ -66,12 +67,13 @@ class SunSpecDevice:
         """Hang up; `connect` may be called again."""
         self._device.disconnect()
 
+    @abstractmethod
     def read(self) -> Reading:
         """Read it. Raises DeviceError: It does not answer."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _find_models(self) -> None:
-        raise NotImplementedError
+        """Find the models to read and write. Raises DeviceError: A model or a point is missing."""
 
     def _power_kw(self, model: Model) -> float:
         power_kw = self._kw(model, "W")

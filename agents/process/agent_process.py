@@ -103,7 +103,7 @@ def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> b
 def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
     """Wait for the plant to end the run; return False if the run goes on after all.
 
-    Anybody may say that the run ends early: the launcher confirms it, or the plant goes on.
+    Any agent may say that the run ends early: the launcher confirms it, or the plant goes on.
     """
     loop, plan = process.loop, process.plan
     give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.timing.cycle_wall_ns / 1e9
@@ -211,7 +211,7 @@ class AgentProcess:
             yield
 
     def beat(self) -> None:
-        """Show that the process is alive; as the plant, say who has been given up since."""
+        """Show that the process is alive; as the plant, publish the agents given up since."""
         loop, table = self.loop, self.link.table
         self.link.beat(loop.cycle)
         if loop.name != PLANT or table is None or loop.cycle < 0:
@@ -227,7 +227,7 @@ class AgentProcess:
     def plant_is_gone(self) -> bool:
         """Whether the plant has disappeared and, if it is on another host, does not come back.
 
-        Nobody else ends an agent there, or one that was started by hand, if the launcher dies.
+        If the launcher dies, nothing else ends an agent there, or one that was started by hand.
         """
         for key, is_there in self._tokens.changes() if self._tokens is not None else ():
             if key == self.plan.wiring.alive_key(PLANT):

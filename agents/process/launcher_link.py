@@ -31,8 +31,8 @@ class LauncherLink:
     starts: How many processes the agent had before this one.
 
     dismissed: Whether the launcher wants the agent to end.
-    unheard: Whether the launcher has found since this was last set to False that nobody hears the
-        agent, whose sessions are then to be opened anew.
+    unheard: Set when the launcher reports that no other process hears the agent. Its sessions must
+        then be opened anew.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class LauncherLink:
             signal.signal(number, self._dismiss)
 
     def reopen_on(self, number: signal.Signals) -> None:
-        """Treat a signal as news that nobody hears the agent."""
+        """Treat a signal as the report that no other process hears the agent."""
         signal.signal(number, self._note_unheard)
 
     def _dismiss(self, *_: object) -> None:

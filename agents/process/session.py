@@ -43,15 +43,15 @@ _LONGEST_COMMON_NAME = 64
 """Characters, by RFC 5280."""
 
 Subjects: TypeAlias = dict[str, dict[str, list[str]]]
-"""By agent, how Zenoh recognises it at the other end of a link. The empty name stands for anybody:
-the recorder accepts all their messages, so that it can name whoever sends what is not allowed."""
+"""By agent, how Zenoh recognises it at the other end of a link. The empty name stands for any
+program: the recorder accepts all messages, so that it can name the senders of forbidden ones."""
 
 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     """Return how an agent of the plan, or a standby, joins the bus.
 
-    With keys, a certificate says who is at the other end of a link. Without, every process of ours
-    has a password. A run that was set up by hand has neither: anybody may join.
+    With keys, a certificate names the agent at the other end of a link. Without, every process of
+    ours has a password. A run that was set up by hand has neither: any program may join.
     """
     links, access = plan.links, plan.access
     if access.keys_folder:
@@ -69,9 +69,9 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
 def _with_passwords(plan: RunPlan, agent: str) -> SessionSettings:
     """Ask every process of ours for its password.
 
-    Who connects proves itself by its password, and who listens by the id of its session. A session
-    asks everybody who connects, or nobody. Devices have no password, so an agent that talks to one
-    has a second session for it, in which nobody can tell a device from a stranger.
+    The side that connects proves itself by its password, the side that listens by the id of its
+    session. A session asks every program that connects, or none. Devices have no password, so an
+    agent that talks to one has a second session for it, in which a device looks like a stranger.
     """
     links, access = plan.agent_links, plan.access
     subjects: Subjects = {
@@ -94,8 +94,8 @@ def _with_passwords(plan: RunPlan, agent: str) -> SessionSettings:
     devices = to_devices.peers(agent)
     if not devices:
         return settings
-    anybody: Subjects = {peer: {} for peer in ("", *devices)}
-    second = _settings(plan, agent, to_devices, access.tcp_ports, anybody)
+    any_program: Subjects = {peer: {} for peer in ("", *devices)}
+    second = _settings(plan, agent, to_devices, access.tcp_ports, any_program)
     return replace(settings, devices=second)
 
 
@@ -170,12 +170,12 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
         policies.append({"rules": [*of_all, *own], "subjects": [peer]})
     known = {peer: subjects[peer] for peer in links.peers(agent)}
     if agent == RECORDER and "" in subjects:
-        known["anybody"] = subjects[""]
-        from_anybody = add("from anybody", ["ingress"], ["put"], ["**"])
+        known["any program"] = subjects[""]
+        from_any = add("from any program", ["ingress"], ["put"], ["**"])
         # Peers do relay for clients, so a client could send in the recorder's name.
         own_keys = [wiring.key(port) for port in wiring.published[agent]]
         not_own = add("not in its name", ["ingress"], ["put"], own_keys, "deny")
-        policies.append({"rules": [*of_all, from_anybody, not_own], "subjects": ["anybody"]})
+        policies.append({"rules": [*of_all, from_any, not_own], "subjects": ["any program"]})
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -188,8 +188,8 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
 def session_ids(secret: str, agent: str) -> tuple[str, ...]:
     """Return the Zenoh ids of an agent's sessions, which it uses one after the other.
 
-    Whoever connects to the agent learns the one in use. Two sessions with one id cannot be linked
-    with the same peer, and a peer may take an old one for alive as long as its lease lasts.
+    A program that connects to the agent learns the one in use. Two sessions with one id cannot be
+    linked with the same peer, and a peer may take an old one for alive as long as its lease lasts.
     """
     # Zenoh accepts no leading zero.
     return tuple(f"a{_digest(secret, f'id {number} of {agent}')}" for number in range(_SESSIONS))

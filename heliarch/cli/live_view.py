@@ -83,4 +83,4 @@ class PlainView:
 def _needy(status: Status) -> str:
     # A cluster that lacks power contains inverters that do: the clusters come first.
     nodes = sorted(status.needy, key=lambda node: (node.count("/"), node))
-    return listed([node or "the whole plant" for node in nodes], _NAMED) or "nobody"
+    return listed([node or "the whole plant" for node in nodes], _NAMED) or "none"

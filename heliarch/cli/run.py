@@ -36,7 +36,7 @@ def run_request(
 
 @contextmanager
 def page_beside(options: PageOptions, console: Console) -> Iterator[PageProcess | None]:
-    """Start the page of a command, if it is wanted; at the end, wait until nobody looks at it."""
+    """Start the page of a command, if it is wanted; at the end, wait until it is closed."""
     if options.page:
         with PageProcess(options.page_address, options.page_port) as page:
             yield page

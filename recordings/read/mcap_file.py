@@ -10,6 +10,7 @@ That is about 14 times faster (docs/recordings.md has the measurement).
 from __future__ import annotations
 
 import re
+import struct
 import zlib
 from collections.abc import Container, Iterator
 from contextlib import suppress
@@ -17,7 +18,6 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from os import SEEK_END
 from struct import Struct
-from struct import error as StructError  # noqa: N812
 from typing import BinaryIO, Final, NamedTuple, TypeAlias
 
 import lz4.frame
@@ -55,7 +55,7 @@ _OPCODES: Final = frozenset(Opcode)
 _BLOCK: Final = 1 << 20
 
 _BROKEN: Final = (
-    *(McapError, StructError, ValueError, EOFError, RuntimeError, OverflowError, MemoryError),
+    *(McapError, struct.error, ValueError, EOFError, RuntimeError, OverflowError, MemoryError),
 )
 """What reading a damaged record can raise."""
 

@@ -130,7 +130,7 @@ class RunListener:
         return None
 
     def status(self) -> Status:
-        """Return where the run stands, and who is unresponsive or has not been heard yet."""
+        """Return where the run stands, and the agents that are unresponsive or not heard yet."""
         status = self.monitor.status(self._writer.recorded.total())
         if self._plan.elsewhere and self.position.newest_cycle < 0:
             status = replace(status, unheard=self._arming.unheard(self._plan.elsewhere))

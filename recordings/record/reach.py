@@ -1,4 +1,4 @@
-"""Who is heard: by the recorder, and by the listeners, which name in `missing` what they lack."""
+"""Which agents are heard: by the recorder, and by the listeners, which say what is `missing`."""
 
 from __future__ import annotations
 

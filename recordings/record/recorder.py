@@ -53,7 +53,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
             log.error("%s", text)
             link.tell(RecordingEnded(text))
 
-        # The bus comes first: nobody waits for a file, and messages wait meanwhile.
+        # The bus comes first: messages wait in it, and no process waits for a file.
         settings = session_settings(plan, RECORDER)
         with RunSubscriber(RECORDER, plan.wiring, settings, link.starts) as subscriber:
             link.tell(Joined())
@@ -151,7 +151,7 @@ class Recorder:
         expected = link.expected_messages()
         if expected is not None:
             closing.expected = expected
-        # Nobody asks a recorder that was started by hand: it ends with the run.
+        # A recorder that was started by hand is not asked to end: it ends with the run.
         is_over = link.by_hand and self._listener.position.stop_cycle is not None
         if expected is not None or link.dismissed or is_over:
             closing.ask(self._now_s())

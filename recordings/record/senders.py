@@ -29,7 +29,7 @@ _UNDECIDED = ("ready_time_ns", "publish_time_ns", "sequence", "incarnation", "mi
 
 
 class ExternalAgents:
-    """The external agents of a run: who is there, by their tokens, and how far they have come."""
+    """The external agents of a run: which are present, by their tokens, and in which cycle."""
 
     def __init__(self, plan: RunPlan, tokens: TokenWatch | None = None) -> None:
         self.heard = 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -16,7 +17,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from struct import error as StructError  # noqa: N812
 from typing import Final
 
 from mcap.writer import Writer
@@ -30,7 +30,7 @@ from recordings.read.counting import count_messages
 from recordings.read.run_file import SCHEMA_VERSION
 from recordings.record.chunk_writer import ChunkWriter
 
-_UNWRITABLE: Final = (OSError, StructError, ValueError, OverflowError, MemoryError)
+_UNWRITABLE: Final = (OSError, struct.error, ValueError, OverflowError, MemoryError)
 """What writing a message can raise."""
 
 _VERSIONED: Final = ("heliarch", "eclipse-zenoh", "msgspec", "mcap", "numpy", "pvlib")

@@ -47,7 +47,7 @@ _ARMING_S: Final = 10.0
 """How long nothing may come on a key in arming rounds."""
 
 
-class _LinksClose(Exception):  # noqa: N818 - it is meant to happen
+class _LinksClosedError(Exception):
     """The launch is to end now, without a stop."""
 
 
@@ -80,7 +80,7 @@ class _Attendant:
         if now > self.silent_since + _ARMING_S:
             raise FailureError(f"in arming rounds nothing came on {listed(status.unheard)}")
         if status.cycle == self.closes_after:
-            raise _LinksClose
+            raise _LinksClosedError
         if status.cycle in self.away and not self.was_killed:
             self.was_killed = True
             self.device.end(0.0)
@@ -150,9 +150,9 @@ class Conformance:
         for each in (script, following):
             each.undisturbed("links closed")
         last_cycle = script.cycle - 1
-        script.lose("links closed", script.inputs, 1)  # So all wait, and nobody says stop.
+        script.lose("links closed", script.inputs, 1)  # So all wait, and no process says stop.
         _, ended = self._launch("links-close", script, closes_after=last_cycle)
-        if not isinstance(ended, _LinksClose):
+        if not isinstance(ended, _LinksClosedError):
             self.findings.fail("links closed", str(ended))
         else:
             with suppress(FailureError):
@@ -177,7 +177,7 @@ class Conformance:
         try:
             with ForkServerProcess() as server:
                 summary = launch(preparation, folder, view, time.monotonic(), server)
-        except (FailureError, _LinksClose) as failure:
+        except (FailureError, _LinksClosedError) as failure:
             return folder, failure
         if summary.launcher.interrupted:
             raise KeyboardInterrupt
