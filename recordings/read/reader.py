@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import tomllib
 import warnings
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Container, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
@@ -111,6 +112,13 @@ class RunReader:
     def whole(self) -> bool:
         """Whether each file was closed in order."""
         return self.outline.whole
+
+    def scenario_table(self) -> dict[str, Any]:
+        """Return the scenario as its TOML says it."""
+        try:
+            return tomllib.loads(self.scenario)
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
+            raise InputError(f"{self.path}: expected a scenario in TOML, got: {error}") from None
 
     def join(self) -> None:
         """Add the files of recorders that were started again."""

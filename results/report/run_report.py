@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,6 @@ from rich.console import Console
 from rich.markup import escape
 
 from agents.plan import RunPlan
-from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from bus_schemas.whole_file import whole_file
 from recordings.read.reader import RunReader
@@ -54,11 +52,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
 
 def _notes(reader: RunReader) -> list[str]:
     """Return what the recording says about the run."""
-    try:
-        scenario = tomllib.loads(reader.scenario)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{reader.path}: expected a scenario in TOML, got: {error}") from None
-    origin = reader.metadata.get("run", {})
+    scenario, origin = reader.scenario_table(), reader.metadata.get("run", {})
     notes = [
         f"Scenario: {scenario.get('title', reader.plan.plant)}.",
         f"Recorded by heliarch {origin.get('driver', '')}, "

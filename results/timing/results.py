@@ -28,7 +28,10 @@ _MEANINGS: Final = {
 }
 """What each measure is, in a few words; docs/timing.md has the definitions."""
 
-_FEW_NOTE: Final = f"of fewer than {FEW} durations the p99 is the longest one"
+_FEW_NOTE: Final = (
+    f"of fewer than {FEW} durations the p99 is the longest one, and a single one above the budget "
+    "does not decide"
+)
 _HOPS: Final = (
     "(each time begins when the agent's last input was published, so it includes the hop)"
 )
@@ -53,10 +56,10 @@ def timing_result(report: TimingReport) -> Result:
     """Return the timing of a run: what was run, how long it took, and whether it was in time."""
     run = report.run
     slowest = [
-        f"{'next' if place else 'slowest'} {one.in_words()}"
-        for place, one in enumerate(report.slowest)
+        f"{'next' if number else 'slowest'} {one.in_words()}"
+        for number, one in enumerate(report.slowest)
     ]
-    unkept = [one for one in report.budgets if not one.passed or one.by_one]
+    unkept = [one for one in report.budgets if not one.passed]
     return Result(
         f"{run.scenario}: timing of run {run.run_id}",
         _tables(report),
@@ -68,7 +71,7 @@ def timing_result(report: TimingReport) -> Result:
             *report.host,
             *report.remarks,
         ],
-        conclusions=[*slowest, *([_HOPS] if slowest else []), *map(_exception, unkept)],
+        conclusions=[*slowest, *([_HOPS] if slowest else []), *map(_not_kept, unkept)],
         verdict=(report.passed, _verdict(report)),
         figures=lambda: [
             *(waits_figure(f"waits-{at}", one) for at, one in enumerate(report.slowest, start=1)),
@@ -88,20 +91,14 @@ def _verdict(report: TimingReport) -> str:
         return f"FAIL: {why}; in the recorded part {failed} of {count} budgets not kept"
     if failed:
         return f"FAIL: {failed} of {count} budgets not kept"
-    by_one = sum(budget.by_one for budget in report.budgets)
-    return f"PASS: all {count} budgets were kept{f', {by_one} but for one duration' * (by_one > 0)}"
+    return f"PASS: all {count} budgets were kept"
 
 
-def _exception(budget: Budget) -> str:
-    """Say that a budget was not kept, or not by a single duration."""
-    line, value = budget.line, _amount(budget.value, budget.unit)
+def _not_kept(budget: Budget) -> str:
     if budget.value is None:
-        return f"not kept: {line}: nothing was measured"
-    limit = f"(at most {_amount(budget.limit, budget.unit)})"
-    if not budget.by_one:
-        return f"not kept: {line} {value} {limit}"
-    few = f"fewer than {FEW} were measured, so one does not decide"
-    return f"one above its budget: {line.removesuffix(' p99')} {value} {limit}; {few}"
+        return f"not kept: {budget.line}: nothing was measured"
+    value, limit = (_amount(number, budget.unit) for number in (budget.value, budget.limit))
+    return f"not kept: {budget.line} {value} (at most {limit})"
 
 
 def _amount(value: float | None, unit: str) -> str:
@@ -134,8 +131,7 @@ def _times_tables(report: TimingReport) -> list[Table]:
         word_column("budget"),
     )
     limits: dict[object, tuple[Cell, Cell]] = {
-        (one.measure, one.of): (one.limit, "one above" if one.by_one else one.passed)
-        for one in report.budgets
+        (one.measure, one.of): (one.limit, one.passed) for one in report.budgets
     }
     rows: dict[str, list[list[Any]]] = {}
     for row in report.times.to_dict("records"):
