@@ -111,7 +111,7 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
         counts = self.lost, self.missing_inputs, launcher.skipped_cycles, launcher.recording_ended
         events = launcher.dropped, launcher.wrong, launcher.restarts, launcher.takeovers
         lacks = launcher.given_up, launcher.recording_gaps
-        return any((*counts, *events, *lacks, *(device.is_troubled for device in self.devices)))
+        return any((*counts, *events, *lacks, *(device.has_faults for device in self.devices)))
 
     def refused(self, account: ExternalAccount) -> int:
         """Return how many messages of an external agent were refused, but for those too late."""

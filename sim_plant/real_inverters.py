@@ -8,8 +8,9 @@ its last limit until its revert time is over, and its revert power from then on.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from dataclasses import replace
+from math import isnan, nan
+from typing import Final, NamedTuple, Protocol
 
 import msgspec
 import numpy as np
@@ -27,22 +28,21 @@ METER: Final = -1
 """The position of the meter at the point of interconnection, beside those of inverters."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """What an inverter or the meter says of itself, at a monotonic time.
 
-    An inverter may not say what it could give. Its limit is the one in force, or its rating.
+    An inverter may not say what it could give: NaN. Its limit is the one in force, or its rating.
     """
 
     time_ns: int
     power_kw: float
-    available_kw: float | None
-    limit_kw: float
+    available_kw: float = nan
+    limit_kw: float = nan
 
     @property
     def maximum_kw(self) -> float:
         """What it could give; if it does not say so, it is taken to give all it has."""
-        return max(self.available_kw or 0.0, self.power_kw)
+        return float(np.fmax(self.available_kw, self.power_kw))
 
 
 class RealInverters(Protocol):
@@ -86,12 +86,8 @@ class PlantWithDevices(Plant):
         state, outputs = super().step(state, msgspec.structs.replace(turn, inputs=inputs))
         for _, message in outputs:
             if isinstance(message, Production):
-                assumed_kw = [
-                    min(float(state.limit_kw[at]), newest[at].maximum_kw)
-                    for at in lost
-                    if at in newest
-                ]
-                self._correct(message, fresh, lost, sum(assumed_kw))
+                last = [(state.limit_kw[at], newest[at].maximum_kw) for at in lost if at in newest]
+                self._correct(message, fresh, float(sum(map(min, last))))
         return _measured(state, fresh, lost), outputs
 
     def _sensed(self, outputs: list[Delivery], fresh: Mapping[int, Reading]) -> Iterator[Delivery]:
@@ -101,7 +97,8 @@ class PlantWithDevices(Plant):
                 reading = fresh.get(self._positions[port.node])
                 if reading is None:
                     continue
-                message.available_kw = reading.available_kw
+                stated_kw = reading.available_kw
+                message.available_kw = None if isnan(stated_kw) else stated_kw
             if isinstance(message, Meter) and self._has_meter:
                 if METER not in fresh:
                     continue
@@ -109,27 +106,18 @@ class PlantWithDevices(Plant):
             yield port, message
 
     def _correct(
-        self,
-        production: Production,
-        fresh: Mapping[int, Reading],
-        lost: list[int],
-        assumed_kw: float,
+        self, production: Production, fresh: Mapping[int, Reading], assumed_kw: float
     ) -> None:
-        """Write what devices produced into what the plant produced."""
+        """Write what devices produced into what the plant produced: nothing if they are lost."""
         mpp_kw = np.array(production.inverter_mpp_kw)
         power_kw = np.array(production.inverter_power_kw)
-        for position in self._positions.values():
-            if position in fresh:
-                reading = fresh[position]
-                mpp_kw[position], power_kw[position] = reading.maximum_kw, reading.power_kw
-        mpp_kw[lost] = power_kw[lost] = 0.0
+        for at in self._positions.values():
+            reading = fresh.get(at, Reading(0, 0.0))
+            mpp_kw[at], power_kw[at] = reading.maximum_kw, reading.power_kw
         production.inverter_mpp_kw = tuple(mpp_kw.tolist())
         production.inverter_power_kw = tuple(power_kw.tolist())
-        production.available_kw, production.delivered_kw = (
-            float(mpp_kw.sum()),
-            float(power_kw.sum()),
-        )
-        production.unknown_kw = assumed_kw
+        production.available_kw = float(mpp_kw.sum())
+        production.delivered_kw, production.unknown_kw = float(power_kw.sum()), assumed_kw
         if METER in fresh:  # It also counts what the lost ones give.
             production.delivered_kw, production.unknown_kw = fresh[METER].power_kw, 0.0
 

@@ -11,7 +11,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import isfinite, nan
+from math import isfinite, isnan, nan
 from typing import Final
 
 from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
@@ -44,7 +44,7 @@ class SunSpecDevice(ABC):
     """What inverters and meters have in common: a connection, and its errors in one line.
 
     address: `modbus://host:port/unit`.
-    state: The name of its state: `MPPT`, `THROTTLED`, `FAULT`; empty if it states none.
+    state: Its state by name: `MPPT`, `THROTTLED`, `FAULT`; empty if it states none.
     """
 
     def __init__(self, address: str) -> None:
@@ -69,7 +69,7 @@ class SunSpecDevice(ABC):
 
     @abstractmethod
     def read(self) -> Reading:
-        """Read it. Raises DeviceError: It does not answer."""
+        """Read power, available power and limit. Raises DeviceError: It does not answer."""
 
     @abstractmethod
     def _find_models(self) -> None:
@@ -77,13 +77,14 @@ class SunSpecDevice(ABC):
 
     def _power_kw(self, model: Model) -> float:
         power_kw = self._kw(model, "W")
-        if power_kw is None:
+        if isnan(power_kw):
             raise DeviceRefusedError(f"{self.address}: it states no power W")
         return power_kw
 
-    def _kw(self, model: Model, name: str) -> float | None:
+    def _kw(self, model: Model, name: str) -> float:
+        """Return a power that a model states; NaN if it states none."""
         watts = model.points[name].cvalue
-        return watts / 1e3 if watts is not None and isfinite(watts) else None
+        return watts / 1e3 if watts is not None and isfinite(watts) else nan
 
     def _model(self, *wanted: int) -> Model:
         for model in wanted:
@@ -124,7 +125,7 @@ class SunSpecMeter(SunSpecDevice):
     def read(self) -> Reading:
         with self._errors():
             self._metered.read()
-            return Reading(time.monotonic_ns(), self._power_kw(self._metered), None, nan)
+            return Reading(time.monotonic_ns(), self._power_kw(self._metered))
 
 
 class SunSpecInverter(SunSpecDevice):
@@ -150,12 +151,11 @@ class SunSpecInverter(SunSpecDevice):
             if field in {"enabled", "percent"} or (self._needs_revert and "revert" in field):
                 self._need(self._limited, name)
         ratings_kw = [self._kw(models[at][0], name) for at, name in _RATINGS if at in models]
-        self.rating_kw = next(filter(None, ratings_kw), 0.0)
+        self.rating_kw = next((kw for kw in ratings_kw if kw > 0.0), 0.0)
         if not self.rating_kw:
             raise DeviceError(f"{self.address}: expected a rating in model 702, 121 or 120")
 
     def read(self) -> Reading:
-        """Read power, available power and limit."""
         with self._errors():
             self._measured.read()
             self._limited.read()
@@ -172,20 +172,17 @@ class SunSpecInverter(SunSpecDevice):
             available_kw = self._available_kw(power_kw)
         return Reading(time.monotonic_ns(), power_kw, available_kw, limit_kw)
 
-    def limit(self, kw: float, revert_s: float, revert_kw: float | None) -> None:
+    def limit(self, kw: float, revert_s: float, revert_kw: float = nan) -> None:
         """Limit the power, for the revert time.
 
         revert_s: After this time without another limit the inverter goes to `revert_kw`; 0: never.
-        revert_kw: The limit from then on; None: it releases its power. Model 123 always releases
-            it.
-
-        Raises DeviceError: It does not answer, or refuses.
+        revert_kw: The limit from then on; NaN: it releases its power, as model 123 always does.
         """
         settings: dict[str, float] = {"enabled": 1, "percent": self._percent(kw)}
         if self._needs_revert:
             settings["revert_s"] = min(max(round(revert_s), 1), LONGEST_REVERT_S)
-            settings["revert_enabled"] = int(revert_kw is not None)
-            settings["revert_percent"] = 100.0 if revert_kw is None else self._percent(revert_kw)
+            settings["revert_enabled"] = not isnan(revert_kw)
+            settings["revert_percent"] = 100.0 if isnan(revert_kw) else self._percent(revert_kw)
         elif self._points["revert_s"].value:
             settings["revert_s"] = 0
         with self._errors():
@@ -196,12 +193,10 @@ class SunSpecInverter(SunSpecDevice):
     def _percent(self, kw: float) -> float:
         return min(max(100.0 * kw / self.rating_kw, 0.0), 100.0)
 
-    def _available_kw(self, power_kw: float) -> float | None:
+    def _available_kw(self, power_kw: float) -> float:
         """Return the power that there could be: what is not throttled gives all there is."""
-        if self._extended is not None:
-            stated_kw = self._kw(self._extended, "WAval")
-            if stated_kw is not None:
-                return stated_kw
-        if "ThrotPct" in self._measured.points:
-            return power_kw if self._measured.points["ThrotPct"].value == 0 else None
-        return power_kw if self.state == "MPPT" else None
+        if self._extended is not None and not isnan(stated_kw := self._kw(self._extended, "WAval")):
+            return stated_kw
+        throttled = self._measured.points.get("ThrotPct")
+        is_free = self.state == "MPPT" if throttled is None else throttled.value == 0
+        return power_kw if is_free else nan

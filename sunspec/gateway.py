@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from functools import partial
 from math import inf, nan
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final
 
 from hdrh.histogram import HdrHistogram
 
@@ -31,7 +31,7 @@ from sunspec.client import (
     SunSpecInverter,
     SunSpecMeter,
 )
-from sunspec.pipes import GatewayPipes
+from sunspec.pipes import GatewayPipes, Limit
 from sunspec.process import DeviceAccount, Latency, write_accounts
 
 _READ_AT: Final = 0.75
@@ -43,9 +43,6 @@ _LONGEST_US: Final = 60_000_000
 _SMALL_CHANGE: Final = 1e-4
 """Share of the rating that no inverter can tell apart: 0.01 %."""
 
-Limit: TypeAlias = tuple[float, float | None]
-"""A limit, and the one after the revert time [kW]."""
-
 
 class Gateway:
     """The real inverters of a run, and its meter if that is real, connected.
@@ -55,26 +52,24 @@ class Gateway:
 
     def __init__(self, plan: RunPlan, tell: Callable[[str], None]) -> None:
         self._tell = tell
-        devices = [*plan.site.devices, *([("meter", plan.site.meter)] if plan.site.meter else [])]
-        links = [_Link(plan, node, address, tell) for node, address in devices]
-        with ThreadPoolExecutor(len(links)) as pool:
-            readings = list(pool.map(_Link.connect, links))
+        devices = dict(plan.site.devices) | ({"meter": plan.site.meter} if plan.site.meter else {})
+        links = [_Link(plan, node, address, tell) for node, address in devices.items()]
         self._links = {link.position: link for link in links}
-        self._first = {link.position: one for link, one in zip(links, readings, strict=True)}
+        with ThreadPoolExecutor(len(links)) as pool:
+            self._first = dict(zip(self._links, pool.map(_Link.connect, links), strict=True))
 
     def serve(self, folder: Path, until: int) -> None:
         """Serve the run in a folder until a file descriptor is at its end."""
         pipes, links = GatewayPipes(folder), self._links.values()
         try:
-            for link in links:
-                hand_over = partial(pipes.hand_reading, link.position)
-                hand_over(self._first[link.position])
-                link.begin(hand_over)
+            for position, link in self._links.items():
+                pipes.hand_reading(position, self._first[position])
+                link.begin(partial(pipes.hand_reading, position))
             self._tell("")
             account_at = time.monotonic()
             while until not in select.select([until, pipes.commands], [], [], _ACCOUNTS_S)[0]:
-                for position, limit_kw, revert_kw in pipes.take_commands():
-                    self._links[position].command((limit_kw, revert_kw))
+                for position, limit in pipes.take_limits():
+                    self._links[position].command(limit)
                 if time.monotonic() > account_at:
                     account_at = time.monotonic() + _ACCOUNTS_S
                     write_accounts(folder, tuple(link.account() for link in links))
@@ -94,16 +89,9 @@ class _Tally:
         self.reads, self.writes = (HdrHistogram(1, _LONGEST_US, 2) for _ in range(2))
 
     def account(self, node: str, address: str) -> DeviceAccount:
-        return DeviceAccount(
-            node=node,
-            address=address,
-            reads=_latency(self.reads),
-            writes=_latency(self.writes),
-            late=self.late,
-            refused=self.refused,
-            breaks=self.breaks,
-            gone_s=None if self.gone_at is None else time.monotonic() - self.gone_at,
-        )
+        gone_s = None if self.gone_at is None else time.monotonic() - self.gone_at
+        took = _latency(self.reads), _latency(self.writes)
+        return DeviceAccount(node, address, *took, self.late, self.refused, self.breaks, gone_s)
 
 
 class _LimitWriter:
@@ -117,16 +105,15 @@ class _LimitWriter:
         self._written_at = 0.0
 
     def write(self, limit: Limit, took: HdrHistogram) -> None:
-        limit_kw, revert_kw = limit
-        after_s, to = self._revert.after_s, self._revert.to
+        after_s, to, revert_kw = self._revert.after_s, self._revert.to, limit.revert_kw
         if to != "share":
-            revert_kw = None if to == "release" else to * self._rating_kw
-        is_as_before = abs(limit_kw - self.written_kw) < _SMALL_CHANGE * self._inverter.rating_kw
+            revert_kw = nan if to == "release" else to * self._rating_kw
+        is_as_before = abs(limit.kw - self.written_kw) < _SMALL_CHANGE * self._inverter.rating_kw
         if is_as_before and time.monotonic() < self._written_at + after_s / 3.0:
             return
         with _timed(took):
-            self._inverter.limit(limit_kw, 0.0 if after_s == inf else after_s, revert_kw)
-        self.written_kw, self._written_at = limit_kw, time.monotonic()
+            self._inverter.limit(limit.kw, 0.0 if after_s == inf else after_s, revert_kw)
+        self.written_kw, self._written_at = limit.kw, time.monotonic()
 
 
 class _Link:
@@ -139,7 +126,6 @@ class _Link:
         self._tally = _Tally()
         self._commands: deque[Limit] = deque(maxlen=1)
         self._wake, self._over = threading.Event(), threading.Event()
-        self._thread: threading.Thread | None = None
         self._device: SunSpecDevice
         if node == "meter":
             self.position = METER
@@ -170,8 +156,7 @@ class _Link:
     def stop(self) -> None:
         self._over.set()
         self._wake.set()
-        if self._thread is not None:
-            self._thread.join(_RETRY_S)
+        self._thread.join(_RETRY_S)
 
     def account(self) -> DeviceAccount:
         return self._tally.account(self._node, self._device.address)

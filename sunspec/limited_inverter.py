@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from math import copysign, inf
-from typing import Annotated, Final, Literal, TypeAlias
+from typing import Annotated, Final, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -26,9 +26,6 @@ LIMIT_POINTS: Final = {
         "WMaxLimPctRvrtTms": "revert_s",
         "WMaxLimPctEnaRvrt": "revert_enabled",
         "WMaxLimPctRvrt": "revert_percent",
-        "WSetEna": "set_enabled",
-        "WSetMod": "set_in_w",
-        "WSet": "set_w",
     },
 }
 """Points of SunSpec models, with the fields of `LimitSettings` that they set."""
@@ -39,9 +36,9 @@ _STEP_S: Final = 1.0
 
 
 class LimitSettings(msgspec.Struct, frozen=True):
-    """A limit in per cent of the rating, one in watts, and whether the inverter is connected.
+    """A limit in per cent of the rating, and whether the inverter is connected.
 
-    After `revert_s` without another limit in per cent (0: never) that goes to `revert_percent` if
+    After `revert_s` without another limit (0: never) it goes to `revert_percent` if
     `revert_enabled`, and is released otherwise.
     """
 
@@ -50,15 +47,12 @@ class LimitSettings(msgspec.Struct, frozen=True):
     revert_s: Annotated[int, Meta(ge=0, le=LONGEST_REVERT_S)] = 0
     revert_enabled: bool = False
     revert_percent: Percent = 100.0
-    set_enabled: bool = False
-    set_in_w: Literal[1] = 1
-    set_w: Annotated[float, Meta(ge=0.0)] = 0.0
     connected: bool = True
 
-    def target(self, rating_kw: float) -> float:
-        """Return where the power limit goes [%]."""
-        percent = self.percent if self.enabled else 100.0
-        return min(percent, self.set_w / (10.0 * rating_kw)) if self.set_enabled else percent
+    @property
+    def target(self) -> float:
+        """Where the power limit goes [%]."""
+        return self.percent if self.enabled else 100.0
 
 
 class LimitedInverter:
@@ -94,7 +88,7 @@ class LimitedInverter:
         """Take new settings at a time [s]; `renews`: the revert time begins anew."""
         self.advance(at)
         self.settings = settings
-        self._pending.append((at + self._delay_s, settings.target(self.rating_kw)))
+        self._pending.append((at + self._delay_s, settings.target))
         if renews:
             reverts = settings.enabled and settings.revert_s > 0
             self._revert_at = at + settings.revert_s if reverts else inf
@@ -126,7 +120,7 @@ class LimitedInverter:
                     settings, enabled=settings.revert_enabled, percent=settings.revert_percent
                 )
                 self._pending.clear()
-                self._follow(self.settings.target(self.rating_kw), event_at)
+                self._follow(self.settings.target, event_at)
         self._integrate(until)
 
     def _follow(self, target: float, at: float) -> None:

@@ -1,4 +1,4 @@
-"""How the plant's process and the gateway exchange readings and commands of real inverters.
+"""How the plant's process and the gateway exchange readings and limits of real inverters.
 
 Two named pipes in the run's folder carry records of a fixed size. Neither end waits: what
 does not fit into a full one is dropped, and the reader takes the newest record of each inverter.
@@ -7,25 +7,33 @@ does not fit into a full one is dropped, and the reader takes the newest record 
 from __future__ import annotations
 
 import os
-import struct
 import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from math import isnan, nan
+from math import nan
 from pathlib import Path
-from typing import Final
+from struct import Struct
+from typing import Any, Final, NamedTuple
 
 from agents.plan import RunPlan
 from bus_schemas.messages import Command
 from sim_plant.real_inverters import Reading
 
-_RECORD: Final = struct.Struct("<qqddd")
-"""Position of the inverter in the control tree, a monotonic time [ns], and three numbers."""
-
 _PIPES: Final = ("device-readings", "device-commands")
+
+# Each record begins with the position of the inverter in the control tree.
+_READING: Final = Struct("<qqddd")
+_LIMIT: Final = Struct("<qdd")
 
 _FRESH_CYCLES: Final = 2.5
 """A reading that is older than this is no telemetry."""
+
+
+class Limit(NamedTuple):
+    """A limit, and the one after the revert time [kW]; NaN: the command states none."""
+
+    kw: float
+    revert_kw: float
 
 
 class GatewayPipes:
@@ -45,14 +53,12 @@ class GatewayPipes:
             path.unlink(missing_ok=True)
 
     def hand_reading(self, position: int, reading: Reading) -> None:
-        available_kw = nan if reading.available_kw is None else reading.available_kw
-        numbers = reading.power_kw, available_kw, reading.limit_kw
-        _write(self._readings, position, reading.time_ns, *numbers)
+        _write(self._readings, _READING.pack(position, *reading))
 
-    def take_commands(self) -> Iterator[tuple[int, float, float | None]]:
-        """Yield position, limit and limit after the revert time of commands that have come [kW]."""
-        for position, _, limit_kw, revert_kw, _ in _records(self.commands):
-            yield position, limit_kw, None if isnan(revert_kw) else revert_kw
+    def take_limits(self) -> Iterator[tuple[int, Limit]]:
+        """Yield the limits that have come, each with the position of its inverter."""
+        for position, *numbers in _records(self.commands, _LIMIT):
+            yield position, Limit(*numbers)
 
 
 class PlantPipes:
@@ -70,9 +76,8 @@ class PlantPipes:
             path.unlink()
 
     def newest(self) -> Mapping[int, Reading]:
-        for position, time_ns, power_kw, available_kw, limit_kw in _records(self._readings):
-            available = None if isnan(available_kw) else available_kw
-            self._newest[position] = Reading(time_ns, power_kw, available, limit_kw)
+        for position, *numbers in _records(self._readings, _READING):
+            self._newest[position] = Reading(*numbers)
         return self._newest
 
     def expired(self, cycle: int) -> Collection[int]:
@@ -84,16 +89,15 @@ class PlantPipes:
         if command.cycle > self._handed.get(position, -1):
             self._handed[position] = command.cycle
             revert_kw = nan if command.revert_kw is None else command.revert_kw
-            now_ns = time.monotonic_ns()
-            _write(self._commands, position, now_ns, command.power_kw, revert_kw, 0.0)
+            _write(self._commands, _LIMIT.pack(position, command.power_kw, revert_kw))
 
 
-def _write(pipe: int, *record: float) -> None:
+def _write(pipe: int, record: bytes) -> None:
     with suppress(BlockingIOError, BrokenPipeError):  # The gateway's end is the launcher's matter.
-        os.write(pipe, _RECORD.pack(*record))
+        os.write(pipe, record)
 
 
-def _records(pipe: int) -> Iterator[tuple[int, int, float, float, float]]:
+def _records(pipe: int, kind: Struct) -> Iterator[tuple[Any, ...]]:
     with suppress(BlockingIOError):
-        while found := os.read(pipe, 1_000 * _RECORD.size):
-            yield from _RECORD.iter_unpack(found)
+        while found := os.read(pipe, 1_000 * kind.size):
+            yield from kind.iter_unpack(found)

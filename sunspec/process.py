@@ -49,7 +49,7 @@ class DeviceAccount(msgspec.Struct, frozen=True):
     gone_s: float | None
 
     @property
-    def is_troubled(self) -> bool:
+    def has_faults(self) -> bool:
         """Whether it was late, refused anything, or was gone."""
         return any((self.late, self.refused, self.breaks))
 

@@ -134,7 +134,7 @@ def inverter_device(
         return _common("simulated inverter", name, unit) | points(inverter, at)
 
     def write(model: int, written: dict[str, Any]) -> None:
-        renews = not written.keys() <= {"connected", "set_enabled", "set_in_w", "set_w"}
+        renews = written.keys() != {"connected"}
         if renews and model == 123:
             written |= _NO_REVERT
         at = now()
@@ -166,7 +166,7 @@ def meter_device(
             "AphA": amperes, "AphB": amperes, "AphC": amperes, "PhV": _VOLTS / sqrt(3.0),
             "PPV": _VOLTS, "Hz": 60, "W": watts, "TotWhExp": 1e3 * energy, "TotWhImp": 0, "Evt": 0,
         }  # fmt: skip
-        return _common("meter at the point of interconnection", "meter", unit) | {203: measured}
+        return _common("plant meter", "meter", unit) | {203: measured}
 
     return Registers(unit, current).device
 
@@ -225,7 +225,7 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
         },
         702: {"W_SF": unsigned, "WMaxRtg": rating, "WMax": rating},
         704: {
-            "WMaxLimPct_SF": -2, "WSet_SF": 0, **limits[704],
+            "WMaxLimPct_SF": -2, **limits[704],
             "WMaxLimPctRvrtRem": ceil(inverter.revert_in_s(at)),
             **({} if ramp == inf else {"WRmp": round(ramp), "WRmpRef": 1}),
         },
@@ -233,7 +233,7 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
 
 
 def _common(what: str, name: str, unit: int) -> Points:
-    return {1: {"Mn": "Heliarch", "Md": what[:32], "SN": name[-32:], "Vr": "1", "DA": unit}}
+    return {1: {"Mn": "Heliarch", "Md": what, "SN": name[-32:], "Vr": "1", "DA": unit}}
 
 
 def _scale(watts: float, largest: int = 32_767) -> int:

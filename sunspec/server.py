@@ -6,6 +6,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 from anyio.from_thread import start_blocking_portal
@@ -22,30 +23,26 @@ _MOST_UNITS = 247
 logging.getLogger("pymodbus").setLevel(logging.ERROR)  # Its warnings are said in our words.
 
 
+@dataclass
 class Sky:
     """The true maxima of a plant's inverters as time passes, one row after another.
 
     mpp_kw: Maximum power of each inverter in each cycle, shape (cycles, n).
-    began_at: When the first cycle begins [s]; None: the sky stands still until `begin`.
+    began_at: When the first cycle begins [s]; None: the sky stands still until a limit is written.
     """
 
-    def __init__(self, mpp_kw: NDArray[np.float64], cycle_s: float, began_at: float | None) -> None:
-        self._mpp_kw, self._cycle_s = mpp_kw, cycle_s
-        self.began_at = began_at
-
-    def begin(self, at: float) -> None:
-        """Let the sky move on from now, unless it does already."""
-        if self.began_at is None:
-            self.began_at = at
+    mpp_kw: NDArray[np.float64]
+    cycle_s: float
+    began_at: float | None
 
     def is_over(self, at: float) -> bool:
-        return self._cycle(at) >= len(self._mpp_kw)
+        return self._cycle(at) >= len(self.mpp_kw)
 
     def available_kw(self, position: int) -> Callable[[float], float]:
-        return lambda at: float(self._mpp_kw[min(self._cycle(at), len(self._mpp_kw) - 1), position])
+        return lambda at: float(self.mpp_kw[min(self._cycle(at), len(self.mpp_kw) - 1), position])
 
     def _cycle(self, at: float) -> int:
-        return 0 if self.began_at is None else max(int((at - self.began_at) / self._cycle_s), 0)
+        return 0 if self.began_at is None else max(int((at - self.began_at) / self.cycle_s), 0)
 
 
 @contextmanager
@@ -73,15 +70,18 @@ def served(
             "--base-port gives each a port of its own"
         )
 
+    def begin_sky() -> None:
+        sky.began_at = now() if sky.began_at is None else sky.began_at
+
     def device(unit: int, name: str) -> SimDevice:
         if name == "meter":
             return meter_device(unit, inverters.values(), now)
-        return inverter_device(unit, name, inverters[name], now, lambda: sky.begin(now()), points)
+        return inverter_device(unit, name, inverters[name], now, begin_sky, points)
 
-    of_each_port = [[name] for name in names] if a_port_each else [names]
+    at_each_port = [[name] for name in names] if a_port_each else [names]
     devices = [
         {name: device(unit, name) for unit, name in enumerate(names, start=1)}
-        for names in of_each_port
+        for names in at_each_port
     ]
     with (
         start_blocking_portal() as portal,

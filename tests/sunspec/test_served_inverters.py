@@ -124,28 +124,6 @@ def test_model_704_reverts_to_the_limit_it_was_told(site: Site) -> None:
     assert watts(device) == 20_000
 
 
-def test_a_limit_in_watts_holds_beside_one_in_per_cent(site: Site) -> None:
-    site.serve()
-    device = site.client()
-    model = device.models[704][0]
-    model.WSetEna.value, model.WSetMod.value, model.WSet.cvalue = 1, 1, 45_000
-    model.write()
-    assert watts(device) == 45_000
-    limit_123(device, 30.0, 60)
-    assert watts(device) == 30_000
-    site.clock.sleep(40.0)
-    model.WSet.cvalue = 25_000
-    model.write()
-    assert watts(device) == 25_000
-    site.clock.sleep(25.0)  # The limit in per cent has reverted, whatever came in watts meanwhile.
-    model.WSet.cvalue = 70_000
-    model.write()
-    assert watts(device) == 70_000
-    model.WSetMod.value = 0
-    with pytest.raises(ModbusClientException):
-        model.write()
-
-
 def test_an_inverter_that_is_disconnected_stops_and_keeps_its_limit(site: Site) -> None:
     site.serve()
     device = site.client()
