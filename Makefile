@@ -33,8 +33,8 @@ docs: $(READY) ## the documents as a site in build/site; read them with `python 
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 golden: $(READY) ## simulate the golden runs anew; `heliarch verify --accept` keeps their sky and clusters
-	$(call golden,oahu-predictive,oahu --duration 24s)
-	$(call golden,oahu-limit,oahu --actuator limit --duration 20s)
+	$(call golden,oahu-fraction,oahu --actuator fraction --duration 24s)
+	$(call golden,oahu-limit,oahu --duration 20s)
 	$(call golden,oahu-day-paper,oahu-day --scheme paper --from 12:13:08 --duration 16s)
 	$(call golden,valley-periods,recordings/golden/valley-periods.toml --duration 8s)
 

@@ -73,7 +73,7 @@ class PlantTable(_Table, frozen=True):
     inverters: CSV: `inverter, lat, lon[, rating_kw]`. Only for `clouds`.
     rating_kw: AC rating of the plant, split equally where the CSV has no ratings.
     altitude_m: Height above the sea [m].
-    actuator: A command is a `fraction` of the maximum, or a power `limit`.
+    actuator: A command is a power `limit`, or a `fraction` of the inverter's maximum.
     meter_noise: Standard deviation of a power meter's error, as a share of the reading.
     available_bias: Relative error of `available_kw`. Default: none is stated.
     revert: What an inverter does without new commands.
@@ -87,7 +87,7 @@ class PlantTable(_Table, frozen=True):
     inverters: str | None = None
     rating_kw: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
     altitude_m: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 0.0
-    actuator: Actuator = "fraction"
+    actuator: Actuator = "limit"
     meter_noise: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
     available_bias: Annotated[float, Meta(ge=-0.5, le=0.5)] | None = None
     revert: Revert | None = Revert()

@@ -56,18 +56,18 @@ def test_seeds_and_days_are_lists_and_ranges() -> None:
 
 
 def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> None:
-    found = study(oahu, "commitment.share=0.3,0.4", "plant.actuator=limit", seeds="1..2")
+    found = study(oahu, "commitment.share=0.3,0.4", "plant.actuator=fraction", seeds="1..2")
     assert [label(case.columns) for case in found] == [
-        "share=0.3 actuator=limit seed=1",
-        "share=0.3 actuator=limit seed=2",
-        "share=0.4 actuator=limit seed=1",
-        "share=0.4 actuator=limit seed=2",
+        "share=0.3 actuator=fraction seed=1",
+        "share=0.3 actuator=fraction seed=2",
+        "share=0.4 actuator=fraction seed=1",
+        "share=0.4 actuator=fraction seed=2",
     ]
     last = found[-1]
     assert last.scenario.scenario.commitment == ShareOfClearSky(0.4)
-    assert last.scenario.scenario.plant.actuator == "limit"
+    assert last.scenario.scenario.plant.actuator == "fraction"
     assert last.options == RunOptions(start="12:30", duration="60", seed=2)
-    assert oahu.scenario.plant.actuator == "fraction", "the scenario itself stays as it was"
+    assert oahu.scenario.plant.actuator == "limit", "the scenario itself stays as it was"
     (alone,) = study(oahu)
     assert (label(alone.columns), alone.scenario) == ("", oahu)
 
