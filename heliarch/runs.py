@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
-import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from agents.settings import Actuator, Scheme
-from bus_schemas.errors import InputError
+from agents.settings import Actuator
 from heliarch.cli.run import run
 from launch_scripts.run_folder import RunRequest
 from results.run_summary import RunSummary
 from results.tables import json_rows as table_rows
 from results.two_runs import read_two_runs, two_runs_tables
-from scenarios.run_options import RunOptions
+from scenarios.run_options import RunOptions, TimeOptions, check_names
 from scenarios.scenario import ScenarioFile, load_scenario
-from scenarios.settings import Setting, with_settings
+from scenarios.settings import Setting, plain, with_settings
 from studies.arrays.schemes import SCHEMES
 from studies.compare.cases import cases
 from studies.compare.study import run_case
@@ -42,15 +40,10 @@ class SimulatedRun:
 def simulate(
     scenario: str | ScenarioFile = "oahu",
     *,
-    start: str | None = None,
-    end: str | None = None,
-    duration: str | None = None,
-    seed: int | None = None,
-    scheme: Scheme | None = None,
-    actuator: Actuator | None = None,
     settings: Mapping[str, object] | None = None,
-    faults: Sequence[str] = (),
+    data: str | Path | None = None,
     out: str | Path | None = None,
+    **options: Any,
 ) -> SimulatedRun:
     """Simulate a plant in this process and record it, as `heliarch simulate` does.
 
@@ -58,28 +51,19 @@ def simulate(
     ----------
     scenario
         A shipped scenario, the path of a TOML file, or what `load_scenario` returned.
-    start, end
-        Local time of the first cycle, and at which the last one ends: `12:30`, or
-        `2010-04-01T12:30`.
-    duration
-        Simulated time in place of `end`: `90s`, `15m`, `1h30m`.
-    seed
-        Of the synthetic clouds.
-    scheme, actuator
-        In place of those of the scenario.
     settings
         Fields of the scenario to change: `{"commitment.share": 0.5}`.
-    faults
-        Rules as for `--fault`: `"source=c1/*,delay=50ms"`.
+    data
+        Folder of the data files that the scenario names.
     out
         Folder of the run; by default a new one in `runs/`.
+    options
+        By the names of `RunOptions`, as for the command: `start` and `end` (`"12:30"`), `duration`
+        (`"15m"`), `seed`, `scheme`, `actuator`, `faults` (`["source=c1/*,delay=50ms"]`), `pace`.
     """
-    _check_names("scheme", () if scheme is None else (scheme,), get_args(Scheme))
-    _check_names("actuator", () if actuator is None else (actuator,), get_args(Actuator))
-    options = RunOptions(start, duration, end, seed, scheme, actuator, list(faults))
-    chosen = [(field, _plain(value)) for field, value in (settings or {}).items()]
-    scenario_file = with_settings(_loaded(scenario), chosen)
-    request = RunRequest(scenario_file, options, None if out is None else Path(out))
+    asked = RunOptions(**options)
+    scenario_file = with_settings(_loaded(scenario, data), [*(settings or {}).items()])
+    request = RunRequest(scenario_file, asked, None if out is None else Path(out))
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         summary, folder = run(request, Console(file=nowhere), time.monotonic())
     folder.write_summary(summary.as_json())
@@ -91,20 +75,19 @@ def compare(
     *,
     schemes: Iterable[str] = tuple(SCHEMES),
     actuators: Iterable[Actuator] = (),
-    start: str | None = None,
-    end: str | None = None,
-    duration: str | None = None,
     faults: Iterable[str] = (),
     days: Iterable[date] = (),
     seeds: Iterable[int] = (),
-    settings: Mapping[str, object | Sequence[object]] | None = None,
+    settings: Mapping[str, object] | None = None,
+    data: str | Path | None = None,
     workers: int = 1,
+    **span: Any,
 ) -> pd.DataFrame:
     """Compare control schemes, as `heliarch compare` does.
 
     Parameters
     ----------
-    scenario, start, end, duration
+    scenario, data
         As for `simulate`.
     schemes
         Control schemes; see `heliarch compare --help`.
@@ -116,11 +99,13 @@ def compare(
     days, seeds
         Run every day, and every seed of the clouds.
     settings
-        Fields of the scenario, each with a value or a list of values:
+        Fields of the scenario, each with a value, or with a list, tuple or array of values:
         `{"commitment.share": [0.3, 0.45]}`. Every combination is a case.
     workers
         Processes that share the cases. With more than one, call this from a script that guards
         its entry point with `if __name__ == "__main__"`.
+    span
+        `start`, `end` or `duration`, as for `simulate`.
 
     Returns
     -------
@@ -130,15 +115,15 @@ def compare(
         remarks: what must be known about the data, such as hindsight.
     """
     names, acting = tuple(schemes), tuple(actuators)
-    _check_names("schemes", names, tuple(SCHEMES))
-    _check_names("actuators", acting, get_args(Actuator))
+    check_names("schemes", names, tuple(SCHEMES))
+    check_names("actuators", acting, get_args(Actuator))
     listed = cases(
-        _loaded(scenario),
-        RunOptions(start, duration, end),
+        _loaded(scenario, data),
+        RunOptions.of(TimeOptions(**span)),
         [_setting(field, value) for field, value in (settings or {}).items()],
         tuple(faults),
         tuple(days),
-        tuple(seeds),
+        tuple(map(int, seeds)),
     )
     results = share_work(partial(run_case, names, acting), listed, workers)
     return pd.DataFrame([row for rows in results for row in rows])
@@ -171,21 +156,12 @@ def compare_runs(first: str | Path, second: str | Path) -> ComparedRuns:
     return ComparedRuns(figures, differences, tuple(notes))
 
 
-def _check_names(where: str, names: Iterable[str], known: Sequence[str]) -> None:
-    for name in names:
-        if name not in known:
-            raise InputError(f"{where}: expected {', '.join(known)}, got {name}")
-
-
-def _loaded(scenario: str | ScenarioFile) -> ScenarioFile:
-    return load_scenario(scenario) if isinstance(scenario, str) else scenario
+def _loaded(scenario: str | ScenarioFile, data: str | Path | None) -> ScenarioFile:
+    if isinstance(scenario, ScenarioFile):
+        return scenario
+    return load_scenario(scenario, None if data is None else Path(data))
 
 
 def _setting(field: str, value: object) -> Setting:
-    values = value if isinstance(value, list) else [value]
-    return Setting(field, tuple(map(_plain, values)))
-
-
-def _plain(value: object) -> object:
-    """Return a number of NumPy as Python's."""
-    return value.item() if isinstance(value, np.generic) else value
+    found = plain(value)
+    return Setting(field, tuple(found) if isinstance(found, list | tuple) else (found,))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, TypeVar, get_args, get_origin
 
@@ -15,37 +17,62 @@ _T = TypeVar("_T")
 _NO_BOUND: Final = 1e12
 """A bound that only keeps infinity out."""
 
-
-class FieldError(InputError):
-    """Fields of a document that do not take what they were given, each with what it takes."""
-
-    def __init__(self, where: str, fields: Sequence[tuple[str, str]]) -> None:
-        self.fields = tuple(fields)
-        texts = (f"{field}: {text}" if field else text for field, text in fields)
-        super().__init__(f"{where}: {'; '.join(texts)}")
+_HEADING: Final = re.compile(r"\s*(\[\[?)\s*([\w.-]+)\s*\]+\s*(#.*)?$")
+_ENTRY: Final = re.compile(r"\s*([\w.-]+)\s*=")
+_LAST_PART: Final = re.compile(r"(\.?[^.\[]+|\[\d+\])$")
 
 
-def checked(document: object, kind: type[_T], where: str) -> _T:
-    """Return a document as a struct, or refuse it with all fields that are wrong."""
+def checked(document: object, kind: type[_T], where: str, text: str = "") -> _T:
+    """Return a document as a struct, or refuse it with all fields that are wrong.
+
+    `text` is the TOML that the document was read from: each field is named with its line there.
+    """
     try:
         return msgspec.convert(document, kind, str_keys=True)
     except msgspec.ValidationError:
-        raise FieldError(where, list(_wrong(kind, document, ""))) from None
+        complaints = (with_line(one, text) for one in _wrong(kind, document, ""))
+        raise InputError(f"{where}: {'; '.join(complaints)}") from None
 
 
-def _wrong(kind: object, value: object, path: str) -> Iterator[tuple[str, str]]:
-    """Yield each field at or below a path that does not take its value, and what it takes."""
+def with_line(complaint: str, text: str) -> str:
+    """Put before a complaint, `FIELD: ...`, in which line of a TOML text the field stands."""
+    lines, field = _field_lines(text), complaint.partition(": ")[0]
+    while field and field not in lines:
+        field = _LAST_PART.sub("", field)  # Of a field that is missing, its table.
+    return f"line {lines[field]}: {complaint}" if field else complaint
+
+
+def _field_lines(text: str) -> dict[str, int]:
+    """Return the line of each table and each field."""
+    found: dict[str, int] = {}
+    tables = Counter[str]()
+    prefix = ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if heading := _HEADING.match(line):
+            table = heading[2]
+            if heading[1] == "[[":
+                table = f"{table}[{tables[table]}]"
+                tables[heading[2]] += 1
+            prefix = f"{table}."
+            found.setdefault(table, number)
+        elif entry := _ENTRY.match(line):
+            found.setdefault(prefix + entry[1], number)
+    return found
+
+
+def _wrong(kind: object, value: object, path: str) -> Iterator[str]:
+    """Yield a complaint for each field at or below a path that does not take its value."""
     try:
         msgspec.convert(value, kind, str_keys=True)
     except msgspec.ValidationError as error:
         found = list(_wrong_inside(kind, value, path))
         types = _of_tag(members(inspect.type_info(kind)), value)
         if not found and isinstance(value, Mapping) and isinstance(types[0], inspect.StructType):
-            found = [(path, str(error))]  # From a `__post_init__`, in its own words.
-        yield from found or [(path, f"expected {takes(types)}, got {value!r:.60}")]
+            found = [_join(path, str(error))]  # From a `__post_init__`, in its own words.
+        yield from found or [f"{path}: expected {takes(types)}, got {value!r:.60}"]
 
 
-def _wrong_inside(kind: object, value: object, path: str) -> Iterator[tuple[str, str]]:
+def _wrong_inside(kind: object, value: object, path: str) -> Iterator[str]:
     types = _of_tag(members(inspect.type_info(kind)), value)
     if isinstance(value, Mapping):
         tables = [one for one in types if isinstance(one, inspect.StructType)]
@@ -53,8 +80,9 @@ def _wrong_inside(kind: object, value: object, path: str) -> Iterator[tuple[str,
             yield from _wrong_in_table(tables[0], value, path)
         elif tables:
             tags = " or ".join(f'"{table.tag}"' for table in tables)
-            got = value.get(str(tables[0].tag_field), "nothing")
-            yield _join(path, str(tables[0].tag_field)), f"expected {tags}, got {got!r:.60}"
+            tag_field = str(tables[0].tag_field)
+            got = value.get(tag_field, "nothing")
+            yield f"{_join(path, tag_field)}: expected {tags}, got {got!r:.60}"
         for _, item_kind in _items_of(kind, dict):
             for name, item in value.items():
                 yield from _wrong(item_kind, item, _join(path, str(name)))
@@ -66,18 +94,18 @@ def _wrong_inside(kind: object, value: object, path: str) -> Iterator[tuple[str,
 
 def _wrong_in_table(
     table: inspect.StructType, value: Mapping[str, object], path: str
-) -> Iterator[tuple[str, str]]:
+) -> Iterator[str]:
     tag = () if table.tag_field is None else (table.tag_field,)
     fields = {field.encode_name: field for field in msgspec.structs.fields(table.cls)}
     for name in value:
         if name not in fields and name not in tag:
-            yield path, not_one_of((*tag, *fields), name, "the fields ")
+            yield f"{_join(path, name)}: {not_one_of((*tag, *fields), name, 'the fields ')}"
     for name, field in fields.items():
         if name in value:
             yield from _wrong(field.type, value[name], _join(path, name))
         elif field.required:
             text = takes(members(inspect.type_info(field.type)))
-            yield _join(path, name), f"expected {text}, got nothing"
+            yield f"{_join(path, name)}: expected {text}, got nothing"
 
 
 def _join(path: str, name: str) -> str:

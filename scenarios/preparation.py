@@ -46,7 +46,7 @@ from scenarios.real_time import (
     parse_pace,
     tier_deadlines_ns,
 )
-from scenarios.run_options import RunOptions, check_options
+from scenarios.run_options import RunOptions
 from scenarios.scenario import (
     CloudIrradiance,
     Scenario,
@@ -132,7 +132,6 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
     scenario = scenario_file.scenario
     if options.cycle_s is not None:
         scenario = replace(scenario, time=replace(scenario.time, cycle_s=options.cycle_s))
-    check_options(options)  # All that can be wrong without data comes first.
     if options.seed is not None and not isinstance(scenario.irradiance, CloudIrradiance):
         raise InputError("--seed: expected a scenario with synthetic clouds, got measured data")
     path, pace = scenario_file.path, parse_pace(options.pace) or scenario.pace

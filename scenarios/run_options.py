@@ -1,10 +1,16 @@
-"""Options of a run: which part of a scenario runs, what differs from the scenario, and how."""
+"""Options of a run, each stated once: for `heliarch --help`, for Python, and with its check.
+
+The names in errors are those of the command line.
+"""
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Annotated, Any, Self, TypeAlias, get_args
+
+from cyclopts import Group, Parameter, Token
 
 from agents.process.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY
 from agents.settings import Actuator, Scheme
@@ -17,62 +23,196 @@ from scenarios.times import parse_duration_s, parse_time
 LARGEST_SEED = 2**32
 LONGEST_WAIT_S = 86_400.0
 
+PLANT = Group.create_ordered("Plant")
+TIME = Group.create_ordered("Time")
+FAULTS = Group.create_ordered("Faults")
+DEVICES = Group.create_ordered("Your own devices")
+HOSTS = Group.create_ordered("Other hosts and security")
+MACHINE = Group.create_ordered("Processors")
 
+
+def _whole_number(kind: object, tokens: Sequence[Token]) -> int:
+    """Read a whole number; by itself, cyclopts would round others."""
+    try:
+        return int(tokens[0].value)
+    except ValueError:
+        raise ValueError(f"expected a whole number, got {tokens[0].value}") from None
+
+
+Whole: TypeAlias = Annotated[int, Parameter(converter=_whole_number)]
+Seed: TypeAlias = Annotated[
+    Whole | None, Parameter("--seed", group=PLANT, help="Seed of the synthetic clouds.")
+]
+_Text: TypeAlias = str | None
+_Texts: TypeAlias = list[str] | None
+
+
+@Parameter("*", group=TIME)
 @dataclass(frozen=True)
-class RunOptions:
-    """What is asked for, beside a scenario, of any run. None: as in the scenario.
+class TimeOptions:
+    """Which part of a scenario is run.
 
-    `heliarch/cli/options.py` has the texts of the options with these names. `timing` sets its own
-    length of the cycle.
+    Parameters
+    ----------
+    start
+        Local time of the first cycle: 12:30, or 2010-04-01T12:30.
+    duration
+        Simulated time, in place of --to: seconds, or 90s, 15m, 1h30m.
+    end
+        Local time at which the last cycle ends.
     """
 
-    start: str | None = None
-    duration: str | None = None
-    end: str | None = None
-    seed: int | None = None
+    start: Annotated[_Text, Parameter("--from", metavar="TIME")] = None
+    duration: Annotated[_Text, Parameter(metavar="TIME")] = None
+    end: Annotated[_Text, Parameter("--to", metavar="TIME")] = None
+
+    def __post_init__(self) -> None:
+        for name, moment in (("--from", self.start), ("--to", self.end)):
+            if moment is not None:
+                parse_time(moment, name)
+        if self.duration is not None:
+            if self.end is not None:
+                raise InputError("--to: expected no --duration with it")
+            parse_duration_s(self.duration, "--duration")
+
+
+@Parameter("*", group=TIME)
+@dataclass(frozen=True)
+class SpanOptions(TimeOptions):
+    """Which part of a scenario is run, and how fast.
+
+    Parameters
+    ----------
+    pace
+        Simulated seconds per second: 1 is real time, max is lockstep.
+    """
+
+    pace: Annotated[str | float | None, Parameter(metavar="PACE")] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        parse_pace(self.pace)
+
+
+@Parameter("*", group=PLANT)
+@dataclass(frozen=True)
+class PlantOptions:
+    """What is different from the scenario.
+
+    Parameters
+    ----------
+    scheme
+        How maximum powers are estimated.
+    actuator
+        Whether a command is a fraction of the maximum or a power limit.
+    faults
+        Make links imperfect: `source=c1/*,delay=50ms` (fields: source, listener, signal, delay,
+        jitter, distribution, loss, duplicate, reorder, reorder-by, at=60s..90s). Or cut links,
+        freeze or kill controllers: `source=c1,blackout=5s..9s`, `partition=c1|c2,at=5s..9s`,
+        `freeze=c2,at=5s..9s`, `kill=c2,at=5s`, `trip=c2/inv07,at=5s..9s`. May be given several
+        times.
+    """
+
+    seed: Seed = None
     scheme: Scheme | None = None
     actuator: Actuator | None = None
-    faults: list[str] | None = None
-    pace: str | float | None = None
+    faults: Annotated[_Texts, Parameter("--fault", metavar="RULE", group=FAULTS)] = None
+
+    def __post_init__(self) -> None:
+        _check_range("--seed", self.seed, 0, LARGEST_SEED)
+        check_names("--scheme", self.scheme, get_args(Scheme))
+        check_names("--actuator", self.actuator, get_args(Actuator))
+        for text in self.faults or ():
+            parse_fault(text)
+
+
+@Parameter("*")
+@dataclass(frozen=True)
+class ProcessOptions:
+    """External agents, real inverters, keys, and how the processes use the machine.
+
+    Parameters
+    ----------
+    external
+        Do not start this agent; wait for your own device: c2/inv07, c2, central or plant. May be
+        given several times.
+    devices
+        Use a real inverter, over Modbus TCP: NODE=modbus://10.0.0.7/1. With one for each inverter,
+        meter=ADDRESS is the plant's real meter. May be given several times.
+    external_timeout_s
+        How long to wait for external agents and other hosts. Once all are there, they have 30 s
+        to answer the arming rounds.
+    base_port
+        Listen on this port and those after it, with the plant's name as namespace, so that a
+        device is configured once.
+    secure
+        Encrypt every link, and admit agents only by the certificates of `heliarch keys`.
+    keys
+        Folder of the keys; default keys/PLANT.
+    address
+        Address at which the agents listen, for devices and controllers on other hosts; needs
+        --secure.
+    on
+        Leave these controllers to `heliarch node` on the host with this address:
+        `10.0.0.2=c2/*,c3/inv12`. May be given several times.
+    cpus
+        Run the processes on these processors: 0-1, or plant=0 for one kind (recorder, plant,
+        central, supervisor, direct). May be given several times.
+    priority
+        In real time: run plant and controllers under SCHED_FIFO with this priority, 1 to 99, if
+        the machine permits it.
+    """
+
+    external: Annotated[_Texts, Parameter(metavar="AGENT", group=DEVICES)] = None
+    devices: Annotated[_Texts, Parameter("--device", metavar="NODE=ADDRESS", group=DEVICES)] = None
+    external_timeout_s: Annotated[
+        float, Parameter("--external-timeout", metavar="SECONDS", group=DEVICES)
+    ] = 60.0
+    base_port: Annotated[Whole | None, Parameter(metavar="PORT", group=DEVICES)] = None
+    secure: Annotated[bool | None, Parameter(group=HOSTS)] = None
+    keys: Annotated[Path | None, Parameter(metavar="DIR", group=HOSTS)] = None
+    address: Annotated[str, Parameter(metavar="ADDRESS", group=HOSTS)] = "127.0.0.1"
+    on: Annotated[_Texts, Parameter(metavar="ADDRESS=AGENTS", group=HOSTS)] = None
+    cpus: Annotated[_Texts, Parameter(metavar="CPUS", group=MACHINE)] = None
+    priority: Annotated[Whole | None, Parameter(group=MACHINE)] = None
+
+    def __post_init__(self) -> None:
+        split_devices(self.devices or ())
+        _check_range("--external-timeout", self.external_timeout_s, 0.001, LONGEST_WAIT_S)
+        own_address(self.address)
+        cpus_by_kind("--cpus", self.cpus or ())
+        _check_range("--priority", self.priority, LOWEST_PRIORITY, HIGHEST_PRIORITY)
+
+
+@dataclass(frozen=True)
+class RunOptions(SpanOptions, PlantOptions, ProcessOptions):
+    """All that can be asked for of a run, beside its scenario. None: as in the scenario.
+
+    `timing` sets `cycle_s`, its own length of a cycle [s].
+    """
+
     cycle_s: float | None = None
-    _: KW_ONLY
-    external: list[str] | None = None
-    devices: list[str] | None = None
-    external_timeout_s: float = 60.0
-    base_port: int | None = None
-    secure: bool | None = None
-    keys: Path | None = None
-    address: str = "127.0.0.1"
-    on: list[str] | None = None
-    cpus: list[str] | None = None
-    priority: int | None = None
+
+    def __post_init__(self) -> None:
+        for group in (SpanOptions, PlantOptions, ProcessOptions):
+            group.__post_init__(self)
+
+    @classmethod
+    def of(cls, *groups: object) -> Self:
+        """Return the options of several groups."""
+        fields: dict[str, Any] = {}
+        for group in groups:
+            fields |= vars(group)
+        return cls(**fields)
 
 
-def check_options(options: RunOptions) -> None:
-    """Check options as far as they go without a scenario; this imports nothing that is slow."""
-    for name, value, known in (
-        ("--scheme", options.scheme, get_args(Scheme)),
-        ("--actuator", options.actuator, get_args(Actuator)),
-    ):
-        if value is not None and value not in known:
-            raise InputError(f"{name}: {not_one_of(known, value)}")
-    for name, number, least, most in (
-        ("--seed", options.seed, 0, LARGEST_SEED),
-        ("--priority", options.priority, LOWEST_PRIORITY, HIGHEST_PRIORITY),
-        ("--external-timeout", options.external_timeout_s, 0.001, LONGEST_WAIT_S),
-    ):
-        if number is not None and not least <= number <= most:
-            raise InputError(f"{name}: expected {least} to {most:.10g}, got {number:.10g}")
-    for name, moment in (("--from", options.start), ("--to", options.end)):
-        if moment is not None:
-            parse_time(moment, name)
-    if options.duration is not None:
-        if options.end is not None:
-            raise InputError("--to: expected no --duration with it")
-        parse_duration_s(options.duration, "--duration")
-    for text in options.faults or ():
-        parse_fault(text)
-    parse_pace(options.pace)
-    split_devices(options.devices or ())
-    own_address(options.address)
-    cpus_by_kind("--cpus", options.cpus or ())
+def check_names(where: str, names: str | Sequence[str] | None, known: Sequence[str]) -> None:
+    """Refuse names that are not known."""
+    for name in [names] if isinstance(names, str) else names or ():
+        if name not in known:
+            raise InputError(f"{where}: {not_one_of(known, name)}")
+
+
+def _check_range(where: str, number: float | None, least: float, most: float) -> None:
+    if number is not None and not least <= number <= most:
+        raise InputError(f"{where}: expected {least} to {most:.10g}, got {number:.10g}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from importlib.resources import files
@@ -20,7 +20,7 @@ from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import check_name
 from scenarios.elsewhere import DeviceTable
-from scenarios.fields import checked
+from scenarios.fields import checked, with_line
 from scenarios.real_time import (
     FASTEST_PACE,
     LONGEST_DEADLINE_MS,
@@ -35,16 +35,22 @@ from sim_plant.commitment import CommitmentSettings
 from sim_plant.pv import PvSettings
 from sim_plant.regulation import RegulationSettings
 
+
+def _one_of(names: Iterable[str]) -> Meta:
+    """Return what a text must be: one of these names."""
+    return Meta(pattern="|".join(f"^{name}$" for name in names))
+
+
 Seed: TypeAlias = Annotated[int, Meta(ge=0, le=LARGEST_SEED)]
 Positive: TypeAlias = Annotated[int, Meta(ge=1, le=10**6)]
 NotNegative: TypeAlias = Annotated[int, Meta(ge=0)]
 Deadline: TypeAlias = Annotated[float, Meta(ge=SHORTEST_DEADLINE_MS, le=LONGEST_DEADLINE_MS)]
 Limit: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e12)]
 Amount: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
-Tier: TypeAlias = Annotated[str, Meta(pattern="|".join(f"^{tier}$" for tier in STAGES))]
-AnyKind: TypeAlias = Annotated[str, Meta(pattern="|".join(f"^{kind}$" for kind in KINDS))]
+Tier: TypeAlias = Annotated[str, _one_of(STAGES)]
+AnyKind: TypeAlias = Annotated[str, _one_of(KINDS)]
 HopSignal: TypeAlias = Annotated[
-    str, Meta(pattern="|".join(f"^{row.name}$" for row in SIGNALS if row.hop_p99_ms is not None))
+    str, _one_of(row.name for row in SIGNALS if row.hop_p99_ms is not None)
 ]
 
 
@@ -65,6 +71,11 @@ class TimeTable(_Table, frozen=True):
     timezone: str
     duration_s: Annotated[float, Meta(gt=0.0, le=LONGEST_S)]
     cycle_s: Annotated[float, Meta(ge=0.001, le=3600.0)] = 1.0
+
+    def __post_init__(self) -> None:
+        if self.timezone not in available_timezones():
+            expected = "an IANA name such as Pacific/Honolulu"
+            raise InputError(f"timezone: expected {expected}, got {self.timezone!r}")
 
 
 class PlantTable(_Table, frozen=True):
@@ -271,14 +282,21 @@ class Scenario(_Table, frozen=True):
     machine: MachineTable = MachineTable()
     timing: TimingTable = TimingTable()
 
+    def __post_init__(self) -> None:
+        check_name(self.name, "scenario")
+
 
 class ScenarioFile(msgspec.Struct, frozen=True):
-    """A scenario, its text, and the folder that its relative paths start from."""
+    """A scenario, its text, and the folder that its relative paths start from.
+
+    `source` is the file as it was read, for the lines in errors; empty once settings changed it.
+    """
 
     scenario: Scenario
     text: str
     path: Path
     data_folder: Path
+    source: str = ""
 
     @property
     def needs_data(self) -> bool:
@@ -287,11 +305,11 @@ class ScenarioFile(msgspec.Struct, frozen=True):
 
     @contextmanager
     def named(self) -> Iterator[None]:
-        """Name the file in errors about its fields."""
+        """Name the file, and the line, in errors about its fields."""
         try:
             yield
         except InputError as error:
-            raise InputError(f"{self.path}: {error}") from None
+            raise InputError(f"{self.path}: {with_line(str(error), self.source)}") from None
 
     def data_path(self, name: str) -> Path:
         """Path of a file or folder that the scenario names.
@@ -328,19 +346,8 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         document = msgspec.toml.decode(text)
     except (UnicodeDecodeError, msgspec.DecodeError, RecursionError) as error:
         raise InputError(f"{path}: expected TOML in UTF-8: {error}") from None
-    scenario = checked(document, Scenario, str(path))
-    check_scenario(scenario, str(path))
-    return ScenarioFile(scenario, text, path, data_folder or path.parent)
-
-
-def check_scenario(scenario: Scenario, where: str) -> None:
-    """Check what the types of the fields do not tell."""
-    check_name(scenario.name, where)
-    if scenario.time.timezone not in available_timezones():
-        raise InputError(
-            f"{where}: time.timezone: expected an IANA name such as Pacific/Honolulu, got "
-            f"{scenario.time.timezone!r}"
-        )
+    scenario = checked(document, Scenario, str(path), text)
+    return ScenarioFile(scenario, text, path, data_folder or path.parent, source=text)
 
 
 def local_start(time: TimeTable) -> datetime:

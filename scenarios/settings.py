@@ -13,7 +13,7 @@ import msgspec
 
 from bus_schemas.errors import InputError
 from scenarios.fields import checked
-from scenarios.scenario import Scenario, ScenarioFile, check_scenario
+from scenarios.scenario import Scenario, ScenarioFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,28 +49,28 @@ def _toml(text: str) -> object:
 
 def with_single_settings(scenario: ScenarioFile, texts: Iterable[str]) -> ScenarioFile:
     """Return a scenario with the fields changed that texts name, one value for each."""
-    chosen = []
-    for text in texts:
-        setting = parse_setting(text)
+    settings = [parse_setting(text) for text in texts]
+    for setting in settings:
         if len(setting.values) != 1:
-            raise InputError(f"--set {setting.field}: expected one value, got {text}")
-        chosen.append((setting.field, setting.values[0]))
-    return with_settings(scenario, chosen)
+            got = f"got {len(setting.values)}"
+            raise InputError(f"--set {setting.field}: expected one value, {got}")
+    return with_settings(scenario, [(one.field, one.values[0]) for one in settings])
 
 
 def with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, object]]) -> ScenarioFile:
-    """Return a scenario with these fields changed to these values."""
+    """Return a scenario with these fields changed to these values, which may be NumPy's."""
     if not chosen:
         return scenario
     document = msgspec.to_builtins(scenario.scenario, builtin_types=(datetime,))
     stated = msgspec.toml.decode(scenario.text)
-    for field, value in chosen:
+    fields = [(field, plain(value)) for field, value in chosen]
+    for field, value in fields:
         _put(document, field, value)
         _put(stated, field, value)
-    settings = " ".join(f"--set {field}={setting_text(value)}" for field, value in chosen)
-    changed = checked(document, Scenario, settings)
-    check_scenario(changed, settings)
-    return msgspec.structs.replace(scenario, scenario=changed, text=_toml_text(stated))
+    where = " ".join(f"--set {field}={setting_text(value)}" for field, value in fields)
+    changed = checked(document, Scenario, where)
+    text = _toml_text(stated)
+    return msgspec.structs.replace(scenario, scenario=changed, text=text, source="")
 
 
 def _put(document: dict[str, Any], field: str, value: object) -> None:
@@ -81,6 +81,15 @@ def _put(document: dict[str, Any], field: str, value: object) -> None:
             document[part] = {}
         document = document[part]
     document[name] = value
+
+
+def plain(value: object) -> object:
+    """Return a value of Python or NumPy as one that TOML has."""
+
+    def converted(other: object) -> object:
+        return getattr(other, "tolist", other.__str__)()
+
+    return msgspec.to_builtins(value, builtin_types=(date, datetime, time), enc_hook=converted)
 
 
 def setting_text(value: object) -> str:
@@ -104,7 +113,7 @@ def _toml_line(name: str, value: object) -> str:
 def _toml_value(value: object) -> str:
     if isinstance(value, Mapping):
         return f"{{{', '.join(_toml_line(*entry) for entry in value.items())}}}"
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml_value, value))}]"
     if isinstance(value, date | time):
         return value.isoformat()

@@ -52,7 +52,7 @@ def campaign(
     from studies.compare.cases import parse_seeds
 
     changed = changed_scenario(scenario, files.data, settings)
-    preparation = prepare(changed, RunOptions(start, duration), "campaign")
+    preparation = prepare(changed, RunOptions(start=start, duration=duration), "campaign")
     plan = preparation.plan
     length_s, least_s = plan.timing.cycles * plan.timing.cycle_ns / 1e9, study.least_length_s(plan)
     if length_s < least_s:

@@ -14,20 +14,18 @@ from agents.settings import Actuator
 from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.whole_file import whole_file
 from heliarch.cli.options import (
-    FAULTS,
     FILES,
     ResultOptions,
     Settings,
-    TimeOptions,
     Workers,
     is_run,
     new_table,
     refuse_given,
-    run_options,
 )
 from heliarch.cli.output import do_all, publish, shared
 from results.report.result import Result
 from results.tables import json_rows as table_rows
+from scenarios.run_options import FAULTS, RunOptions, TimeOptions
 
 if TYPE_CHECKING:
     from studies.compare.cases import Case
@@ -118,7 +116,7 @@ def compare(
     actuators = cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator)))
     found = cases(
         load_scenario(scenario, files.data),
-        run_options(span),
+        RunOptions.of(span),
         [parse_setting(text) for text in settings or ()],
         faults or (),
         () if days is None else parse_days(days),

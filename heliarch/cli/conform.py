@@ -10,10 +10,10 @@ from cyclopts import Parameter
 from agents.settings import Scheme
 from bus_schemas.tree import PLANT
 from heliarch.cli.boundary import FAILED, OK
-from heliarch.cli.options import FILES, Json, Scenario, Tolerance, Whole
+from heliarch.cli.options import FILES, Json, Scenario, Tolerance
 from heliarch.cli.output import say, write_json
 from results.tables import console_for, json_rows, print_table
-from scenarios.run_options import RunOptions
+from scenarios.run_options import RunOptions, Whole
 
 
 def conform(

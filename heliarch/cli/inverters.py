@@ -11,18 +11,10 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from bus_schemas.errors import InputError
-from heliarch.cli.options import (
-    Data,
-    Port,
-    Scenario,
-    Seed,
-    Settings,
-    TimeOptions,
-    changed_scenario,
-    run_options,
-)
+from heliarch.cli.options import Data, Port, Scenario, Settings, changed_scenario
 from heliarch.cli.output import say
 from results.tables import console_for
+from scenarios.run_options import RunOptions, Seed, TimeOptions
 from sunspec.limited_inverter import LimitedInverter
 
 _PORT: Final = 5020
@@ -66,8 +58,8 @@ def inverters(
     from scenarios.preparation import prepare
     from sunspec.server import Sky, served
 
+    options = RunOptions(**vars(span), seed=seed)
     scenario_file = changed_scenario(scenario, data, settings)
-    options = run_options(span, seed=seed)
     prepared = prepare(scenario_file, options, new_run_id(scenario_file.scenario.name))
     plan = prepared.plan
     sky = Sky(

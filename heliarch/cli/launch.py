@@ -2,16 +2,8 @@
 
 from __future__ import annotations
 
-from heliarch.cli.options import (
-    FileOptions,
-    PageOptions,
-    PlantOptions,
-    ProcessOptions,
-    Scenario,
-    Settings,
-    SpanOptions,
-    run_options,
-)
+from heliarch.cli.options import FileOptions, PageOptions, Scenario, Settings
+from scenarios.run_options import PlantOptions, ProcessOptions, RunOptions, SpanOptions
 
 
 def launch(
@@ -33,11 +25,11 @@ def launch(
 
     Example: `heliarch launch oahu --from 12:30 --duration 15m --pace 1`
     """
-    options = run_options(span, plant, processes)  # Wrong ones are refused at once.
     from launch_scripts.supervision import ForkServerProcess
 
     with ForkServerProcess() as server:  # It imports what its processes need, beside the launcher.
         from heliarch.cli.run import run_and_print, run_request
 
+        options = RunOptions.of(span, plant, processes)
         request = run_request(scenario, settings, files, options)
         return run_and_print(request, files, page, server)

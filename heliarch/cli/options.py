@@ -8,26 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, get_type_hints
 
-from cyclopts import Group, Parameter, Token
+from cyclopts import Group, Parameter
 from cyclopts.validators import Number
 
-from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError, not_one_of
-from scenarios.run_options import RunOptions, check_options
+from scenarios.run_options import PLANT, Whole
 
 if TYPE_CHECKING:
     from scenarios.scenario import ScenarioFile
 
-OPTIONS: Final = Group.create_ordered("Options")
-PLANT: Final = Group.create_ordered("Plant")
-TIME: Final = Group.create_ordered("Time")
-FAULTS: Final = Group.create_ordered("Faults")
-DEVICES: Final = Group.create_ordered("Your own devices")
-HOSTS: Final = Group.create_ordered("Other hosts and security")
-MACHINE: Final = Group.create_ordered("Processors")
+OPTIONS: Final = Group.create_ordered("Options", sort_key=0)
 PAGE: Final = Group.create_ordered("Page")
 FILES: Final = Group.create_ordered("Files")
-"""The panels of `--help`, in their order."""
+"""The panels of `--help`, beside those of the options of a run."""
 
 
 def new_file(kind: object, value: str | None) -> None:
@@ -63,17 +56,8 @@ def _option(name: str, metavar: str | None, group: Group, text: str, **more: Any
     return Parameter(name, metavar=metavar, group=group, help=text, **more)
 
 
-def _whole_number(kind: object, tokens: Sequence[Token]) -> int:
-    """Read a whole number; by itself, cyclopts would round others."""
-    try:
-        return int(tokens[0].value)
-    except ValueError:
-        raise ValueError(f"expected a whole number, got {tokens[0].value}") from None
-
-
 _Text = str | None
 _Texts = list[str] | None
-Whole = Annotated[int, Parameter(converter=_whole_number)]
 
 Run = Annotated[Path, Parameter(help="Folder of a run, or its run.mcap.")]
 Scenario = Annotated[
@@ -81,7 +65,6 @@ Scenario = Annotated[
 ]
 _SET = "Change a field of the scenario: commitment.share=0.5. May be given several times."
 Settings = Annotated[_Texts, _option("--set", "FIELD=VALUE", PLANT, _SET)]
-Seed = Annotated[Whole | None, _option("--seed", None, PLANT, "Seed of the synthetic clouds.")]
 _DATA = "Folder of the data files that the scenario names."
 Data = Annotated[Path | None, _option("--data", "DIR", FILES, _DATA)]
 _JSON = "Write the result as JSON; - is standard output."
@@ -116,121 +99,8 @@ _PAGE_ADDRESS = (
     "too, which need the token that is printed."
 )
 PageAddress = Annotated[_Text, _option("--page-address", "ADDRESS", PAGE, _PAGE_ADDRESS)]
-_Time = Annotated[_Text, Parameter(metavar="TIME")]
 
-# Groups of options, for commands that run a plant -------------------------------------------------
-
-
-@Parameter("*", group=TIME)
-@dataclass(frozen=True)
-class TimeOptions:
-    """Which part of a scenario is run.
-
-    Parameters
-    ----------
-    start
-        Local time of the first cycle: 12:30, or 2010-04-01T12:30.
-    duration
-        Simulated time, in place of --to: seconds, or 90s, 15m, 1h30m.
-    end
-        Local time at which the last cycle ends.
-    """
-
-    start: Annotated[_Time, Parameter("--from")] = None
-    duration: _Time = None
-    end: Annotated[_Time, Parameter("--to")] = None
-
-
-@Parameter("*", group=TIME)
-@dataclass(frozen=True)
-class SpanOptions(TimeOptions):
-    """Which part of a scenario is run, and how fast.
-
-    Parameters
-    ----------
-    pace
-        Simulated seconds per second: 1 is real time, max is lockstep.
-    """
-
-    pace: Annotated[str | None, Parameter(metavar="PACE")] = None
-
-
-@Parameter("*", group=PLANT)
-@dataclass(frozen=True)
-class PlantOptions:
-    """What is different from the scenario.
-
-    Parameters
-    ----------
-    scheme
-        How maximum powers are estimated.
-    actuator
-        Whether a command is a fraction of the maximum or a power limit.
-    faults
-        Make links imperfect: `source=c1/*,delay=50ms` (fields: source, listener, signal, delay,
-        jitter, distribution, loss, duplicate, reorder, reorder-by, at=60s..90s). Or cut links,
-        freeze or kill controllers: `source=c1,blackout=5s..9s`, `partition=c1|c2,at=5s..9s`,
-        `freeze=c2,at=5s..9s`, `kill=c2,at=5s`, `trip=c2/inv07,at=5s..9s`. May be given several
-        times.
-    """
-
-    seed: Seed = None
-    scheme: Scheme | None = None
-    actuator: Actuator | None = None
-    faults: Annotated[list[str] | None, Parameter("--fault", metavar="RULE", group=FAULTS)] = None
-
-
-@Parameter("*")
-@dataclass(frozen=True)
-class ProcessOptions:
-    """External agents, real inverters, keys, and how the processes use the machine.
-
-    Parameters
-    ----------
-    external
-        Do not start this agent; wait for your own device: c2/inv07, c2, central or plant. May be
-        given several times.
-    devices
-        Use a real inverter, over Modbus TCP: NODE=modbus://10.0.0.7/1. With one for each inverter,
-        meter=ADDRESS is the plant's real meter. May be given several times.
-    external_timeout_s
-        How long to wait for external agents and other hosts. Once all are there, they have 30 s
-        to answer the arming rounds.
-    base_port
-        Listen on this port and those after it, with the plant's name as namespace, so that a
-        device is configured once.
-    secure
-        Encrypt every link, and admit agents only by the certificates of `heliarch keys`.
-    keys
-        Folder of the keys; default keys/PLANT.
-    address
-        Address at which the agents listen, for devices and controllers on other hosts; needs
-        --secure.
-    on
-        Leave these controllers to `heliarch node` on the host with this address:
-        `10.0.0.2=c2/*,c3/inv12`. May be given several times.
-    cpus
-        Run the processes on these processors: 0-1, or plant=0 for one kind (recorder, plant,
-        central, supervisor, direct). May be given several times.
-    priority
-        In real time: run plant and controllers under SCHED_FIFO with this priority, 1 to 99, if
-        the machine permits it.
-    """
-
-    external: Annotated[list[str] | None, Parameter(metavar="AGENT", group=DEVICES)] = None
-    devices: Annotated[
-        list[str] | None, Parameter("--device", metavar="NODE=ADDRESS", group=DEVICES)
-    ] = None
-    external_timeout_s: Annotated[
-        float, Parameter("--external-timeout", metavar="SECONDS", group=DEVICES)
-    ] = 60.0
-    base_port: Annotated[Whole | None, Parameter(metavar="PORT", group=DEVICES)] = None
-    secure: Annotated[bool | None, Parameter(group=HOSTS)] = None
-    keys: Annotated[Path | None, Parameter(metavar="DIR", group=HOSTS)] = None
-    address: Annotated[str, Parameter(metavar="ADDRESS", group=HOSTS)] = "127.0.0.1"
-    on: Annotated[list[str] | None, Parameter(metavar="ADDRESS=AGENTS", group=HOSTS)] = None
-    cpus: Annotated[list[str] | None, Parameter(metavar="CPUS", group=MACHINE)] = None
-    priority: Annotated[Whole | None, Parameter(group=MACHINE)] = None
+# Groups of options --------------------------------------------------------------------------------
 
 
 @Parameter("*", group=PAGE)
@@ -271,16 +141,6 @@ class FileOptions(ResultOptions):
     """
 
     out: Annotated[Path | None, Parameter(metavar="DIR")] = None
-
-
-def run_options(*groups: object, **more: Any) -> RunOptions:
-    """Return what groups of options ask for, beside a scenario, of a run, and check it."""
-    fields: dict[str, Any] = {}
-    for group in groups:
-        fields |= vars(group)
-    options = RunOptions(**fields, **more)
-    check_options(options)
-    return options
 
 
 def refuse_given(why: str, options: Mapping[str, object], *groups: object) -> None:

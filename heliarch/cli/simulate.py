@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-from heliarch.cli.options import (
-    FileOptions,
-    PageOptions,
-    PlantOptions,
-    Scenario,
-    Settings,
-    SpanOptions,
-    run_options,
-)
+from heliarch.cli.options import FileOptions, PageOptions, Scenario, Settings
+from scenarios.run_options import PlantOptions, RunOptions, SpanOptions
 
 
 def simulate(
@@ -27,7 +20,7 @@ def simulate(
 
     Example: `heliarch simulate valley --seed 8 --set commitment.share=0.4 --report`
     """
-    options = run_options(span, plant)  # Wrong ones are refused at once.
     from heliarch.cli.run import run_and_print, run_request
 
+    options = RunOptions.of(span, plant)
     return run_and_print(run_request(scenario, settings, files, options), files, page)

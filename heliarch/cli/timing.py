@@ -10,19 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
-from heliarch.cli.options import (
-    FileOptions,
-    PageOptions,
-    PlantOptions,
-    ProcessOptions,
-    Settings,
-    TimeOptions,
-    is_run,
-    refuse_given,
-    run_options,
-)
+from heliarch.cli.options import FileOptions, PageOptions, Settings, is_run, refuse_given
 from heliarch.cli.output import publish, say
 from results.tables import console_for
+from scenarios.run_options import PlantOptions, ProcessOptions, RunOptions, TimeOptions
 
 if TYPE_CHECKING:
     from results.timing.report import TimingReport
@@ -60,7 +51,6 @@ def timing(
         which to find the highest rate that the plant keeps up with. A run takes 60 s, or 15 s at
         each of several rates, unless --to or --duration says otherwise.
     """
-    options = run_options(span, plant, machine)  # Wrong ones are refused at once.
     from heliarch.cli.live_view import PlainView
     from heliarch.cli.run import page_beside, run_request
     from launch_scripts.run_folder import new_run_id, run_folder
@@ -82,6 +72,7 @@ def timing(
         refuse_given(why, given, plant, span, machine, page, others)
         return _publish(report_on(path), path, files)
     rates, is_search = parse_rates(rate or "1")
+    options = RunOptions.of(span, plant, machine)
     request = run_request(scenario, settings, files, options)
     view = partial(PlainView, console)
     with page_beside(page, console) as shown:

@@ -30,11 +30,11 @@ from studies.timing import prepare_at, run_length_s
 def test_a_run_is_a_whole_number_of_cycles_long(
     rate_hz: float, length: dict[str, str], cycles: int, tmp_path: Path
 ) -> None:
-    options = RunOptions("12:00", **length)  # type: ignore[arg-type]
+    options = RunOptions(start="12:00", **length)  # type: ignore[arg-type]
     request = RunRequest(load_scenario("oahu"), options)
     preparation, _ = prepare_at(rate_hz, run_length_s(request, "3s"), request, tmp_path)
     assert preparation.plan.timing.cycles == cycles
-    usual = prepare(request.scenario, RunOptions("12:00", "2s"), "usual").plan
+    usual = prepare(request.scenario, RunOptions(start="12:00", duration="2s"), "usual").plan
     assert preparation.plan.inverters == usual.inverters, "the rate does not change the clusters"
 
 
