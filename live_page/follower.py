@@ -1,7 +1,7 @@
 """Follows a recording chunk by chunk: to its end, and on while it is being written.
 
-It keeps the plant's powers in every cycle, the cycles of every chunk, and the newest events. All
-else is read from the file when somebody looks at it.
+It keeps the plant's powers in every cycle, when each agent was heard, the cycles of every chunk,
+and the newest events. All else is read from the file when somebody looks at it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ import numpy as np
 from bus_schemas.codec import decode, decode_head
 from bus_schemas.messages import Dispatch, Head, Message, Notice, Production, Run
 from bus_schemas.signals import DISPATCH, NOTICE, PRODUCTION, RUN, Port
-from bus_schemas.tree import PLANT, RECORDER
+from bus_schemas.tree import PLANT, RECORDER, parent_of
 from live_page.run_events import RunEvents
+from recordings.inspect.agent_states import AgentStates
 from recordings.inspect.health import FAILURE_NAME
 from recordings.read.mcap_file import Chunk, walk_on
-from recordings.read.reader import RunReader
-from recordings.read.series import RunSeries
+from recordings.read.reader import RecordedMessage, RunReader
+from recordings.read.series import SeriesCollector
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
 
@@ -43,29 +44,22 @@ of the next cycle."""
 class RunFollower:
     """A recording, as far as it has been read.
 
-    `cycles` are those that the plant has completed.
+    `cycles` are those that the plant has completed, `states` how the agents were in them.
     """
 
     def __init__(self, path: Path) -> None:
         self.run = RunReader(path)
         self.plan = self.run.plan
         self.cycles = 0
-        self.events = RunEvents(self.plan)
+        self.events = RunEvents()
+        self.states = AgentStates(self.plan)
         self._stop_cycle = -1
         self._failed = False
         wall_s = self.plan.timing.cycle_wall_ns / 1e9
         self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
         self._firsts: list[int] = []
-        # One column stands for all inverters: figures of merit need no more.
-        shape = (self.plan.timing.cycles, 1)
-        self._series = RunSeries.of(
-            self.plan,
-            self.plan.run_id,
-            commitment_kw=np.full(self.plan.timing.cycles, np.nan),
-            regulation_kw=np.full(self.plan.timing.cycles, np.nan),
-            mpp_kw=np.full(shape, np.nan),
-            power_kw=np.full(shape, np.nan),
-        )
+        clusters = tuple(dict.fromkeys(map(parent_of, self.plan.tree.leaves)))
+        self._powers = SeriesCollector(self.plan, clusters)
 
     def advance(self, budget_s: float) -> bool:
         """Read on for a while; return whether all that is in the file has been read."""
@@ -108,8 +102,10 @@ class RunFollower:
 
     def powers(self, cycles: range, points: int) -> dict[str, list[float]]:
         """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
+        if not self.cycles:
+            return {"cycle": []}
         begin, end = max(cycles.start, 0), min(cycles.stop, self.cycles)
-        part = self._series.between(begin, end)
+        part = self._powers.series(self.plan.run_id).between(begin, end)
         unavoidable = np.maximum(part.dispatch_kw - part.available_kw, 0.0)
         columns = {
             "dispatch": part.dispatch_kw,
@@ -128,7 +124,9 @@ class RunFollower:
 
     def metrics(self, end: int) -> Figures | None:
         """Return the figures of merit up to a cycle, without it; None before the first one."""
-        series = self._series.between(0, end)
+        if not self.cycles:
+            return None
+        series = self._powers.series(self.plan.run_id).between(0, end)
         return run_figures(series) if series.known.any() else None
 
     def _next_chunk(self) -> Chunk | None:
@@ -139,30 +137,35 @@ class RunFollower:
     def _read(self, chunk: Chunk) -> None:
         ports = self.run.channels
         begin: Head | None = None
-        for channel, sequence, _, _, payload in self.run.messages_of(chunk, ports):
+        for channel, sequence, logged_ns, published_ns, payload in self.run.messages_of(
+            chunk, ports
+        ):
             port = ports[channel]
             with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
                 head = decode_head(payload)
                 begin = begin or head
-                self.events.see(port, sequence, head)
+                times_ns = logged_ns, published_ns
+                record = RecordedMessage(
+                    port, head.cycle, sequence, *times_ns, payload, head.incarnation
+                )
+                self.states.see(record)
+                while self.states.changes:
+                    self.events.add(*self.states.changes.popleft())
                 if port.signal in _FOLLOWED:
                     self._see(port, payload)
         if chunk in self.run.damage:
             self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
         first = min(begin.cycle, head.cycle) if begin else self.cycles - 1
         self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
-        self.events.note_unresponsive(self.cycles - 1)
 
     def _see(self, port: Port[Message], payload: bytes) -> None:
         message = decode(port.signal, payload)
         cycle = message.cycle
         match message:
-            case Dispatch() if 0 <= cycle < self.plan.timing.cycles:
-                self._series.commitment_kw[cycle] = message.commitment_kw
-                self._series.regulation_kw[cycle] = message.regulation_kw
+            case Dispatch():
+                self._powers.see(port, message)
             case Production() if 0 <= cycle < self.plan.timing.cycles:
-                self._series.mpp_kw[cycle] = message.available_kw
-                self._series.power_kw[cycle] = message.delivered_kw
+                self._powers.see(port, message)
                 self.cycles = max(self.cycles, cycle + 1)
             case Notice():
                 self.events.add("notice", cycle, message.source, message.text)

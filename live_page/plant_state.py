@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
@@ -14,11 +14,9 @@ from agents.dispatch import own_share_kw
 from bus_schemas.codec import decode, decode_head
 from bus_schemas.messages import Dispatch, Impp, Message, Production, Setpoint, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
-from bus_schemas.tree import PLANT, ROOT, agent_name
+from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from recordings.read.mcap_file import Chunk
-
-Values: TypeAlias = list[float | None]
 
 _UNHELPFUL_KW: Final = 0.005
 
@@ -73,7 +71,6 @@ class PlantState:
 
     def __init__(self, follower: RunFollower) -> None:
         plan = follower.plan
-        self._agents = (PLANT, *(agent_name(node) for node in plan.tree.nodes))
         self.frame = lru_cache(32)(self._frame)
         self._follower = follower
         self._reader = CycleReader(follower)
@@ -134,15 +131,14 @@ class PlantState:
             if given.needy in self._number and given.power_kw > _UNHELPFUL_KW
         ]
 
-    def _agent_rows(self, cycle: int, messages: Messages) -> Iterator[dict[str, float | None]]:
-        """Yield how the agents do: the plant first, then the nodes.
+    def _agent_rows(self, cycle: int, messages: Messages) -> Iterator[dict[str, Any]]:
+        """Yield how the agents do: the plant first, then the nodes, see `AgentState`.
 
-        `age`: cycles since the newest message of an agent, None where there is none. `missed`:
-        inputs that were missing or older than they should have been; `input_age`: how old the
-        oldest of them was. `loop_ms`: from the last input of a stage to its message.
+        `input_age`: how old the oldest input was that an agent used. `loop_ms`: from the last input
+        of a stage to its message.
         """
-        events = self._follower.events
-        by_agent: dict[str, list[Message]] = {agent: [] for agent in self._agents}
+        states = self._follower.states
+        by_agent: dict[str, list[Message]] = {agent: [] for agent in states.agents}
         for message in messages.values():
             if message.cycle == cycle and message.source in by_agent:
                 by_agent[message.source].append(message)
@@ -151,15 +147,13 @@ class PlantState:
             older = [cycle - one.cycle for one in missed if one.cycle is not None]
             loops_ns = [one.publish_time_ns - one.ready_time_ns for one in own if one.ready_time_ns]
             yield {
-                "age": events.age(agent, cycle),
-                "missed": len(missed),
+                **states.at(agent, cycle).document(),
                 "input_age": max(older, default=0),
                 "loop_ms": round(max(loops_ns) / 1e6, 3) if loops_ns else None,
-                "restarts": events.restarts(agent, cycle),
             }
 
 
-def columns(rows: list[dict[str, float | None]]) -> dict[str, Values]:
+def columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     """Return the values of each name as a list; `rows` has at least one."""
     return {name: [row[name] for row in rows] for name in rows[0]}
 

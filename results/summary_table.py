@@ -15,7 +15,7 @@ from bus_schemas.errors import InputError
 from recordings.inspect.health import counts_text
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
-from results.figures import FIGURES, Shown, shown_in
+from results.figures import FIGURES, Figures, Shown, shown_in
 from results.report.tables import devices_tables, health_table
 from results.run_summary import ProcessAccount, RunSummary
 from results.tables import Cell, Column, Number, Table, key_column, print_table, word_column
@@ -69,14 +69,23 @@ def _pace_rows(summary: RunSummary) -> Iterator[Row]:
     yield "Wall time", Number(summary.wall_s, 1), "s", f"after {summary.startup_s:.1f} s to start"
 
 
+def figures_table(title: str, figures: Figures | None) -> Table:
+    """Return the figures of merit of a run, or of a part of it."""
+    return Table(title, _COLUMNS, tuple(_rows_of(figures)))
+
+
 def _figure_rows(summary: RunSummary) -> Iterator[Row]:
     figures, planned = summary.figures, summary.run.planned_cycles
+    if figures is not None and figures["cycles"] != planned:
+        covered = f"{figures['cycles']:,.0f} of {planned:,} cycles"
+        yield "Figures of merit", None, "", f"they cover {covered}"
+    yield from _rows_of(figures)
+
+
+def _rows_of(figures: Figures | None) -> Iterator[Row]:
     if figures is None:
         yield "Figures of merit", None, "", "of no cycle: none can be read in the recording"
         return
-    if figures["cycles"] != planned:
-        covered = f"{figures['cycles']:,.0f} of {planned:,} cycles"
-        yield "Figures of merit", None, "", f"they cover {covered}"
     for figure in shown_in(Shown.SUMMARY):
         value = figures[figure.name]
         share_name = figure.name.removesuffix("-energy")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from bus_schemas.messages import in_words
 from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name
+from recordings.inspect.agent_states import AgentState
 from recordings.inspect.timeline import HelpLine, NodeCycle
 from results.tables import Cell, Column, Table, key_column, word_column
 
@@ -45,13 +46,17 @@ def node_table(tree: ControlTree, node: str, rows: Sequence[NodeCycle]) -> Table
     return Table(agent_name(node), columns, cells)
 
 
-def plant_table(tree: ControlTree, title: str, nodes: Sequence[NodeCycle]) -> Table:
-    """Return all nodes of the plant in one cycle, as a tree."""
+def plant_table(
+    tree: ControlTree, title: str, nodes: Sequence[NodeCycle], states: Mapping[str, AgentState]
+) -> Table:
+    """Return all nodes of the plant in one cycle, as a tree; `states` are by agent."""
     of_path = dict(zip(tree.nodes, nodes, strict=True))
-    cells = [
-        (branch, *_cells(_DIRECT, of_path[path]), _remarks(of_path[path]))
-        for path, branch in _branches(tree, ROOT, "")
-    ]
+    cells = []
+    for path, branch in _branches(tree, ROOT, ""):
+        row, state = of_path[path], states[agent_name(path)]
+        remarks = [] if state.word == "fine" else [state.text()]
+        remarks += filter(None, [_remarks(row)])
+        cells.append((branch, *_cells(_DIRECT, row), "; ".join(remarks)))
     return Table(title, (key_column("node"), *_DIRECT, _REMARKS), cells)
 
 

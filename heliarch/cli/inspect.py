@@ -100,19 +100,36 @@ def _show_nodes(
 # The plant in one cycle ----------------------------------------------------------------------
 
 
-def _show_plant(run: RunReader, cycle: int, console: Console) -> list[dict[str, Any]]:
+def _show_plant(run: RunReader, cycle: int, console: Console) -> dict[str, Any]:
+    from recordings.inspect.agent_states import states_at
     from recordings.inspect.timeline import timeline
+    from recordings.read.series import read_plant_series
+    from results.figures import run_figures
+    from results.summary_table import figures_table
     from results.timeline_tables import plant_table
 
-    nodes = next(timeline(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
+    tree = run.plan.tree
+    nodes = next(timeline(run, tree.nodes, range(cycle, cycle + 1)), None)
     if nodes is None:
         nothing = f"{run.path}: there is no message of cycle {cycle}, {run.clock.extent()}"
         raise InputError(run.damage_text() or nothing)
+    with progress_bar("reading") as run.follow:
+        followed = states_at(run, cycle)
+    states = {agent: followed.at(agent, cycle) for agent in followed.agents}
+    series = read_plant_series(run.path).between(0, cycle + 1)
+    figures = run_figures(series) if series.known.any() else None
     central = nodes[0]
     date = f"{run.clock.local(cycle):%Y-%m-%d}"
     title = f"Cycle {cycle}, {date} {central.time}: {_plant_text(central)}"
-    print_table(console, plant_table(run.plan.tree, title, nodes))
-    return [node.document() for node in nodes]
+    print_table(console, plant_table(tree, title, nodes, states))
+    print_table(console, figures_table("Figures of merit up to this cycle", figures))
+    return {
+        "cycle": cycle,
+        "time": central.time,
+        "figures": figures,
+        "agents": {agent: state.document() for agent, state in states.items()},
+        "nodes": [node.document() for node in nodes],
+    }
 
 
 def _plant_text(central: NodeCycle) -> str:

@@ -1,9 +1,10 @@
 // The page of one run: asks for its plan, follows its stream of updates, and hands them to the panels.
 
 import {$, json} from "./dom.js";
+import {eventList} from "./events.js";
 import {plantMap} from "./map.js";
 import {nodePanel} from "./node_panel.js";
-import {eventList, figures} from "./panels.js";
+import {figures} from "./panels.js";
 import {playback} from "./playback.js";
 import {positionBar} from "./position_bar.js";
 import {powerPanel} from "./power_panel.js";
@@ -51,9 +52,9 @@ function showRun(plan) {
   const power = powerPanel(plan, time, shown, at, seek);
   const node = nodePanel(plan, time, shown, at, seek);
   const bar = positionBar(plan, time, at, seek);
-  const map = plantMap($("map"), $("map-note"), plan, select);
+  const map = plantMap($("map"), $("map-note"), $("clusters"), plan, select);
   const tree = controlTree($("tree"), plan, select);
-  const events = eventList($("events"), time.timeOf, seek);
+  const events = eventList($("events"), $("later"), time.timeOf, seek);
   let devices = {};
 
   function select(number) {
@@ -86,7 +87,7 @@ function showRun(plan) {
     const more = map.show(frame);
     if (plan.positions_m.length) $("map-note").textContent = more > 0 ? `${more} smaller helps are not drawn.` : "";
     tree.show(frame);
-    events.dim(at.cycle);
+    events.showAt(at.cycle);
     $("clock").textContent = time.timeOf(at.cycle);
     $("clock").title = time.dayOf(at.cycle);
     bar.show();

@@ -1,6 +1,7 @@
 // The inverters where they stand: filled by available power, ringed by delivered power, with help.
 
 import {kw} from "./chart.js";
+import {stateText} from "./tree.js";
 
 const NS = "http://www.w3.org/2000/svg";
 const RAMP = ["#00224e", "#123570", "#3b496c", "#575d6d", "#707173", "#8a8678", "#a59c74", "#c3b369", "#e1cc55", "#fee838"];
@@ -48,7 +49,7 @@ function inRows(nodes) {
   return nodes.filter(node => node.inverter).map(node => points.get(node));
 }
 
-export function plantMap(svg, note, plan, select) {
+export function plantMap(svg, note, legend, plan, select) {
   const inverters = plan.nodes.map((node, number) => ({...node, number})).filter(node => node.inverter);
   const known = plan.positions_m.length === inverters.length;
   const metres = known ? plan.positions_m : inRows(plan.nodes);
@@ -91,6 +92,7 @@ export function plantMap(svg, note, plan, select) {
     shapes.set(number, outline);
     make("title", {}, outline).textContent = plan.nodes[number].path;
   });
+  nameClusters(legend, clusters.map(number => plan.nodes[number].path));
 
   const roomy = typical >= 38;
   const drawn = inverters.map((node, i) => {
@@ -105,7 +107,7 @@ export function plantMap(svg, note, plan, select) {
     const title = make("title", {}, group);
     group.addEventListener("click", () => select(node.number));
     shapes.set(node.number, group);
-    return {node, body, ring, title};
+    return {node, group, body, ring, title};
   });
   if (known) drawScale(svg, width, height, scale);
   note.textContent = known ? "" : "The recording does not say where the inverters stand: a row for each cluster.";
@@ -117,13 +119,16 @@ export function plantMap(svg, note, plan, select) {
     },
     show(frame) {
       const {mpp, power} = frame.nodes;
-      for (const {node, body, ring, title} of drawn) {
+      for (const {node, group, body, ring, title} of drawn) {
+        const agent = node.number + 1, level = frame.unread.includes(node.number) ? 2 : frame.agents.level[agent];
+        group.classList.toggle("late", level === 1);
+        group.classList.toggle("bad", level === 2);
         const available = mpp[node.number], made = power[node.number];
         body.classList.toggle("missing", available === null);
         body.setAttribute("fill", available === null ? "none" : ramp(available / node.rating_kw));
         const share = made === null ? 0 : Math.min(Math.max(made / node.rating_kw, 0), 1) * 100;
         ring.setAttribute("stroke-dasharray", `${share} 200`);
-        title.textContent = `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW`;
+        title.textContent = `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW; ${stateText(frame.agents, agent)}`;
       }
       const shown = [...frame.help].sort((a, b) => b[2] - a[2]).slice(0, MOST_LINES);
       while (helpLayer.childElementCount < shown.length) make("path", {class: "help"}, helpLayer);
@@ -141,6 +146,17 @@ export function plantMap(svg, note, plan, select) {
       return frame.help.length - shown.length;
     },
   };
+}
+
+// What the colours of the lines mean. Where there are more clusters than colours, only that they join one.
+function nameClusters(legend, names) {
+  legend.replaceChildren(...(names.length > CLUSTERS.length ? ["cluster"] : names).map((name, colour) => {
+    const entry = document.createElement("span"), line = document.createElement("i");
+    line.className = "lines";
+    line.style.background = CLUSTERS[colour];
+    entry.append(line, name);
+    return entry;
+  }));
 }
 
 function drawScale(svg, width, height, scale) {

@@ -1,6 +1,14 @@
-// The control tree, a row for each process: alive, age, inputs, loop time, restarts.
+// The control tree, a row for each process: its state, missed inputs, loop time, restarts.
 
 const FOLDED_ABOVE = 30;
+const LEVELS = ["good", "late", "bad"], SIGNS = ["●", "○", "✕"];
+const QUIET = new Set(["fine", "restarted", "standby in charge", "given up"]);
+
+// How an agent was in the cycle shown: `frozen for 3`.
+export function stateText(agents, agent) {
+  const word = agents.word[agent], missed = agents.missed_cycles[agent];
+  return missed > 1 && !QUIET.has(word) ? `${word} for ${missed}` : word;
+}
 
 export function controlTree(body, plan, select) {
   const plant = {path: "plant", parent: null, number: null, depth: 0, children: []};
@@ -23,13 +31,12 @@ export function controlTree(body, plan, select) {
     }
     name.append(row.path === "plant" ? "plant" : row.path.split("/").pop() || "central");
     if (row.external || row.device) name.append(row.device ? " (Modbus)" : " (device)");
-    row.cells = Array.from({length: 6}, (_, column) => { const cell = line.insertCell(); if (column) cell.className = "n"; return cell; });
+    row.cells = Array.from({length: 5}, (_, column) => { const cell = line.insertCell(); if (column) cell.className = "n"; return cell; });
     if (row.number !== null) line.addEventListener("click", () => select(row.number));
   }
   body.replaceChildren(...order.map(row => row.line));
 
   let frame = null, selected = null;
-  const isLost = ({agent}) => frame.agents.age[agent] === null || frame.agents.age[agent] > plan.hold_cycles;
   const below = row => [row, ...row.children.flatMap(below)];
   function arrange() {
     const hidden = new Set(order.filter(row => row.folded).flatMap(row => below(row).slice(1)));
@@ -44,17 +51,20 @@ export function controlTree(body, plan, select) {
     const agents = frame.agents;
     for (const row of order) {
       if (row.line.hidden) continue;
-      const own = row.agent, age = agents.age[own], lost = isLost(row);
+      const own = row.agent, heard = !agents.missed_cycles[own];
       const unread = frame.unread.includes(row.number);
-      const dead = row.folded ? below(row).slice(1).filter(isLost).length : 0;
-      const [state, ages, inputs, oldest, loop, restarts] = row.cells;
-      const silent = !lost && age > 1;  // What is a cycle late may only not be recorded yet.
-      state.className = lost || dead || unread ? "dead" : silent ? "late" : "alive";
-      state.textContent = silent ? `○ silent for ${age}` : lost ? "✕ unresponsive" : unread ? "✕ no reading" : dead ? `✕ ${dead} below unresponsive` : "● alive";
-      ages.textContent = age ?? "–";
-      const missed = agents.missed[own];
-      inputs.innerHTML = lost ? "–" : missed ? `<span class="late">${missed} missed</span>` : "all";
-      oldest.textContent = lost ? "–" : agents.input_age[own];
+      const hidden = row.folded ? below(row).slice(1) : [];
+      const worst = Math.max(agents.level[own], unread ? 2 : 0, ...hidden.map(each => agents.level[each.agent]));
+      const [state, inputs, oldest, loop, restarts] = row.cells;
+      const ill = hidden.filter(each => agents.level[each.agent]).length;
+      const own_text = unread && heard ? "no reading" : stateText(agents, own);
+      state.className = LEVELS[worst];
+      state.textContent = `${SIGNS[worst]} ${ill && !agents.level[own] ? `${ill} below missing` : own_text}`;
+      const now = agents.missed_now[own];
+      inputs.textContent = agents.missed_inputs[own].toLocaleString("en");
+      inputs.classList.toggle("late", now > 0);
+      inputs.title = now ? `${now} of them in this cycle` : "";
+      oldest.textContent = agents.input_age[own] || "–";
       loop.textContent = agents.loop_ms[own]?.toFixed(2) ?? "–";
       restarts.textContent = agents.restarts[own];
     }

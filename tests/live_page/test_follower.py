@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from itertools import chain
 from pathlib import Path
 
 import pytest
+from command_line import done
 from plans_by_hand import with_changes
 from recordings_by_hand import (
     PLAN,
@@ -67,6 +69,25 @@ def test_figures_so_far_are_those_of_the_metrics(tmp_path: Path) -> None:
     assert found["rmse"] == expected["rmse"]
 
 
+def test_the_page_and_inspect_say_the_same_of_each_cycle(plant: str, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    faults = (
+        "kill=c1/inv01,at=5s,until=9s",
+        "freeze=c2,at=12s..16s",
+        "partition=c1|central,at=20s..24s",
+    )
+    words = (word for fault in faults for word in ("--fault", fault))
+    done("simulate", plant, "--duration", "30", *words, "--out", run)
+    follower = followed(run)
+    state = PlantState(follower)
+    for cycle in range(30):
+        told = json.loads(done("inspect", run, "--cycle", str(cycle), "--json", "-"))
+        rows = state.frame(cycle)["agents"]
+        for place, one in enumerate(told["agents"].values()):
+            assert {name: rows[name][place] for name in one} == one
+        assert follower.metrics(cycle + 1) == pytest.approx(told["figures"])
+
+
 def test_a_frame_has_the_powers_the_help_and_the_shares(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_run(path, whole_run(20))
@@ -78,7 +99,7 @@ def test_a_frame_has_the_powers_the_help_and_the_shares(tmp_path: Path) -> None:
     assert nodes["help"][number("c1/b")] == 20.0
     assert nodes["power"][number("c1")] == 120.0
     assert frame["help"] == [(number("c1/b"), number("c1/a"), 20.0)]
-    assert set(frame["agents"]["age"]) == {0}
+    assert set(frame["agents"]["word"]) == {"fine"}
     # The central controller acts every other cycle: its newest setpoint holds.
     assert nodes["setpoint"][number("c1")] == 120.0
 
@@ -100,10 +121,12 @@ def test_what_is_missing_is_shown_as_missing(tmp_path: Path) -> None:
     frame = state.frame(8)
     assert frame["nodes"]["impp"][number("c2/c")] is None
     assert frame["nodes"]["power"] == [None] * len(PLAN.tree.nodes)
-    assert frame["agents"]["age"][1 + number("c2/c")] == 4
+    agents = frame["agents"]
+    missed, place = agents["missed_cycles"], 1 + number("c2/c")
+    assert (missed[place], agents["level"][place], agents["word"][place]) == (4, 2, "not heard")
     assert state.powers("c2/c", 8)["impp"] is None
     assert ("lost", 12, "c2/c") in kinds(follower)
-    assert ("unresponsive", 5, "c2/c") in kinds(follower)
+    assert ("not heard", 6, "c2/c") in kinds(follower)
 
 
 def test_a_setpoint_of_a_slow_turn_is_shown_until_the_next_one(tmp_path: Path) -> None:
@@ -123,7 +146,8 @@ def test_an_input_that_several_messages_lacked_is_missed_once(tmp_path: Path) ->
             message.missing = ("dispatch@0",)
     write_run(tmp_path / "run.mcap", run)
     agents = PlantState(followed(tmp_path / "run.mcap")).frame(1)["agents"]
-    assert agents["missed"][1 + number("c1/a")] == 1
+    assert agents["missed_now"][1 + number("c1/a")] == 1
+    assert agents["missed_inputs"][1 + number("c1/a")] == 2
 
 
 def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path: Path) -> None:
@@ -134,9 +158,9 @@ def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path:
     write_run(path, run, plan=plan)
     follower = followed(path)
     assert [event for event in kinds(follower) if event[0] != "run"] == [
-        ("unresponsive", 5, "device c2/c"),
+        ("not heard", 6, "device c2/c"),
         ("back", 12, "device c2/c"),
-        ("unresponsive", 85, "device c2/c"),
+        ("not heard", 86, "device c2/c"),
     ]
     assert {event.count for event in follower.events.since(0)} == {1}
     state = PlantState(follower)
@@ -156,7 +180,7 @@ def test_a_restart_is_an_event_and_late_messages_of_the_replaced_process_are_no_
     follower = followed(path)
     assert kinds(follower) == [("restart", 6, "c1/a")]
     # Before the restart, the page does not know of it.
-    assert [follower.events.restarts("c1/a", cycle) for cycle in (5, 6)] == [0, 1]
+    assert [follower.states.at("c1/a", cycle).restarts for cycle in (5, 6)] == [0, 1]
 
 
 def test_a_stop_that_the_plant_contradicts_does_not_end_the_run(tmp_path: Path) -> None:
@@ -193,7 +217,7 @@ def test_a_long_run_is_thinned_out_without_losing_a_dip(tmp_path: Path) -> None:
     for port, message in deliveries:
         if port.signal is PRODUCTION and message.cycle == 444:
             assert isinstance(message, Production)
-            message.delivered_kw = 3.0
+            message.inverter_power_kw = (3.0, 0.0, 0.0, 0.0)
     write_run(path, deliveries)
     powers = followed(path).powers(range(900), 60)
     assert len(powers["cycle"]) < 200

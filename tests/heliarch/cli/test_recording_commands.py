@@ -60,8 +60,8 @@ def test_figures_come_as_json_too(run: Path) -> None:
         *(("c1/b", cycle, help_for) for cycle in (3, 4, 5)),
         *(("central", cycle, []) for cycle in (3, 4, 5)),
     ]
-    nodes = json.loads(done("inspect", run, "--cycle", "3", "--json", "-"))
-    named = " ".join(node["node"] for node in nodes)
+    plant = json.loads(done("inspect", run, "--cycle", "3", "--json", "-"))
+    named = " ".join(node["node"] for node in plant["nodes"])
     assert named == "central c1 c2 c1/a c1/b c2/c c2/d"
 
 

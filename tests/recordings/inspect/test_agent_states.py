@@ -1,0 +1,110 @@
+"""The state of each agent in each cycle: of killed, frozen, cut and healthy ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from command_line import done
+from plans_by_hand import with_changes
+from recordings_by_hand import PLAN, whole_run, write_run
+
+from bus_schemas.messages import GivenUp
+from bus_schemas.signals import GIVEN_UP
+from bus_schemas.tree import ROOT
+from recordings.inspect.agent_states import AgentStates, states_at
+from recordings.inspect.overview import read_overview
+from recordings.read.reader import open_run
+
+CYCLES = 60
+FAULTS = (
+    "kill=c1/inv01,at=10s,until=16s",
+    "freeze=c2,at=20s..26s",
+    "partition=c1|central,at=40s..46s",
+    "loss=3%,at=50s..60s",
+)
+
+
+@pytest.fixture
+def run(plant: str, tmp_path: Path) -> Path:
+    """The folder of a run with a kill, a freeze and a cut."""
+    folder = tmp_path / "run"
+    faults = (word for fault in FAULTS for word in ("--fault", fault))
+    done("simulate", plant, "--duration", str(CYCLES), *faults, "--out", folder)
+    return folder
+
+
+def words(states: AgentStates, agent: str, *cycles: int) -> list[tuple[str, int]]:
+    found = (states.at(agent, cycle) for cycle in cycles)
+    return [(state.word, state.level) for state in found]
+
+
+def test_a_kill_a_freeze_and_a_cut_show_from_their_first_cycle(run: Path) -> None:
+    with open_run(run) as reader:
+        states = states_at(reader, CYCLES - 1)
+    killed = [("fine", 0), ("killed", 1), ("killed", 2), ("killed", 2), ("restarted", 0)]
+    assert words(states, "c1/inv01", 9, 10, 11, 15, 16) == killed
+    frozen = [("fine", 0), ("frozen", 1), ("frozen", 2), ("restarted", 0)]
+    assert words(states, "c2", 19, 20, 21, 26) == frozen
+    cut = [("fine", 0), ("not heard", 1), ("cut off", 2), ("cut off", 2), ("fine", 0)]
+    assert words(states, "c1", 39, 40, 41, 45, 46) == cut
+    assert [states.at("c1/inv01", cycle).restarts for cycle in (15, 16)] == [0, 1]
+
+
+def test_a_state_uses_nothing_that_was_recorded_later(run: Path) -> None:
+    with open_run(run) as reader:
+        whole, records = states_at(reader, CYCLES), list(reader.records())
+        so_far = AgentStates(reader.plan)
+        for record in records:
+            if (ended := so_far.newest) < record.cycle and ended >= 0:
+                for agent in so_far.agents:
+                    assert so_far.at(agent, ended) == whole.at(agent, ended)
+            so_far.see(record)
+
+
+def test_missed_inputs_add_up_to_those_of_the_recording(run: Path) -> None:
+    with open_run(run) as reader:
+        for end in range(5, CYCLES, 9):
+            states = states_at(reader, end - 1)
+            missed = sum(states.at(agent, end - 1).missed_inputs for agent in states.agents)
+            assert missed == read_overview(reader, range(end)).health.missing_inputs
+
+
+def test_an_agent_that_is_given_up_stays_so(tmp_path: Path) -> None:
+    deliveries = list(whole_run(20))
+    place = next(i for i, (_, message) in enumerate(deliveries) if message.cycle == 9)
+    given_up = GivenUp(9, 0, "plant", (), agents=("c2/d",))
+    deliveries.insert(place, (GIVEN_UP.of(ROOT), given_up))
+    write_run(
+        tmp_path / "run.mcap",
+        deliveries,
+        is_kept=lambda one: one[1].source != "c2/d" or one[1].cycle < 5,
+    )
+    with open_run(tmp_path / "run.mcap") as reader:
+        states = states_at(reader, 19)
+    assert words(states, "c2/d", 4, 5, 8, 9, 19) == [
+        *(("fine", 0), ("not heard", 1), ("not heard", 2)),
+        *(("given up", 2), ("given up", 2)),
+    ]
+
+
+def test_a_successor_of_an_agent_with_a_standby_is_that_standby(tmp_path: Path) -> None:
+    deliveries = list(whole_run(20))
+    for _, message in deliveries:
+        if message.source == "c1" and message.cycle >= 9:
+            message.incarnation = 9
+    plan = with_changes(PLAN, cycle_wall_ns=1_000_000_000, standby=("c1",))
+    write_run(tmp_path / "run.mcap", deliveries, plan=plan)
+    with open_run(tmp_path / "run.mcap") as reader:
+        states = states_at(reader, 19)
+    assert words(states, "c1", 8, 9, 19) == [
+        *(("fine", 0), ("standby in charge", 0), ("standby in charge", 0)),
+    ]
+
+
+def test_cycles_in_which_nobody_was_recorded_are_no_silence(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.mcap", whole_run(20), is_kept=lambda one: not 5 <= one[1].cycle < 9)
+    with open_run(tmp_path / "run.mcap") as reader:
+        states = states_at(reader, 19)
+    assert {states.at(agent, 7).word for agent in states.agents} == {"not recorded"}
+    assert {states.at(agent, 9).word for agent in states.agents} == {"fine"}
