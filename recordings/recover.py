@@ -1,19 +1,17 @@
-"""Makes a whole recording of a cut one: everything up to the cut, and every chunk once."""
+"""Makes a whole recording of a cut or damaged one: everything in it that can be read."""
 
 from __future__ import annotations
 
-from hashlib import blake2b
 from pathlib import Path
 from typing import BinaryIO, Final
 
 import msgspec
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import PRODUCTION, RUN, Port, ports
+from bus_schemas.signals import PRODUCTION, Port, ports
 from bus_schemas.tree import ROOT
 from bus_schemas.whole_file import new_path
 from recordings.read.gaps import gaps_of_ports
-from recordings.read.mcap_file import Chunk, DamagedChunkError
 from recordings.read.reader import RunReader
 from recordings.record.chunk_writer import ChunkWriter
 from recordings.record.writer import declare
@@ -27,7 +25,6 @@ class Recovery(msgspec.Struct, kw_only=True):
 
     `closed`: the recorder had come to its end. `cut_bytes` at the end of the file make up no whole
     record. `lost` messages are missing between others. `damage` names damaged parts of the file.
-    `copies`: chunks that were in the file before, and are left out.
     """
 
     source: str
@@ -35,12 +32,11 @@ class Recovery(msgspec.Struct, kw_only=True):
     closed: bool
     messages: int = 0
     complete_cycles: int = 0
-    last_cycle: int = -1
+    last_cycle: int
     planned_cycles: int
     cut_bytes: int
     lost: int = 0
     damage: str = ""
-    copies: int
 
     @property
     def lossless(self) -> bool:
@@ -49,24 +45,9 @@ class Recovery(msgspec.Struct, kw_only=True):
 
 
 def is_sound(run: RunReader) -> bool:
-    """Whether a recording was closed in order and all of it can be read, once."""
+    """Whether a recording was closed in order and all of it can be read."""
     run.check_chunks()
-    return run.whole and not run.damage_text() and not _copies(run)
-
-
-def _copies(run: RunReader) -> set[Chunk]:
-    """Return the chunks that hold what an earlier one holds."""
-    seen: set[bytes] = set()
-    copies = set()
-    for chunk in run.followed_chunks():
-        try:
-            content = blake2b(run.unpack(chunk), digest_size=16).digest()
-        except DamagedChunkError:
-            continue
-        if content in seen:
-            copies.add(chunk)
-        seen.add(content)
-    return copies
+    return run.whole and not run.damage_text()
 
 
 def recover_run(run: RunReader, out: Path) -> Recovery:
@@ -75,27 +56,25 @@ def recover_run(run: RunReader, out: Path) -> Recovery:
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
     with their times, sequence numbers and order. Metadata named `recovery` is added.
     """
-    outline, gaps, copies = run.outline, gaps_of_ports(run.plan), _copies(run)
+    outline, gaps = run.outline, gaps_of_ports(run.plan)
     recovery = Recovery(
         source=str(run.path),
         out=str(out),
         closed=outline.closed,
+        last_cycle=run.last_cycle,
         planned_cycles=run.plan.timing.cycles,
         cut_bytes=0 if outline.closed else max(outline.size - outline.readable_end, 0),
-        copies=len(copies),
     )
     with new_path(out) as beside, beside.open("xb") as file:
         writer, channel_of = _begin(file, run)
         for chunk in run.followed_chunks():
-            for raw in () if chunk in copies else run.messages_of(chunk, run.channels):
+            for raw in run.messages_of(chunk, run.channels):
                 number, sequence, logged_ns, published_ns, payload = raw
                 port = run.channels[number]
                 writer.add_message(channel_of[port], logged_ns, payload, published_ns, sequence)
                 recovery.messages += 1
                 if (head := run.head(raw)) is not None:
                     gaps[port].see(head.cycle, sequence, head.incarnation)
-                    if port.signal is not RUN:
-                        recovery.last_cycle = max(recovery.last_cycle, head.cycle)
         recovery.complete_cycles = gaps[PRODUCTION.of(ROOT)].cycles
         recovery.lost = sum(one.lost for one in gaps.values())
         recovery.damage = run.damage_text()

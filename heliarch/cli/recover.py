@@ -63,8 +63,6 @@ def recover(
         f"kept: {recovery.messages:,} messages, {recovery.complete_cycles:,} complete cycles of "
         f"{recovery.planned_cycles:,} planned, up to cycle {recovery.last_cycle:,}",
     ]
-    if recovery.copies:
-        lines.append(f"left out: {recovery.copies:,} chunks that are in the file twice")
     if recovery.cut_bytes:
         what = "which are an incomplete record"
         lines.append(f"missing: the last {recovery.cut_bytes:,} bytes, {what}")

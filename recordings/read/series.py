@@ -20,25 +20,14 @@ from numpy.typing import NDArray
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual
-from bus_schemas.signals import (
-    COMMAND,
-    DISPATCH,
-    IMPP,
-    PRODUCTION,
-    RESIDUAL,
-    Port,
-    Signal,
-)
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port
 from bus_schemas.tree import parent_of
-from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 
 _MOST_APART: Final = 1000
 """A series has at least one cycle of so many; the rest would be gaps alone."""
 
 _MOST_COLUMNS: Final = 100
-_LOOK_BACK: Final = 100
-"""Cycles in which the last clear number of a sender is looked for."""
 
 _OF_DISPATCH: Final = ("commitment_kw", "regulation_kw")
 _OF_PLANT: Final = (*_OF_DISPATCH, "unknown_kw", "unlisted_kw")
@@ -184,8 +173,7 @@ class SeriesCollector:
     """Turns the messages of a run, live or from a recording, into a `RunSeries`.
 
     Of two messages of an inverter in a cycle the first one counts. Where two of dispatch or
-    production contradict each other, another program has sent one of them: that one counts which
-    goes on with the numbering of its sender; if both do, or neither, the cycle is unknown.
+    production contradict each other, another program has sent one of them: the cycle is unknown.
     """
 
     def __init__(self, plan: RunPlan, clusters: Sequence[str] = ()) -> None:
@@ -201,8 +189,7 @@ class SeriesCollector:
         self._of_inverters = defaultdict[str, NDArray[np.float64]](
             lambda: np.full((cycles, len(self._column)), nan)
         )
-        # How the sender of dispatch and of production numbered each cycle; None: that is not clear.
-        self._numbers = defaultdict[Port[Message], dict[int, tuple[int, int] | None]](dict)
+        self._heard = defaultdict[Port[Message], NDArray[np.bool_]](lambda: np.zeros(cycles, bool))
         self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
@@ -213,7 +200,7 @@ class SeriesCollector:
         match message:
             case Dispatch():
                 rows = {name: np.array(getattr(message, name)) for name in _OF_DISPATCH}
-                self._enter_of_plant(port, message, rows)
+                self._enter_of_plant(port, cycle, rows)
             case Production():
                 self._cycles = max(self._cycles, cycle + 1)
                 made = {"mpp_kw": message.inverter_mpp_kw, "power_kw": message.inverter_power_kw}
@@ -221,7 +208,7 @@ class SeriesCollector:
                 metered_kw = message.delivered_kw if plan.site.meter else rows["power_kw"].sum()
                 rows["unlisted_kw"] = np.array(metered_kw - rows["power_kw"].sum())
                 rows["unknown_kw"] = np.array(message.unknown_kw)
-                self._enter_of_plant(port, message, rows)
+                self._enter_of_plant(port, cycle, rows)
             case Impp() if port.node in self._column:
                 self._enter_of(port, "impp_kw", cycle, message.power_kw)
             case Residual() if port.node in self._column:
@@ -243,29 +230,17 @@ class SeriesCollector:
             self._of_inverters[name][index] = value
 
     def _enter_of_plant(
-        self, port: Port[Message], message: Message, rows: dict[str, NDArray[np.float64]]
+        self, port: Port[Message], cycle: int, rows: dict[str, NDArray[np.float64]]
     ) -> None:
-        cycle, numbers = message.cycle, self._numbers[port]
-        values = {
-            name: self._of_plant[name] if name in _OF_PLANT else self._of_inverters[name]
-            for name in rows
-        }
-        due_before = cycle // (due_step(self._plan, port) or 1)
-        number: tuple[int, int] | None = (message.incarnation, message.sequence - due_before)
-        if cycle in numbers:
-            first = numbers[cycle]
-            entered = ((values[name][cycle], row) for name, row in rows.items())
-            if first is None or all(np.array_equal(*two, equal_nan=True) for two in entered):
-                return
-            earlier = range(cycle - 1, max(cycle - _LOOK_BACK, -1), -1)
-            before = next((numbers[at] for at in earlier if numbers.get(at)), (0, 0))
-            if first == before != number:
-                return
-            if not number == before != first:
-                number, rows = None, dict.fromkeys(rows, np.array(nan))
-        numbers[cycle] = number
+        """Enter what the plant says; what contradicts an earlier message makes it unknown."""
+        is_new = not self._heard[port][cycle]
+        self._heard[port][cycle] = True
         for name, row in rows.items():
-            values[name][cycle] = row
+            values = self._of_plant[name] if name in _OF_PLANT else self._of_inverters[name]
+            if is_new:
+                values[cycle] = row
+            elif not np.array_equal(values[cycle], row, equal_nan=True):
+                values[cycle] = nan
 
     def series(self, label: str) -> RunSeries:
         """Return the cycles up to the last one that the plant completed."""
@@ -291,12 +266,12 @@ def read_series(path: Path) -> RunSeries:
 
 def series_of(reader: RunReader, most_inverters: int | None = None) -> RunSeries:
     """Read a recording; in a plant of more inverters, clusters stand for them."""
-    signals: tuple[Signal[Message], ...] = (IMPP, RESIDUAL, COMMAND)
-    nodes, clusters = reader.plan.tree.leaves, tuple[str, ...]()
-    if most_inverters is not None and len(nodes) > most_inverters:
-        nodes = clusters = _clusters(nodes)
-        signals = IMPP, RESIDUAL
-    return _read(reader, {signal.of(node) for signal in signals for node in nodes}, clusters)
+    nodes, clusters = reader.plan.tree.leaves, _clusters(reader.plan, most_inverters)
+    signals = (IMPP, RESIDUAL) if clusters else (IMPP, RESIDUAL, COMMAND)
+    ports: set[Port[Message]] = {
+        signal.of(node) for signal in signals for node in clusters or nodes
+    }
+    return _read(reader, ports, clusters)
 
 
 def read_plant_series(path: Path) -> RunSeries:
@@ -305,11 +280,14 @@ def read_plant_series(path: Path) -> RunSeries:
     In a plant of more than 100 inverters, clusters stand for them: a day is to fit into memory.
     """
     with RunReader(path) as reader:
-        leaves = reader.plan.tree.leaves
-        return _read(reader, set(), _clusters(leaves) if len(leaves) > _MOST_COLUMNS else ())
+        return _read(reader, set(), _clusters(reader.plan, _MOST_COLUMNS))
 
 
-def _clusters(leaves: Sequence[str]) -> tuple[str, ...]:
+def _clusters(plan: RunPlan, most_inverters: int | None) -> tuple[str, ...]:
+    """Return the clusters that stand for the inverters; none if there are few enough."""
+    leaves = plan.tree.leaves
+    if most_inverters is None or len(leaves) <= most_inverters:
+        return ()
     return tuple(dict.fromkeys(map(parent_of, leaves)))
 
 

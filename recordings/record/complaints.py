@@ -39,8 +39,8 @@ class Complaints:
         self._tell = tell
         self._by_kind: dict[tuple[str, str], Complaint] = {}
 
-    def add(self, key: str, cause: str, example: str) -> int:
-        """Count a wrong message; return how many of its kind there were."""
+    def add(self, key: str, cause: str, example: str) -> None:
+        """Count a wrong message."""
         key, example = printable(key[:_LONGEST]), printable(example[:_LONGEST])
         if (key, cause) not in self._by_kind:
             unknown = sum(one == UNKNOWN for _, one in self._by_kind)
@@ -55,7 +55,6 @@ class Complaints:
             complaint = replace(before, count=before.count + 1)
         self._by_kind[key, cause] = complaint
         log_drop(complaint.count, f"{key}: {example}")
-        return complaint.count
 
     @property
     def set_aside(self) -> int:

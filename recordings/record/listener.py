@@ -36,10 +36,6 @@ _FAR_AHEAD: Final = 1000
 """A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
 
 
-_MOST_REFUSED: Final = 100
-"""So many messages of a key that do not decode are kept, for people to look at."""
-
-
 class _Key(NamedTuple):
     """What the recorder knows of a key, worked out once for all its messages.
 
@@ -110,9 +106,7 @@ class RunListener:
             head = decode_head(payload)
             message = decode(port.signal, payload) if known.is_read else None
         except msgspec.DecodeError as error:
-            count = self.complaints.add(key, UNDECODABLE, str(error))
-            if known.is_logged and count <= _MOST_REFUSED and self.position.newest_cycle >= 0:
-                self._keep_refused(port, payload)
+            self.complaints.add(key, UNDECODABLE, str(error))
             return None
         if head.source != known.publisher:
             self.complaints.add(key, WRONG_SENDER, f"it is from {head.source!r}")
@@ -147,16 +141,6 @@ class RunListener:
         if self.position.newest_cycle < 0 and self._joins_late:
             return inf
         return self.position.newest_cycle + _FAR_AHEAD if self._arming.answered else -1
-
-    def _keep_refused(self, port: Port[Message], payload: bytes) -> None:
-        """Write down what does not decode, with no number; readers skip and name it."""
-        now_ns = self._now_ns()
-        head = Head(self.position.newest_cycle, port.publisher, publish_time_ns=now_ns)
-        self._writer.add(port, head, payload, now_ns)
-        if port.publisher in self._plan.elsewhere:
-            self.external.hear(port)
-        else:
-            self.senders.note_extra(port)
 
     def _record(
         self, key: str, known: _Key, head: Head, message: Message | None, payload: bytes

@@ -8,15 +8,9 @@ from __future__ import annotations
 from math import isfinite
 
 from agents.plan import START_WITHIN_NS, RunPlan
-from bus_schemas.bounds import LARGEST, METER_TOLERANCE, Bound, bounds_of, is_within
+from bus_schemas.bounds import METER_TOLERANCE, Bound, bounds_of, is_within
 from bus_schemas.messages import Dispatch, Message, Production, Run, Telemetry
 from bus_schemas.signals import Port
-
-_FINITE = {
-    *("power_kw", "plant_rating_kw", "commitment_kw", "regulation_kw"),
-    *("dispatch_kw", "available_kw", "delivered_kw"),
-}
-"""Fields of a dispatch and of a production that have no other bound."""
 
 
 def out_of_range(plan: RunPlan, port: Port[Message], message: Message, heard_ns: int) -> str:
@@ -27,29 +21,33 @@ def out_of_range(plan: RunPlan, port: Port[Message], message: Message, heard_ns:
         return f"sim_time_ns: expected {begins_ns} in cycle {cycle}, got {message.sim_time_ns}"
     if isinstance(message, Run):
         return _wrong_start(plan, message, heard_ns)
-    if isinstance(message, Production):
-        count = len(plan.inverters)
-        for field in ("inverter_mpp_kw", "inverter_power_kw"):
-            powers_kw = getattr(message, field)
-            if len(powers_kw) != count or not all(map(isfinite, powers_kw)):
-                return f"{field}: expected {count} finite numbers"
-    for bound in _bounds(plan, port, message):
+    if isinstance(message, Dispatch | Production):
+        return _not_finite(plan, message)
+    rating_kw = plan.tree.rating_kw(port.node)
+    bounds = bounds_of(type(message), rating_kw)
+    if isinstance(message, Telemetry):  # The bounds that the IMPP estimate applies.
+        most_kw = rating_kw * (1.0 + METER_TOLERANCE)
+        bounds = Bound("power_kw", 0.0, most_kw), Bound("alpha", 0.0, 1.0)
+    for bound in bounds:
         if not is_within(message, (bound,)):
             return f"{bound.field}: expected {bound}, got {getattr(message, bound.field):.10g}"
     return ""
 
 
-def _bounds(plan: RunPlan, port: Port[Message], message: Message) -> tuple[Bound, ...]:
-    """Return the lowest and highest numbers that the fields of a message can hold."""
-    if isinstance(message, Dispatch | Production):
-        # A dispatch beyond the ratings is an operator's mistake: it is limited and acted on.
-        fields = [field for field in type(message).__struct_fields__ if field in _FINITE]
-        return tuple(Bound(field, -LARGEST, LARGEST) for field in fields)
-    rating_kw = plan.tree.rating_kw(port.node)
-    if isinstance(message, Telemetry):  # The bounds that the IMPP estimate applies.
-        most_kw = rating_kw * (1.0 + METER_TOLERANCE)
-        return Bound("power_kw", 0.0, most_kw), Bound("alpha", 0.0, 1.0)
-    return bounds_of(type(message), rating_kw)
+def _not_finite(plan: RunPlan, message: Dispatch | Production) -> str:
+    """Name a number that is not finite, or a list that is not of this plant.
+
+    A dispatch beyond the ratings is an operator's mistake: it is limited and acted on.
+    """
+    for field in message.__struct_fields__:
+        value = getattr(message, field)
+        if isinstance(value, float) and not isfinite(value):
+            return f"{field}: expected a finite number, got {value}"
+        if field.startswith("inverter_"):
+            count = len(plan.inverters)
+            if len(value) != count or not all(map(isfinite, value)):
+                return f"{field}: expected {count} finite numbers"
+    return ""
 
 
 def _wrong_start(plan: RunPlan, run: Run, heard_ns: int) -> str:

@@ -55,7 +55,7 @@ class ExternalAgents:
                 outages[-1] = (outages[-1][0], cycle)
             yield Presence(agent, alive, cycle)
 
-    def hear(self, port: Port[Message], cycle: int = -1) -> None:
+    def hear(self, port: Port[Message], cycle: int) -> None:
         """Count a message that is recorded."""
         self.heard += 1
         self._newest[port] = max(cycle, self._newest[port])

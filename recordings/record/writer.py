@@ -26,7 +26,6 @@ from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Head, Message
 from bus_schemas.signals import SIGNALS, Port, Signal, ports
-from recordings.read.counting import count_messages
 from recordings.read.run_file import SCHEMA_VERSION
 from recordings.record.chunk_writer import ChunkWriter
 
@@ -71,8 +70,7 @@ class RunWriter:
     error is raised instead).
 
     `driver` is `launch` or `simulate`; the anchor turns times of the messages' clock into wall
-    clock. `heard` counts the messages that should have been written, `recorded` those in the file,
-    by signal; if the recording ended early, `close` counts them there.
+    clock. `heard` counts the messages that should have been written.
     """
 
     def __init__(
@@ -86,7 +84,6 @@ class RunWriter:
     ) -> None:
         self.path = path
         self.heard = 0
-        self.recorded: Counter[str] = Counter()
         self.ended_early = ""
         self._on_end = on_end
         self._cycle = 0
@@ -113,8 +110,14 @@ class RunWriter:
             self._writer.add_message(channel, wall_ns, payload, published_ns, head.sequence)
         except _UNWRITABLE as error:
             self._end(error)
-        else:
-            self.recorded[port.signal.name] += 1
+
+    @property
+    def recorded(self) -> Counter[str]:
+        """The messages that were written, by signal."""
+        counts: Counter[str] = Counter()
+        for port, channel in self._channels.items():
+            counts[port.signal.name] += self._writer.recorded[channel]
+        return +counts
 
     def flush(self) -> None:
         """Hand all that was added to the operating system, so that a crash does not lose it."""
@@ -123,10 +126,6 @@ class RunWriter:
     def close(self) -> None:
         self._unless_ended(self._writer.finish)
         self._unless_ended(self._file.close)
-        if self.ended_early:
-            with suppress(InputError):
-                self.recorded = Counter()
-                self.recorded = count_messages(self.path).by_signal()
 
     def abandon(self) -> None:
         """Close a file that cannot be written any more, as it is."""

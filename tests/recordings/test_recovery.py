@@ -11,7 +11,6 @@ from recordings_by_hand import whole_run, write_run
 
 from bus_schemas.bus import Delivery
 from recordings import open_run
-from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.recover import RECOVERY_METADATA, Recovery, is_sound, recover_run
 
@@ -112,25 +111,6 @@ def test_a_damaged_chunk_is_left_out_and_named(
     with open_run(out) as run:
         assert is_sound(run)
         assert list(run.messages()) == written[: 1000 * number] + written[1000 * (number + 1) :]
-
-
-def test_a_chunk_that_is_in_the_file_twice_is_copied_once(
-    recording: Recording, tmp_path: Path
-) -> None:
-    path, written = recording
-    content = path.read_bytes()
-    with open_run(path) as run:
-        first, second, *_ = run.outline.chunks
-    twice = content[: second.offset] + content[first.offset :]
-    out, recovery = recovered(twice, tmp_path)
-    assert (recovery.complete_cycles, recovery.messages, recovery.copies) == (
-        *(CYCLES, len(written), 1),
-    )
-    with open_run(tmp_path / "run.mcap") as run:
-        assert not is_sound(run)
-        assert read_overview(run).complete_cycles == CYCLES
-    with open_run(out) as run:
-        assert list(run.messages()) == written
 
 
 def test_a_damaged_attachment_is_named_in_the_copy(recording: Recording, tmp_path: Path) -> None:

@@ -146,7 +146,7 @@ def test_messages_of_a_device_that_are_lost_are_counted_by_their_numbers(
     ],
     ids=str,
 )
-def test_a_message_with_an_impossible_head_is_kept_and_named_and_the_recording_goes_on(
+def test_a_message_with_an_impossible_head_is_named_and_the_recording_goes_on(
     node: str, head: dict[str, int], tmp_path: Path
 ) -> None:
     forged = msgspec.msgpack.encode(structs.asdict(replace(impp(4), source=node)) | head)
@@ -155,13 +155,6 @@ def test_a_message_with_an_impossible_head_is_kept_and_named_and_the_recording_g
     assert {entry.key for entry in account.complaints} == {f"oahu/{node}/impp"}
     assert (account.cycles, account.ended_early) == (CYCLES, "")
     assert len(kept) >= CYCLES
-    with RunReader(tmp_path) as reader:
-        payloads = [
-            raw[4]
-            for chunk in reader.outline.chunks
-            for raw in reader.messages_of(chunk, reader.channels)
-        ]
-    assert payloads.count(forged) == 1
     own = Counter(port.signal.name for port, _ in SAID if port.publisher != DEVICE)
     (device,) = account.external
     found = Counter(account.recorded) - Counter(device.recorded) - Counter(account.extra)
