@@ -86,7 +86,6 @@ class RunListener:
         self._tell = tell
         self._now_ns = now_ns
         self._arming = ArmingRound(plan, answered=joins_late)
-        self._joins_late = joins_late
         self._reach = Reach(plan, now_ns())
         self._keys = {plan.wiring.key(port): _key(plan, port) for port in plan.wiring.ports}
 
@@ -138,9 +137,10 @@ class RunListener:
         """Return the last cycle that a message of an external agent can be of now."""
         if port.publisher == PLANT:
             return inf
-        if self.position.newest_cycle < 0 and self._joins_late:
-            return inf
-        return self.position.newest_cycle + _FAR_AHEAD if self._arming.answered else -1
+        if not self._arming.answered:
+            return -1
+        newest = self.position.newest_cycle
+        return inf if newest < 0 else newest + _FAR_AHEAD
 
     def _record(
         self, key: str, known: _Key, head: Head, message: Message | None, payload: bytes

@@ -66,7 +66,6 @@ class ReplayBus:
 
     @property
     def has_subscriber(self) -> bool:
-        """Whether any of the keys has a subscriber."""
         # The type stub says that a status is a bool, which it is not.
         statuses: list[Any] = [one.matching_status for one in self._publishers.values()]
         return any(status.matching for status in statuses)

@@ -26,7 +26,7 @@ from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
 from results.run_summary import RunSummary
 from results.timing.cycle_waits import CycleWaits
-from results.timing.run_timing import WHOLE_LOOP, RunTiming, percentiles, run_timing
+from results.timing.run_timing import COUNTS, WHOLE_LOOP, RunTiming, percentiles, run_timing
 from results.timing.stage_times import tier_of
 from scenarios.scenario import BudgetTable, TimingTable
 from sunspec.process import DeviceAccount
@@ -110,14 +110,13 @@ class TimingReport:
 
     host: The machine and the software, in words: the figures mean nothing without them.
     times: Rows of durations: measure, of, count, min_us to max_us.
-    tiers, processes: Counts, processor time and memory.
+    tiers: Counts, processor time and memory.
     """
 
     run: TimedRun
     host: tuple[str, ...]
     times: pd.DataFrame
     tiers: pd.DataFrame
-    processes: pd.DataFrame
     budgets: tuple[Budget, ...]
     slowest: tuple[CycleWaits, ...]
     loop_ms: pd.Series
@@ -131,7 +130,6 @@ class TimingReport:
 
     def document(self) -> dict[str, object]:
         """Return the content of the JSON."""
-        tables = ("times", "tiers", "processes")
         slowest = [
             {"cycle": one.cycle, "loop_ms": one.length_ms, "text": one.in_words()}
             for one in self.slowest
@@ -141,7 +139,8 @@ class TimingReport:
             "clean": self.run.clean,
             "run": self.run,
             "host": self.host,
-            **{name: getattr(self, name).to_dict("records") for name in tables},
+            "times": self.times.to_dict("records"),
+            "tiers": self.tiers.to_dict("records"),
             "budgets": [budget._asdict() for budget in self.budgets],
             "slowest_cycles": slowest,
             "remarks": self.remarks,
@@ -165,12 +164,11 @@ def report_on(
     summary = summary or summary_in(folder, plan, RunSummary)
     wall_s = summary.wall_s if summary else len(timing.loop_ms) * plan.timing.cycle_wall_ns / 1e9
     remarks: tuple[str, ...] = (_NO_SUMMARY,)
+    lost = None
     if summary is not None:
         ended_early = summary.launcher.recording_ended
-        remarks = (*summary.run.remarks, *filter(None, [ended_early]))
-    lost = None if summary is None else summary.lost
-    processes = _with_accounts(timing.processes, summary, wall_s, plan)
-    tiers = _tiers(processes)
+        remarks, lost = (*summary.run.remarks, *filter(None, [ended_early])), summary.lost
+    tiers = _tiers(timing.processes, summary, wall_s, plan)
     stopped_early = stop_cycle is not None and stop_cycle < plan.timing.cycles
     return TimingReport(
         run=TimedRun(
@@ -189,7 +187,6 @@ def report_on(
         host=_host(metadata, plan.supervision.machine, load),
         times=percentiles(timing.durations),
         tiers=tiers,
-        processes=processes,
         budgets=tuple(_judged(plan, table, timing, tiers, lost)),
         slowest=timing.slowest,
         loop_ms=timing.loop_ms,
@@ -269,41 +266,33 @@ def _judged(
             yield Budget(line, "", "", float(value), limit, unit, passed=bool(value <= limit))
 
 
-def _with_accounts(
+def _tiers(
     processes: pd.DataFrame, summary: RunSummary | None, wall_s: float, plan: RunPlan
 ) -> pd.DataFrame:
-    """Add what the launcher knows of each process; the recorder is known to it alone."""
-    accounts = {one.agent: one for one in (summary.processes if summary else ())}
-    table = processes.set_index("agent")
-    table = table.reindex([*table.index, *(one for one in accounts if one not in table.index)])
-    table["tier"] = [tier_of(agent, plan.tree) for agent in table.index]
-    table["kind"] = [kind_of(agent, plan.tree) for agent in table.index]
-    table = table.fillna(0).astype(dict.fromkeys(table.columns[2:], int))
-    known = {
-        agent: (sum(a.dropped.values()), a.cpu_s, a.resident_mb) for agent, a in accounts.items()
-    }
-    columns = ["dropped", "cpu_percent", "resident_mb"]
-    table[columns] = pd.DataFrame.from_dict(known, "index", dtype=float, columns=columns)
-    table["cpu_percent"] *= 100.0 / wall_s if wall_s else nan
-    return table.reset_index()
+    """Add up the processes of each tier; memory is the largest one's.
 
-
-def _tiers(processes: pd.DataFrame) -> pd.DataFrame:
-    """Sum the processes of each tier; memory is the largest one's."""
-    kinds = processes.assign(place=processes.kind.map(KINDS.index))
-    rows = kinds.groupby(["place", "tier", "kind"])
-    counts = ["missed_deadlines", "missing_inputs", "dropped", "overruns", "skipped_cycles"]
-    table = (
-        rows[counts]
-        .sum(min_count=1)
-        .assign(
-            processes=rows.size(),
-            cpu_percent=rows.cpu_percent.sum(min_count=1),
-            cpu_highest_percent=rows.cpu_percent.max(),
-            resident_mb=rows.resident_mb.max(),
-        )
+    The launcher knows dropped messages, processor time and memory, and it alone the recorder.
+    """
+    accounts = [
+        (one.agent, sum(one.dropped.values()), one.cpu_s, one.resident_mb)
+        for one in (summary.processes if summary else ())
+    ]
+    columns = ["agent", "dropped", "cpu_s", "resident_mb"]
+    table = processes.merge(pd.DataFrame(accounts, columns=columns), how="outer", on="agent")
+    table[COUNTS] = table[COUNTS].fillna(0).astype(int)
+    table["cpu_percent"] = 100.0 * table.cpu_s.astype(float) / (wall_s or nan)
+    table["tier"] = [tier_of(agent, plan.tree) for agent in table.agent]
+    table["kind"] = [kind_of(agent, plan.tree) for agent in table.agent]
+    table["place"] = table.kind.map(KINDS.index)
+    rows = table.groupby(["place", "tier", "kind"])
+    tiers = rows[[*COUNTS, "dropped"]].sum(min_count=1)
+    tiers = tiers.assign(
+        processes=rows.size(),
+        cpu_percent=rows.cpu_percent.sum(min_count=1),
+        cpu_highest_percent=rows.cpu_percent.max(),
+        resident_mb=rows.resident_mb.max(),
     )
-    return table.reset_index().drop(columns="place")
+    return tiers.reset_index().drop(columns="place")
 
 
 def _host(

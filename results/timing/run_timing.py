@@ -26,6 +26,9 @@ MEASURES: Final = ("loop", "decision", "hop", "lateness", "age", "response")
 SLOWEST: Final = 3
 """How many of the slowest cycles are looked into."""
 
+COUNTS: Final = ["missed_deadlines", "missing_inputs", "overruns", "skipped_cycles"]
+"""What is counted of each process."""
+
 _SHARES: Final = {"min_us": 0.0, "p50_us": 0.5, "p99_us": 0.99, "p99_9_us": 0.999, "max_us": 1.0}
 
 
@@ -33,7 +36,7 @@ class RunTiming(NamedTuple):
     """The timing of a run.
 
     durations: How often each duration occurred: measure, of, us (whole microseconds), count.
-    processes: Of each of Heliarch's agents: agent, tier, kind, and its counts missed_deadlines,
+    processes: Of each of Heliarch's agents: agent, and its counts missed_deadlines,
         missing_inputs, overruns, skipped_cycles.
     slowest: The slowest cycles, the slowest first.
     late_cycles: In so many one of those agents missed a deadline, overran or published nothing.
@@ -54,10 +57,8 @@ def run_timing(reader: RunReader, *, block_messages: int = BLOCK_MESSAGES) -> Ru
     loop_from = "publish_ns" if PLANT in graph.plan.access.external else "ready_ns"
     names = pd.Index(row_names(graph))
     durations = pd.DataFrame(columns=["measure", "of", "us", "count"], dtype=np.int64)
-    agents = graph.stages[~graph.stages.device].drop_duplicates("agent").set_index("agent")
-    processes = agents[["tier", "kind"]].assign(
-        missed_deadlines=0, missing_inputs=0, overruns=0, skipped_cycles=0
-    )
+    agents = pd.Index(graph.stages.agent[~graph.stages.device].unique(), name="agent")
+    processes = pd.DataFrame(0, index=agents, columns=COUNTS)
     slowest: list[CycleWaits] = []
     loops_ms, late_cycles = [pd.Series(dtype=float)], 0
     before: pd.DataFrame | None = None

@@ -173,7 +173,6 @@ def test_without_a_summary_what_only_the_launcher_knew_is_not_zero(tmp_path: Pat
     document = json.loads(msgspec.json.encode(report.document()))
     assert document["run"]["lost_messages"] is None
     assert document["tiers"][0]["cpu_percent"] is None
-    assert document["processes"][0]["dropped"] is None
 
 
 def test_the_summary_beside_a_recording_is_used_if_it_is_of_that_run(tmp_path: Path) -> None:
