@@ -183,14 +183,5 @@ def run_health(run: RunReader) -> Health:
     if summary.health is not None:
         return msgspec.structs.replace(summary.health, launcher=summary.launcher)
     # In lockstep nothing is late or missed, and no agent is away.
-    return Health(
-        fault_effects=(),
-        faults={},
-        lost={count.signal: count.lost for count in summary.messages if count.lost},
-        repeated=0,
-        misses=(),
-        absences=(),
-        stop_cycle=run.stop_cycle,
-        failure="",
-        launcher=summary.launcher,
-    )
+    lost = {count.signal: count.lost for count in summary.messages if count.lost}
+    return Health(lost=lost, stop_cycle=run.stop_cycle, launcher=summary.launcher)

@@ -33,8 +33,7 @@ def replay(
 ) -> int:
     """Put a recording back onto the bus, or let some agents of it run live.
 
-    In a terminal: space pauses and continues, s steps one cycle, + and - change the pace, arrows
-    seek (left and right 10 s, up and down 1 min of simulated time), q ends.
+    In a terminal: space pauses and continues, q ends.
 
     Example: `heliarch replay runs/oahu-4711 --from 13:49:00 --pace 0.5`
 

@@ -99,7 +99,7 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
 Document = TypeVar("Document", bound=RunDocument)
 
 
-class Health(msgspec.Struct, frozen=True):
+class Health(msgspec.Struct, frozen=True, kw_only=True):
     """How a run fared.
 
     `faults` counts what all rules did to messages, by kind. `lost` counts messages that the
@@ -108,16 +108,16 @@ class Health(msgspec.Struct, frozen=True):
     `launcher` is None without a summary beside the recording.
     """
 
-    fault_effects: tuple[FaultEffect, ...]
-    faults: dict[str, int]
-    lost: dict[str, int]
-    repeated: int
-    misses: tuple[Misses, ...]
-    absences: tuple[Absence, ...]
-    stop_cycle: int | None
-    failure: str
-    launcher: LauncherAccount | None
+    fault_effects: tuple[FaultEffect, ...] = ()
+    faults: dict[str, int] = {}
+    lost: dict[str, int] = {}
+    repeated: int = 0
+    misses: tuple[Misses, ...] = ()
+    absences: tuple[Absence, ...] = ()
     more_absences: int = 0
+    stop_cycle: int | None
+    failure: str = ""
+    launcher: LauncherAccount | None
 
     @property
     def messages_lost(self) -> int:

@@ -34,6 +34,8 @@ class SignalCount(msgspec.Struct, frozen=True):
 
 
 class Overview(msgspec.Struct, frozen=True):
+    """What a recording holds."""
+
     path: str
     run_id: str
     metadata: dict[str, dict[str, str]]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import astuple
 
 import msgspec
 
@@ -21,11 +22,12 @@ from bus_schemas.signals import RUN, Port, ports
 from bus_schemas.zenoh_session import TokenWatch
 from recordings.read.gaps import due_step
 from recordings.record.complaints import CONFLICTING, DUPLICATE
+from recordings.verify.equality import Equality, FieldDifference
 
 _MOST_KEPT = 4
 """Messages of a key that are kept: one of the cycle under way, and of those beside it."""
 
-_UNDECIDED = ("ready_time_ns", "publish_time_ns", "sequence", "incarnation", "missing")
+_CONTENT = Equality(ignored=frozenset({"incarnation", "missing"}))
 
 
 class ExternalAgents:
@@ -131,16 +133,13 @@ def _compare(port: Port[Message], first: bytes, second: bytes) -> tuple[str, str
         one, other = decode(port.signal, first), decode(port.signal, second)
     except msgspec.DecodeError as error:
         return CONFLICTING, f"two messages in one cycle, of which one does not decode: {error}"
-    cycle = one.cycle
-    differing = [
-        field
-        for field in one.__struct_fields__
-        if field not in _UNDECIDED and repr(getattr(one, field)) != repr(getattr(other, field))
-    ]
+    cycle, numbers = one.cycle, FieldDifference("sequence", one.sequence, other.sequence)
     has_just_joined = 0 < cycle == one.incarnation
-    if first != second and other.sequence <= one.sequence and not has_just_joined:
-        differing.append("sequence")
+    differing = list(_CONTENT.differences(port, one, other))
+    if first != second and numbers.new <= numbers.recorded and not has_just_joined:
+        differing.append(numbers)
     if not differing:
         return DUPLICATE, f"it came again for cycle {cycle}"
-    both = " and ".join(str(getattr(message, differing[0]))[:60] for message in (one, other))
-    return CONFLICTING, f"two messages in cycle {cycle}, {differing[0]} {both}"
+    field, *both = astuple(differing[0])
+    values = " and ".join(str(value)[:60] for value in both)
+    return CONFLICTING, f"two messages in cycle {cycle}, {field} {values}"

@@ -13,23 +13,11 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
-from recordings.replay.keyboard import (
-    DOWN,
-    KEYS_IN_WORDS,
-    LEFT,
-    RIGHT,
-    UP,
-    Keyboard,
-    has_keyboard,
-    keyboard,
-)
+from recordings.replay.keyboard import KEYS_IN_WORDS, Keyboard, has_keyboard, keyboard
 from recordings.replay.schedule import PlaybackClock, UpcomingMessages
 
 _LOOK_S: Final = 0.02
 """How often the keyboard is read."""
-
-_SEEK_S: Final = {LEFT: -10.0, RIGHT: 10.0, DOWN: -60.0, UP: 60.0}
-"""How far a key seeks, in simulated time."""
 
 
 class StatusLine(Protocol):
@@ -101,7 +89,7 @@ def replay_recording(
 
 @dataclass(eq=False)
 class Playback:
-    """Sends messages when they are due. Steps and rate 0 have no due time.
+    """Sends messages when they are due. At rate 0 nothing has a due time.
 
     messages, cycles: How many were sent. latest_us: At most how late [µs]; None: nothing was due.
     """
@@ -117,7 +105,7 @@ class Playback:
     latest_us: float | None = None
 
     def __post_init__(self) -> None:
-        self._cycle = self._step_to = -1
+        self._cycle = -1
         self._look_at_ns = 0
 
     def play(self, *, loop: bool = False) -> None:
@@ -131,8 +119,10 @@ class Playback:
             if record is None and not self.clock.paused:
                 if not loop or self._cycle < 0:
                     break
-                self._seek(self.upcoming.span.start)
-            elif record is not None and self._is_due(record):
+                self.upcoming.seek(self.upcoming.span.start)
+                self._cycle = -1
+                self.clock.move_to(self.upcoming.position_ns)
+            elif record is not None and self._is_due():
                 self._send(record)
                 self.upcoming.advance()
             if self._obey_keys() == "q":
@@ -140,25 +130,14 @@ class Playback:
         self._show(self._cycle)
         self.line.end()
 
-    @property
-    def _here(self) -> int:
-        """The cycle of the next message; at the end, that of the last one."""
-        return self._cycle if self.upcoming.next is None else self.upcoming.next.cycle
-
-    def _is_due(self, record: RecordedMessage) -> bool:
+    def _is_due(self) -> bool:
         """Whether the next message is due; if not, wait a little."""
         if self.clock.paused:
-            return record.cycle <= self._step_to
+            return False
         left_s = (self.clock.due_ns(self.upcoming.position_ns) - self.clock.now_ns()) / 1e9
         if left_s > 0.0:
             self.clock.sleep(min(left_s, _LOOK_S))
         return left_s <= 0.0
-
-    def _seek(self, cycle: int) -> None:
-        """Let the first message of a cycle be the next one, and be due now."""
-        self.upcoming.seek(cycle)
-        self._cycle = self._step_to = -1
-        self.clock.move_to(self.upcoming.position_ns)
 
     def _send(self, record: RecordedMessage) -> None:
         if record.cycle > self._cycle:
@@ -167,9 +146,7 @@ class Playback:
             self._announce()
         was_sent = self.bus.put(record.port, record.payload)
         self.messages += was_sent
-        if self.clock.paused:
-            self.clock.move_to(self.upcoming.position_ns)
-        elif self.clock.rate and was_sent:
+        if self.clock.rate and was_sent:
             late_ns = self.clock.now_ns() - self.clock.due_ns(self.upcoming.position_ns)
             self.latest_us = max(late_ns / 1e3, self.latest_us or 0.0)
 
@@ -181,9 +158,6 @@ class Playback:
     def _obey_keys(self) -> str:
         """Read the keyboard if it is time to, and do what a key asks for; return the key."""
         clock, key = self.clock, ""
-        # A step ends at the first message of a later cycle.
-        if self.upcoming.next is not None and self.upcoming.next.cycle <= self._step_to:
-            return key
         if clock.paused:
             key = self.keyboard(_LOOK_S)
         elif clock.now_ns() >= self._look_at_ns:
@@ -191,32 +165,11 @@ class Playback:
             key = self.keyboard(0.0)
             if self.line.is_due():
                 self._show(self._cycle)
-        if key:
-            self._obey(key)
+        if key == " ":
+            clock.toggle_pause()
             self._announce()
-            self._show(self._here)
+            self._show(self._cycle)
         return key
-
-    def _obey(self, key: str) -> None:
-        match key:
-            case "s" if self.clock.paused:
-                self._step_to = self._here
-            case " " | "s":
-                self.clock.toggle_pause()
-            case "+" | "=":  # The same key, with and without shift.
-                self.clock.set_rate(self.clock.rate * 2.0)
-            case "-":
-                self.clock.set_rate(self.clock.rate / 2.0)
-            case arrow if arrow in _SEEK_S:
-                self._seek_by(_SEEK_S[arrow])
-
-    def _seek_by(self, seconds: float) -> None:
-        """Go forward or back by a simulated time, at least a cycle, within the span."""
-        reader, span = self.upcoming.reader, self.upcoming.span
-        cycles = round(seconds * 1e9 / reader.plan.timing.cycle_ns)
-        cycles = cycles or (1 if seconds > 0.0 else -1)
-        last = min(span.stop - 1, reader.last_cycle)
-        self._seek(min(max(self._here + cycles, span.start), last))
 
     def _show(self, cycle: int) -> None:
         if cycle >= 0:

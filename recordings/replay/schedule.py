@@ -90,9 +90,9 @@ def positions(
 class PlaybackClock:
     """Maps positions to times of the monotonic clock.
 
-    Every time is counted from one anchor, so errors do not add up. Only a pause, a seek and a
-    change of rate set a new anchor.
-    The rate is in seconds of the clock per second; at 0 everything is due at once.
+    Every time is counted from one anchor, so errors do not add up. Only a pause and the beginning
+    of a loop set a new anchor. The rate is in seconds of the clock per second; at 0 everything is
+    due at once.
     """
 
     def __init__(
@@ -122,12 +122,7 @@ class PlaybackClock:
 
     def toggle_pause(self) -> None:
         """Pause, or go on from the same position."""
-        self.set_rate(self.rate)
-        self.paused = not self.paused
-
-    def set_rate(self, rate: float) -> None:
-        """Go on from here at another rate."""
         if not self.paused:
             self._position_ns += round((self.now_ns() - self._moment_ns) * self.rate)
         self._moment_ns = self.now_ns()
-        self.rate = rate
+        self.paused = not self.paused

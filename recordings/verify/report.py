@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
 from bus_schemas.messages import Message, in_words
+from recordings.read.frames import HEAD_FIELDS
 from recordings.read.run_clock import RunClock
 from recordings.verify.agent_result import KINDS, AgentResult, Difference
 from recordings.verify.equality import NOT_COMPARED, Equality, Value
 from recordings.verify.verification import Verification
-
-_HEAD: Final = frozenset(Message.__struct_fields__)
 
 
 def verification_lines(
@@ -58,7 +57,6 @@ def difference_lines(agents: Mapping[str, AgentResult], clock: RunClock) -> Iter
 
 
 def verification_data(verification: Verification, wall_s: float) -> dict[str, Any]:
-    """Return the result as plain data."""
     names = ("equal", "stop_cycle", "cycles", "differences", "unrecorded_cycles", "left_out")
     first = verification.first
     return {
@@ -74,7 +72,6 @@ def verification_data(verification: Verification, wall_s: float) -> dict[str, An
 
 
 def agents_data(agents: Mapping[str, AgentResult]) -> list[dict[str, Any]]:
-    """Return the results of agents as plain data."""
     return [{"agent": name, **msgspec.to_builtins(result)} for name, result in agents.items()]
 
 
@@ -116,7 +113,9 @@ def _lines_of(agent: str, difference: Difference) -> Iterator[str]:
 def _content(message: Message) -> str:
     """Return the fields of a message without its head."""
     data: dict[str, Any] = msgspec.to_builtins(message)
-    return "  ".join(f"{name} {_value(value)}" for name, value in data.items() if name not in _HEAD)
+    return "  ".join(
+        f"{name} {_value(value)}" for name, value in data.items() if name not in HEAD_FIELDS
+    )
 
 
 def _value(value: Value) -> str:

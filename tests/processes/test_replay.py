@@ -138,11 +138,9 @@ def test_keys_steer_a_replay_and_the_terminal_is_left_as_it_was(recorded: Path) 
     seen = ""
     try:
         for awaited, keys in (
-            ("space pauses", b"s"),
-            ("12:00:00 cycle 0 of", b"\x1b[C"),
-            ("12:00:11 cycle 11 of", b"++"),
-            ("pace 4 paused", b"sss"),
-            ("12:00:13 cycle 13 of", b"q"),
+            ("space pauses", b" "),
+            ("12:00:01 cycle 1 of", b" "),
+            (" paused", b"q"),
             ("replayed ", b""),
         ):
             while awaited not in seen:
