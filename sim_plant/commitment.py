@@ -110,7 +110,10 @@ def commitment_kw(
         case ShareOfClearSky(share=share):
             return share * clear_sky_kw(times)
         case BelowAvailable(share=share, window_s=window_s):
-            return share * _centred_mean(available_kw, window_s / (step_ns(times) / 1e9))
+            # As many values before as after, fewer at the ends.
+            half = max(round((window_s / (step_ns(times) / 1e9) - 1.0) / 2.0), 0)
+            window = pd.Series(available_kw).rolling(2 * half + 1, min_periods=1, center=True)
+            return share * window.mean().to_numpy()
         case ScheduledCommitment(path=path):
             return read_schedule_kw(data_path(path), times)
 
@@ -139,15 +142,3 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
     check_coverage(f"{path.name}: expected a schedule", begins, last_ns, times)
     held: Floats = power_kw[begins.searchsorted(times, side="right") - 1]
     return held
-
-
-def _centred_mean(series: Floats, window: float) -> Floats:
-    """Mean over as many values before as after, fewer at the ends."""
-    half = max(round((window - 1.0) / 2.0), 0)
-    row = np.arange(len(series))
-    first = np.maximum(row - half, 0)
-    after = np.minimum(row + half + 1, len(series))
-    total = np.concatenate([[0.0], np.cumsum(series)])
-    mean: Floats = (total[after] - total[first]) / (after - first)
-    # Differences of sums round: a mean of powers is none below zero.
-    return np.maximum(mean, 0.0)

@@ -40,12 +40,13 @@ class CsvTable:
             raise self.error(int(repeated.argmax()), column, "a name that no other line has")
         return names
 
-    def places(self, column: str) -> tuple[tuple[str, ...], Floats, Floats]:
-        """Return the names in a column, each once, and the columns `lat` and `lon` [degree]."""
+    def places(self, column: str) -> pd.DataFrame:
+        """Return `lat` and `lon` [degree] by the names in a column, none of which comes twice."""
         self.check_header((column, "lat", "lon"))
         lat_deg = self.numbers(("lat",), "degrees from -90 to 90", -90.0, 90.0)
         lon_deg = self.numbers(("lon",), "degrees from -180 to 180", -180.0, 180.0)
-        return self.unique_names(column), lat_deg[:, 0], lon_deg[:, 0]
+        names = list(self.unique_names(column))
+        return pd.DataFrame(np.hstack([lat_deg, lon_deg]), names, ["lat", "lon"])
 
     def error(self, row: int, column: str, expected: str) -> InputError:
         text = self.text(column)

@@ -27,7 +27,6 @@ import numpy as np
 import pandas as pd
 
 from bus_schemas.errors import InputError
-from sim_plant import Floats
 from sim_plant.irradiance import Irradiance
 from sim_plant.sites import east_north_m
 
@@ -41,57 +40,53 @@ _SAME_PLACE_M: Final = 1.0
 def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
     """Fill missing values (NaN), and report for each sensor what was filled."""
     ghi_wm2 = irradiance.ghi_wm2
-    missing = np.isnan(ghi_wm2)
-    all_missing = np.asarray(missing.all(axis=1), dtype=np.bool_)
-    east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
-    distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
-    distance_m = np.maximum(distance_m, _SAME_PLACE_M)
-    filled = ghi_wm2.copy()
-    report = list(irradiance.report)
-    for sensor in np.flatnonzero((missing & ~all_missing[:, None]).any(axis=0)):
-        gaps = missing[:, sensor] & ~all_missing
-        order = np.argsort(distance_m[sensor], kind="stable")
-        order = order[order != sensor]
-        mean_wm2 = _weighted_mean(ghi_wm2[:, order], distance_m[sensor, order])
-        level = _level(ghi_wm2[:, sensor], mean_wm2)
-        filled[gaps, sensor] = level * mean_wm2[gaps]
+    all_missing = ghi_wm2.isna().all(axis=1)
+    gaps = ghi_wm2.isna().loc[~all_missing]
+    distances_m = _distances_m(irradiance.places)
+    filled, report = ghi_wm2.copy(), list(irradiance.report)
+    for sensor in gaps.columns[gaps.any()]:
+        others = distances_m[sensor].drop(sensor).sort_values(kind="stable")
+        mean_wm2 = _weighted_mean(ghi_wm2[others.index], others)
+        level = _level(ghi_wm2[sensor], mean_wm2)
+        times = gaps.index[gaps[sensor]]
+        filled.loc[times, sensor] = level * mean_wm2[times]
         report.append(
-            f"{irradiance.sensors[sensor]}: {int(gaps.sum()):,} of {len(gaps):,} values missing,"
+            f"{sensor}: {len(times):,} of {len(ghi_wm2):,} values missing,"
             f" filled from the nearest sensors times {level:.3f}"
         )
     if all_missing.any():
-        lines = pd.DataFrame(filled).interpolate(limit=_LONGEST_LINE, limit_area="inside")
-        filled = lines.to_numpy()
-        left = np.isnan(filled).any(axis=1)
-        if left.any():
+        filled = filled.interpolate(limit=_LONGEST_LINE, limit_area="inside")
+        unfilled = filled.isna().any(axis=1).to_numpy()
+        if unfilled.any():
             raise InputError(
-                f"{irradiance.source}: line {left.argmax() + 1}: expected at most {_LONGEST_LINE} "
-                "lines without any value, between lines with values"
+                f"{irradiance.source}: line {unfilled.argmax() + 1}: expected at most "
+                f"{_LONGEST_LINE} lines without any value, between lines with values"
             )
         report.append(
-            f"all sensors: {int(all_missing.sum()):,} of {len(all_missing):,} values missing at the"
+            f"all sensors: {all_missing.sum():,} of {len(ghi_wm2):,} values missing at the"
             " same time, interpolated from the values before and after"
         )
     return replace(irradiance, ghi_wm2=filled, report=tuple(report))
 
 
-def _weighted_mean(ghi_wm2: Floats, distance_m: Floats) -> Floats:
+def _distances_m(places: pd.DataFrame) -> pd.DataFrame:
+    east_m, north_m = east_north_m(places["lat"].to_numpy(), places["lon"].to_numpy())
+    distances_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
+    return pd.DataFrame(np.maximum(distances_m, _SAME_PLACE_M), places.index, places.index)
+
+
+def _weighted_mean(ghi_wm2: pd.DataFrame, distances_m: pd.Series) -> pd.Series:
     """Mean of the nearest sensors that have a value, NaN where none has.
 
     The sensors are given in the order of their distance.
     """
-    there = ~np.isnan(ghi_wm2)
-    used = there & (np.cumsum(there, axis=1) <= _NEAREST)
-    weight = used / distance_m**2
-    total = weight.sum(axis=1)
-    weighted = (np.where(used, ghi_wm2, 0.0) * weight).sum(axis=1)
-    return np.asarray(
-        np.divide(weighted, total, out=np.full(len(total), np.nan), where=total > 0.0)
-    )
+    there = ghi_wm2.notna()
+    weight = (there & (there.cumsum(axis=1) <= _NEAREST)) / distances_m**2
+    return (ghi_wm2 * weight).sum(axis=1) / weight.sum(axis=1)
 
 
-def _level(own_wm2: Floats, mean_wm2: Floats) -> float:
+def _level(own_wm2: pd.Series, mean_wm2: pd.Series) -> float:
     """Ratio of the sensor to its neighbours while both were there; 1 where that says nothing."""
-    both = ~np.isnan(own_wm2) & ~np.isnan(mean_wm2)
+    both = own_wm2.notna() & mean_wm2.notna()
     of_neighbours = float(mean_wm2[both].sum())
     return float(own_wm2[both].sum()) / of_neighbours if of_neighbours > 0.0 else 1.0

@@ -20,20 +20,27 @@ _KILOWATT_BELOW = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Irradiance:
-    """GHI of N sensors at T time stamps.
+    """GHI of some sensors.
 
-    `times` are UTC with one constant step. `ghi_wm2` has the shape (T, N) and is never negative.
-    Coordinates [degree] have the shape (N,), north and east are positive. `source` is the file;
-    `report` has a line for each sensor that was filled or left out.
+    ghi_wm2: A column for each sensor, a row for each UTC time, with one constant step; none is
+        negative.
+    places: `lat` and `lon` of each sensor [degree], north and east positive.
+    source: The file.
+    report: A line for each sensor that was filled or left out.
     """
 
-    times: pd.DatetimeIndex
-    ghi_wm2: Floats
-    sensors: tuple[str, ...]
-    lat_deg: Floats
-    lon_deg: Floats
+    ghi_wm2: pd.DataFrame
+    places: pd.DataFrame
     source: str
     report: tuple[str, ...] = ()
+
+    @property
+    def times(self) -> pd.DatetimeIndex:
+        return pd.DatetimeIndex(self.ghi_wm2.index)
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        return tuple(self.ghi_wm2.columns)
 
 
 def read_measured_ghi(
@@ -62,25 +69,23 @@ def read_measured_ghi(
             )
     wanted = tuple(known if stations is None else stations)
     check_stations(wanted, known, f"{table.name}: line 1: stations")
-    lat_deg, lon_deg = read_positions(positions_csv, wanted)
-    ghi_wm2 = table.numbers(wanted, "a number in W/m2")
-    check_ghi(table, wanted, ghi_wm2)
+    places = read_places(positions_csv, wanted)
+    ghi_wm2 = checked_ghi(table, wanted, table.numbers(wanted, "a number in W/m2"))
     times = table.times(stamp)
     table.check_steady(stamp, times.asi8)
-    return Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg, str(ghi_csv))
+    return Irradiance(ghi_wm2.set_index(times), places, str(ghi_csv))
 
 
-def read_positions(path: Path, stations: Sequence[str]) -> tuple[Floats, Floats]:
-    """Return latitudes and longitudes of stations [degree], from a CSV `station, lat, lon`."""
-    names, lat_deg, lon_deg = read_csv(path).places("station")
-    if missing := [name for name in stations if name not in names]:
+def read_places(path: Path, stations: Sequence[str]) -> pd.DataFrame:
+    """Return `lat` and `lon` of stations [degree], from a CSV `station, lat, lon`."""
+    places = read_csv(path).places("station")
+    if missing := [name for name in stations if name not in places.index]:
         raise InputError(f"{path.name}: expected a line for each station, got none for {missing}")
-    rows = [names.index(name) for name in stations]
-    return lat_deg[rows], lon_deg[rows]
+    return places.loc[list(stations)]
 
 
-def check_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> None:
-    """Refuse values that are no global horizontal irradiance in W/m^2; NaN stands for a gap."""
+def checked_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> pd.DataFrame:
+    """Return GHI of sensors without negatives, after a check that it is in W/m^2; NaN is a gap."""
     bad = np.argwhere((ghi_wm2 < GHI_MIN_WM2) | (ghi_wm2 > GHI_MAX_WM2))
     if bad.size:
         row, column = bad[0]
@@ -92,6 +97,7 @@ def check_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> None:
             f"{table.name}: expected W/m2, with a maximum of at least {_KILOWATT_BELOW:g}, got at "
             f"most {largest:g}, which seems to be in kW/m2"
         )
+    return pd.DataFrame(np.maximum(ghi_wm2, 0.0), columns=list(columns))
 
 
 def check_stations(stations: Sequence[str], known: Sequence[str], where: str) -> None:

@@ -24,7 +24,7 @@ import pandas as pd
 from bus_schemas.errors import InputError
 from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.gap_filling import fill_from_neighbours
-from sim_plant.irradiance import Irradiance, check_ghi, check_stations, read_positions
+from sim_plant.irradiance import Irradiance, check_stations, checked_ghi, read_places
 
 MISSING: Final = -99999.0
 
@@ -56,7 +56,7 @@ def read_day(
     """
     wanted = HORIZONTAL if stations is None else tuple(stations)
     check_stations(wanted, HORIZONTAL, "stations")
-    lat_deg, lon_deg = read_positions(positions_csv, wanted)
+    places = read_places(positions_csv, wanted)
     path = folder / f"{day:%Y%m%d}.txt"
     table = read_csv(path, _FIELDS)
     if table.fields.shape[1] != len(_FIELDS):
@@ -67,8 +67,7 @@ def read_day(
         expected, lowest = "no missing value, as irradiance.gaps is 'refuse'", MISSING + 1.0
     ghi_wm2 = table.numbers(wanted, expected, lowest)
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
-    check_ghi(table, wanted, ghi_wm2)
-    found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg, str(path))
+    found = Irradiance(checked_ghi(table, wanted, ghi_wm2).set_index(times), places, str(path))
     if most_missing is None:
         return found
     complete = fill_from_neighbours(_without_sparse(found, most_missing))
@@ -103,23 +102,16 @@ def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:
 
 def _without_sparse(found: Irradiance, most_missing: float) -> Irradiance:
     """Leave out the sensors of which too much is missing."""
-    missing = np.isnan(found.ghi_wm2).sum(axis=0)
-    total = len(found.times)
+    missing = found.ghi_wm2.isna().sum()
+    total = len(found.ghi_wm2)
     kept = missing <= most_missing * total
     limit = f"more than {100.0 * most_missing:g} % of the day"
     if not kept.any():
         raise InputError(
             f"{found.source}: expected at least one sensor with data, got {limit} missing of each"
         )
-    names = np.array(found.sensors)
-    return replace(
-        found,
-        ghi_wm2=found.ghi_wm2[:, kept],
-        sensors=tuple(names[kept].tolist()),
-        lat_deg=found.lat_deg[kept],
-        lon_deg=found.lon_deg[kept],
-        report=tuple(
-            f"{name}: {count:,} of {total:,} values missing, {limit}: left out, with its inverter"
-            for name, count in zip(names[~kept], missing[~kept], strict=True)
-        ),
+    report = tuple(
+        f"{name}: {count:,} of {total:,} values missing, {limit}: left out, with its inverter"
+        for name, count in missing[~kept].items()
     )
+    return Irradiance(found.ghi_wm2.loc[:, kept], found.places[kept], found.source, report)

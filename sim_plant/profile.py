@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from bus_schemas.errors import InputError
 from sim_plant import Floats
-
-LARGEST_BYTES: Final = 2_500_000_000
-"""Of a profile's arrays: those of the largest run that a plan may have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +43,10 @@ class Profile:
 
 def load_profile(path: Path) -> Profile:
     try:
-        with zipfile.ZipFile(path) as archive:
-            sizes = [entry.file_size for entry in archive.infolist()]
-        if sum(sizes) > LARGEST_BYTES:  # A small file can hold far more than the memory.
-            raise InputError(f"{sum(sizes):,} bytes")
         with np.load(path) as archive:
             found = {one.name: archive[one.name] for one in fields(Profile)}
         capacity_kw = float(found.pop("regulation_capacity_kw"))
         return Profile(**found, regulation_capacity_kw=capacity_kw)
     except Exception as error:  # A damaged archive can fail in numpy, zip or anywhere below.
-        got = str(error) if isinstance(error, InputError) else type(error).__name__
+        got = type(error).__name__
         raise InputError(f"{path}: expected the profile.npz of a run, got: {got}") from None

@@ -118,7 +118,7 @@ class MeasuredPlant:
 
 def measured_sky(sky: PlantUnderSky, irradiance: Irradiance) -> MeasuredPlant:
     """Return a plant with one inverter at each sensor of measured irradiance."""
-    power_kw = sky.power_kw(irradiance.ghi_wm2, irradiance.times)
+    power_kw = sky.power_kw(irradiance.ghi_wm2.to_numpy(), irradiance.times)
     source, report = irradiance.source, irradiance.report
     return MeasuredPlant(sky.sites, irradiance.times, power_kw, source, report, sky)
 

@@ -141,10 +141,11 @@ def test_changes_are_those_of_measurements(data_folder: Path) -> None:
     table = pd.read_csv(folder / "positions.csv", dtype={"station": str}).set_index("station")
     east_m, north_m = table.loc[list(read.sensors), ["x_m", "y_m"]].to_numpy(dtype=np.float64).T
     settings = CloudSettings(cloud_cover=0.87, drift_speed_ms=19.3)
-    time_s = np.arange(float(len(read.ghi_wm2)))
+    measured = read.ghi_wm2.to_numpy()
+    time_s = np.arange(float(len(measured)))
     synthetic = clouds.clear_sky_index(time_s, east_m, north_m, settings, 1)
     # HOPE has values above what reaches the atmosphere: a high quantile stands for a clear sky.
-    skies = [sky / np.quantile(sky, 0.95, axis=0) for sky in (read.ghi_wm2, synthetic)]
+    skies = [sky / np.quantile(sky, 0.95, axis=0) for sky in (measured, synthetic)]
     for interval_s in (1, 10, 30):
         of_measured, of_synthetic = (
             np.quantile(np.abs(changes(np.asarray(sky), interval_s)), 0.99) for sky in skies

@@ -223,13 +223,3 @@ def test_what_is_no_profile_is_refused(tmp_path: Path) -> None:
     assert complaint_of(load_profile, path).startswith(f"{path}: ")
     np.savez_compressed(path, mpp_kw=np.zeros((2, 1)))
     assert complaint_of(load_profile, path).startswith(f"{path}: ")
-
-
-def test_a_small_profile_that_would_fill_the_memory_is_refused_unread(tmp_path: Path) -> None:
-    path = tmp_path / "profile.npz"
-    Profile(np.zeros((2, 1)), np.zeros(2)).save(path)
-    content = bytearray(path.read_bytes())
-    entry = content.index(b"PK\x01\x02")  # Of the directory; the size stands at its byte 24.
-    content[entry + 24 : entry + 28] = (3_000_000_000).to_bytes(4, "little")
-    path.write_bytes(content)
-    assert "3,000,0" in complaint_of(load_profile, path)
