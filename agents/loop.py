@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Collection
-from math import ceil
 from typing import Final, Generic, TypeVar
 
 import msgspec
@@ -35,18 +34,7 @@ BEFORE_ARMING: Final = -(2**31)
 _PLANT_HORIZON: Final = 1_000
 """Cycles by which controllers may be ahead of a plant that stood still."""
 
-_SUSPENDED_S: Final = 2.0
-
 _DISPATCH: Final = DISPATCH.of(ROOT)
-
-
-def most_behind(plan: RunPlan) -> int:
-    """Return how many cycles the plant may be behind and still go through each of them.
-
-    After that, as when its machine was suspended, it goes to the cycle under way as all others do.
-    """
-    at_once = ceil(_SUSPENDED_S * 1e9 / max(plan.timing.cycle_wall_ns, 1))
-    return max(plan.control.hold_cycles, at_once)
 
 
 class Loop(Generic[S]):
@@ -74,8 +62,7 @@ class Loop(Generic[S]):
         # The plant, which goes through every cycle, hears controllers that did not wait for it.
         horizon = plan.control.periods.longest + 1 if agent.may_skip else _PLANT_HORIZON
         self.inputs = Inputs(plan, agent.name, horizon, on_drop)
-        self._most_behind = 0 if agent.may_skip else most_behind(plan)
-        self.times = RunTimes(plan.timing, plan.deadlines, agent.name)
+        self.times = RunTimes(plan, agent)
         self.standby = Standby(plan, agent.name, self.name)
         self.cycle = BEFORE_ARMING
         self.waiting: set[Port[Message]] = set()
@@ -210,8 +197,8 @@ class Loop(Generic[S]):
 
     def catch_up(self, now_ns: int) -> bool:
         """Go to the cycle under way if the agent's own is over; return whether it was."""
-        under_way = None if self.finished else self.times.cycle_at(now_ns)
-        if under_way is None or under_way <= self.cycle + self._most_behind:
+        under_way = None if self.finished else self.times.goes_on_in(self.cycle, now_ns)
+        if under_way is None:
             return False
         if not self.agent.may_skip:
             log.warning("cycles %d to %d are missed: they were over", self.cycle, under_way - 1)

@@ -351,8 +351,6 @@ class _Version(msgspec.Struct):
 
 def load_plan(path: Path) -> RunPlan:
     try:
-        if path.exists() and not path.is_file():  # A pipe would be waited for.
-            raise InputError("no file")
         data = path.read_bytes()
         protocol = msgspec.json.decode(data, type=_Version).protocol
         if protocol != PROTOCOL:

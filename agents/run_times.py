@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import logging
 from functools import cache, partial
+from math import ceil
+from typing import Any, Final
 
-from agents.cycle import Deadlines
-from agents.plan import Timing
+from agents.agent import Agent
+from agents.plan import RunPlan
 
 log = logging.getLogger(__name__)
+
+_SUSPENDED_S: Final = 2.0
+"""A plant that is further behind goes to the cycle under way as all others do: its machine was
+suspended. Up to this or to the hold it goes through each cycle."""
 
 
 class RunTimes:
@@ -20,13 +26,15 @@ class RunTimes:
     skipped_cycles: Cycles that were over before the agent was through them.
     """
 
-    def __init__(self, timing: Timing, deadlines: Deadlines, agent: str) -> None:
-        self.timing = timing
+    def __init__(self, plan: RunPlan, agent: Agent[Any]) -> None:
+        self.timing = timing = plan.timing
         self.start_ns: int | None = None
         self.end_cycle = timing.cycles
         self.stop_heard = False
         self.skipped_cycles = 0
-        self._deadline_after_ns = cache(partial(deadlines.deadline_ns, agent))
+        suspended = ceil(_SUSPENDED_S * 1e9 / max(timing.cycle_wall_ns, 1))
+        self._most_behind = 0 if agent.may_skip else max(plan.control.hold_cycles, suspended)
+        self._deadline_after_ns = cache(partial(plan.deadlines.deadline_ns, agent.name))
 
     def start(self, start_ns: int) -> None:
         if not self.timing.lockstep:
@@ -53,11 +61,13 @@ class RunTimes:
         """Return when a cycle, or a part of it, begins; lockstep has no such time."""
         return (self.start_ns or 0) + round(cycle * self.timing.cycle_wall_ns)
 
-    def cycle_at(self, now_ns: int) -> int | None:
-        """Return the cycle under way by the clock; None: no clock says."""
+    def goes_on_in(self, cycle: int, now_ns: int) -> int | None:
+        """Return the cycle under way if an agent in this cycle is too far behind it."""
         if self.start_ns is None:
             return None
-        return min((now_ns - self.start_ns) // self.timing.cycle_wall_ns, self.end_cycle)
+        under_way = (now_ns - self.start_ns) // self.timing.cycle_wall_ns
+        is_behind = min(under_way, self.end_cycle) > cycle + self._most_behind
+        return min(under_way, self.end_cycle) if is_behind else None
 
     def forget_stop(self) -> None:
         """Let the run end where the plan says: the plant has begun a cycle after a stop."""

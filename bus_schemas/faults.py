@@ -36,12 +36,22 @@ class _LinkRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_fie
     """A fault of links."""
 
 
-class Disturbance(_LinkRule, frozen=True, kw_only=True, tag="disturbance"):
-    """Messages come late, twice, in another order, or not at all.
+class _OneWay(_LinkRule, frozen=True, kw_only=True):
+    """A fault of links in one direction.
 
     source: Publishing agent: `plant`, `c2/inv07`, or a pattern such as `c1/*`.
-    listener: Receiving agent, named in the same way.
+    listener: Receiving agent, in the same form.
     signal: Name of a cyclic signal. Default: any.
+    """
+
+    source: str = "*"
+    listener: str = "*"
+    signal: str | None = None
+
+
+class Disturbance(_OneWay, frozen=True, kw_only=True, tag="disturbance"):
+    """Messages come late, twice, in another order, or not at all.
+
     delay_ms: Delay of each message [ms].
     jitter_ms: Spread of the delay [ms]; it is never below 0.
     distribution: How delays are spread; `jitter_ms` is the range (±) or standard deviation.
@@ -52,12 +62,9 @@ class Disturbance(_LinkRule, frozen=True, kw_only=True, tag="disturbance"):
     at: Beginning and end, in simulated time since cycle 0 [s]. Default: always.
     """
 
-    source: str = "*"
-    listener: str = "*"
-    signal: str | None = None
     delay_ms: Milliseconds = 0.0
     jitter_ms: Milliseconds = 0.0
-    distribution: Literal["fixed", "uniform", "normal"] = "uniform"
+    distribution: Literal["uniform", "normal"] = "uniform"
     loss: Share = 0.0
     duplicate: Share = 0.0
     reorder: Share = 0.0
@@ -70,18 +77,12 @@ class Disturbance(_LinkRule, frozen=True, kw_only=True, tag="disturbance"):
         return self.delay_ms if self.reorder_ms is None else self.reorder_ms
 
 
-class Blackout(_LinkRule, frozen=True, kw_only=True, tag="blackout"):
+class Blackout(_OneWay, frozen=True, kw_only=True, tag="blackout"):
     """Nothing arrives.
 
-    source: Publishing agent: `plant`, `c2/inv07`, or a pattern such as `c1/*`.
-    listener: Receiving agent, named in the same way.
-    signal: Name of a cyclic signal. Default: any.
     at: Beginning and end, in simulated time since cycle 0 [s].
     """
 
-    source: str = "*"
-    listener: str = "*"
-    signal: str | None = None
     at: Interval
 
 
@@ -167,8 +168,6 @@ def interval_objections(at: Interval) -> Iterator[str]:
 
 
 def _disturbance_objections(fault: Disturbance) -> Iterator[str]:
-    if fault.distribution == "fixed" and fault.jitter_ms:
-        yield "distribution: expected uniform or normal with jitter, got fixed"
     if fault.reorder and not fault.held_back_ms:
         yield "reorder: expected a delay or reorder-by (reorder_ms) above 0 with it, got none"
     if not any((fault.delay_ms, fault.jitter_ms, fault.loss, fault.duplicate, fault.reorder)):

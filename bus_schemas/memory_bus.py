@@ -13,7 +13,7 @@ from itertools import count
 
 from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.messages import Message
-from bus_schemas.network_faults import UNHARMED, FaultTally, NetworkFaults
+from bus_schemas.network_faults import UNHARMED, NetworkFaults
 from bus_schemas.signals import Port
 from bus_schemas.tree import agent_of
 from bus_schemas.wiring import Wiring
@@ -45,11 +45,10 @@ class MemoryBus:
         faults: NetworkFaults | None = None,
     ) -> None:
         self.outbox = Outbox()
-        self.tally = FaultTally()
         self._listeners = wiring.processes
         self._on_publish = on_publish
         self._clock = clock
-        self._faults = faults
+        self.faults = faults
         self._arrived: deque[Arrival] = deque()
         # The numbers keep the order of what happens at one moment, and messages uncompared.
         self._numbers = count()
@@ -68,7 +67,7 @@ class MemoryBus:
         self.outbox.stamp(port, message, now_ns)
         if self._on_publish is not None:
             self._on_publish(port, message)
-        faults, arrived = self._faults, self._arrived
+        faults, arrived = self.faults, self._arrived
         for agent in self._listeners[port]:
             fate = UNHARMED if faults is None else faults.fates(port, agent_of(agent), message)
             if fate is UNHARMED:
@@ -105,7 +104,6 @@ class MemoryBus:
         return True
 
     def _send(self, arrival: Arrival, fate: tuple[int, ...]) -> None:
-        self.tally.count(fate)
         for delay_ns in fate:
             if delay_ns:
                 late = arrival._replace(time_ns=arrival.time_ns + delay_ns)

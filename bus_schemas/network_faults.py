@@ -24,15 +24,6 @@ UNHARMED: Final[tuple[int, ...]] = (0,)
 """Fate of a message that arrives once and without delay."""
 
 
-class FaultTally(Counter[str]):
-    """What faults did to messages: of a lost one no copy arrived."""
-
-    def count(self, fate: tuple[int, ...]) -> None:
-        self["lost"] += not fate
-        self["duplicated"] += len(fate) > 1
-        self["delayed"] += any(fate)
-
-
 class FaultAct(msgspec.Struct):
     """How many messages a fault acted on, once for each listener, and in which cycles."""
 
@@ -55,12 +46,14 @@ class NetworkFaults:
     faults: By their numbers among all faults of the run, on which the draws depend.
     cycle_ns: Length of a cycle in simulated time [ns].
     acts: What each fault has done so far, by its number.
+    tally: How many messages were lost (no copy arrived), duplicated and delayed so far.
     """
 
     def __init__(
         self, faults: Mapping[int, LinkFault], seed: int, tree: ControlTree, cycle_ns: int
     ) -> None:
         self.acts = {number: FaultAct() for number in faults}
+        self.tally: Counter[str] = Counter()
         self._cycle_s = cycle_ns / 1e9
         self._faults_on: dict[tuple[Port[Message], str], list[_FaultOnLink]] = {}
         for port, listener in links(tree):
@@ -87,14 +80,15 @@ class NetworkFaults:
         cuts = [each.act for each in active if not isinstance(each.fault, Disturbance)]
         for act in cuts:
             act.add(cycle)
-        if cuts:
-            return ()
-        delays_ms = [0.0]
+        delays_ms = [] if cuts else [0.0]
         for each in active:
             before_ms = delays_ms
             delays_ms = each.pass_on(cycle, before_ms)
             if delays_ms != before_ms:
                 each.act.add(cycle)
+        self.tally["lost"] += not delays_ms
+        self.tally["duplicated"] += len(delays_ms) > 1
+        self.tally["delayed"] += any(delays_ms)
         return tuple(round(delay_ms * 1e6) for delay_ms in delays_ms)
 
 
@@ -135,7 +129,7 @@ class _FaultOnLink:
 
 def _jitter_ms(fault: Disturbance, one: float, other: float) -> float:
     """Return the jitter that two draws in [0, 1) stand for [ms]."""
-    if fault.jitter_ms == 0.0 or fault.distribution == "fixed":
+    if fault.jitter_ms == 0.0:
         return 0.0
     if fault.distribution == "uniform":
         return fault.jitter_ms * (2.0 * one - 1.0)

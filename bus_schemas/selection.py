@@ -34,24 +34,22 @@ def find_signals(
 def find_nodes(
     tree: ControlTree, names: str | Iterable[str], where: str = "--nodes"
 ) -> tuple[str, ...]:
-    """Return the paths of some nodes: the one grammar of `--nodes`.
-
-    A name is `c2/inv07`, `c1`, `central`, or `c1/*`: a node and all below it; `*` is all nodes. One
-    text may hold several with commas between them.
-    """
-    return tuple(ROOT if agent == CENTRAL else agent for agent in _agents(tree, names, where, ()))
+    """Return the paths of the nodes that `find_agents` finds."""
+    agents = find_agents(tree, names, where, also=())
+    return tuple(ROOT if agent == CENTRAL else agent for agent in agents)
 
 
 def find_agents(
-    tree: ControlTree, names: str | Iterable[str], where: str = "--nodes"
+    tree: ControlTree,
+    names: str | Iterable[str],
+    where: str = "--nodes",
+    also: tuple[str, ...] = (PLANT,),
 ) -> tuple[str, ...]:
-    """Return the names of some agents: those of `find_nodes`, and `plant`."""
-    return _agents(tree, names, where, (PLANT,))
+    """Return the names of some agents: the one grammar of `--nodes`.
 
-
-def _agents(
-    tree: ControlTree, names: str | Iterable[str], where: str, also: tuple[str, ...]
-) -> tuple[str, ...]:
+    A name is `c2/inv07`, `c1`, `central`, one of `also`, or `c1/*`: a node and all below it; `*` is
+    all nodes. One text may hold several with commas between them.
+    """
     team = (*also, *(agent_name(node) for node in tree.nodes))
     if isinstance(names, str):
         words = _words(names, where)

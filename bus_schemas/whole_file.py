@@ -51,8 +51,6 @@ def check_new(path: Path) -> None:
     """Refuse a place where nothing new can be put."""
     if path.exists() or path.is_symlink():
         raise InputError(f"--out {path}: it exists already, expected a new name")
-    if not path.absolute().parent.is_dir():
-        raise InputError(f"--out {path}: expected a new name in an existing folder")
     if not os.access(path.absolute().parent, os.W_OK):
         raise InputError(f"--out {path}: expected a new name in a folder that can be written to")
 

@@ -123,8 +123,6 @@ class CsvTable:
 
 def read_csv(path: Path, header: tuple[str, ...] = ()) -> CsvTable:
     """Read a CSV file; its first line is the header unless that is given."""
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: expected a file, got a folder, a pipe or a device")
     try:
         # A spreadsheet may have put a byte order mark first.
         text = path.read_text(encoding="utf-8-sig").rstrip("\r\n")

@@ -104,9 +104,9 @@ async def _listening(
             try:
                 await server.serve_forever(background=True)
             except (RuntimeError, OverflowError):  # No port is above 65535.
-                raise InputError(
-                    f"inverters: expected a free port of this machine, got {host} port {wanted}"
-                ) from None
+                expected = "an address and free port of this machine"
+                got = f"{host} port {wanted}"
+                raise InputError(f"--address: expected {expected}, got {got}") from None
             transport = server.transport
             assert isinstance(transport, asyncio.Server)
             found = transport.sockets[0].getsockname()[1]

@@ -20,7 +20,6 @@ from agents.plan import RunPlan
 from bus_schemas.errors import InputError, listed
 from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.messages import Message
-from bus_schemas.network_faults import FaultTally
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER, standby_of
 from recordings.inspect.absences import Absence, Absences
@@ -142,7 +141,6 @@ class HealthWatch:
         self._plan = plan
         # The fate of a message follows from its link and cycle, so it can be worked out again here.
         self._faults = plan.network_faults()
-        self._tally = FaultTally()
         self._absences = Absences(plan, cycles.start)
         self._missed = MissedInputs(plan)
 
@@ -172,7 +170,7 @@ class HealthWatch:
         document = summary_in(run.path.parent, run.plan, RunDocument)
         return Health(
             fault_effects=tuple(self._effects(run.last_cycle)),
-            faults=dict(+self._tally),
+            faults=dict(+self._faults.tally),
             lost=dict(lost.most_common()),
             repeated=sum(gaps.repeated for gaps in ports.values()),
             misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
@@ -199,7 +197,7 @@ class HealthWatch:
         """Work out the fate of a message on its way to each listener that is not external."""
         for listener in self._plan.wiring.listeners[port]:
             if listener not in self._plan.access.external:
-                self._tally.count(self._faults.fates(port, listener, message))
+                self._faults.fates(port, listener, message)
 
 
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:

@@ -67,7 +67,8 @@ def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
     prepared = prepare(load_scenario("valley"), words, "faults")
     run, sent = run_with(prepared, prepared.plan.faults.rules)
     assert any(port.signal is HELP for port, _ in sent.messages)
-    assert (missed(run), +run.bus.tally) == (0, {})
+    assert run.bus.faults is not None
+    assert (missed(run), +run.bus.faults.tally) == (0, {})
     assert decisions(sent) == decisions(run_with(valley, ())[1])
     for _, message in sent.messages:
         last = message.cycle - (message.cycle == CYCLES)  # The stop comes after the last cycle.

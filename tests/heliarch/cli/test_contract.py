@@ -140,10 +140,11 @@ BAD: Final = {
     "--scheme magic, --set commitment.share, --set no.such=1, --fault loss=2, --out run, "
     "--out /dev/null/run, --data nowhere, --page-port 8000, --page-address 0.0.0.0",
     "launch": "--external c9, --external recorder, --external-timeout 0, --external-timeout nan, "
-    "--base-port 80, --base-port 65533, --cpus x, --device c9=modbus://10.0.0.7/1, --on c2/*, "
+    "--base-port 80, --base-port 65533, --cpus x, --device c9=modbus://10.0.0.7/1, "
+    "--device c1/inv01=127.0.0.1:502, --on c2/*, "
     "--on 127.0.0.2=c9, --on 127.0.0.2=plant, --on lab=c2, --on 10.0.0.2=c2/*",
     "node": "--plan nowhere.json, --host 127.0.0.3, --keys run",
-    "inverters": "--port -1, --from noon",
+    "inverters": "--port -1, --address 203.0.113.1, --from noon",
     "timing": "--rate 20, --priority 20, --page-port 8000",
     "conform": "--pace 0, --tolerance -1, --external-timeout 0, --command {plan",
     "view": "--page-port -1, --page-address moon",
@@ -190,6 +191,8 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "launch small.toml --address 10.1.2.3",
         "launch small.toml --keys keys/small",
         "launch small.toml --device c1/inv01=modbus://127.0.0.1/1",
+        "launch small.toml --pace 1 --actuator fraction --device c1/inv01=modbus://h/1",
+        "launch small.toml --pace 1 --device meter=modbus://127.0.0.1:1/1",
         "launch small.toml --external c1/inv01 --on 127.0.0.2=c1/*",
         "launch small.toml --on 127.0.0.2=c2 --on 127.0.0.3=c2/*",
         "launch small.toml --pace 1 --on 127.0.0.2=c1 --fault kill=c1,at=2s",
@@ -217,6 +220,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "conform c9 --scenario small.toml",
         "node --plan here.json --host 127.0.0.2",
         "inverters small.toml --base-port 65534 --duration 1",
+        "inverters small.toml --port 22000 --base-port 30000",
         "nonsense",
     ],
 )
