@@ -5,7 +5,7 @@ The names in errors are those of the command line.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeAlias, get_args
@@ -206,7 +206,7 @@ class RunOptions(SpanOptions, PlantOptions, ProcessOptions):
         return cls(**fields)
 
 
-def check_names(where: str, names: str | Sequence[str] | None, known: Sequence[str]) -> None:
+def check_names(where: str, names: str | Iterable[str] | None, known: Collection[str]) -> None:
     """Refuse names that are not known."""
     for name in [names] if isinstance(names, str) else names or ():
         if name not in known:

@@ -60,7 +60,11 @@ def run_command(words: Sequence[str]) -> NoReturn:
     """
     with boundary():
         if words:
-            status = app(checked(words))
+            command, bound, rest = app.parse_args(checked(words))
+            if "given" in rest:
+                options = (word.partition("=")[0] for word in words if word[:2] == "--")
+                bound.arguments["given"] = frozenset(one.replace("_", "-") for one in options)
+            status = command(*bound.args, **bound.kwargs)
         else:
             app.help_print([])
             status = BAD_INPUT

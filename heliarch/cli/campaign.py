@@ -51,8 +51,9 @@ def campaign(
     from studies.campaign import results, study
     from studies.compare.cases import parse_seeds
 
+    listed, options = parse_seeds(seeds), RunOptions(start=start, duration=duration)
     changed = changed_scenario(scenario, files.data, settings)
-    preparation = prepare(changed, RunOptions(start=start, duration=duration), "campaign")
+    preparation = prepare(changed, options, "campaign")
     plan = preparation.plan
     length_s, least_s = plan.timing.cycles * plan.timing.cycle_ns / 1e9, study.least_length_s(plan)
     if length_s < least_s:
@@ -60,7 +61,7 @@ def campaign(
     if plan.supervision.restart.when == "never":
         raise InputError("restart.when: expected that controllers come back, got never")
     found = study.campaign(preparation)
-    outcomes = shared(partial(study.run_seed, found), parse_seeds(seeds), workers, "runs")
+    outcomes = shared(partial(study.run_seed, found), listed, workers, "runs")
     broken = [outcome for outcome in outcomes if outcome.violations]
     # The command that repeats a run, without the faults and standbys of its seed.
     words = ["heliarch", "simulate", scenario, "--duration", duration]

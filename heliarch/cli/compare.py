@@ -11,21 +11,22 @@ from typing import TYPE_CHECKING, Annotated, Final, cast, get_args
 from cyclopts import Parameter
 
 from agents.settings import Actuator
-from bus_schemas.errors import InputError, not_one_of
+from bus_schemas.errors import InputError
 from bus_schemas.whole_file import whole_file
 from heliarch.cli.options import (
     FILES,
+    Given,
     ResultOptions,
     Settings,
     Workers,
     is_run,
     new_table,
-    refuse_given,
+    refuse_others,
 )
 from heliarch.cli.output import do_all, publish, shared
 from results.report.result import Result
 from results.tables import json_rows as table_rows
-from scenarios.run_options import FAULTS, RunOptions, TimeOptions
+from scenarios.run_options import FAULTS, RunOptions, TimeOptions, check_names
 
 if TYPE_CHECKING:
     from studies.compare.cases import Case
@@ -54,6 +55,7 @@ def compare(
     faults: Annotated[list[str] | None, Parameter("--fault", metavar="RULES", group=FAULTS)] = None,
     files: ResultOptions = ResultOptions(),
     csv: Annotated[str | None, Parameter(metavar="FILE", group=FILES, validator=new_table)] = None,
+    given: Given = frozenset(),
 ) -> None:
     """Compare control schemes under the same sky, for one day or many; or two recorded runs.
 
@@ -93,13 +95,8 @@ def compare(
         Write the summary of the cases as CSV.
     """
     if other is not None:
-        others = {
-            **{"--days": days, "--seeds": seeds, "--set": settings, "--fault": faults},
-            **{"--schemes": schemes, "--actuator": actuator},
-            **{"--show": show, "--workers": workers > 1, "--csv": csv},
-        }
         why = "expected only --report or --json with two recorded runs"
-        refuse_given(why, others, span, replace(files, report=None, json=None))
+        refuse_others(given, {"--report", "--json"}, why)
         publish(_two_runs((Path(scenario), other)), files, "compare.html")
         return
     if is_run(Path(scenario)):
@@ -139,11 +136,9 @@ def compare(
 
 def _names(option: str, text: str | None, known: Collection[str]) -> tuple[str, ...]:
     """Return the names of a text with commas, each once."""
-    names = dict.fromkeys(name.strip() for name in (text or "").split(",") if name.strip())
-    for name in names:
-        if name not in known:
-            raise InputError(f"{option}: {not_one_of(known, name)}")
-    return tuple(names)
+    names = [name.strip() for name in (text or "").split(",") if name.strip()]
+    check_names(option, names, known)
+    return tuple(dict.fromkeys(names))
 
 
 def _one_case(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Group, Parameter
 from cyclopts.validators import Number
@@ -100,6 +100,9 @@ _PAGE_ADDRESS = (
 )
 PageAddress = Annotated[_Text, _option("--page-address", "ADDRESS", PAGE, _PAGE_ADDRESS)]
 
+Given = Annotated[frozenset[str], Parameter(parse=False)]
+"""Names of the options that the user gave: a command with several uses refuses those of others."""
+
 # Groups of options --------------------------------------------------------------------------------
 
 
@@ -117,6 +120,10 @@ class PageOptions:
     page: bool = False
     page_port: PagePort = None
     page_address: PageAddress = None
+
+    def __post_init__(self) -> None:
+        if not self.page and (self.page_port is not None or self.page_address is not None):
+            raise InputError("--page-address, --page-port: expected --page with it")
 
 
 @Parameter("*", group=FILES)
@@ -143,16 +150,9 @@ class FileOptions(ResultOptions):
     out: Annotated[Path | None, Parameter(metavar="DIR")] = None
 
 
-def refuse_given(why: str, options: Mapping[str, object], *groups: object) -> None:
-    """Refuse options, by name, and options in groups, that are not as they are by default."""
-    given = [name for name, value in options.items() if value is not None and value is not False]
-    for group in groups:
-        kinds = get_type_hints(type(group), include_extras=True)
-        for field, value in vars(group).items():
-            if value != getattr(type(group), field):
-                names = [one.name for one in getattr(kinds[field], "__metadata__", ()) if one.name]
-                given.append(names[-1][0] if names else f"--{field.replace('_', '-')}")
-    for name in given:
+def refuse_others(given: frozenset[str], known: set[str], why: str) -> None:
+    """Refuse options that a command takes, but not in this use of it."""
+    for name in sorted(given - known):
         raise InputError(f"{name}: {why}")
 
 

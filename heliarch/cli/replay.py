@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from cyclopts import Parameter
 
 from bus_schemas.errors import InputError
 from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
-from heliarch.cli.options import End, Json, Nodes, Run, Signals, Start, refuse_given
+from heliarch.cli.options import End, Given, Json, Nodes, Run, Signals, Start, refuse_others
 from heliarch.cli.output import write_json
+
+_LIVE: Final = {"--live", "--plan", "--to", "--wait", "--listen", "--json"}
 
 
 def replay(
@@ -30,6 +32,7 @@ def replay(
     live: Annotated[str | None, Parameter(metavar="NODES")] = None,
     plan: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     json: Json = None,
+    given: Given = frozenset(),
 ) -> int:
     """Put a recording back onto the bus, or let some agents of it run live.
 
@@ -69,11 +72,7 @@ def replay(
         raise InputError("--start-paused: expected a terminal, in which space continues")
     line = StatusLine(out, in_place=out.isatty())
     if live is not None:
-        others = {
-            **{"--from": start, "--pace": pace, "--start-paused": start_paused},
-            **{"--loop": loop, "--nodes": nodes, "--signals": signals},
-        }
-        refuse_given("expected no --live, which begins with the run", others)
+        refuse_others(given, _LIVE, "expected no --live, which begins with the run")
         with RunReader(run) as reader:
             found = replay_live(
                 reader, out, line, live, plan_file=plan, end=end, wait=wait, listen=listen

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from bus_schemas.errors import FailureError, InputError
+from bus_schemas.errors import FailureError
 from heliarch.cli.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import FileOptions, PageOptions, changed_scenario
@@ -37,14 +37,12 @@ def run_request(
 @contextmanager
 def page_beside(options: PageOptions, console: Console) -> Iterator[PageProcess | None]:
     """Start the page of a command, if it is wanted; at the end, wait until it is closed."""
-    if options.page:
-        with PageProcess(options.page_address, options.page_port) as page:
-            yield page
-            page.let_end(partial(say, console))
-    elif options.page_address is not None or options.page_port is not None:
-        raise InputError("--page-address, --page-port: expected --page with it")
-    else:
+    if not options.page:
         yield None
+        return
+    with PageProcess(options.page_address, options.page_port) as page:
+        yield page
+        page.let_end(partial(say, console))
 
 
 def run_and_print(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
-from heliarch.cli.options import FileOptions, PageOptions, Settings, is_run, refuse_given
+from heliarch.cli.options import FileOptions, Given, PageOptions, Settings, is_run, refuse_others
 from heliarch.cli.output import publish, say
 from results.tables import console_for
 from scenarios.run_options import PlantOptions, ProcessOptions, RunOptions, TimeOptions
@@ -30,6 +29,7 @@ def timing(
     machine: ProcessOptions = ProcessOptions(),
     page: PageOptions = PageOptions(),
     files: FileOptions = FileOptions(),
+    given: Given = frozenset(),
 ) -> int:
     """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
 
@@ -67,9 +67,7 @@ def timing(
     console = console_for(files.json)
     if is_run(path := Path(scenario)):
         why = f"expected only --report or --json with the recorded run {path}"
-        others = replace(files, report=None, json=None)
-        given = {"--rate": rate, "--set": settings}
-        refuse_given(why, given, plant, span, machine, page, others)
+        refuse_others(given, {"--report", "--json"}, why)
         return _publish(report_on(path), path, files)
     rates, is_search = parse_rates(rate or "1")
     options = RunOptions.of(span, plant, machine)
