@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from agents.faults import Fault, Freeze, Kill, Trip, check_fault
-from bus_schemas.errors import InputError
+from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.faults import Blackout, Disturbance, Partition
 from bus_schemas.tree import ControlTree
 from scenarios.fields import checked
@@ -83,7 +83,7 @@ def parse_fault(text: str) -> Fault:
 def _field(kind: type[Fault], word: str, value: str, where: str) -> tuple[str, object]:
     """Return the field of a fault that a word sets, and its value."""
     if word not in _WORDS:
-        raise InputError(f"{where}: expected {', '.join(_WORDS)}, got {word!r}")
+        raise InputError(f"{where}: {not_one_of(_WORDS, word, 'the words ')}")
     read: object = value
     where = f"{where}: {word}"
     if word in _TIMES:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime, timedelta
-from ipaddress import IPv4Address, IPv6Address, ip_address
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
@@ -74,11 +74,6 @@ def make_keys(
 def check_keys(plan: RunPlan, agents: Sequence[str] = ()) -> None:
     """Refuse keys with which Zenoh would not open the links of a run; `agents`: those here."""
     folder = Path(plan.access.keys_folder)
-    if not (folder / "ca.pem").exists():
-        raise InputError(
-            f"--keys: expected a folder that `heliarch keys` has made, got {folder}, which has "
-            "no ca.pem"
-        )
     authority = _authority(folder, plan.plant)
     # Links close when a certificate expires. The duration of a lockstep run is unknown.
     ends = datetime.now(UTC) + timedelta(
@@ -88,16 +83,12 @@ def check_keys(plan: RunPlan, agents: Sequence[str] = ()) -> None:
         files = KeyFiles.of(folder, agent)
         # The key of an agent elsewhere may be there alone.
         if agents or agent not in plan.elsewhere or files.key.exists():
-            address = ip_address(plan.access.addresses.get(agent, plan.access.address))
+            address = plan.access.addresses.get(agent, plan.access.address)
             _check(files, agent, authority, address, ends)
 
 
 def _check(
-    files: KeyFiles,
-    agent: str,
-    authority: x509.Certificate,
-    address: IPv4Address | IPv6Address,
-    ends: datetime,
+    files: KeyFiles, agent: str, authority: x509.Certificate, address: str, ends: datetime
 ) -> None:
     """Refuse a certificate with which Zenoh would not open a link, and would not say why."""
     path = files.certificate
@@ -118,15 +109,11 @@ def _check(
             f"{certificate.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; `heliarch keys` renews it"
         )
     names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    if address not in names.get_values_for_type(x509.IPAddress):
+    if ip_address(address) not in names.get_values_for_type(x509.IPAddress):
         raise InputError(
             f"{path}: expected a certificate for the address {address}; `heliarch keys --address "
             f"{address}` makes one"
         )
-    if not files.key.exists():
-        raise InputError(f"{files.key}: no such file, expected the key of {agent}")
-    if files.key.stat().st_mode & 0o077:
-        raise InputError(f"{files.key}: expected a key that its owner alone can read (mode 600)")
     if _read_key(files.key).public_key() != certificate.public_key():
         raise InputError(f"{files.key}: expected the key of {path}, got another one")
 
@@ -157,6 +144,10 @@ def _name(certificate: x509.Certificate) -> str:
 
 
 def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    if not path.exists():
+        raise InputError(f"{path}: no such file, expected a private key")
+    if path.stat().st_mode & 0o077:
+        raise InputError(f"{path}: expected a key that its owner alone can read (mode 600)")
     try:
         key = load_pem_private_key(path.read_bytes(), password=None)
     except ValueError:

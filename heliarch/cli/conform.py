@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -69,7 +70,7 @@ def conform(
     from studies.conformance.conform import CYCLES, FROZEN, Conformance
     from studies.conformance.device import Device
 
-    console = console_for(json)
+    console, device = console_for(json), Device(command, agent)
     scenario_file = load_scenario(scenario)
     options = RunOptions(
         duration=f"{CYCLES * scenario_file.scenario.time.cycle_s:g}",
@@ -82,11 +83,11 @@ def conform(
         faults=[FROZEN] if agent == PLANT else None,
     )
     preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
-    with Device(command, agent, folder.path) as device:
-        comparison = Equality(tolerance)
-        findings = Conformance(
-            preparation, folder, device, comparison, lambda line: say(console, line)
-        ).run(seed or 0)
+    with device:
+        trials = Conformance(
+            preparation, folder, device, Equality(tolerance), partial(say, console)
+        )
+        findings = trials.run(seed or 0)
     print_table(console, findings.table(agent))
     say(console, f"trials: {folder.path}")
     rows = json_rows(findings.table(agent))

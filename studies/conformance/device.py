@@ -7,7 +7,7 @@ import shutil
 import subprocess
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 from bus_schemas.errors import InputError
 
@@ -17,35 +17,35 @@ _END_S: Final = 10.0
 class Device:
     """A program that is started by a command; without one the user starts it."""
 
-    def __init__(self, command: str | None, node: str, folder: Path) -> None:
+    def __init__(self, command: str | None, node: str) -> None:
         self.can_restart = command is not None
         self._command = command or ""
         self._node = node
-        self._log = folder / "device.log"
+        self._log = Path()
         self._process: subprocess.Popen[bytes] | None = None
-        if command is not None and not self.words(folder):
-            raise InputError(
-                f"--command: expected a program that is there, with its words, got {command!r}"
-            )
+        if self.can_restart:
+            self.words(Path("plan.json"))
 
-    def __enter__(self) -> Device:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.end(0.0)
 
     def words(self, plan: Path) -> list[str]:
-        """Return the command's words for a plan; none if it is no command."""
-        try:
+        """Return the command's words for a plan."""
+        words: list[str] = []
+        with suppress(ValueError, KeyError, IndexError):
             words = [word.format(plan=plan, node=self._node) for word in shlex.split(self._command)]
-        except (ValueError, KeyError, IndexError):
-            return []
-        return words if words and shutil.which(words[0]) else []
+        if not words or shutil.which(words[0]) is None:
+            expected = "a program that is there, with its words"
+            raise InputError(f"--command: expected {expected}, got {self._command!r}")
+        return words
 
     def start(self, plan: Path) -> None:
-        """Start it, unless it runs."""
-        if self._command and (self._process is None or self.end_text):
-            self._log.parent.mkdir(parents=True, exist_ok=True)
+        """Start it, unless it runs; its output goes to device.log beside the launches."""
+        if self.can_restart and (self._process is None or self.end_text):
+            self._log = plan.parents[1] / "device.log"
             with self._log.open("ab") as log:
                 self._process = subprocess.Popen(self.words(plan), stdout=log, stderr=log)
 

@@ -91,5 +91,5 @@ def test_what_comes_after_the_end_fails_stop(recorded: Recorded) -> None:
 
 def test_a_command_may_have_spaces_in_its_paths(tmp_path: Path) -> None:
     plan = tmp_path / "two words" / "plan.json"
-    device = Device("'/bin/echo' --plan {plan} --node {node}", NODE, tmp_path)
+    device = Device("'/bin/echo' --plan {plan} --node {node}", NODE)
     assert device.words(plan) == ["/bin/echo", "--plan", str(plan), "--node", NODE]
