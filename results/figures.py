@@ -93,11 +93,8 @@ FIGURES: Final = {
         ("over-delivered", "Over-delivered", "% of dispatch", 3, _C),
         ("rmse", "Tracking RMSE", "kW", 2, _SRC),
         ("mae", "Tracking MAE", "kW", 2, _R),
-        ("mileage-total", "Mileage, whole run", "kW", 0, _R),
         ("mileage", "Mileage per hour", "kW/h", 0, _SRC),
-        ("mileage-per-minute", "Mileage per minute", "kW/min", 1, _R),
         ("curtailed-energy", "Curtailed energy", "kWh", 1, _R),
-        ("mean-headroom", "Mean headroom", "kW", 1, _R),
         ("ancillary-potential", "Ancillary potential", "kWh", 1, _R),
         ("rise", "Largest rise", "kW/min", 1, _R),
         ("fall", "Largest fall", "kW/min", 1, _R),
@@ -119,7 +116,6 @@ FIGURES: Final = {
         ("delay", "Delay", "", 3, _GC),
         ("precision", "Precision", "", 3, _GC),
         ("score", "PJM performance score", "", 3, _GSC),
-        ("score-unclipped", "PJM score, accuracy not clipped", "", 3, _GC),
     )
 }
 """All figures of merit by name, in the order in which tables show them."""
@@ -183,8 +179,6 @@ def run_figures(series: RunSeries) -> Figures:
     delivered_kw, shortfall_kw = series.delivered_kw[known], series.shortfall_kw[known]
     hours = series.cycle_s / 3600.0
     error_kw = delivered_kw - dispatch_kw
-    mileage_kw = float(np.abs(np.diff(shortfall_kw)).sum())
-    run_hours = len(shortfall_kw) * hours
     headroom_kw = np.maximum(available_kw - delivered_kw, 0.0)
     potential_kw = np.maximum(available_kw - series.commitment_kw[known], 0.0)
     return {
@@ -195,11 +189,8 @@ def run_figures(series: RunSeries) -> Figures:
         "unknown-energy": float(np.nansum(series.unknown_kw[known])) * hours or None,
         "rmse": float(np.sqrt(np.mean(error_kw**2))),
         "mae": float(np.mean(np.abs(error_kw))),
-        "mileage-total": mileage_kw,
-        "mileage": mileage_kw / run_hours,
-        "mileage-per-minute": mileage_kw / (60.0 * run_hours),
+        "mileage": float(np.abs(np.diff(shortfall_kw)).sum()) / (len(shortfall_kw) * hours),
         "curtailed-energy": float(headroom_kw.sum()) * hours,
-        "mean-headroom": float(headroom_kw.mean()),
         "ancillary-potential": float(potential_kw.sum()) * hours,
         **ramp_figures(
             series.delivered_kw,

@@ -11,7 +11,7 @@ the signal over the window and the response over the shifted window, and Delay(d
 but 1 at d = 10 s. Accuracy and delay of a window are Corr and Delay at the shift where their sum is
 greatest, the least such shift. A flat signal (standard deviation below 0.01) is scored by slopes
 instead. The precision of an hour is 1 - mean |R - S| / mean |S|. The accuracy of a window that
-opposes the signal counts as 0; the unclipped score counts it as it is.
+opposes the signal counts as 0.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ REQUEST_S: Final = 2.0
 TOLERANCES_PERCENT: Final = {"regd-strict": 0.1, "regd": 1.0}
 """In % of the plant's rating."""
 
-_SCORE: Final = ("accuracy", "delay", "precision", "score", "score-unclipped")
+_SCORE: Final = ("accuracy", "delay", "precision", "score")
 
 _PAUSE_S: Final = 60.0
 _SAMPLE_S: Final = 10
@@ -169,14 +169,12 @@ def _hour_score(signal: Values, response: Values, first: NDArray[np.intp]) -> li
     shifted = sliding_window_view(beyond, _WINDOW)[first[:, None] + np.arange(_WINDOW + 1)]
     accuracy, delay = window_scores(signal[window], shifted)
     precision = 1.0 - np.abs(response[window] - signal[window]).mean() / asked
-    clipped = float(accuracy.clip(min=0.0).mean())
-    parts = [clipped, float(delay.mean()), float(np.clip(precision, 0.0, 1.0))]
-    score = sum(parts) / 3.0
-    return [*parts, score, score + (float(accuracy.mean()) - clipped) / 3.0]
+    parts = [float(accuracy.mean()), float(delay.mean()), float(np.clip(precision, 0.0, 1.0))]
+    return [*parts, sum(parts) / 3.0]
 
 
 def window_scores(signal: Values, shifted: Values) -> tuple[Values, Values]:
-    """Score W windows of 5 minutes for accuracy, up to 1 and not clipped at 0, and delay, 0 to 1.
+    """Score W windows of 5 minutes for accuracy and delay, both from 0 to 1.
 
     The signal of each window, every 10 s, is of shape (W, 30), the response over the same window,
     shifted by 0, 10, ... 300 s, of (W, 31, 30). It is NaN where there is none, never at shift 0.
@@ -193,7 +191,7 @@ def window_scores(signal: Values, shifted: Values) -> tuple[Values, Values]:
     flat = signal.std(axis=1) < _FLAT_STD
     accuracy[flat] = 1.0 - np.abs(_slopes(signal[flat]) - _slopes(shifted[flat, 0]))
     delay[flat] = 1.0
-    return accuracy.clip(max=1.0), delay
+    return accuracy.clip(0.0, 1.0), delay
 
 
 def _correlations(signal: Values, shifted: Values) -> Values:

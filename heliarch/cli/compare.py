@@ -83,11 +83,11 @@ def compare(
         Figures of merit to show for many cases, with commas: cycles, planned-cycles,
         dispatched-energy, available-energy, delivered-energy, unknown-energy, satisfied,
         shortfall-energy, unavoidable-energy, control-caused-energy, over-delivered-energy,
-        shortfall, unavoidable, control-caused, over-delivered, rmse, mae, mileage-total, mileage,
-        mileage-per-minute, curtailed-energy, mean-headroom, ancillary-potential, rise, fall, ramp,
-        ramp-limit, above-ramp-limit, outside-help, outside-help-able, missed-inputs, reverted,
-        capacity, offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible,
-        accuracy, delay, precision, score, score-unclipped. Default: control-caused,over-delivered.
+        shortfall, unavoidable, control-caused, over-delivered, rmse, mae, mileage,
+        curtailed-energy, ancillary-potential, rise, fall, ramp, ramp-limit, above-ramp-limit,
+        outside-help, outside-help-able, missed-inputs, reverted, capacity, offered,
+        signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy, delay,
+        precision, score. Default: control-caused,over-delivered.
     faults
         A rule as for `simulate`, several that act together (delay=1s;loss=5%), or none. May be
         given several times: each is a case.

@@ -35,11 +35,11 @@ def parts(score: dict[str, float]) -> tuple[float, float, float]:
     return score["accuracy"], score["delay"], score["precision"]
 
 
-def test_a_response_that_is_the_signal_scores_1() -> None:
+@pytest.mark.parametrize("share", [1.0, 0.0])
+def test_a_response_that_is_the_signal_scores_1_and_none_scores_0(share: float) -> None:
     signal = random_signal(HOUR)
-    found = score_of(signal, signal)
-    assert parts(found) == pytest.approx((1.0, 1.0, 1.0))
-    assert found["score"] == pytest.approx(1.0)
+    found = score_of(signal, share * signal)
+    assert (*parts(found), found["score"]) == pytest.approx((share,) * 4)
 
 
 @pytest.mark.parametrize(("late_s", "delay"), [(0, 1.0), (10, 1.0), (20, 1 - 20 / 300), (150, 0.5)])
@@ -59,20 +59,12 @@ def test_a_late_response_costs_delay_beyond_the_10_s_that_the_signal_may_travel(
     )
 
 
-def test_a_plant_that_does_not_respond_scores_0() -> None:
-    found = score_of(random_signal(HOUR), np.zeros(HOUR))
-    assert parts(found) == (0.0, 0.0, 0.0)
-
-
-def test_a_window_that_opposes_the_signal_counts_as_0_and_unclipped_as_it_is() -> None:
+def test_a_window_that_opposes_the_signal_counts_as_0() -> None:
     # Two windows of 5 minutes. The second is the last: its response cannot be looked for later.
     signal = random_signal(600)
-    response = np.where(np.arange(600) < 300, signal, -signal)
-    found = score_of(signal, response)
-    assert found["accuracy"] == pytest.approx(0.5)  # 1 and, clipped, 0
-    assert found["delay"] == pytest.approx(1.0)
+    found = score_of(signal, np.where(np.arange(600) < 300, signal, -signal))
+    assert (found["accuracy"], found["delay"]) == pytest.approx((0.5, 1.0))
     assert found["score"] == pytest.approx((0.5 + 1.0 + found["precision"]) / 3.0)
-    assert found["score-unclipped"] == pytest.approx((0.0 + 1.0 + found["precision"]) / 3.0)
 
 
 def test_hours_are_those_of_the_clock_and_weigh_as_many_windows_as_they_have() -> None:
@@ -118,8 +110,8 @@ def test_scores_of_windows_are_those_of_a_calculation_one_by_one() -> None:
     )
     accuracy, delay = window_scores(signal, shifted)
     for window in range(12):
-        expected = _one_by_one(signal[window], shifted[window])
-        assert (accuracy[window], delay[window]) == pytest.approx(expected)
+        found, promptness = _one_by_one(signal[window], shifted[window])
+        assert (accuracy[window], delay[window]) == pytest.approx((max(found, 0.0), promptness))
 
 
 def _one_by_one(signal: NDArray[np.float64], shifted: NDArray[np.float64]) -> tuple[float, float]:

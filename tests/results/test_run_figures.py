@@ -50,11 +50,8 @@ def test_a_run_of_four_half_hours_by_hand() -> None:
             "over-delivered": 100.0 * 10.0 / 175.0,
             "mae": 27.5,  # (0 + 10 + 80 + 20) / 4
             "rmse": np.sqrt(6900.0 / 4.0),
-            "mileage-total": 160.0,  # 0, 10, 80, 0
-            "mileage": 80.0,
-            "mileage-per-minute": 80.0 / 60.0,
+            "mileage": 80.0,  # 0, 10, 80, 0 in two hours
             "curtailed-energy": 50.0,  # (50 + 30 + 10 + 10) / 2
-            "mean-headroom": 25.0,
             "ancillary-potential": 50.0,  # (50 + 20 + 30) / 2
             "rise": 50.0 / 30.0,
             "fall": 70.0 / 30.0,
