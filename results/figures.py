@@ -121,8 +121,8 @@ FIGURES: Final = {
 """All figures of merit by name, in the order in which tables show them."""
 
 
-def shown_in(place: Shown, group: Shown | None = None) -> tuple[Figure, ...]:
-    """Return the figures that are shown at a place: all, or those of one group.
+def shown_in(where: Shown, group: Shown | None = None) -> tuple[Figure, ...]:
+    """Return the figures that are shown somewhere: all, or those of one group.
 
     `Shown(0)` is the group of all that is neither of the agents nor of regulation.
     """
@@ -130,7 +130,7 @@ def shown_in(place: Shown, group: Shown | None = None) -> tuple[Figure, ...]:
     return tuple(
         figure
         for figure in FIGURES.values()
-        if place & figure.shown and (group is None or figure.shown & groups == group)
+        if where & figure.shown and (group is None or figure.shown & groups == group)
     )
 
 
@@ -150,7 +150,7 @@ def runs_as_columns(
     labels = [label for label, _ in runs]
     rows: list[tuple[Cell, ...]] = []
     for figure in figures:
-        values = [found[figure.name] for _, found in runs]
+        values = [merits[figure.name] for _, merits in runs]
         if all(value is None for value in values):
             continue
         if difference:

@@ -156,8 +156,8 @@ def print_table(console: Console, table: Table) -> None:
     """Print a table, whole: where it is too wide, its parts stand below one another."""
     width = min(console.width, WIDTH)
     console.print(Text(printable(table.title), "bold"), width=width)
-    for place, part in enumerate(table.parts(width) if table.rows else ()):
-        console.print("\n" * (place > 0), end="")
+    for number, part in enumerate(table.parts(width) if table.rows else ()):
+        console.print("\n" * (number > 0), end="")
         console.print(_drawn(part, width), no_wrap=True, overflow="ignore", crop=False)
     for note in table.notes:
         console.print(Text(printable(note), "dim"), width=width)

@@ -121,11 +121,11 @@ def list_frame(
     def rows() -> Iterator[tuple[Message, tuple[Cell, ...]]]:
         for port, message in deliveries:
             try:
-                found = list(list_rows(port, message, plan.tree.leaves))
+                listed = list(list_rows(port, message, plan.tree.leaves))
             except InputError as error:
                 on_wrong(port, str(error))
                 continue
-            for name, row in found:
+            for name, row in listed:
                 if name == table:
                     yield message, row
 

@@ -163,8 +163,8 @@ def _next_chunk(file: BinaryIO, begin: int) -> int:
     while more := file.read(_BLOCK):
         begin -= len(block)
         block += more
-        if found := _CHUNK_OR_END.search(block):
-            return begin + found.start()
+        if match := _CHUNK_OR_END.search(block):
+            return begin + match.start()
         begin += len(block)
         block = block[-_LONGEST_FOUND:]
     return _NOWHERE

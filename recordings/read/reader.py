@@ -157,11 +157,11 @@ class RunReader:
     ) -> frozenset[Port[Message]]:
         """Return the ports of some signals about some nodes, see `messages`."""
         wanted = find_signals(signals) or SIGNALS
-        places = find_nodes(self.plan.tree, nodes) or self.plan.tree.nodes
+        about = find_nodes(self.plan.tree, nodes) or self.plan.tree.nodes
         return frozenset(
             port
             for port in self.plan.wiring.ports
-            if port.signal.logged and port.signal in wanted and port.node in places
+            if port.signal.logged and port.signal in wanted and port.node in about
         )
 
     def on(

@@ -43,13 +43,15 @@ class ChunkWriter:
         entry = records.Attachment(
             create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=data
         )
-        place = self._file.tell(), self._file.write(_bytes(entry))
-        index = records.AttachmentIndex(*place, log_time, create_time, len(data), name, media_type)
+        position = self._file.tell(), self._file.write(_bytes(entry))
+        index = records.AttachmentIndex(
+            *position, log_time, create_time, len(data), name, media_type
+        )
         self._indexes.append(index)
 
     def add_metadata(self, name: str, data: dict[str, str]) -> None:
-        place = self._file.tell(), self._file.write(_bytes(records.Metadata(name, data)))
-        self._indexes.append(records.MetadataIndex(*place, name))
+        position = self._file.tell(), self._file.write(_bytes(records.Metadata(name, data)))
+        self._indexes.append(records.MetadataIndex(*position, name))
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         schema = records.Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data)

@@ -36,13 +36,13 @@ def residuals(series: RunSeries) -> style.ReportFigure:
     least_kw = min(-1.0, float(np.nanquantile(cells_kw, 0.005)))
     greatest_kw = max(1.0, float(np.nanquantile(cells_kw, 0.995)))
     zero = -least_kw / (greatest_kw - least_kw)
-    places = np.interp(np.linspace(-1.0, 1.0, len(diverging.RdBu)), (-1, 0, 1), (0.0, zero, 1.0))
+    stops = np.interp(np.linspace(-1.0, 1.0, len(diverging.RdBu)), (-1, 0, 1), (0.0, zero, 1.0))
     cells = go.Heatmap(
         z=cells_kw.T.astype(np.float32),
         x0=style.clock_ms(series)[0] + cell_ms / 2.0,
         dx=cell_ms,
         y=[style.plain(series.inverters[position]) for position in order],
-        colorscale=list(zip(places.tolist(), diverging.RdBu, strict=True)),
+        colorscale=list(zip(stops.tolist(), diverging.RdBu, strict=True)),
         zmin=least_kw,
         zmax=greatest_kw,
         colorbar=style.colour_bar("kW", map_px),
@@ -91,8 +91,8 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
     )
     edges = [end - 0.5 for end in accumulate(map(len, members))][:-1]
     shapes = []
-    for place, matrix in enumerate(matrices.values()):
-        row, column = place // across + 1, place % across + 1
+    for panel, matrix in enumerate(matrices.values()):
+        row, column = panel // across + 1, panel % across + 1
         figure.add_heatmap(
             z=matrix[np.ix_(order, order)].astype(np.float32),
             x=names,
@@ -102,7 +102,7 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
             row=row,
             col=column,
         )
-        axis = str(place + 1) if place else ""
+        axis = str(panel + 1) if panel else ""
         look = {"type": "line", "line": {"color": "white", "width": 1.5}}
         across_all = {"x": f"x{axis} domain", "y": f"y{axis} domain"}
         for edge in edges:
@@ -111,7 +111,7 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
                 refs = {f"{along}ref": f"{along}{axis}", f"{other}ref": across_all[other]}
                 shapes.append(look | ends | refs)
     style.dress(figure, height_px + 60, legend=False)
-    # All matrices are squares without ticks, at the top of their place, below their titles.
+    # All matrices are squares without ticks, at the top of their panel, below their titles.
     bare = {"showticklabels": False, "ticks": "", "showgrid": False, "constrain": "domain"}
     figure.update_xaxes(**bare)
     figure.update_yaxes(**bare, autorange="reversed", constraintoward="top")

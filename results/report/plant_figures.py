@@ -112,9 +112,9 @@ def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
     )
     for row, cycles in enumerate((range(first.cycles), worst), start=1):
         once = {"showlegend": row == 1}
-        for place, one in following.items():
+        for position, one in following.items():
             given_kw, name = one.delivered_kw - one.commitment_kw, _of("given", one, series)
-            look = style.scheme_line(place)
+            look = style.scheme_line(position)
             given = style.time_line(one, given_kw, name, look, cycles, **once)
             figure.add_trace(given, row, 1)
         asked = style.time_line(first, first.regulation_kw, "asked", _DASHED, cycles, **once)

@@ -68,11 +68,11 @@ def cycle_waits(graph: RunGraph, block: Block, cycle: int) -> CycleWaits:
         port = int(cause[stage])
     without = block.late[block.late.cycle == cycle].groupby("stage").input.agg(list)
     return CycleWaits(
-        cycle, *(_told(graph, table, without) for table in (pd.DataFrame(chain), waits))
+        cycle, *(_with_texts(graph, table, without) for table in (pd.DataFrame(chain), waits))
     )
 
 
-def _told(graph: RunGraph, waits: pd.DataFrame, without: pd.Series) -> pd.DataFrame:
+def _with_texts(graph: RunGraph, waits: pd.DataFrame, without: pd.Series) -> pd.DataFrame:
     """Return waits with their texts."""
     texts = []
     for stage, one in waits.iterrows():

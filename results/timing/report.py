@@ -283,8 +283,8 @@ def _tiers(
     table["cpu_percent"] = 100.0 * table.cpu_s.astype(float) / (wall_s or nan)
     table["tier"] = [tier_of(agent, plan.tree) for agent in table.agent]
     table["kind"] = [kind_of(agent, plan.tree) for agent in table.agent]
-    table["place"] = table.kind.map(KINDS.index)
-    rows = table.groupby(["place", "tier", "kind"])
+    table["order"] = table.kind.map(KINDS.index)
+    rows = table.groupby(["order", "tier", "kind"])
     tiers = rows[[*COUNTS, "dropped"]].sum(min_count=1)
     tiers = tiers.assign(
         processes=rows.size(),
@@ -292,22 +292,22 @@ def _tiers(
         cpu_highest_percent=rows.cpu_percent.max(),
         resident_mb=rows.resident_mb.max(),
     )
-    return tiers.reset_index().drop(columns="place")
+    return tiers.reset_index().drop(columns="order")
 
 
 def _host(
     metadata: Mapping[str, str], machine: MachineSettings, load: tuple[float, float] | None
 ) -> tuple[str, ...]:
     """Say what ran, on what, and what was asked of the machine; remarks say what it refused."""
-    found = [f"SCHED_FIFO {machine.priority}" if machine.priority else "normal"]
+    asked = [f"SCHED_FIFO {machine.priority}" if machine.priority else "normal"]
     bound = [*machine.cpus_of.items(), ("others" if machine.cpus_of else "all", machine.cpus)]
-    found += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound if cpus]
+    asked += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound if cpus]
     known = {name: metadata.get(name, "unknown") for name in ("kernel", "cpu_count", "python")}
     loads = f"; load average {load[0]:.2f} before, {load[1]:.2f} after" if load else ""
     zenoh = metadata.get("version eclipse-zenoh", "unknown")
     return (
         f"kernel {known['kernel']}, {known['cpu_count']} CPUs{loads}",
-        f"scheduling asked for: {', '.join(found)}",
+        f"scheduling asked for: {', '.join(asked)}",
         f"Python {known['python']}, heliarch {metadata.get('version heliarch')}, Zenoh {zenoh}",
     )
 

@@ -85,7 +85,7 @@ def run_timing(reader: RunReader, *, block_messages: int = BLOCK_MESSAGES) -> Ru
 def row_names(graph: RunGraph) -> list[str]:
     """Return what can be measured, in the order in which it is reported."""
     stages, signals = (
-        graph.stages.sort_values("place", kind="stable"),
+        graph.stages.sort_values("order", kind="stable"),
         [one.name for one in SIGNALS],
     )
     devices = graph.plan.access.external
@@ -149,7 +149,7 @@ def _count(processes: pd.DataFrame, block: Block) -> int:
     cycles, missing = len(block.cycles), block.closed.iloc[:0]
     by_agent = closed.groupby("agent")
     missing = block.late.merge(closed[["cycle", "stage", "agent"]], on=["cycle", "stage"])
-    found = pd.DataFrame(
+    counts = pd.DataFrame(
         {
             "missed_deadlines": by_agent.lacking.sum(),
             "missing_inputs": missing.groupby("agent").size(),
@@ -158,9 +158,9 @@ def _count(processes: pd.DataFrame, block: Block) -> int:
         },
         index=processes.index,
     )
-    found["skipped_cycles"] = found.skipped_cycles.fillna(cycles)
-    found = found.fillna(0).astype(int)
-    processes[found.columns] += found
+    counts["skipped_cycles"] = counts.skipped_cycles.fillna(cycles)
+    counts = counts.fillna(0).astype(int)
+    processes[counts.columns] += counts
     wrong = (closed.lacking | closed.overran).groupby(closed.cycle).any()
     complete = closed.groupby("cycle").agent.nunique() == len(processes)
     return cycles - int((complete & ~wrong).sum())

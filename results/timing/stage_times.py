@@ -41,7 +41,7 @@ class RunGraph:
     """The ports and stages of a run, by their numbers.
 
     ports: Columns agent (the publisher), stage (its number), signal, period (in cycles).
-    stages: Columns agent, name, kind, tier, place, device (whether it is one's own device),
+    stages: Columns agent, name, kind, tier, order, device (whether it is one's own device),
         across (whether it awaits inputs from another host, whose clock is another), deadline_ns,
         grace_ns (how much later it may publish), timed, and row (what it is reported under).
     inputs: A row for each input of each variant of a stage: stage, variant, input (number of the
@@ -71,11 +71,11 @@ class RunGraph:
         stages, inputs = [], []
         self.variants = np.full((len(names), plan.control.periods.longest), -1, dtype=np.int16)
         for row, (agent, name) in enumerate(names):
-            found: dict[object, int] = {}
+            variant_of: dict[object, int] = {}
             for turn, several in enumerate(turns[agent]):
                 for stage in (one for one in several if one.name == name):
-                    known = len(found)
-                    variant = found.setdefault((stage.awaits, stage.uses), known)
+                    known = len(variant_of)
+                    variant = variant_of.setdefault((stage.awaits, stage.uses), known)
                     self.variants[row, turn], timed = variant, stage.timed
                     if variant == known:
                         for port in dict.fromkeys((*stage.awaits, *stage.uses)):
@@ -84,9 +84,9 @@ class RunGraph:
             if timed:  # The plant's tick is when its first stage begins, not when it must end.
                 slice_ns = deadlines.slice_ns(agent, name)
             kind, tier = kind_of(agent, tree), tier_of(agent, tree)
-            place, device = stage_place(agent, name, tree), agent in plan.access.external
-            stages.append((agent, name, kind, tier, place, device, deadline_ns, slice_ns, timed))
-        columns = ["agent", "name", "kind", "tier", "place", "device"]
+            order, device = stage_place(agent, name, tree), agent in plan.access.external
+            stages.append((agent, name, kind, tier, order, device, deadline_ns, slice_ns, timed))
+        columns = ["agent", "name", "kind", "tier", "order", "device"]
         columns += ["deadline_ns", "grace_ns", "timed"]
         self.stages = pd.DataFrame(stages, columns=columns)
         self.stages["row"] = self.stages.tier + " " + self.stages.name
