@@ -13,7 +13,7 @@ from contextlib import suppress
 from functools import partial
 from heapq import heappop, heappush
 from itertools import count
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import msgspec
 import zenoh
@@ -28,6 +28,10 @@ from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal
 from bus_schemas.tree import PLANT, RECORDER, agent_of
 from bus_schemas.wiring import Wiring
 from bus_schemas.zenoh_session import ENCODING, AgentSessions, SessionSettings
+
+Put: TypeAlias = Callable[[bytes], None]
+PutChange: TypeAlias = Callable[[Port[Message], Put], Put]
+"""Returns what puts messages of a port instead."""
 
 _ANSWER_S: Final = 5.0
 
@@ -59,7 +63,8 @@ class ZenohBus(AgentSessions):
         self._process = process
         self._patience_s = patience_s
         self._newest: dict[Port[Message], bytes] = {}
-        self._puts: dict[Port[Message], list[Callable[[bytes], None]]] = {}
+        self._puts: dict[Port[Message], list[Put]] = {}
+        self._device_put: PutChange = lambda port, put: put
         self._declare()
 
     def _declare(self) -> None:
@@ -67,7 +72,7 @@ class ZenohBus(AgentSessions):
         devices = set(() if settings.devices is None else settings.devices.peers)
         published, heard = wiring.published[agent], wiring.heard.get(agent, [])
         many = _signals_of_many(published)
-        puts: dict[Port[Message], list[Callable[[bytes], None]]] = {}
+        puts: dict[Port[Message], list[Put]] = {}
         for port in published:
             # The session for devices needs only what is heard there; the recorder hears all.
             hears_there = not devices.isdisjoint({RECORDER, *wiring.processes[port]})
@@ -75,12 +80,13 @@ class ZenohBus(AgentSessions):
             control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
             how: dict[str, Any] = {"encoding": ENCODING, "congestion_control": control}
             key = zenoh.KeyExpr(wiring.key(port))
-            puts[port] = [
+            own, *to_devices = (
                 partial(session.put, key, **how)
                 if port.signal in many
                 else session.declare_publisher(key, **how).put
                 for session in self._sessions[: 2 if hears_there else 1]
-            ]
+            )
+            puts[port] = [own, *(self._device_put(port, put) for put in to_devices)]
         self._puts = puts
         many = _signals_of_many(heard)
         hear_of = {wiring.key(port): self.inbox.callback(port) for port in heard}
@@ -124,11 +130,9 @@ class ZenohBus(AgentSessions):
             for put in self._puts[port]:
                 put(payload)
 
-    def change_device_puts(
-        self,
-        change: Callable[[Port[Message], Callable[[bytes], None]], Callable[[bytes], None]],
-    ) -> None:
-        """Change how messages are put on the links with devices, until they are opened anew."""
+    def change_device_puts(self, change: PutChange) -> None:
+        """Change how messages are put on the links with devices."""
+        self._device_put = change
         for port, puts in self._puts.items():
             puts[1:] = [change(port, put) for put in puts[1:]]
 

@@ -257,6 +257,7 @@ class AgentSessions(ABC):
         # A subscriber, queryable or token ends with the last reference to it.
         self._declared: list[object] = []
         self._watches: list[TokenWatch] = []
+        self._opening: threading.Thread | None = None
         self._is_over = threading.Event()
         threading.Thread(
             target=_keep_from_lingering, args=(self._is_over, settings.lease_s / 4.0), daemon=True
@@ -268,15 +269,29 @@ class AgentSessions(ABC):
     def __exit__(self, *error: object) -> None:
         """Close the sessions: an open one can hang the interpreter's exit."""
         self._is_over.set()
+        if self._opening is not None:
+            self._opening.join()
         self._close()
 
     def reopen(self) -> None:
-        """Open the sessions anew, because no other process hears the agent. Its state stays.
+        """Begin to open the sessions anew, because no other process hears the agent.
 
-        A new session has another id: to the others, the old one may still be there.
+        The agent goes on meanwhile, but what it publishes is lost: this is for runs in real time.
         """
+        if not self.is_reopening:
+            self._opening = threading.Thread(target=self._open_anew, daemon=True)
+            self._opening.start()
+
+    @property
+    def is_reopening(self) -> bool:
+        return self._opening is not None and self._opening.is_alive()
+
+    def _open_anew(self) -> None:
+        """Replace the sessions. A new one has another id: to others the old may still be there."""
         _abort_links()
         self._close()
+        # While it closed, a session may have accepted links, which nobody would ever close.
+        _abort_links()
         self._declared = []
         self._number += 1
         self._sessions = open_sessions(self._settings, self._number)
@@ -357,6 +372,9 @@ class RunSubscriber(AgentSessions):
             )
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
+        """Yield what has come. While its sessions are opened anew, all is kept for later."""
+        if self.is_reopening:
+            return
         while self._kept:
             yield self._kept.popleft()
         for subscriber in self._subscribers:

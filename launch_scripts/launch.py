@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Final
@@ -44,8 +45,9 @@ _ARMING_S: Final = 60.0
 """How long it may take to cycle 0 once no more processes come onto the bus. The plant gives up
 before that by itself."""
 
-_END_S: Final = 10.0
-"""Once the run is over: how long nothing may come from processes that are to end."""
+_END_S: Final = 5.0
+"""Once the run is over: how long nothing may come from processes that are to end, and once more
+after each step that is to end them."""
 
 _STOP_S: Final = 5.0
 """How long the plant may take to end the run after Ctrl-C, and two cycles more."""
@@ -276,24 +278,19 @@ class _Launch:
         return recorder.recorded or Recorded({}, 0, 0, "the recorder did not close its file")
 
     def _await_end(self, some: list[Child]) -> None:
-        """Wait until processes end; kill those that do not."""
-        for last in (False, True):
-            until = time.monotonic() + _END_S
-            while left := [child for child in some if child.exited is None]:
-                heard = self._look()
-                if any(child in some for child, _ in heard):
-                    until = time.monotonic() + _END_S
-                if time.monotonic() > until:
-                    break
-            if not left:
+        """Wait until processes end. Those that do not are asked to, and at last killed."""
+        for step in (self._ask_to_end, self._restarts.end_by_force, self._give_up):
+            if not (left := self._children.await_exit(some, _END_S, self._look)):
                 return
-            if last or self._watch.server_stands_still:
-                server = self._children.server.process.pid
-                raise RunFailure(
-                    f"the fork server (process {server}) stands still: {len(left)} processes "
-                    "could not be ended"
-                )
-            self._restarts.end_by_force(left)
+            (self._give_up if self._watch.server_stands_still else step)(left)
+
+    def _ask_to_end(self, children: Sequence[Child]) -> None:
+        """Ask processes that did not hear that the run is over."""
+        self._children.ask_to_end([child.agent for child in children])
+
+    def _give_up(self, children: Sequence[Child]) -> None:
+        server = f"the fork server (process {self._children.server.process.pid})"
+        raise RunFailure(f"{server} stands still: {len(children)} processes could not be ended")
 
 
 def check_processes(plan: RunPlan) -> None:

@@ -302,11 +302,19 @@ class Children:
         """Send a signal to the processes of some agents, unless they have ended."""
         self.server.ask(Signal(tuple(agents), int(number)))
 
-    def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
-        """Wait until processes end or send no events any more; return those that have not ended."""
+    def await_exit(
+        self,
+        children: list[Child],
+        timeout_s: float,
+        look: Callable[[], list[tuple[Child, Event]]] | None = None,
+    ) -> list[Child]:
+        """Wait until processes end or send no events any more; return those that have not ended.
+
+        look: Called again and again; returns what `events` has returned.
+        """
         until = time.monotonic() + timeout_s
         while left := [child for child in children if child.exited is None]:
-            if any(child in left for child, _ in self.events(0.02)):
+            if any(child in children for child, _ in (look() if look else self.events(0.02))):
                 until = time.monotonic() + timeout_s
             if time.monotonic() > until:
                 break

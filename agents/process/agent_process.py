@@ -203,7 +203,6 @@ class AgentProcess:
             if was_silent and not loop.standby.silent:
                 self.link.tell(TookOver(loop.standby.incarnation))
             self.beat()
-            # Controllers act on the bus's thread meanwhile: what they publish is lost.
             if self.link.unheard:
                 self.link.unheard = False
                 self._bus.reopen()

@@ -129,6 +129,21 @@ def test_who_opens_its_sessions_anew_or_starts_again_is_heard_beside_its_old_lin
         assert bus.receive(None), "it hears, too"
 
 
+def test_what_disturbs_the_links_with_devices_outlives_their_sessions() -> None:
+    disturbed: list[bytes] = []
+    with ExitStack() as stack:
+        (port,) = stack.enter_context(reserved_ports([RECORDER])).values()
+        to_devices = SessionSettings("devices", [f"tcp/127.0.0.1:{port}"], [], peers=(RECORDER,))
+        settings = SessionSettings("own", [], [], devices=to_devices)
+        bus = stack.enter_context(ZenohBus("a", Wiring("pair", TREE), settings, 60))
+        bus.change_device_puts(lambda port, put: disturbed.append)
+        bus.reopen()
+        while bus.is_reopening:
+            time.sleep(0.01)
+        bus.publish(IMPP.of("a"), Impp(0, 0, "a", (), power_kw=1.0, stale_cycles=0), 0)
+    assert len(disturbed) == 1
+
+
 def until_heard(bus: ZenohBus, heard: zenoh.Subscriber[Any]) -> None:
     """Let an inverter's controller speak until it is heard."""
     give_up_at = time.monotonic() + 30.0  # Half of a lease.
