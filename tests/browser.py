@@ -8,7 +8,7 @@ import subprocess
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -76,9 +76,37 @@ class Browser:
         entries = self._ask(f"{self._session}/se/log", {"type": "browser"})
         return [entry["message"] for entry in entries if entry["level"] == "SEVERE"]
 
-    def resize(self, width: int, height: int) -> None:
-        """Give the window another size."""
-        self._ask(f"{self._session}/window/rect", {"width": width, "height": height})
+    def narrow(self, width: int) -> None:
+        """Show the page as in a window of this width, also below the least one of a window."""
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        self._tell("Emulation.setDeviceMetricsOverride", size)
+
+    def box(self, selector: str) -> list[float]:
+        """Return left, top, width and height of an element in the window."""
+        found = json.dumps(selector)
+        box = f"const box = document.querySelector({found}).getBoundingClientRect();"
+        values: list[float] = self.run(f"{box} return [box.left, box.top, box.width, box.height]")
+        return values
+
+    def move(self, x: float, y: float) -> None:
+        self._mouse("mouseMoved", x, y)
+
+    def drag(self, x: float, to_x: float, y: float) -> None:
+        self._mouse("mousePressed", x, y, button="left", clickCount=1)
+        for share in (0.25, 0.5, 0.75, 1.0):
+            self._mouse("mouseMoved", x + share * (to_x - x), y, button="left")
+        self._mouse("mouseReleased", to_x, y, button="left", clickCount=1)
+
+    def double_click(self, x: float, y: float) -> None:
+        for count in (1, 2):
+            self._mouse("mousePressed", x, y, button="left", clickCount=count)
+            self._mouse("mouseReleased", x, y, button="left", clickCount=count)
+
+    def _mouse(self, kind: str, x: float, y: float, **more: object) -> None:
+        self._tell("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": y, **more})
+
+    def _tell(self, command: str, values: Mapping[str, object]) -> None:
+        self._ask(f"{self._session}/goog/cdp/execute", {"cmd": command, "params": values})
 
     def close(self) -> None:
         request = urllib.request.Request(f"{self._driver}/{self._session}", method="DELETE")

@@ -1,5 +1,6 @@
 // The page of one run: asks for its plan, follows its stream of updates, and hands them to the panels.
 
+import {chartGroup} from "./chart.js";
 import {$, json} from "./dom.js";
 import {eventList} from "./events.js";
 import {plantMap} from "./map.js";
@@ -44,13 +45,18 @@ function showRun(plan) {
   const time = runTime(plan);
   const {at, connect, seek, keys} = playback(update);
   const reload = inTurn(async () => {
-    const {from, to} = shown(at), part = `from=${Math.floor(from)}&to=${to}`;
+    const {from, to} = span.shown(at), part = `from=${Math.floor(from)}&to=${Math.ceil(to)}`;
     await power.load(part);
     await node.load(part);
   });
-  const shown = timeSpan($("windows"), plan, reload);
-  const power = powerPanel(plan, time, shown, at, seek);
-  const node = nodePanel(plan, time, shown, at, seek);
+  const span = timeSpan($("windows"), plan, reload);
+  const group = chartGroup({
+    timezone: plan.timezone,
+    onPick: x => seek(time.cycleAt(x)),
+    onZoom: to => span.zoomTo(to && {from: Math.max(time.cycleAt(to.from), 0), to: time.cycleAt(to.to)}),
+  });
+  const power = powerPanel(time, group, span.shown, at);
+  const node = nodePanel(plan, time, group, span.shown, at);
   const bar = positionBar(plan, time, at, seek);
   const map = plantMap($("map"), $("map-note"), $("clusters"), plan, select);
   const tree = controlTree($("tree"), plan, select);
@@ -66,10 +72,7 @@ function showRun(plan) {
 
   function update(news, fresh) {
     if (news.events?.length) events.add(news.events);
-    if (news.figures) {
-      figures($("figures"), news.figures);
-      $("figures-about").textContent = `${(at.cycle + 1).toLocaleString("en")} cycles so far`;
-    }
+    if (news.figures) figures($("figures"), $("figures-about"), news.figures);
     devices = news.devices ?? devices;
     if (news.frame) showFrame(news, fresh);
     bar.drawOverview();
@@ -78,6 +81,8 @@ function showRun(plan) {
   function showFrame({frame, plant}, fresh) {
     const goesOn = !fresh && at.cycle < frame.cycle;
     at.cycle = frame.cycle;
+    events.showAt(at.cycle);
+    group.marks = events.marks().map(mark => ({...mark, seconds: time.seconds(mark.cycle)}));
     power.note(plant);
     node.show(frame, devices);
     if (goesOn && power.follows(plant)) {
@@ -87,15 +92,16 @@ function showRun(plan) {
     const more = map.show(frame);
     if (plan.positions_m.length) $("map-note").textContent = more > 0 ? `${more} smaller helps are not drawn.` : "";
     tree.show(frame);
-    events.showAt(at.cycle);
     $("clock").textContent = time.timeOf(at.cycle);
-    $("clock").title = time.dayOf(at.cycle);
+    $("day").textContent = time.dayOf(at.cycle);
     bar.show();
     if (node.selected === null) select(plan.nodes.findIndex(each => each.inverter));
   }
 
   const neighbour = by => select(tree.order[(tree.order.indexOf(node.selected) + by + tree.order.length) % tree.order.length]);
-  Object.assign(keys, {t: toggleTheme, n: () => neighbour(1), p: () => neighbour(-1)});
+  const help = () => $("keys").open ? $("keys").close() : $("keys").showModal();
+  Object.assign(keys, {t: toggleTheme, n: () => neighbour(1), p: () => neighbour(-1), "?": help});
+  $("help").onclick = help;
   $("theme").onclick = toggleTheme;
   document.addEventListener("keydown", event => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT" || !keys[event.key]) return;

@@ -1,55 +1,143 @@
-// Time charts on uPlot. Colours are read when drawn, so that the theme can change.
+// Time charts on uPlot: one cursor and one zoom for all of them, marks of events, the future dimmed.
+// Colours are read when drawn, so that the theme can change.
 
 const css = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 export const kw = value => value == null ? "–" : value.toLocaleString("en", {
   minimumFractionDigits: Math.abs(value) < 1000 ? 1 : 0, maximumFractionDigits: Math.abs(value) < 1000 ? 1 : 0,
 });
 
+const FONT = "12px system-ui, sans-serif";
+const DOUBLE_CLICK_MS = 250;
 const charts = new Set();
 
 export function redrawCharts() {
   for (const chart of charts) chart.redraw(false);
 }
 
+// What all charts of a page share: the chosen span, marks, and who hears where the cursor is.
+// `onPick` gets the time of a click, `onZoom` a span, or null to see all again.
+export function chartGroup({timezone, onPick, onZoom}) {
+  return {timezone, onPick, onZoom, marks: [], key: "run"};
+}
+
+const RANGES = {
+  fromZero: (self, low, high) => low == null ? [0, 1] : [Math.min(low, 0), high > 0 ? high * 1.06 : low < 0 ? 0 : 1],
+  // Zero in the middle: which side a value is on is what matters.
+  aroundZero: (self, low, high) => {
+    const far = Math.max(Math.abs(low ?? 1), Math.abs(high ?? 1), 1e-3) * 1.1;
+    return [-far, far];
+  },
+};
+
 // `lines`: {label, color, width?, dash?, fill?} each, colours as names of CSS variables.
-// A `bare` chart is nothing but its lines.
-export function timeChart(element, lines, {height, timezone, onPick, cursorKey, bare}) {
-  const axis = {stroke: () => css("--quiet"), grid: {stroke: () => css("--grid"), width: 1}, ticks: {show: false}, font: "12px system-ui, sans-serif"};
+// `range` is a name of RANGES. `onCursor` gets the row under the cursor, null without one.
+export function timeChart(element, lines, group, {height, range = "fromZero", onCursor}) {
+  const axis = {stroke: () => css("--quiet"), grid: {stroke: () => css("--grid"), width: 1}, ticks: {show: false}, font: FONT};
   let now = null;
-  // A line at the moment shown, where the chart goes on behind it.
-  const markNow = self => {
-    const x = Math.round(self.valToPos(now, "x", true)), {left, top, width, height} = self.bbox;
-    if (now === null || x > left + width - 2) return;
-    self.ctx.fillStyle = css("--ink");
-    self.ctx.fillRect(x, top, devicePixelRatio, height);
-  };
   const chart = new uPlot({
-    hooks: {draw: [markNow]},
-    width: element.clientWidth, height, padding: bare ? [0, 0, 0, 0] : [null, 32, null, null],
-    tzDate: seconds => uPlot.tzDate(new Date(seconds * 1e3), timezone),
+    hooks: {
+      draw: [self => { dimFuture(self, now); drawMarks(self, group.marks); }],
+      setCursor: [self => onCursor?.(self.cursor.left >= 0 ? self.cursor.idx : null)],
+      setSelect: [self => zoom(self, group)],
+    },
+    width: element.clientWidth, height, padding: [8, 32, null, null],
+    tzDate: seconds => uPlot.tzDate(new Date(seconds * 1e3), group.timezone),
     legend: {show: false},
-    cursor: {show: !bare, points: {size: 6}, drag: {x: false, y: false}, sync: {key: cursorKey}, y: false},
-    scales: {y: {range: (self, low, high) => low == null ? [0, 1] : [Math.min(low, 0), high > 0 ? high * 1.06 : low < 0 ? 0 : 1]}},
-    axes: bare ? [{show: false}, {show: false}] : [
-      {...axis, size: 26, space: 70, values: "{HH}:{mm}:{ss}"},
-      {...axis, size: 62, label: "kW", labelSize: 16, labelFont: "12px system-ui, sans-serif", labelGap: 0, space: Math.min(34, height / 5)},
+    cursor: {
+      points: {size: 6}, y: false, drag: {x: true, y: false, setScale: false},
+      sync: {key: group.key, scales: ["x", null], filters: {pub: type => !type.includes("click") && type !== "mousedown" && type !== "mouseup"}},
+      bind: {dblclick: () => null},
+    },
+    scales: {y: {range: RANGES[range]}},
+    axes: [
+      {...axis, size: 26, space: 76, values: "{HH}:{mm}:{ss}"},
+      {...axis, size: 62, label: "kW", labelSize: 16, labelFont: FONT, labelGap: 0, space: Math.min(34, height / 5)},
     ],
     series: [{}, ...lines.map(line => ({
-      label: line.label,
-      stroke: () => css(line.color),
-      fill: line.fill && (() => css(line.fill)),
+      label: line.label, stroke: () => css(line.color), fill: line.fill && (() => css(line.fill)),
       width: line.width ?? 1.5, dash: line.dash, points: {show: false},
     }))],
   }, [[], ...lines.map(() => [])], element);
   charts.add(chart);
   new ResizeObserver(() => chart.setSize({width: element.clientWidth, height})).observe(element);
-  if (onPick) chart.over.addEventListener("click", () => {
-    if (chart.cursor.left >= 0) onPick(chart.posToVal(chart.cursor.left, "x"));
-  });
+  listenToClicks(chart, group);
   return {
     show(columns, from, to, moment) {
       now = moment;
       chart.batch(() => { chart.setData(columns, true); chart.setScale("x", {min: from, max: to}); });
     },
   };
+}
+
+// A chart that is nothing but its lines: the whole run in the bar.
+export function bareChart(element, lines, height) {
+  const chart = new uPlot({
+    width: element.clientWidth, height, padding: [0, 0, 0, 0], legend: {show: false}, cursor: {show: false},
+    scales: {y: {range: RANGES.fromZero}}, axes: [{show: false}, {show: false}],
+    series: [{}, ...lines.map(line => ({stroke: () => css(line.color), fill: line.fill && (() => css(line.fill)), width: 1, points: {show: false}}))],
+  }, [[], ...lines.map(() => [])], element);
+  charts.add(chart);
+  new ResizeObserver(() => chart.setSize({width: element.clientWidth, height})).observe(element);
+  return {
+    show(columns, from, to) {
+      chart.batch(() => { chart.setData(columns, true); chart.setScale("x", {min: from, max: to}); });
+    },
+  };
+}
+
+function zoom(chart, group) {
+  const {left, width} = chart.select;
+  if (width < 4) return;
+  group.onZoom({from: chart.posToVal(left, "x"), to: chart.posToVal(left + width, "x")});
+  chart.setSelect({left: 0, top: 0, width: 0, height: 0}, false);
+}
+
+// A click goes to its moment, unless it is the first half of a double click, which ends the zoom.
+function listenToClicks(chart, group) {
+  let waiting = null;
+  chart.over.addEventListener("click", () => {
+    const at = chart.cursor.left >= 0 ? chart.posToVal(chart.cursor.left, "x") : null;
+    clearTimeout(waiting);
+    waiting = setTimeout(() => at !== null && group.onPick(at), DOUBLE_CLICK_MS);
+  });
+  chart.over.addEventListener("dblclick", () => { clearTimeout(waiting); group.onZoom(null); });
+}
+
+// What comes after the moment shown stands behind a veil, with a line at the moment.
+function dimFuture(chart, now) {
+  if (now === null) return;
+  const {left, top, width, height} = chart.bbox, x = Math.round(chart.valToPos(now, "x", true));
+  if (x > left + width - 2) return;
+  const from = Math.max(x, left);
+  chart.ctx.save();
+  chart.ctx.globalAlpha = 0.72;
+  chart.ctx.fillStyle = css("--card");
+  chart.ctx.fillRect(from, top, left + width - from, height);
+  chart.ctx.restore();
+  if (x < left) return;
+  chart.ctx.fillStyle = css("--ink");
+  chart.ctx.fillRect(x, top, devicePixelRatio, height);
+}
+
+// `marks`: {cycle, seconds, color, text} each.
+function drawMarks(chart, marks) {
+  const {ctx, bbox: {left, top, width, height}} = chart, size = 5 * devicePixelRatio;
+  for (const {seconds, color} of marks) {
+    const x = Math.round(chart.valToPos(seconds, "x", true));
+    if (x < left || x > left + width) continue;
+    ctx.save();
+    ctx.fillStyle = ctx.strokeStyle = css(color);
+    ctx.globalAlpha = 0.75;
+    ctx.setLineDash([3 * devicePixelRatio, 3 * devicePixelRatio]);
+    ctx.beginPath();
+    ctx.moveTo(x + 0.5, top);
+    ctx.lineTo(x + 0.5, top + height);
+    ctx.stroke();
+    ctx.beginPath();
+    ctx.moveTo(x - size, top - size);
+    ctx.lineTo(x + size, top - size);
+    ctx.lineTo(x, top + size * 0.6);
+    ctx.fill();
+    ctx.restore();
+  }
 }

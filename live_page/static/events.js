@@ -2,6 +2,17 @@
 
 const MOST = 500;
 const BAD = new Set(["not heard", "cut off", "given up", "gap"]);
+// What charts mark, in which colour.
+const MARKED = {
+  fault: "--warn", restart: "--good", takeover: "--good", back: "--good", order: "--accent",
+  "not heard": "--bad", "cut off": "--bad", "given up": "--bad", failure: "--bad", gap: "--bad",
+};
+const MOST_MARKS = 200;
+
+function textOf({kind, agent, text, count}) {
+  const times = count > 1 ? ` (${count.toLocaleString("en")}×)` : "";
+  return `${agent === kind ? "" : `${agent}: `}${text}${times}`;
+}
 
 export function eventList(list, laterButton, timeOf, seek) {
   const found = new Map();
@@ -22,19 +33,20 @@ export function eventList(list, laterButton, timeOf, seek) {
 
   function write(line, event) {
     const part = (name, properties) => Object.assign(document.createElement(name), properties);
-    const times = event.count > 1 ? ` (${event.count.toLocaleString("en")}×)` : "";
     line.className = `${event.kind.replace(" ", "-")}${BAD.has(event.kind) ? " bad" : ""}`;
     line.replaceChildren(
       part("time", {textContent: timeOf(event.cycle), title: `cycle ${event.cycle}`}),
       part("span", {className: "kind", textContent: event.kind}),
-      part("span", {textContent: `${event.agent === event.kind ? "" : `${event.agent}: `}${event.text}${times}`}),
+      part("span", {textContent: textOf(event)}),
     );
     line.onclick = () => seek(event.cycle);
   }
 
   return {
-    // Those that charts mark: up to the cycle shown.
-    marks: () => [...found.values()].map(({event}) => event).filter(event => event.cycle <= shownAt),
+    // Where charts have marks: faults, restarts and orders up to the cycle shown.
+    marks: () => [...found.values()].map(({event}) => event)
+      .filter(event => event.cycle <= shownAt && MARKED[event.kind]).slice(-MOST_MARKS)
+      .map(event => ({cycle: event.cycle, color: MARKED[event.kind], text: textOf(event)})),
     showAt(cycle) { shownAt = cycle; arrange(); },
     add(events) {
       for (const event of events) {

@@ -130,6 +130,11 @@ export function plantMap(svg, note, legend, plan, select) {
         ring.setAttribute("stroke-dasharray", `${share} 200`);
         title.textContent = `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW; ${stateText(frame.agents, agent)}`;
       }
+      for (const number of clusters) {
+        const level = frame.agents.level[number + 1];
+        shapes.get(number).classList.toggle("late", level === 1);
+        shapes.get(number).classList.toggle("bad", level === 2);
+      }
       const shown = [...frame.help].sort((a, b) => b[2] - a[2]).slice(0, MOST_LINES);
       while (helpLayer.childElementCount < shown.length) make("path", {class: "help"}, helpLayer);
       [...helpLayer.children].forEach((line, row) => {

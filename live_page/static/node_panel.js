@@ -15,12 +15,12 @@ const POWERS = [
 const HELP = {label: "help", name: "help", color: "--help", fill: "--help", width: 1};
 
 // `selected` is the node's number among those of the plan, null before one was chosen.
-export function nodePanel(plan, time, shown, at, seek) {
-  const options = {timezone: plan.timezone, cursorKey: "node", onPick: x => seek(time.cycleAt(x))};
-  const powerChart = timeChart($("node-chart"), POWERS, {...options, height: 300});
-  const helpChart = timeChart($("help-chart"), [HELP], {...options, height: 130});
-  let history = empty(), frame = null;
+export function nodePanel(plan, time, group, shown, at) {
+  let history = empty(), frame = null, row = null;
   let devices = {};  // What the gateway measured of real inverters.
+  const onCursor = next => { if (next !== row) { row = next; showValues(); } };
+  const powerChart = timeChart($("node-chart"), POWERS, group, {height: 300, onCursor});
+  const helpChart = timeChart($("help-chart"), [HELP], group, {height: 130});
 
   function draw() {
     const {from, to} = shown(at), x = history.cycle.map(time.seconds);
@@ -28,7 +28,15 @@ export function nodePanel(plan, time, shown, at, seek) {
     const column = name => history[name] ?? x.map(() => null);
     powerChart.show([x, ...POWERS.map(line => column(line.name))], ...range);
     helpChart.show([x, column("help")], ...range);
-    if (frame) values($("node-values"), [...POWERS, {...HELP, fill: undefined}].map(line => ({...line, value: frame.nodes[line.name][panel.selected]})));
+    showValues();
+  }
+
+  // The values under the cursor, or else those of the cycle shown.
+  function showValues() {
+    if (!frame || panel.selected === null) return;
+    const pointed = row !== null && history.cycle[row] !== undefined;
+    const value = name => pointed ? history[name]?.[row] : frame.nodes[name][panel.selected];
+    values($("node-values"), [...POWERS, {...HELP, fill: undefined}].map(line => ({...line, value: value(line.name)})));
   }
 
   function describe() {

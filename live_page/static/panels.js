@@ -13,7 +13,9 @@ export function values(element, entries) {
   }));
 }
 
-export function figures(list, rows) {
+// Figures of merit say themselves up to which cycle they go.
+export function figures(list, about, {cycle, rows}) {
+  about.textContent = `up to cycle ${cycle.toLocaleString("en")}`;
   list.replaceChildren(...rows.map(({title, unit, value}) => {
     const row = document.createElement("div");
     row.append(

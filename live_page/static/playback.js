@@ -26,9 +26,8 @@ export function playback(onUpdate) {
       showState(news);
       onUpdate(news, fresh);
       fresh = false;
-      if (!live && playing && at.cycle >= at.cycles - 1) { playing = false; connect(); }
+      if (!live && playing && at.cycle >= at.cycles - 1) { playing = false; live = !at.over; connect(); }
     };
-    $("play").textContent = playing ? "❚❚" : "▶";
     $("live").setAttribute("aria-pressed", live);
   }
 
@@ -37,6 +36,7 @@ export function playback(onUpdate) {
     at.over = ["over", "failed"].includes(news.state);
     const state = news.reading != null ? `reading ${Math.round(100 * news.reading)} %` : STATES[news.state];
     $("state").textContent = live || at.over ? state : `${state}, ${playing ? "playing" : "paused"}`;
+    $("play").textContent = playing || (live && !at.over) ? "❚❚" : "▶";
     $("state").className = `badge ${news.state}`;
   }
 
@@ -47,8 +47,9 @@ export function playback(onUpdate) {
   }
   const step = by => seek(at.cycle + by);
   function play() {
-    playing = live ? false : !playing;
-    if (playing && at.cycle >= at.cycles - 1) at.cycle = 0;
+    const ended = at.over && at.cycle >= at.cycles - 1;
+    playing = ended || (!live && !playing);
+    if (ended) at.cycle = 0;
     live = false;
     connect();
   }

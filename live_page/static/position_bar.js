@@ -1,11 +1,11 @@
 // The bar below the page: the whole run, and where in it the page stands.
 
 import {$, json} from "./dom.js";
-import {timeChart} from "./chart.js";
+import {bareChart} from "./chart.js";
 import {POWERS} from "./power_panel.js";
 
 export function positionBar(plan, time, at, seek) {
-  const overview = timeChart($("overview"), POWERS, {height: 38, timezone: plan.timezone, bare: true});
+  const overview = bareChart($("overview"), POWERS, 38);
   let drawn = -1, dragged = null;
   $("position").addEventListener("input", event => {
     const target = +event.target.value;
@@ -25,7 +25,7 @@ export function positionBar(plan, time, at, seek) {
       if (!isOld) return;
       drawn = at.cycles;
       const whole = await json(`window?from=0&to=${at.cycles}&points=600`);
-      overview.show([whole.cycle.map(time.seconds), ...POWERS.map(line => whole[line.label])], time.seconds(0), time.seconds(Math.max(last(), 1)), null);
+      overview.show([whole.cycle.map(time.seconds), ...POWERS.map(line => whole[line.label])], time.seconds(0), time.seconds(Math.max(last(), 1)));
     },
   };
 }

@@ -1,4 +1,4 @@
-// The plant's power and shortfall over time.
+// The plant's power, how far it is from what was asked for, and its shortfall over time.
 
 import {$, json} from "./dom.js";
 import {timeChart} from "./chart.js";
@@ -10,28 +10,49 @@ export const POWERS = [
   {label: "delivered", color: "--delivered", width: 2},
   {label: "dispatch", color: "--dispatch", dash: [7, 4], width: 2},
 ];
+const DEVIATION = {label: "delivered − dispatch", color: "--delivered", fill: "--deviation-fill", width: 1.5};
 const SHORTFALLS = [
   {label: "all", color: "--control", fill: "--control", width: 0},
   {label: "unavoidable", color: "--unavoidable", fill: "--unavoidable", width: 0},
 ];
+const difference = (a, b) => a == null || b == null ? null : a - b;
 
-export function powerPanel(plan, time, shown, at, seek) {
-  const options = {timezone: plan.timezone, cursorKey: "plant", onPick: x => seek(time.cycleAt(x))};
-  const powerChart = timeChart($("power-chart"), POWERS, {...options, height: 240});
-  const shortfallChart = timeChart($("shortfall-chart"), SHORTFALLS, {...options, height: 100});
-  const names = [...POWERS.map(line => line.label), "unavoidable", "control_caused"];
-  let history = {...empty(), ...Object.fromEntries(names.map(name => [name, []]))}, current = {};
+export function powerPanel(time, group, shown, at) {
+  let history = empty(), current = {}, row = null;
+  const onCursor = next => { if (next !== row) { row = next; describe(); } };
+  const powerChart = timeChart($("power-chart"), POWERS, group, {height: 230, onCursor});
+  const deviationChart = timeChart($("deviation-chart"), [DEVIATION], group, {height: 120, range: "aroundZero"});
+  const shortfallChart = timeChart($("shortfall-chart"), SHORTFALLS, group, {height: 96});
 
   function draw() {
     const {from, to} = shown(at), x = history.cycle.map(time.seconds);
     const range = [from, to, at.cycle].map(time.seconds);
-    powerChart.show([x, ...POWERS.map(line => history[line.label])], ...range);
-    const all = history.control_caused.map((value, row) => value === null ? null : value + history.unavoidable[row]);
-    shortfallChart.show([x, all, history.unavoidable], ...range);
+    const column = name => history[name] ?? x.map(() => null);
+    powerChart.show([x, ...POWERS.map(line => column(line.label))], ...range);
+    const asked = column("dispatch"), unavoidable = column("unavoidable");
+    deviationChart.show([x, column("delivered").map((value, i) => difference(value, asked[i]))], ...range);
+    const all = column("control_caused").map((value, i) => value === null ? null : value + unavoidable[i]);
+    shortfallChart.show([x, all, unavoidable], ...range);
+    describe();
+  }
+
+  // Its time, and what is marked there.
+  function cursorText(cycle) {
+    const {from, to} = shown(at), near = Math.max((to - from) / 150, 0.5);
+    const texts = group.marks.filter(mark => Math.abs(mark.cycle - cycle) <= near).map(mark => mark.text);
+    return [`values at ${time.timeOf(cycle)}`, ...texts.slice(0, 2)].join(" · ");
+  }
+
+  // The values under the cursor, or else those of the cycle shown.
+  function describe() {
+    const pointed = row !== null && history.cycle[row] !== undefined;
+    const value = name => pointed ? history[name][row] : current[name];
+    $("cursor-time").textContent = pointed ? cursorText(history.cycle[row]) : "";
     values($("values"), [
-      ...POWERS.map(line => ({...line, value: current[line.label]})),
-      {label: "shortfall, unavoidable", value: current.unavoidable},
-      {label: "shortfall, control-caused", value: current.control_caused},
+      ...POWERS.map(line => ({...line, value: value(line.label)})),
+      {...DEVIATION, color: null, value: difference(value("delivered"), value("dispatch"))},
+      {label: "shortfall, unavoidable", value: value("unavoidable")},
+      {label: "control-caused", value: value("control_caused")},
     ]);
   }
 

@@ -3,34 +3,43 @@
 const SPANS = [["2 min", 120], ["10 min", 600], ["1 h", 3600], ["all", Infinity]];
 
 export function runTime(plan) {
-  const clock = new Intl.DateTimeFormat("en-GB", {timeZone: plan.timezone, hour: "2-digit", minute: "2-digit", second: "2-digit"});
-  const day = new Intl.DateTimeFormat("en-GB", {timeZone: plan.timezone, year: "numeric", month: "short", day: "numeric"});
+  const format = options => new Intl.DateTimeFormat("en-GB", {timeZone: plan.timezone, ...options});
+  const clock = format({hour: "2-digit", minute: "2-digit", second: "2-digit"});
+  const day = format({year: "numeric", month: "short", day: "numeric"});
   const seconds = cycle => plan.start_ms / 1e3 + cycle * plan.cycle_s;
   return {
     seconds,
     cycleAt: at => (at - seconds(0)) / plan.cycle_s,
     timeOf: cycle => clock.format(new Date(seconds(cycle) * 1e3)),
-    dayOf: cycle => day.format(new Date(seconds(cycle) * 1e3)),
+    dayOf: cycle => `${day.format(new Date(seconds(cycle) * 1e3))}, ${plan.timezone}`,
   };
 }
 
-// The user chooses how many cycles are shown: those up to the current one.
+// The user chooses how many cycles are shown: those up to the current one, or those zoomed to.
 export function timeSpan(element, plan, onChange) {
-  let span = SPANS[1][1];
+  let span = SPANS[1][1], zoomed = null;
   const buttons = SPANS.map(([name, length]) => {
     const button = Object.assign(document.createElement("button"), {textContent: name});
-    button.onclick = () => {
-      span = length;
-      buttons.forEach(other => other.setAttribute("aria-pressed", other === button));
-      onChange();
-    };
-    button.setAttribute("aria-pressed", length === span);
+    button.onclick = () => { span = length; zoomTo(null); };
     return button;
   });
-  element.append(...buttons);
-  return ({cycle, cycles}) => {
+  const back = Object.assign(document.createElement("button"), {textContent: "zoomed ✕", title: "show the whole span again (double click)"});
+  back.onclick = () => zoomTo(null);
+  element.append(back, ...buttons);
+
+  function zoomTo(cycles) {
+    zoomed = cycles;
+    back.hidden = !zoomed;
+    buttons.forEach((button, number) => button.setAttribute("aria-pressed", !zoomed && SPANS[number][1] === span));
+    onChange();
+  }
+  function shown({cycle, cycles}) {
+    if (zoomed) return zoomed;
     const length = Math.min(span / plan.cycle_s, span === Infinity ? cycles : Infinity, Math.max(plan.cycles, 2));
     const end = Math.max(cycle, Math.min(length, plan.cycles) - 1, 1);
     return {from: Math.max(end - length + 1, 0), to: end};
-  };
+  }
+  back.hidden = true;
+  buttons[1].setAttribute("aria-pressed", true);
+  return {shown, zoomTo};
 }

@@ -18,6 +18,13 @@ pytestmark = [
     pytest.mark.skipif(bool(MISSING), reason=f"no browser here: {', '.join(MISSING)} missing"),
 ]
 CYCLES = 40
+NOTHING_OUTSIDE = (
+    "return [...document.querySelectorAll('body :not(script)')].filter(one => {"
+    " const box = one.getBoundingClientRect();"
+    " return box.width && !one.closest('.uplot, svg') && box.right > innerWidth + 1;"
+    "}).map(one => one.id || one.tagName)"
+)
+"""Script: the elements that reach over the right edge of the window."""
 
 
 @pytest.fixture
@@ -105,8 +112,32 @@ def test_a_recording_is_played_stepped_and_scrubbed(window: Browser, run: Path) 
         before = window.run("return document.documentElement.dataset.theme")
         window.press("t")
         assert window.run("return document.documentElement.dataset.theme") != before
-        window.resize(800, 900)
-        assert window.run("return document.documentElement.scrollWidth <= innerWidth")
+        for width in (1280, 800, 420):
+            window.narrow(width)
+            assert window.run(NOTHING_OUTSIDE) == []
+        assert window.problems() == []
+
+
+def test_charts_show_values_at_the_cursor_and_zoom(window: Browser, run: Path) -> None:
+    with served(run) as page:
+        window.open(page.address)
+        window.until(at(CYCLES - 1), "the last cycle")
+        window.until(curve("power-chart"), "curves")
+        left, top, width, _ = window.box("#power-chart .u-over")
+        window.move(left + width / 2, top + 20)
+        window.until("return document.querySelector('#cursor-time').textContent", "a moment")
+        other = "return document.querySelector('#node-chart .u-cursor-x').style.transform"
+        assert "translate" in str(window.run(other))  # The cursor is in all charts together.
+        window.drag(left + width * 0.2, left + width * 0.4, top + 20)
+        zoomed = "return !document.querySelector('#windows button').hidden"
+        window.until(zoomed, "the zoom")
+        window.double_click(left + width / 2, top + 20)
+        window.until("return document.querySelector('#windows button').hidden", "all again")
+        assert window.run(at(CYCLES - 1))  # A double click goes nowhere.
+        window.press(" ")
+        window.until("return +document.querySelector('#position').value < 20", "the beginning")
+        window.press("?")
+        assert window.run("return document.querySelector('#keys').open")
         assert window.problems() == []
 
 
