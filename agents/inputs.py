@@ -16,8 +16,9 @@ from agents.agent import Stage
 from agents.plan import RunPlan
 from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.errors import printable
-from bus_schemas.messages import Message, Missing
-from bus_schemas.signals import Occurrence, Port
+from bus_schemas.messages import Message, Missing, Order
+from bus_schemas.signals import ORDER, Occurrence, Port
+from bus_schemas.tree import ROOT
 
 log = logging.getLogger(__name__)
 
@@ -66,6 +67,7 @@ class Inputs:
     missing: Awaited inputs that a deadline found missing.
     old: Inputs that a stage used and that were older than they should have been.
     given_up: Inputs of agents that do not come back: nothing of them is awaited.
+    orders: Orders since the last stage that uses them, by their port; the newest one counts.
     """
 
     def __init__(
@@ -80,6 +82,8 @@ class Inputs:
         self.missing = 0
         self.old = 0
         self.given_up: set[Port[Message]] = set()
+        self.orders: dict[Port[Message], Message] = {}
+        self._order_bounds = bounds_of(Order, plan.tree.rating_kw(ROOT))
         self._hold_cycles = plan.control.hold_cycles
         self._cycles = plan.timing.cycles
         self._horizon = horizon
@@ -130,6 +134,15 @@ class Inputs:
         else:
             self.drop("out_of_range", one.port, message, "has a number that cannot be", cycle)
 
+    def hear_order(self, port: Port[Message], order: Order, cycle: int) -> None:
+        """Take in an order, which may come in any cycle, unless it has been long on its way."""
+        if not is_within(order, self._order_bounds):
+            self.drop("out_of_range", port, order, "has a number that cannot be", cycle)
+        elif order.cycle < cycle - self._hold_cycles - 1:
+            self.drop("late", port, order, f"came in cycle {cycle}", cycle)
+        else:
+            self.orders[port] = order
+
     def go_to(self, cycle: int) -> None:
         """Take the messages that came before their cycle began."""
         for one in self.of.values():
@@ -144,6 +157,9 @@ class Inputs:
         found: dict[Port[Message], Message | None] = {}
         missing: list[str] = []
         for port in chain(stage.awaits, stage.uses):
+            if port.signal is ORDER:
+                found[port] = self.orders.pop(port, None) if cycle >= 0 else None
+                continue
             one = self.of[port]
             message = one.newest
             if message is not None and message.cycle != cycle:

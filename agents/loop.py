@@ -20,7 +20,7 @@ from agents.run_times import RunTimes
 from agents.standby import Standby
 from bus_schemas.bounds import is_within
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import GivenUp, Message, Run, Takeover
+from bus_schemas.messages import GivenUp, Message, Order, Run, Takeover
 from bus_schemas.signals import DISPATCH, RUN, TAKEOVER, Port
 from bus_schemas.tree import CENTRAL, ROOT
 
@@ -104,6 +104,8 @@ class Loop(Generic[S]):
             self._hear_run(port, message, time_ns)
         elif isinstance(message, GivenUp):
             self.give_up(message.agents, time_ns)
+        elif isinstance(message, Order):
+            self.inputs.hear_order(port, message, self.cycle)
         elif one is not None and not message.cycle < 0 <= self.cycle:  # None of an arming round.
             self._hear_input(one, message, time_ns)
 

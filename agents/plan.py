@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
+from msgspec import Meta
 from msgspec.structs import asdict, replace
 
 from agents.control.correction import Response
@@ -20,10 +21,11 @@ from agents.faults import Fault, ProcessFault, check_fault
 from agents.process.machine import MachineSettings
 from agents.settings import Actuator, InverterSettings, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError, listed
+from bus_schemas.faults import Second
 from bus_schemas.messages import PROTOCOL, Message, Run
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import Occurrence, Port
-from bus_schemas.tree import PLANT, ControlTree, check_name, depth, parent_of, standby_of
+from bus_schemas.tree import PLANT, ROOT, ControlTree, check_name, depth, parent_of, standby_of
 from bus_schemas.wiring import Links, Wiring
 
 LONGEST_CYCLE_NS: Final = 3_600_000_000_000
@@ -230,6 +232,31 @@ class Faults(msgspec.Struct, frozen=True):
     device: tuple[DeviceFault, ...] = ()
 
 
+class PlannedOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An order that the scenario states.
+
+    at: When, in simulated time since cycle 0 [s].
+    power_kw: Power of the plant [kW].
+    schedule: Back to the schedule, instead of a power.
+    ramp_kw_per_min: Ramp by which the dispatch goes there [kW/min]. Default: at once.
+    hold_s: Time after which the schedule returns [s]. Default: the order holds until the next one.
+    """
+
+    at: Second
+    power_kw: Annotated[float, Meta(ge=0.0, le=1e9)] | None = None
+    schedule: bool = False
+    ramp_kw_per_min: Annotated[float, Meta(gt=0.0, le=1e12)] | None = None
+    hold_s: Annotated[float, Meta(gt=0.0, le=1e12)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.schedule == (self.power_kw is not None):
+            raise ValueError("expected either power_kw or schedule = true")
+
+    def cycle(self, cycle_s: float) -> int:
+        """Return the first cycle with it: the one under way at its time."""
+        return int(self.at / cycle_s + 1e-9)
+
+
 class Supervision(msgspec.Struct, frozen=True, kw_only=True):
     """How the launcher keeps the processes of a run going.
 
@@ -245,6 +272,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     """What the agents of a run share: see the table in docs/wire.md.
 
     inverters: Path and AC rating [kW] of each inverter.
+    orders: Orders of the scenario, in the order of time.
     """
 
     protocol: int = PROTOCOL
@@ -257,6 +285,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     access: Access = Access()
     faults: Faults = Faults()
     supervision: Supervision = Supervision()
+    orders: tuple[PlannedOrder, ...] = ()
 
     @cached_property
     def tree(self) -> ControlTree:
@@ -382,6 +411,7 @@ def check_plan(plan: RunPlan) -> None:
     if not 0 < plan.timing.cycle_ns <= LONGEST_CYCLE_NS:
         got = f"got {plan.timing.cycle_ns:,}"
         raise InputError(f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, {got}")
+    _check_orders(plan)
     for number, entry in enumerate(plan.site.settings):
         if not fnmatch.filter(leaves, entry.nodes):
             known = f"inverters ({listed(leaves)}) or a pattern such as c1/*"
@@ -394,3 +424,16 @@ def check_plan(plan: RunPlan) -> None:
         if len(entries) not in expected:
             numbers = " or ".join(map(str, sorted(expected)))
             raise InputError(f"{where}: expected {numbers} entries, got {len(entries)}")
+
+
+def _check_orders(plan: RunPlan) -> None:
+    rating_kw, taken = plan.tree.rating_kw(ROOT), set[int]()
+    for number, order in enumerate(plan.orders):
+        if (order.power_kw or 0.0) > rating_kw:
+            expected = f"the plant's rating of {rating_kw:.10g} kW at most"
+            got = f"got {order.power_kw:.10g} kW"
+            raise InputError(f"orders[{number}].power_kw: expected {expected}, {got}")
+        cycle = order.cycle(plan.timing.cycle_s)
+        if cycle in taken:
+            raise InputError(f"orders[{number}].at: expected a cycle without another order")
+        taken.add(cycle)

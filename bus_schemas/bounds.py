@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from bus_schemas.messages import Command, Dispatch, Help, Impp, Message, Meter, Residual, Setpoint
+from bus_schemas.messages import (
+    Command,
+    Dispatch,
+    Help,
+    Impp,
+    Message,
+    Meter,
+    Order,
+    Residual,
+    Setpoint,
+)
 
 METER_TOLERANCE: Final = 0.05
 """Share of the rating by which a meter may read more than the rating."""
@@ -43,6 +53,12 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
         Bound("revert_kw", 0.0, _ROUNDING),
     ),
     # An operator may ask for more than there is, or for less than nothing.
+    Order: (
+        Bound("power_kw", -LARGEST, LARGEST),
+        Bound("ramp_kw_per_min", _ABOVE_ZERO, LARGEST),
+        Bound("hold_s", _ABOVE_ZERO, LARGEST),
+        Bound("renew_s", _ABOVE_ZERO, LARGEST),
+    ),
     Dispatch: (
         Bound("power_kw", -LARGEST, LARGEST),
         # The rating of the plan: one in MW would make every share a thousandth.

@@ -19,7 +19,7 @@ Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...], int, int, int, int]
 """The head of a message, in the order of its fields. The bus sets publish time and sequence."""
 
 
-PROTOCOL: Final = 2
+PROTOCOL: Final = 3
 """Version of all that docs/wire.md says. Plan and `run` state it."""
 
 # The largest plant needs less of each.
@@ -43,6 +43,7 @@ Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_PATH)]
 Entry: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_MISSING)]
 Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
 Powers: TypeAlias = Annotated[tuple[float, ...], msgspec.Meta(max_length=MOST_INVERTERS)]
+OrderState: TypeAlias = Literal["none", "holds", "silent", "over"]
 Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_MISSING)]
 
 
@@ -107,14 +108,47 @@ class Telemetry(Message, kw_only=True):
 class Dispatch(Message, kw_only=True):
     """The power that the operator wants from the plant in the coming interval.
 
-    `power_kw` is the paper's P_desired: the commitment plus the regulation asked for. Every
-    controller hears it and works out its share (eq. 3) of `plant_rating_kw`.
+    `power_kw` is the paper's P_desired: by the schedule the commitment plus the regulation asked
+    for, and otherwise what an order asks for, in steps of its ramp. While it is an order's,
+    `regulation_kw` is 0. Every controller hears the dispatch and works out its share (eq. 3) of
+    `plant_rating_kw`.
+
+    The fields of `order_...` say which order is the newest one accepted, and what became of it.
+    `order_source` gave it: `scenario`, `command`, `page`, `modbus` or `operator`; empty if there
+    was none yet. `order_state` is `silent` if its source has not renewed it in time, and `over` if
+    its time is over and the schedule returns. `order_cycle` is the first cycle with it, and
+    `order_renewed` the newest one in which it was renewed. `order_power_kw` is the power as it was
+    asked for, before it is clamped to 0 and the rating; nil: back to the schedule.
     """
 
     power_kw: float
     plant_rating_kw: float
     commitment_kw: float
     regulation_kw: float
+    order_source: Name = ""
+    order_state: OrderState = "none"
+    order_cycle: Count = 0
+    order_renewed: Count = 0
+    order_power_kw: float | None = None
+    order_ramp_kw_per_min: float | None = None
+    order_hold_s: float | None = None
+    order_renew_s: float | None = None
+
+
+class Order(Message, kw_only=True):
+    """What the operator orders from the plant, from its next cycle on.
+
+    `power_kw` is the power of the plant, in place of what the schedule asks for; nil: back to the
+    schedule. The dispatch goes there by `ramp_kw_per_min`; nil: at once. The order holds until the
+    next one, whoever gives that, or, if it is not renewed, for `hold_s` of simulated time; then the
+    schedule returns by the same ramp. A source that has not renewed its order within `renew_s`, as
+    it promised, is named as silent.
+    """
+
+    power_kw: float | None = None
+    ramp_kw_per_min: float | None = None
+    hold_s: float | None = None
+    renew_s: float | None = None
 
 
 class Meter(Message, kw_only=True):

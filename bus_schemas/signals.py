@@ -16,6 +16,7 @@ from bus_schemas import messages
 from bus_schemas.messages import Message
 from bus_schemas.tree import (
     CENTRAL,
+    OPERATOR,
     PLANT,
     RECORDER,
     REPLAYER,
@@ -46,6 +47,7 @@ class Role(Enum):
     CENTRAL = "the central controller"
     RECORDER = "the recorder"
     REPLAYER = "the replay of a recording"
+    OPERATOR = "the operator"
     CONTROLLERS = "every controller"
 
 
@@ -139,10 +141,11 @@ READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Ro
 CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False, decided=False)
 TAKEOVER: Final   = Signal("takeover",   messages.Takeover,   About.NODES,    Role.NODE,     (),              Occurrence.EVENT, decided=False)
 GIVEN_UP: Final   = Signal("given_up",   messages.GivenUp,    About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.EVENT, decided=False)
+ORDER: Final      = Signal("order",      messages.Order,      About.PLANT,    Role.OPERATOR, (Role.PLANT,),   Occurrence.EVENT, decided=False)
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
     TELEMETRY, DISPATCH, METER, IMPP, RESIDUAL, HELP, SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN,
-    READY, CLOCK, TAKEOVER, GIVEN_UP,
+    READY, CLOCK, TAKEOVER, GIVEN_UP, ORDER,
 )
 # fmt: on
 """The table itself. A new signal comes at the end: recordings number their channels in this order."""
@@ -152,6 +155,7 @@ _NAMES: Final = {
     Role.CENTRAL: CENTRAL,
     Role.RECORDER: RECORDER,
     Role.REPLAYER: REPLAYER,
+    Role.OPERATOR: OPERATOR,
 }
 
 

@@ -16,6 +16,7 @@ CENTRAL: Final = "central"
 PLANT: Final = "plant"
 RECORDER: Final = "recorder"
 REPLAYER: Final = "replayer"
+OPERATOR: Final = "operator"
 
 ROOT: Final = ""
 """The central controller's path: its keys have no node part."""
@@ -25,7 +26,7 @@ MOST_CHILDREN: Final = 1_000
 MOST_INVERTERS: Final = 4_000
 LARGEST_RATING_KW: Final = 1e9
 
-RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, "alive"})
+RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, OPERATOR, "alive"})
 _NAME = re.compile(rf"[A-Za-z0-9_-]{{1,{LONGEST_PATH}}}")
 _STANDBY: Final = "+standby"
 

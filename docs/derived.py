@@ -216,7 +216,7 @@ def _signals() -> Iterator[str]:
 def _fields(kind: type[Message]) -> Iterator[str]:
     """Describe the fields that a type has beside those of every message."""
     known = () if kind is Message else Message.__struct_fields__
-    units = {"kw": "kW", "ns": "ns"}
+    units = {"kw": "kW", "ns": "ns", "s": "s", "min": "kW/min"}
     fields = cast("inspect.StructType", inspect.type_info(kind)).fields
     return _rows(
         ("field", "msgpack type", "unit"),

@@ -20,6 +20,7 @@ from results.tables import Cell, Column, Number, Table, key_column, word_column
 _IN_ORDER: Final = {
     "commitment_kw": "dispatch, commitment",
     "regulation_kw": "dispatch, regulation",
+    "dispatch_kw": "dispatch, power",
     "impp_kw": "impp",
     "residual_kw": "residual",
     "alpha": "command, alpha",
@@ -28,7 +29,7 @@ _IN_ORDER: Final = {
 }
 """What is compared: messages in the order in which they lead to each other within a cycle."""
 
-_GIVEN: Final = ("commitment_kw", "regulation_kw", "mpp_kw")
+_GIVEN: Final = ("commitment_kw", "regulation_kw", "dispatch_kw", "mpp_kw")
 """What no controller decides."""
 
 

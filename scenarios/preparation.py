@@ -299,6 +299,7 @@ def _plan(
             restart=scenario.restart,
             standby=_standby(scenario.standby, day.tree, external),
         ),
+        orders=scenario.orders,
     )
     with scenario_file.named():
         check_plan(plan)

@@ -15,6 +15,7 @@ from msgspec import Meta
 
 from agents.cycle import KINDS, STAGES
 from agents.faults import Fault
+from agents.plan import PlannedOrder
 from agents.settings import Actuator, Delay, InverterSettings, Ramp, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.signals import SIGNALS
@@ -260,6 +261,7 @@ class Scenario(_Table, frozen=True):
     secure: Whether `launch` encrypts every link, as with `--secure`.
     devices: Real inverters; `--device` adds to them.
     standby: Parents that have a standby, in real time.
+    orders: Orders to the plant during the run.
     """
 
     name: str
@@ -281,6 +283,7 @@ class Scenario(_Table, frozen=True):
     standby: tuple[Literal["central", "supervisors"], ...] = ()
     machine: MachineTable = MachineTable()
     timing: TimingTable = TimingTable()
+    orders: tuple[PlannedOrder, ...] = ()
 
     def __post_init__(self) -> None:
         check_name(self.name, "scenario")

@@ -15,6 +15,7 @@ from agents.plan import RunPlan
 from agents.settings import Revert
 from bus_schemas.messages import Command
 from sim_plant import Floats
+from sim_plant.orders import Wanted
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +24,8 @@ class PlantState:
 
     `ordered_alpha` and `ordered_kw` are its commands of the last intervals, the newest first, shape
     (1 + longest delay, n). `renewed` is the cycle of the last command, `revert_kw` the limit that
-    it goes to when its revert time is over. `cycle` is that of the interval.
+    it goes to when its revert time is over. `cycle` is that of the interval. `wanted` is what the
+    operator wants in it.
     """
 
     alpha: Floats
@@ -33,6 +35,7 @@ class PlantState:
     ordered_kw: Floats
     renewed: NDArray[np.int64]
     revert_kw: Floats
+    wanted: Wanted
     cycle: int = -1
 
 
@@ -71,6 +74,7 @@ class Inverters:
             ordered_kw=np.tile(share_kw, kept),
             renewed=np.zeros(len(power_kw), dtype=np.int64),
             revert_kw=self._revert_kw,
+            wanted=Wanted(dispatch_kw),
         )
 
     def obey(self, state: PlantState, commands: Iterable[Command | None], cycle: int) -> PlantState:

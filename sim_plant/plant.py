@@ -17,10 +17,11 @@ from agents.faults import Trip, trips
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
-from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY
+from bus_schemas.signals import COMMAND, DISPATCH, METER, ORDER, PRODUCTION, TELEMETRY
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant import Floats
 from sim_plant.inverters import Inverters, PlantState
+from sim_plant.orders import Orders
 from sim_plant.profile import Profile
 
 STANDBY_SHARE: Final = 0.001
@@ -46,7 +47,9 @@ class Plant:
         self._plant_rating_kw = plan.tree.rating_kw(ROOT)
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in plan.tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
-        self._stages = (Stage("sense", (), timed=True), Stage("apply", self._commands))
+        self._orders = Orders(plan.orders, self._cycle_s, self._plant_rating_kw)
+        sense = Stage("sense", (), (ORDER.of(ROOT),), timed=True)
+        self._stages = (sense, Stage("apply", self._commands))
 
     def initial_state(self) -> PlantState:
         profile = self._profile
@@ -58,19 +61,22 @@ class Plant:
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         if turn.stage == "sense":
-            return state, self._sense(state, turn)
+            return self._sense(state, turn)
         return self._apply(state, turn)
 
-    def _sense(self, state: PlantState, turn: Turn) -> list[Delivery]:
+    def _sense(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         cycle = max(turn.cycle, 0)
         commitment_kw = float(self._profile.commitment_kw[cycle])
         regulation_kw = float(self._profile.regulation_kw[cycle])
+        order, scheduled_kw = turn.get(ORDER.of(ROOT)), commitment_kw + regulation_kw
+        wanted = self._orders.next(state.wanted, order, scheduled_kw, turn.cycle)
         dispatch = Dispatch(
             *turn.stamp,
-            power_kw=commitment_kw + regulation_kw,
+            power_kw=wanted.power_kw,
             plant_rating_kw=self._plant_rating_kw,
             commitment_kw=commitment_kw,
-            regulation_kw=regulation_kw,
+            regulation_kw=regulation_kw if wanted.is_scheduled else 0.0,
+            **(wanted.order.stated() if wanted.order is not None else {}),
         )
         meter = Meter(*turn.stamp, power_kw=total(state.power_kw.tolist()))
         outputs: list[Delivery] = [(DISPATCH.of(ROOT), dispatch), (METER.of(ROOT), meter)]
@@ -86,7 +92,7 @@ class Plant:
                 available_kw=available_kw[position],
             )
             outputs.append((port, telemetry))
-        return outputs
+        return replace(state, wanted=wanted), outputs
 
     def _available_kw(self, cycle: int) -> list[float | None]:
         """Return what each inverter states that it could have given in the last interval."""
@@ -108,10 +114,9 @@ class Plant:
         mpp_kw = self._mpp_kw(cycle)
         state = self._inverters.obey(state, map(turn.get, self._commands), turn.cycle)
         power_kw = self._inverters.power_kw(state, mpp_kw)
-        dispatch_kw = float(self._profile.commitment_kw[cycle] + self._profile.regulation_kw[cycle])
         production = Production(
             *turn.stamp,
-            dispatch_kw=dispatch_kw,
+            dispatch_kw=state.wanted.power_kw,
             available_kw=float(mpp_kw.sum()),
             delivered_kw=float(power_kw.sum()),
             inverter_mpp_kw=tuple(mpp_kw.tolist()),

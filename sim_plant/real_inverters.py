@@ -73,7 +73,7 @@ class PlantWithDevices(Plant):
         lost = [at for at in self._positions.values() if at not in fresh]
         if turn.stage == "sense":
             state = _measured(state, fresh, lost)
-            _, outputs = super().step(state, turn)
+            state, outputs = super().step(state, turn)
             return state, list(self._sensed(outputs, fresh))
         inputs = dict(turn.inputs)
         for node, position in self._positions.items():

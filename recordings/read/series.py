@@ -29,7 +29,13 @@ _MOST_APART: Final = 1000
 
 _MOST_COLUMNS: Final = 100
 
-_OF_DISPATCH: Final = ("commitment_kw", "regulation_kw")
+_OF_DISPATCH: Final = {
+    "commitment_kw": "commitment_kw",
+    "regulation_kw": "regulation_kw",
+    "dispatch_kw": "power_kw",
+}
+"""Fields of a `RunSeries`, and those of the dispatch that they come from."""
+
 _OF_PLANT: Final = (*_OF_DISPATCH, "unknown_kw", "unlisted_kw")
 _OF_INVERTERS: Final = ("mpp_kw", "power_kw", "impp_kw", "residual_kw", "alpha")
 """Fields of a `RunSeries` with a row for each cycle, and those that have columns too."""
@@ -86,6 +92,7 @@ class RunSeries:
     label: What to call it in a table or a legend, for instance the control scheme.
     commitment_kw, regulation_kw: What the operator wanted in each cycle, shape (T,): the power
         promised, and the regulation on top of it (0 throughout if there is none).
+    dispatch_kw: The paper's P_desired, shape (T,): the sum of both, unless an order is in force.
     mpp_kw, power_kw, impp_kw, residual_kw, alpha: Of each inverter, shape (T, n): true maximum
         power, power that it delivered, IMPP, IMPP less share, and the curtailment level in [0, 1]
         that it applied.
@@ -98,6 +105,7 @@ class RunSeries:
     plant: SeriesPlant
     commitment_kw: NDArray[np.float64]
     regulation_kw: NDArray[np.float64]
+    dispatch_kw: NDArray[np.float64]
     mpp_kw: NDArray[np.float64]
     power_kw: NDArray[np.float64]
     impp_kw: NDArray[np.float64]
@@ -111,8 +119,11 @@ class RunSeries:
     def of(cls, plan: RunPlan, label: str, **values: NDArray[np.float64]) -> RunSeries:
         """Return the series of a plan's run; `values` are the fields with a row for each cycle.
 
-        Those of inverters that are not given are unknown.
+        Those of inverters that are not given are unknown. Without orders, commitment and regulation
+        give the dispatch.
         """
+        if "dispatch_kw" not in values:
+            values["dispatch_kw"] = values["commitment_kw"] + values["regulation_kw"]
         unknown = dict.fromkeys(_OF_INVERTERS, np.broadcast_to(nan, values["mpp_kw"].shape))
         for name in ("unknown_kw", "unlisted_kw"):
             unknown[name] = np.zeros(len(values["mpp_kw"]))
@@ -130,11 +141,6 @@ class RunSeries:
     @property
     def cycles(self) -> int:
         return len(self.mpp_kw)
-
-    @property
-    def dispatch_kw(self) -> NDArray[np.float64]:
-        """Commitment plus regulation, the paper's P_desired, shape (T,)."""
-        return self.commitment_kw + self.regulation_kw
 
     @property
     def available_kw(self) -> NDArray[np.float64]:
@@ -199,7 +205,7 @@ class SeriesCollector:
             return
         match message:
             case Dispatch():
-                rows = {name: np.array(getattr(message, name)) for name in _OF_DISPATCH}
+                rows = {name: np.array(getattr(message, of)) for name, of in _OF_DISPATCH.items()}
                 self._enter_of_plant(port, cycle, rows)
             case Production():
                 self._cycles = max(self._cycles, cycle + 1)

@@ -18,7 +18,7 @@ that. Compared again is then only what follows from recorded messages, see `_is_
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import msgspec
@@ -30,11 +30,13 @@ from agents.direct import DirectController, DirectState
 from agents.inputs import Inputs
 from agents.plan import RunPlan
 from agents.team import direct_controller
-from bus_schemas.messages import Impp, Message, Telemetry, parse_missing
-from bus_schemas.signals import Port
+from bus_schemas.messages import Dispatch, Impp, Message, Telemetry, parse_missing
+from bus_schemas.signals import DISPATCH, ORDER, Port
+from bus_schemas.tree import ROOT
 from recordings.verify.agent_result import AgentResult, Difference
 from recordings.verify.equality import Equality
 from recordings.verify.recorded_cycles import RecordedCycles
+from sim_plant.orders import Wanted, order_given
 
 Messages: TypeAlias = Mapping[Port[Message], Message]
 
@@ -205,6 +207,9 @@ class AgentRerun:
         is_certain = self._take_inputs(process, now, stage)
         is_known = self._is_known(process, now)
         used, missing = process.inputs.used(stage, cycle)
+        dispatch = recorded.get(DISPATCH.of(ROOT))
+        if isinstance(dispatch, Dispatch):
+            used[ORDER.of(ROOT)] = order_given(dispatch)
         sim_time_ns = self.plan.timing.sim_time_ns(cycle)
         stamp = (cycle, sim_time_ns, process.agent.name, missing, 0, 0, 0, process.incarnation)
         turn = Turn(stage.name, cycle, sim_time_ns, stamp, used)
@@ -212,6 +217,8 @@ class AgentRerun:
             stated = (message for message in recorded.values() if isinstance(message, Impp))
             process.agent.stated = next(stated, None)
         process.state, outputs = process.agent.step(process.state, turn)
+        if process.unknown_since is not None and isinstance(dispatch, Dispatch):
+            process.state = replace(process.state, wanted=Wanted.by(dispatch))
         new = dict(outputs)
         if not is_certain or (process.unknown_since is not None and missing):
             process.lose_track(cycle)
@@ -254,6 +261,8 @@ class AgentRerun:
         used_of = dict(map(parse_missing, next(iter(outputs.values())).missing if outputs else ()))
         are_recorded = True
         for port in (*stage.awaits, *stage.uses):
+            if port.signal is ORDER:
+                continue  # The dispatch says which order it followed.
             one = process.inputs.of[port]
             used = used_of.get(str(port), now.cycle - now.cycle % one.period)
             if used is None or used <= one.newest_cycle:

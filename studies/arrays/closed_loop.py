@@ -28,6 +28,7 @@ from agents.control.share import share_kw, usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
+from sim_plant.orders import planned
 from sim_plant.profile import Profile
 from studies.arrays.compiled import compiled
 from studies.arrays.control_arrays import ControlArrays, control_arrays, is_corrected
@@ -98,7 +99,7 @@ def loop_inputs(
         control_arrays(plan, profile.cycles),
         settings,
         profile.mpp_kw,
-        profile.commitment_kw + profile.regulation_kw,
+        planned(plan, profile).dispatch_kw,
         profile.meter_error,
         _available_kw(plan, profile),
     )

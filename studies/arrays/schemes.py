@@ -14,6 +14,7 @@ from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from recordings.read.series import RunSeries
+from sim_plant.orders import planned
 from sim_plant.profile import Profile
 from studies.arrays.closed_loop import run_loop
 
@@ -69,7 +70,7 @@ def run_scheme(
         results = [{"power_kw": kw, "alpha": _share(kw, profile.mpp_kw)} for kw in powers_kw]
     of_plant = {
         "commitment_kw": profile.commitment_kw,
-        "regulation_kw": profile.regulation_kw,
+        **planned(plan, profile)._asdict(),
         "mpp_kw": profile.mpp_kw,
     }
     series = [RunSeries.of(plan, name, **of_plant, **result) for result in results]
@@ -91,7 +92,7 @@ def _powers_kw(
             yield from _grouping(plan, profile, actuator, groups)
         case "physical-limit":
             available_kw = profile.mpp_kw.sum(axis=1)
-            wanted_kw = np.clip(_dispatch_kw(profile), 0.0, available_kw)
+            wanted_kw = np.clip(_dispatch_kw(plan, profile), 0.0, available_kw)
             yield profile.mpp_kw * _share(wanted_kw, available_kw)[:, None]
 
 
@@ -100,7 +101,7 @@ def _grouping(
 ) -> Iterator[NDArray[np.float64]]:
     rating_kw = _rating_kw(plan)
     measured_kw = _measured_maximum_kw(profile)
-    aim_kw = _dispatch_kw(profile) + plan.control.offset_kw
+    aim_kw = _dispatch_kw(plan, profile) + plan.control.offset_kw
     for mask in reference_groups(len(rating_kw)) if groups is None else groups:
         seen = measured_kw[:, mask].sum(axis=1), aim_kw, rating_kw, mask
         if actuator == "limit":
@@ -112,7 +113,7 @@ def _grouping(
 def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
     """Each inverter gives its share; behind a fraction, of what it could give a cycle ago."""
     rating_kw = _rating_kw(plan)
-    aim_kw = np.clip(_dispatch_kw(profile) + plan.control.offset_kw, 0.0, rating_kw.sum())
+    aim_kw = np.clip(_dispatch_kw(plan, profile) + plan.control.offset_kw, 0.0, rating_kw.sum())
     share_kw = np.outer(aim_kw, rating_kw / rating_kw.sum())
     if actuator == "limit":
         return np.minimum(profile.mpp_kw, share_kw)
@@ -126,8 +127,8 @@ def _share(power_kw: NDArray[np.float64], of_kw: NDArray[np.float64]) -> NDArray
     return np.divide(power_kw, of_kw, out=np.ones_like(power_kw), where=of_kw > 0.0)
 
 
-def _dispatch_kw(profile: Profile) -> NDArray[np.float64]:
-    return profile.commitment_kw + profile.regulation_kw
+def _dispatch_kw(plan: RunPlan, profile: Profile) -> NDArray[np.float64]:
+    return planned(plan, profile).dispatch_kw
 
 
 def _rating_kw(plan: RunPlan) -> NDArray[np.float64]:

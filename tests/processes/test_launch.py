@@ -17,7 +17,7 @@ from plans_by_hand import with_changes
 from running import Start, assert_none_left, small_plant
 
 from agents.plan import load_plan
-from bus_schemas.messages import Message
+from bus_schemas.messages import Dispatch, Message
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT
@@ -52,12 +52,28 @@ def summary_of(folder: Path) -> RunSummary:
 
 CYCLES = 40
 
+ORDERS = """
+[[orders]]
+at = 2
+power_kw = 300
+ramp_kw_per_min = 9000
+hold_s = 20
+
+[[orders]]
+at = 30
+power_kw = 1500
+"""
+
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Three tiers of which the upper ones act rarely, and inverters that need help."""
+    """Three tiers of which the upper ones act rarely, inverters that need help, and orders."""
     tiers = "cluster_sizes = [[1, 1, 2], [2, 1]]\nperiod_cycles = [6, 3, 1]"
-    changes = ("cluster_sizes = [[2, 2]]", tiers), ("share = 0.5", "share = 1.1")
+    changes = (
+        ("cluster_sizes = [[2, 2]]", tiers),
+        ("share = 0.5", "share = 1.1"),
+        ('history = "hindsight"', f'history = "hindsight"\n{ORDERS}'),
+    )
     return small_plant(tmp_path_factory.mktemp("plant"), *changes)
 
 
@@ -77,7 +93,9 @@ def test_processes_decide_bit_for_bit_what_one_process_decides_and_all_is_record
     folder, result = launched
     ours = decided(tmp_path / "simulated", "simulate", plant, "--duration", str(CYCLES))
     assert decisions(folder) == ours
-    assert {port.rpartition("/")[2] for port, _ in ours} >= {"help", "setpoint", "command"}
+    dispatch = [ours["dispatch", cycle] for cycle in (19, 30)]
+    ordered_kw = [one.power_kw for one in dispatch if isinstance(one, Dispatch)]
+    assert ordered_kw == [300.0, 1500.0]
     assert_none_left(folder)
     summary = summary_of(folder)
     assert msgspec.json.decode(result.stdout)["cycles"] == CYCLES, "--json - has it for itself"

@@ -24,6 +24,7 @@ def run_of(
 ) -> RunSeries:
     """Return a run, its power in halves on two inverters, that starts at a local time on Oahu."""
     commitment = np.asarray(commitment_kw, dtype=float)
+    regulation = np.broadcast_to(np.asarray(regulation_kw, dtype=float), commitment.shape)
     mpp_kw = np.outer(np.broadcast_to(available_kw, commitment.shape), [0.5, 0.5])
     power_kw = np.outer(np.broadcast_to(delivered_kw, commitment.shape), [0.5, 0.5])
     utc = np.datetime64(start, "ns") + np.timedelta64(10, "h")
@@ -38,7 +39,8 @@ def run_of(
             regulation_capacity_kw=capacity_kw,
         ),
         commitment_kw=commitment,
-        regulation_kw=np.broadcast_to(np.asarray(regulation_kw, dtype=float), commitment.shape),
+        regulation_kw=regulation,
+        dispatch_kw=commitment + regulation,
         mpp_kw=mpp_kw,
         power_kw=power_kw,
         impp_kw=mpp_kw,

@@ -27,6 +27,10 @@ from recordings.read.reader import RecordedMessage, RunReader
 from recordings.record.writer import ClockAnchor
 
 RECORDED = tuple(signal for signal in SIGNALS if signal.logged)
+MAY_BE_NIL = {
+    *("available_kw", "revert_kw", "order_power_kw", "order_ramp_kw_per_min"),
+    *("order_hold_s", "order_renew_s"),
+}
 BATCH_ROWS = 5
 
 FORMS = pytest.mark.parametrize("form", ["parquet", "csv"])
@@ -75,15 +79,16 @@ def rebuilt(frames: Frames) -> Iterator[tuple[str, str, Message]]:
             row["sim_time_ns"] = row.pop("time").value
             row["missing"] = missing[signal.name, node, number]
             assert row.pop("log_time_ns") - row["publish_time_ns"] == RECORDER_LAG_NS
-            for field in {"available_kw", "revert_kw"} & row.keys():
+            for field in MAY_BE_NIL & row.keys():
                 row[field] = None if isnan(row[field]) else row[field]
-            if signal.name == "given_up":
-                row["agents"] = agents
-            if signal.name == "setpoint":
-                row["help_given"] = help_given[node, number]
-            if signal.name == "production":
-                row["inverter_mpp_kw"] = mpp_kw[number]
-                row["inverter_power_kw"] = power_kw[number]
+            match signal.name:
+                case "given_up":
+                    row["agents"] = agents
+                case "setpoint":
+                    row["help_given"] = help_given[node, number]
+                case "production":
+                    row["inverter_mpp_kw"] = mpp_kw[number]
+                    row["inverter_power_kw"] = power_kw[number]
             yield signal.name, node, msgspec.convert(row, signal.type)
 
 
@@ -97,7 +102,8 @@ def test_every_message_can_be_put_together_again_from_the_tables(
         frame = read(tmp_path / "tables", name, form)
         assert len(frame) == count
         frame["time"] = frame["time"].astype("datetime64[ns, UTC]")
-        frames[name] = frame.to_dict("records")  # type: ignore[assignment]
+        # CSV has nothing for an empty text.
+        frames[name] = frame.fillna({"order_source": ""}).to_dict("records")  # type: ignore[assignment]
     found = {
         (signal, node, message.sequence): encode(message)
         for signal, node, message in rebuilt(frames)

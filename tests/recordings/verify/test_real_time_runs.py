@@ -22,11 +22,12 @@ from recorded_runs import (
 from verifying import first_differences
 
 from agents.faults import Kill
-from agents.plan import RunPlan
+from agents.plan import PlannedOrder, RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import Blackout, Disturbance
-from bus_schemas.messages import Impp, Residual, Takeover, parse_missing
-from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, RESIDUAL, SETPOINT
+from bus_schemas.messages import Dispatch, Impp, Order, Residual, Takeover, parse_missing
+from bus_schemas.signals import COMMAND, IMPP, ORDER, PRODUCTION, RESIDUAL, SETPOINT
+from bus_schemas.tree import OPERATOR, PLANT, ROOT
 from launch_scripts.simulation import MemoryRun
 from recordings.verify.verification import Verification, verify
 
@@ -52,10 +53,17 @@ def verified(
             faulty_plan(Blackout(signal="dispatch", at=(4, 16)), Blackout(source="c1", at=(8, 20))),
             3,
         ),
+        (
+            replace(
+                faulty_plan(LATE, cycles=30),
+                orders=(PlannedOrder(at=3.0, power_kw=90.0, ramp_kw_per_min=2_000.0, hold_s=9.0),),
+            ),
+            20,
+        ),
         # A standby takes over between the turns of its parent.
         (faulty_plan(Kill("c1", 10.5), cycles=30, standby=("c1",), period_cycles=(5, 1)), 0),
     ],
-    ids=["loss", "late", "three tiers", "silent for longer than the hold", "taken over"],
+    ids=["loss", "late", "three tiers", "silent for longer than the hold", "ordered", "taken over"],
 )
 def test_a_run_over_a_bad_network_verifies_equal(
     plan: RunPlan, least_used: int, tmp_path: Path
@@ -239,6 +247,63 @@ def test_a_recorder_that_was_away_in_one_stage_of_a_cycle_makes_no_difference(
     folder = record(tmp_path / "run", plan, messages[:left])
     record_on(folder, plan, messages[back:])
     assert verify(folder, "c2").equal
+
+
+def published_with_orders(plan: RunPlan, given: dict[int, Order]) -> list[Delivery]:
+    """All that is published in a run whose plant is given orders after some of its cycles."""
+    sent = Sent()
+    run = MemoryRun(plan, cloudy_profile(plan), sent)
+    for cycle in run.cycles():
+        if cycle in given:
+            run.loops[PLANT].hear(ORDER.of(ROOT), given[cycle], 0)
+    return sent.messages
+
+
+ORDERED = {
+    at: Order(at, 0, OPERATOR, (), power_kw=power_kw, ramp_kw_per_min=1_500.0, hold_s=8.0)
+    for at, power_kw in {4: 90.0, 5: 90.0, 9: None, 12: 1e9, 40: -2.0}.items()
+}
+"""Of those that do not know when the plant takes them: an order, renewed, back, and too much."""
+
+
+@pytest.mark.parametrize("plan", [plan_of(cycles=60), faulty_plan(LATE, cycles=60)])
+def test_orders_given_meanwhile_verify_equal_by_what_the_dispatch_says(
+    plan: RunPlan, tmp_path: Path
+) -> None:
+    messages = published_with_orders(plan, ORDERED)
+    dispatches = [message for _, message in messages if isinstance(message, Dispatch)]
+    asked_kw = {one.order_power_kw for one in dispatches if one.order_source}
+    assert asked_kw == {90.0, None, 1e9, -2.0}
+    found = verified(tmp_path / "run", plan, messages)
+    assert found.equal
+    assert found.total("compared") == sum(port.signal.decided for port, _ in messages)
+
+
+def test_a_dispatch_that_does_not_follow_from_its_order_is_a_difference(tmp_path: Path) -> None:
+    plan = faulty_plan(LATE, cycles=30)
+    messages = [
+        (port, replace(message, power_kw=message.power_kw + 1.0))
+        if isinstance(message, Dispatch) and message.cycle == 14
+        else (port, message)
+        for port, message in published_with_orders(plan, ORDERED)
+    ]
+    found = verified(tmp_path / "run", plan, messages)
+    assert found.agents[PLANT].differences == {"differs": 1}
+
+
+@pytest.mark.parametrize(
+    "plan", [plan_of(cycles=60), faulty_plan(Disturbance(delay_ms=1.0), cycles=60)]
+)
+def test_an_order_that_came_while_the_recorder_was_away_makes_no_difference(
+    plan: RunPlan, tmp_path: Path
+) -> None:
+    messages = published_with_orders(plan, ORDERED)
+    cycles = [message.cycle for _, message in messages]
+    folder = record(tmp_path / "run", plan, messages[: cycles.index(4)], cloudy_profile(plan))
+    record_on(folder, plan, messages[cycles.index(14) :])
+    found = verify(folder)
+    assert first_differences(found) == {}
+    assert found.agents[PLANT].compared > 0.5 * found.agents[PLANT].recorded
 
 
 def test_a_difference_after_the_recorder_was_away_is_found(tmp_path: Path) -> None:

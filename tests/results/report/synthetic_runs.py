@@ -51,6 +51,7 @@ def cloudy_run(
         ),
         commitment_kw=commitment_kw,
         regulation_kw=capacity_kw * signal,
+        dispatch_kw=dispatch_kw,
         mpp_kw=mpp_kw,
         power_kw=alpha * mpp_kw,
         impp_kw=impp_kw,
