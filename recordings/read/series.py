@@ -160,7 +160,8 @@ class RunSeries:
     @property
     def known(self) -> NDArray[np.bool_]:
         """Whether the recording has dispatch and production of each cycle, shape (T,)."""
-        return np.isfinite(self.dispatch_kw) & np.isfinite(self.available_kw + self.delivered_kw)
+        of_dispatch = self.dispatch_kw + self.commitment_kw + self.regulation_kw
+        return np.isfinite(of_dispatch) & np.isfinite(self.available_kw + self.delivered_kw)
 
     @property
     def times(self) -> pd.DatetimeIndex:

@@ -140,7 +140,7 @@ def without(run: RunSeries, cycles: slice, *fields: str) -> RunSeries:
     return replace(run, **arrays)
 
 
-DISPATCH = ("commitment_kw", "regulation_kw", "dispatch_kw")
+DISPATCH = ("commitment_kw", "regulation_kw")
 PRODUCTION = ("mpp_kw", "power_kw")
 
 
