@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import date, datetime, time, timedelta
+from datetime import date, datetime, time
 from itertools import chain, product
 from math import prod
 from typing import Final
@@ -43,35 +42,26 @@ def label(columns: Mapping[str, object]) -> str:
 
 def parse_seeds(text: str) -> tuple[int, ...]:
     """Read `1..5,9`."""
-    if not re.fullmatch(r"\d+(\.\.\d+)?(,\d+(\.\.\d+)?)*", text):
-        raise InputError(f"--seeds: expected whole numbers and ranges such as 1..5,9, got {text!r}")
-    ranges = []
-    for part in text.split(","):
-        first, _, last = part.partition("..")
-        ranges.append(range(int(first), int(last or first) + 1))
-    if not all(ranges) or sum(map(len, ranges)) > _MOST:  # Not listed yet: it may not fit.
-        raise InputError(
-            f"--seeds: expected ranges from low to high, at most {_MOST:,} seeds, got {text}"
-        )
-    return tuple(dict.fromkeys(chain.from_iterable(ranges)))
+    return _numbers(text, int, "--seeds: expected whole numbers and ranges such as 1..5,9")
 
 
 def parse_days(text: str) -> tuple[date, ...]:
     """Read `2010-04-01`, `2010-04-01..2010-04-30`, or several of them with commas."""
-    days: list[date] = []
+    expected = "--days: expected dates and ranges such as 2010-04-01..2010-04-30"
+    days = _numbers(text, lambda day: date.fromisoformat(day.strip()).toordinal(), expected)
+    return tuple(map(date.fromordinal, days))
+
+
+def _numbers(text: str, read: Callable[[str], int], expected: str) -> tuple[int, ...]:
+    """Return the numbers of a list of numbers and ranges, each once."""
     try:
-        for part in text.split(","):
-            first, _, last = part.partition("..")
-            begin = date.fromisoformat(first.strip())
-            end = date.fromisoformat(last.strip()) if last else begin
-            days += [begin + timedelta(days=day) for day in range((end - begin).days + 1)]
+        ends = [[read(end) for end in part.split("..", 1)] for part in text.split(",")]
     except ValueError:
-        days = []
-    if not days:
-        raise InputError(
-            f"--days: expected dates and ranges such as 2010-04-01..2010-04-30, got {text!r}"
-        )
-    return tuple(days)
+        ends = []
+    ranges = [range(one[0], one[-1] + 1) for one in ends]
+    if not ranges or not all(ranges) or sum(map(len, ranges)) > _MOST:  # They may not fit.
+        raise InputError(f"{expected}, from low to high, at most {_MOST:,}, got {text!r}")
+    return tuple(dict.fromkeys(chain.from_iterable(ranges)))
 
 
 def cases(

@@ -6,6 +6,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from command_line import python
 
@@ -19,7 +20,12 @@ def test_a_simulation_returns_its_summary_and_its_recording_and_prints_nothing(
     plant: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run"
-    settings = {"commitment.share": 0.4, "control.period_cycles": [2, 1], "title": "Sun, clouds"}
+    settings = {
+        "commitment.share": np.float64(0.4),
+        "control.period_cycles": np.array([2, 1]),
+        "control.deadlines_ms": (100, 500.0, 900),
+        "title": "Sun, clouds",
+    }
     run = heliarch.simulate(plant, start="12:00", end="12:00:20", settings=settings, out=out)
     assert capsys.readouterr() == ("", "")
     assert (run.summary.cycles, run.folder) == (20, out)
@@ -28,6 +34,7 @@ def test_a_simulation_returns_its_summary_and_its_recording_and_prints_nothing(
         assert len(recording.plan.inverters) == 4
         assert "share = 0.4" in recording.scenario
         assert recording.plan.control.period_cycles == (2, 1)
+        assert recording.plan.timing.tier_deadlines_ns[1] == 500_000_000
 
 
 def test_a_comparison_is_a_table_with_a_row_for_each_case_scheme_and_actuator(plant: str) -> None:
@@ -37,8 +44,8 @@ def test_a_comparison_is_a_table_with_a_row_for_each_case_scheme_and_actuator(pl
         actuators=["fraction", "limit"],
         duration="30s",
         days=[date(2010, 4, 1)],
-        seeds=[1],
-        settings={"commitment.share": [0.3, 0.5]},
+        seeds=np.arange(1, 2),
+        settings={"commitment.share": np.array([0.3, 0.5])},
     )
     assert list(table["scheme"]) == ["paper", "paper", "physical-limit"] * 2
     assert list(table["actuator"].fillna("none")) == ["fraction", "limit", "none"] * 2

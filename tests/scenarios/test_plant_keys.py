@@ -73,7 +73,7 @@ def spoil(how: str, folder: Path, plant: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("how", "words", "told"),
+    ("how", "words", "said"),
     [
         ("expired", SHORT, "valid up to the end"),
         ("expires soon", ("--pace", "1", "--duration", "30m"), "valid up to the end"),
@@ -88,10 +88,10 @@ def spoil(how: str, folder: Path, plant: str) -> None:
     ],
 )
 def test_wrong_keys_are_refused_before_anything_starts(
-    plant: str, how: str, words: Sequence[str], told: str
+    plant: str, how: str, words: Sequence[str], said: str
 ) -> None:
     spoil(how, Path("keys/small"), plant)
-    assert told in refusal("launch", plant, *words, "--secure")
+    assert said in refusal("launch", plant, *words, "--secure")
     assert not Path("runs").exists()
 
 

@@ -10,6 +10,7 @@ import pytest
 from complaints import complaint_of
 from own_scenarios import Folder
 
+from scenarios.run_options import RunOptions
 from scenarios.scenario import load_scenario, shipped_scenarios
 
 SCENARIO = """\
@@ -362,29 +363,36 @@ def test_bad_inverters_and_measurements_are_refused(
 @pytest.mark.parametrize(
     ("option", "name", "values"),
     [
-        ("duration", "duration", ("0", "soon", "745h", "9" * 400, "1.25s")),
+        ("duration", "duration", ("0", "soon", "745h", "9" * 400)),
         ("start", "from", ("noon", "25:00", "12:30Z", "1899-12-31", "9999-01-01")),
-        ("end", "to", ("13:00", "later")),
+        ("end", "to", ("later",)),
         ("seed", "seed", (-1,)),
         ("scheme", "scheme", ("papr",)),
         ("actuator", "actuator", ("wheel",)),
         ("pace", "pace", ("soon", "0", 1e7)),
-        ("faults", "fault", (("delay=50",),)),
-        ("devices", "device", (("c1/a=nowhere",),)),
+        ("faults", "fault", (["delay=50"],)),
+        ("devices", "device", (["c1/a=nowhere"],)),
         ("external_timeout_s", "external-timeout", (0.0,)),
         ("address", "address", ("here",)),
-        ("cpus", "cpus", (("all",),)),
+        ("cpus", "cpus", (["all"],)),
         ("priority", "priority", (-1, 0, 100)),
     ],
 )
-def test_a_bad_option_is_refused_by_its_name_before_any_data_is_read(
-    folder: Folder, option: str, name: str, values: tuple[object, ...]
+def test_a_bad_option_is_refused_by_its_name_without_any_scenario(
+    option: str, name: str, values: tuple[object, ...]
 ) -> None:
-    (folder.path / "plant.csv").unlink()
     for value in values:
-        complaint = folder.complaint(**{option: value})
+        complaint = complaint_of(RunOptions, **{option: value})
         assert complaint.startswith((f"--{name}: expected ", f"--{name} ")), complaint
         assert len(complaint) < 200
+
+
+def test_a_time_that_the_scenario_does_not_allow_is_refused_before_its_data_is_read(
+    folder: Folder,
+) -> None:
+    (folder.path / "plant.csv").unlink()
+    assert folder.complaint(end="13:00").startswith("--to: expected a time after 13:00:00")
+    assert folder.complaint(duration="1.25s").startswith("--duration: expected a whole number of")
 
 
 # Regulation ---------------------------------------------------------------------------------------

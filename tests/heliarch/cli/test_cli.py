@@ -58,7 +58,7 @@ def test_help_does_not_wait_for_what_a_run_needs(words: list[str]) -> None:
     assert not HEAVY & {module.partition(".")[0] for module in found.stderr.split()}
 
 
-def test_version_and_scenarios_are_told() -> None:
+def test_version_and_shipped_scenarios_are_listed() -> None:
     assert heliarch("--version").stdout.startswith("heliarch ")
     found = json.loads(heliarch("scenarios", "--json", "-").stdout)
     assert {entry["name"] for entry in found} == set(shipped_scenarios())

@@ -144,7 +144,7 @@ What `wait4` says counts the memory of the process that forked it too.
 """
 
 
-def test_a_chunk_that_unpacks_to_gigabytes_is_left_out_and_told(tmp_path: Path) -> None:
+def test_a_chunk_that_unpacks_to_gigabytes_is_left_out_and_named(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_run(path, whole_run(3), close=False)
     packer, zeros = lz4.frame.LZ4FrameCompressor(), bytes(1 << 20)

@@ -37,7 +37,7 @@ def run(content: bytes, tmp_path: Path) -> Path:
 # inspect ------------------------------------------------------------------------------------------
 
 
-def test_a_recording_is_told_with_what_is_missing_in_it(run: Path) -> None:
+def test_inspect_shows_what_a_recording_holds_and_what_is_missing(run: Path) -> None:
     text = done("inspect", run)
     facts = " ".join(text.split())
     assert "plant field, scheme paper" in facts

@@ -43,7 +43,7 @@ def with_length(length: int) -> Spoil:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "status", "told", "chunks"),
+    ("spoil", "status", "said", "chunks"),
     [
         (lambda content, _: content, 0, "it is whole, there is nothing to recover", None),
         (lambda content, _: content[:-40], 0, "missing: nothing", None),
@@ -59,7 +59,7 @@ def test_the_exit_status_says_what_became_of_a_recording(
     tmp_path: Path,
     spoil: Spoil,
     status: int,
-    told: str,
+    said: str,
     chunks: int | None,
 ) -> None:
     path, out = tmp_path / "run.mcap", tmp_path / "run.recovered.mcap"
@@ -67,7 +67,7 @@ def test_the_exit_status_says_what_became_of_a_recording(
     result = heliarch("recover", tmp_path, "--json", tmp_path / "x.json")
     assert result.exit_code == status
     text = " ".join(result.output.split())
-    assert told in text
+    assert said in text
     if out.exists():
         assert json.loads((tmp_path / "x.json").read_text())["lossless"] == (status == 0)
         with open_run(out) as run:
