@@ -101,8 +101,8 @@ def _at_the_sensors(
     scenario = scenario_file.scenario
     sites = Sites(
         tuple(inverter_name(station) for station in irradiance.sensors),
-        irradiance.places["lat"].to_numpy(),
-        irradiance.places["lon"].to_numpy(),
+        irradiance.coordinates["lat"].to_numpy(),
+        irradiance.coordinates["lon"].to_numpy(),
         equal_ratings_kw(scenario.plant.rating_kw, stations, "plant")[: len(irradiance.sensors)],
     )
     return PlantUnderSky(sites, scenario.plant.altitude_m, scenario.pv)

@@ -40,7 +40,7 @@ class CsvTable:
             raise self.error(int(repeated.argmax()), column, "a name that no other line has")
         return names
 
-    def places(self, column: str) -> pd.DataFrame:
+    def coordinates(self, column: str) -> pd.DataFrame:
         """Return `lat` and `lon` [degree] by the names in a column, none of which comes twice."""
         self.check_header((column, "lat", "lon"))
         lat_deg = self.numbers(("lat",), "degrees from -90 to 90", -90.0, 90.0)

@@ -42,7 +42,7 @@ def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
     ghi_wm2 = irradiance.ghi_wm2
     all_missing = ghi_wm2.isna().all(axis=1)
     gaps = ghi_wm2.isna().loc[~all_missing]
-    distances_m = _distances_m(irradiance.places)
+    distances_m = _distances_m(irradiance.coordinates)
     filled, report = ghi_wm2.copy(), list(irradiance.report)
     for sensor in gaps.columns[gaps.any()]:
         others = distances_m[sensor].drop(sensor).sort_values(kind="stable")
@@ -69,10 +69,12 @@ def fill_from_neighbours(irradiance: Irradiance) -> Irradiance:
     return replace(irradiance, ghi_wm2=filled, report=tuple(report))
 
 
-def _distances_m(places: pd.DataFrame) -> pd.DataFrame:
-    east_m, north_m = east_north_m(places["lat"].to_numpy(), places["lon"].to_numpy())
+def _distances_m(coordinates: pd.DataFrame) -> pd.DataFrame:
+    east_m, north_m = east_north_m(coordinates["lat"].to_numpy(), coordinates["lon"].to_numpy())
     distances_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
-    return pd.DataFrame(np.maximum(distances_m, _SAME_PLACE_M), places.index, places.index)
+    return pd.DataFrame(
+        np.maximum(distances_m, _SAME_PLACE_M), coordinates.index, coordinates.index
+    )
 
 
 def _weighted_mean(ghi_wm2: pd.DataFrame, distances_m: pd.Series) -> pd.Series:

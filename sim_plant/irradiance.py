@@ -24,13 +24,13 @@ class Irradiance:
 
     ghi_wm2: A column for each sensor, a row for each UTC time, with one constant step; none is
         negative.
-    places: `lat` and `lon` of each sensor [degree], north and east positive.
+    coordinates: `lat` and `lon` of each sensor [degree], north and east positive.
     source: The file.
     report: A line for each sensor that was filled or left out.
     """
 
     ghi_wm2: pd.DataFrame
-    places: pd.DataFrame
+    coordinates: pd.DataFrame
     source: str
     report: tuple[str, ...] = ()
 
@@ -69,19 +69,19 @@ def read_measured_ghi(
             )
     wanted = tuple(known if stations is None else stations)
     check_stations(wanted, known, f"{table.name}: line 1: stations")
-    places = read_places(positions_csv, wanted)
+    coordinates = read_coordinates(positions_csv, wanted)
     ghi_wm2 = checked_ghi(table, wanted, table.numbers(wanted, "a number in W/m2"))
     times = table.times(stamp)
     table.check_steady(stamp, times.asi8)
-    return Irradiance(ghi_wm2.set_index(times), places, str(ghi_csv))
+    return Irradiance(ghi_wm2.set_index(times), coordinates, str(ghi_csv))
 
 
-def read_places(path: Path, stations: Sequence[str]) -> pd.DataFrame:
+def read_coordinates(path: Path, stations: Sequence[str]) -> pd.DataFrame:
     """Return `lat` and `lon` of stations [degree], from a CSV `station, lat, lon`."""
-    places = read_csv(path).places("station")
-    if missing := [name for name in stations if name not in places.index]:
+    coordinates = read_csv(path).coordinates("station")
+    if missing := [name for name in stations if name not in coordinates.index]:
         raise InputError(f"{path.name}: expected a line for each station, got none for {missing}")
-    return places.loc[list(stations)]
+    return coordinates.loc[list(stations)]
 
 
 def checked_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> pd.DataFrame:

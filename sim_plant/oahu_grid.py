@@ -24,7 +24,7 @@ import pandas as pd
 from bus_schemas.errors import InputError
 from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.gap_filling import fill_from_neighbours
-from sim_plant.irradiance import Irradiance, check_stations, checked_ghi, read_places
+from sim_plant.irradiance import Irradiance, check_stations, checked_ghi, read_coordinates
 
 MISSING: Final = -99999.0
 
@@ -56,7 +56,7 @@ def read_day(
     """
     wanted = HORIZONTAL if stations is None else tuple(stations)
     check_stations(wanted, HORIZONTAL, "stations")
-    places = read_places(positions_csv, wanted)
+    coordinates = read_coordinates(positions_csv, wanted)
     path = folder / f"{day:%Y%m%d}.txt"
     table = read_csv(path, _FIELDS)
     if table.fields.shape[1] != len(_FIELDS):
@@ -67,7 +67,7 @@ def read_day(
         expected, lowest = "no missing value, as irradiance.gaps is 'refuse'", MISSING + 1.0
     ghi_wm2 = table.numbers(wanted, expected, lowest)
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
-    found = Irradiance(checked_ghi(table, wanted, ghi_wm2).set_index(times), places, str(path))
+    found = Irradiance(checked_ghi(table, wanted, ghi_wm2).set_index(times), coordinates, str(path))
     if most_missing is None:
         return found
     complete = fill_from_neighbours(_without_sparse(found, most_missing))
@@ -114,4 +114,4 @@ def _without_sparse(found: Irradiance, most_missing: float) -> Irradiance:
         f"{name}: {count:,} of {total:,} values missing, {limit}: left out, with its inverter"
         for name, count in missing[~kept].items()
     )
-    return Irradiance(found.ghi_wm2.loc[:, kept], found.places[kept], found.source, report)
+    return Irradiance(found.ghi_wm2.loc[:, kept], found.coordinates[kept], found.source, report)

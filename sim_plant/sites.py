@@ -34,8 +34,8 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
     Without that column the rating of the plant is split equally. Further columns are left alone.
     """
     table = read_csv(path)
-    places = table.places("inverter")
-    names = tuple(places.index)
+    coordinates = table.coordinates("inverter")
+    names = tuple(coordinates.index)
     if not 0 < len(names) <= MOST_INVERTERS:
         raise InputError(f"{path.name}: expected 1 to {MOST_INVERTERS:,} lines, got {len(names):,}")
     for name in names:
@@ -51,7 +51,7 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
             )
     else:
         rating_kw = equal_ratings_kw(plant_rating_kw, len(names), path.name)
-    return Sites(names, places["lat"].to_numpy(), places["lon"].to_numpy(), rating_kw)
+    return Sites(names, coordinates["lat"].to_numpy(), coordinates["lon"].to_numpy(), rating_kw)
 
 
 def inverter_name(station: str) -> str:

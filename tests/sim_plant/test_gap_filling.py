@@ -20,8 +20,8 @@ def line_of_sensors(ghi_wm2: Floats, north_m: list[float]) -> Irradiance:
     names = list("ABCDEFGH"[: len(north_m)])
     times = pd.date_range("2010-04-01T20:00:00Z", periods=len(ghi_wm2), freq="1s")
     lat_deg = 21.3 + np.array(north_m) / 111_200.0
-    places = pd.DataFrame({"lat": lat_deg, "lon": -158.0}, names)
-    return Irradiance(pd.DataFrame(ghi_wm2, times, names), places, "day.txt")
+    coordinates = pd.DataFrame({"lat": lat_deg, "lon": -158.0}, names)
+    return Irradiance(pd.DataFrame(ghi_wm2, times, names), coordinates, "day.txt")
 
 
 def filled(ghi_wm2: Floats, north_m: list[float]) -> Floats:

@@ -42,8 +42,8 @@ def read(tmp_path: Path) -> Read:
 def test_columns_positions_and_times_belong_together(read: Read) -> None:
     found = read()
     assert found.sensors == ("DH3", "AP1", "DH4")
-    assert found.places["lat"].tolist() == [21.31236, 21.31276, 21.31303]
-    assert found.places["lon"].tolist() == [-158.08463, -158.08389, -158.08505]
+    assert found.coordinates["lat"].tolist() == [21.31236, 21.31276, 21.31303]
+    assert found.coordinates["lon"].tolist() == [-158.08463, -158.08389, -158.08505]
     np.testing.assert_array_equal(found.ghi_wm2[:2], [[800.5, 790.0, 0.0], [801.5, 791.0, 10.0]])
     assert str(found.times.tz) == "UTC"
     assert found.times[-1] == pd.Timestamp("2010-04-01T20:00:03Z")
@@ -53,7 +53,7 @@ def test_stations_are_taken_in_the_order_asked_for(read: Read) -> None:
     found = read(stations=["DH4", "DH3"])
     assert found.sensors == ("DH4", "DH3")
     assert found.ghi_wm2.iloc[2].tolist() == [20.0, 802.5]
-    assert found.places["lat"].tolist() == [21.31303, 21.31236]
+    assert found.coordinates["lat"].tolist() == [21.31303, 21.31236]
 
 
 @pytest.mark.parametrize(

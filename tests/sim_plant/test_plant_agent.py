@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from complaints import complaint_of
 from plans_by_hand import CYCLE_NS, plan_of, with_changes
+from plants_by_hand import AtWork, at, command
 
-from agents.loop import Loop
 from agents.settings import InverterSettings, Revert
-from bus_schemas.messages import Command, Message, Production
-from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY, Port
+from bus_schemas.messages import Message
+from bus_schemas.signals import DISPATCH, METER, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile, load_profile
@@ -28,34 +28,21 @@ PLAN = plan_of(dict.fromkeys(LEAVES, 100.0), cycles=3)
 Sent = dict[Port[Message], Any]
 
 
-class PlantAtWork:
+class PlantAtWork(AtWork):
     """The plant in its loop."""
 
     def __init__(self, profile: Profile = PROFILE, **changes: object) -> None:
         plan = with_changes(PLAN, cycles=profile.cycles, **changes)
-        self.loop = Loop(Plant(plan, profile), plan)
+        super().__init__(plan, Plant(plan, profile))
 
     def begin(self) -> Sent:
         self.loop.begin(0, 0)
-        return self.sent()
+        return self.hear()
 
     def command(self, *alphas: float) -> Sent:
         """Command inverters, in their order; return what the plant sends then."""
-        cycle = self.loop.cycle
-        for leaf, alpha in zip(LEAVES, alphas, strict=False):
-            head = (cycle, cycle * CYCLE_NS, leaf, ())
-            message = Command(*head, alpha=alpha, power_kw=100.0 * alpha, revert_kw=50.0 * alpha)
-            self.loop.hear(COMMAND.of(leaf), message, 0)
-        return self.sent()
-
-    def at_deadline(self) -> Sent:
-        return dict(self.loop.close_stage(0)) | self.sent()
-
-    def sent(self) -> Sent:
-        found: Sent = {}
-        while self.loop.is_complete:
-            found.update(self.loop.close_stage(0))
-        return found
+        commanded = zip(LEAVES, alphas, strict=False)
+        return self.hear(*(command(leaf, self.loop.cycle, alpha) for leaf, alpha in commanded))
 
 
 def measured(sent: Sent, cycle: int) -> list[tuple[float, float]]:
@@ -66,9 +53,7 @@ def measured(sent: Sent, cycle: int) -> list[tuple[float, float]]:
 
 
 def powers_kw(sent: Sent) -> tuple[float, ...]:
-    made = sent[PRODUCTION.of(ROOT)]
-    assert isinstance(made, Production)
-    return made.inverter_power_kw
+    return at(sent, PRODUCTION.of(ROOT)).inverter_power_kw
 
 
 def test_a_cycle_begins_with_the_operators_wish_and_the_rating_that_it_is_shared_by() -> None:

@@ -7,11 +7,11 @@ from collections.abc import Collection, Mapping
 import numpy as np
 import pytest
 from plans_by_hand import CYCLE_NS, plan_of
+from plants_by_hand import AtWork, at, command
 
-from agents.loop import Loop
 from agents.settings import Revert
-from bus_schemas.messages import Command, Message, Meter, Production
-from bus_schemas.signals import COMMAND, METER, PRODUCTION, TELEMETRY, Port
+from bus_schemas.messages import Command, Message, Production
+from bus_schemas.signals import METER, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT
 from sim_plant import real_inverters
 from sim_plant.profile import Profile
@@ -22,7 +22,7 @@ CYCLES = 8
 LOST_FROM = 3
 """The first cycle in which `c1/b` says nothing."""
 
-LIMIT_KW, REVERT_KW, MAXIMUM_KW = 60.0, 25.0, 80.0
+LIMIT_KW, REVERT_KW, MAXIMUM_KW = 60.0, 30.0, 80.0
 
 
 class Devices:
@@ -59,31 +59,21 @@ def cycles_of(metered_kw: float | None = None) -> list[dict[Port[Message], Messa
         meter="" if metered_kw is None else "modbus://127.0.0.1",
     )
     profile = Profile(np.full((CYCLES, 2), 99.0), np.full(CYCLES, 120.0))
-    loop = Loop(PlantWithDevices(plan, profile, devices), plan)
-    loop.begin(0, 0)
+    plant = AtWork(plan, PlantWithDevices(plan, profile, devices))
     sent = []
     for cycle in range(CYCLES):
         devices.lost = {1} if cycle >= LOST_FROM else set()
-        now = dict(loop.close_stage(0))
-        for leaf in LEAVES:
-            command = Command(
-                *(cycle, 0, leaf, ()), alpha=0.75, power_kw=LIMIT_KW, revert_kw=REVERT_KW
-            )
-            loop.hear(COMMAND.of(leaf), command, 0)
-        sent.append(now | dict(loop.close_stage(0)))
+        now = plant.at_deadline("sense")
+        sent.append(now | plant.hear(*(command(leaf, cycle, LIMIT_KW / 100.0) for leaf in LEAVES)))
     return sent
 
 
 def production(sent: Mapping[Port[Message], Message]) -> Production:
-    found = sent[PRODUCTION.of(ROOT)]
-    assert isinstance(found, Production)
-    return found
+    return at(sent, PRODUCTION.of(ROOT))
 
 
 def metered_kw(sent: Mapping[Port[Message], Message]) -> float:
-    found = sent[METER.of(ROOT)]
-    assert isinstance(found, Meter)
-    return found.power_kw
+    return at(sent, METER.of(ROOT)).power_kw
 
 
 def test_a_lost_inverter_leaves_meter_and_production_and_its_power_is_unknown() -> None:

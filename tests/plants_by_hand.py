@@ -12,8 +12,18 @@ from agents.loop import Loop
 from agents.plan import RunPlan
 from agents.team import controller
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Dispatch, Impp, Message, Meter, Residual, Setpoint, Telemetry
+from bus_schemas.messages import (
+    Command,
+    Dispatch,
+    Impp,
+    Message,
+    Meter,
+    Residual,
+    Setpoint,
+    Telemetry,
+)
 from bus_schemas.signals import (
+    COMMAND,
     DISPATCH,
     IMPP,
     METER,
@@ -48,9 +58,9 @@ class AtWork:
             sent.update(self.loop.close_stage(self._now_ns))
         return sent
 
-    def at_deadline(self, stage: str) -> dict[Port[Message], Message]:
+    def at_deadline(self, stage: str = "") -> dict[Port[Message], Message]:
         """Let the deadline of the open stage pass, and return what it sends."""
-        assert self.loop.stage == stage
+        assert stage in {"", self.loop.stage}
         assert self.loop.deadline_ns is not None
         self._now_ns = self.loop.deadline_ns
         sent = dict(self.loop.close_stage(self._now_ns))
@@ -109,3 +119,11 @@ def report(child: str, cycle: int, impp_kw: float, residual_kw: float) -> list[D
     """What a child reports in a cycle."""
     residual = Residual(*head(cycle, child), power_kw=residual_kw)
     return [impp(child, cycle, impp_kw), (RESIDUAL.of(child), residual)]
+
+
+def command(leaf: str, cycle: int, alpha: float) -> Delivery:
+    """What an inverter of 100 kW is commanded, with half of it as the limit after its revert."""
+    message = Command(
+        *head(cycle, leaf), alpha=alpha, power_kw=100.0 * alpha, revert_kw=50.0 * alpha
+    )
+    return COMMAND.of(leaf), message
