@@ -22,7 +22,6 @@ from agents.plan import (
     Site,
     Supervision,
     Timing,
-    changed,
     check_plan,
     check_size,
 )
@@ -139,13 +138,9 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
     wall_ns = cycle_wall_ns(
         scenario.time.cycle_s, pace, "--pace" if options.pace else f"{path}: pace"
     )
-    machine = machine_settings(
-        scenario.machine,
-        f"{path}: machine.cpus:",
-        options.cpus or (),
-        options.priority,
-        lockstep=pace == "max",
-    )
+    if options.priority is not None and pace == "max":
+        why = "got lockstep, where nothing can be late"
+        raise InputError(f"--priority: expected a --pace such as 1 with it, {why}")
     keys_folder, offer = _keys_folder(scenario, options), scenario.regulation
     with scenario_file.named():
         day = _day(scenario_file, scenario, options.seed, times)
@@ -154,7 +149,6 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             zone, data_path = scenario.time.timezone, scenario_file.data_path
             regulation = regulation_kw(offer, times, zone, data_path)
     plan = _plan(scenario_file, scenario, options, run_id, day, wall_ns, keys_folder)
-    plan = changed(plan, supervision={"machine": machine})
     remarks = [f"warning: {one}" for one in _warnings(day)] + list(day.source.remarks)
     if plan.site.revert is not None and plan.site.revert != scenario.plant.revert:
         remarks.append(
@@ -298,6 +292,7 @@ def _plan(
         supervision=Supervision(
             restart=scenario.restart,
             standby=_standby(scenario.standby, day.tree, external),
+            machine=machine_settings(options.cpus or (), options.priority),
         ),
         orders=scenario.orders,
     )

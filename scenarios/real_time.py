@@ -12,13 +12,10 @@ import os
 import re
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Annotated, Final, Literal, cast
-
-import msgspec
-from msgspec import Meta
+from typing import Final, Literal, cast
 
 from agents.cycle import KINDS, Kind, parts_up_to, stage_place
-from agents.process.machine import HIGHEST_PRIORITY, MachineSettings
+from agents.process.machine import MachineSettings
 from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.tree import CENTRAL, ControlTree
 
@@ -91,44 +88,17 @@ def tier_deadlines_ns(
     return found
 
 
-class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the processes of a run may take of the machine.
-
-    cpus: Processors of all processes, `"0-1"`, or of one kind, `"plant=0"`.
-    priority: SCHED_FIFO priority; 0: normal policy.
-    """
-
-    cpus: tuple[str, ...] = ()
-    priority: Annotated[int, Meta(ge=0, le=HIGHEST_PRIORITY)] = 0
-
-
-def machine_settings(
-    table: MachineTable, where: str, cpus: Sequence[str], priority: int | None, *, lockstep: bool
-) -> MachineSettings:
-    """Return what the processes of a run may take, by the scenario and the command line.
-
-    `where` is the place of the scenario's own processors, for errors.
-    """
-    if priority is not None and lockstep:
-        raise InputError(
-            "--priority: expected a --pace such as 1 with it, got lockstep, where nothing can be "
-            "late"
-        )
-    by_kind = cpus_by_kind("--cpus", cpus) if cpus else cpus_by_kind(where, table.cpus)
-    everywhere = by_kind.pop("", ())
-    kinds = cast("dict[Kind, tuple[int, ...]]", by_kind)
-    return MachineSettings(everywhere, kinds, table.priority if priority is None else priority)
-
-
-def cpus_by_kind(where: str, entries: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Read processors such as `0-1`, for all kinds of process (""), or `plant=0` for one."""
-    by_kind = {}
-    for entry in entries:
+def machine_settings(cpus: Sequence[str], priority: int | None = None) -> MachineSettings:
+    """Read the values of `--cpus`: processors such as `0-1`, or `plant=0` for one kind."""
+    by_kind: dict[str, tuple[int, ...]] = {}
+    for entry in cpus:
         kind, equals, listed = entry.rpartition("=")
         if equals and kind not in KINDS:
-            raise InputError(f"{where} {entry}: {not_one_of(KINDS, kind, 'a kind of process: ')}")
-        by_kind[kind] = _cpu_list(f"{where} {entry}", listed)
-    return by_kind
+            known = not_one_of(KINDS, kind, "a kind of process: ")
+            raise InputError(f"--cpus {entry}: {known}")
+        by_kind[kind] = _cpu_list(f"--cpus {entry}", listed)
+    everywhere = by_kind.pop("", ())
+    return MachineSettings(everywhere, cast("dict[Kind, tuple[int, ...]]", by_kind), priority or 0)
 
 
 def _cpu_list(where: str, text: str) -> tuple[int, ...]:

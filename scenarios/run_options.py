@@ -17,7 +17,7 @@ from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError, not_one_of
 from scenarios.elsewhere import own_address, split_devices
 from scenarios.fault_rules import parse_fault
-from scenarios.real_time import cpus_by_kind, parse_pace
+from scenarios.real_time import machine_settings, parse_pace
 from scenarios.times import parse_duration_s, parse_time
 
 LARGEST_SEED = 2**32
@@ -180,7 +180,7 @@ class ProcessOptions:
         split_devices(self.devices or ())
         _check_range("--external-timeout", self.external_timeout_s, 0.001, LONGEST_WAIT_S)
         own_address(self.address)
-        cpus_by_kind("--cpus", self.cpus or ())
+        machine_settings(self.cpus or ())
         _check_range("--priority", self.priority, LOWEST_PRIORITY, HIGHEST_PRIORITY)
 
 

@@ -27,7 +27,6 @@ from scenarios.real_time import (
     LONGEST_DEADLINE_MS,
     SHORTEST_DEADLINE_MS,
     SLOWEST_PACE,
-    MachineTable,
 )
 from scenarios.run_options import LARGEST_SEED
 from scenarios.times import LONGEST_S
@@ -281,7 +280,6 @@ class Scenario(_Table, frozen=True):
     secure: bool = False
     devices: tuple[DeviceTable, ...] = ()
     standby: tuple[Literal["central", "supervisors"], ...] = ()
-    machine: MachineTable = MachineTable()
     timing: TimingTable = TimingTable()
     orders: tuple[PlannedOrder, ...] = ()
 

@@ -23,7 +23,6 @@ from bus_schemas.signals import RESIDUAL, SETPOINT, SIGNALS, Signal
 from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 from docs.derived import DOCUMENTS, descriptions, filled, scenario_tables
 from scenarios.fault_rules import parse_fault
-from scenarios.real_time import MachineTable
 from scenarios.scenario import load_scenario
 
 HOUSE = Path(__file__).parents[2]
@@ -73,7 +72,6 @@ def test_the_examples_are_scenarios_that_are_accepted(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     path.write_text(whole, encoding="utf-8")
     found = load_scenario(str(path)).scenario
-    assert found.machine == MachineTable(cpus=("0-1", "recorder=1"), priority=20)
     assert found.timing.budgets.decision_p99_ms == {"direct": 4}
     option = "source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,at=60s..90s"
     assert found.faults == (parse_fault(option),)

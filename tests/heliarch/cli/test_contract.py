@@ -188,6 +188,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "simulate small.toml --set commitment.share=0.1,0.2",
         "simulate oahu --set time.duration_s=2590000 --set time.cycle_s=0.4",
         "launch small.toml --fault loss=1%",
+        "launch small.toml --priority 20",
         "launch small.toml --address 10.1.2.3",
         "launch small.toml --keys keys/small",
         "launch small.toml --device c1/inv01=modbus://127.0.0.1/1",
