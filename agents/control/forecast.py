@@ -68,14 +68,14 @@ METER_MEMORY_S: Final = 100.0
 METER_READINGS: Final = 30.0
 """Least number of readings for that mean: fewer say too little about a noisy meter."""
 
-WIDEST_BOUND_TOLERANCE: Final = 0.25
+WIDEST_BOUND_TOLERANCE: Final = 0.05
 """An inverter that is further from its limit is not held by it, however bad its meter."""
 
-LOW_READING: Final = 0.08
+LOW_READING: Final = 0.03
 """A held inverter may read below its limit by up to this share. The controller learns it from the
 power of the released inverter; otherwise an error of 1 % releases all again and again."""
 
-RELEASE_JUMP: Final = 1.1
+RELEASE_JUMP: Final = 1.03
 """A reading below the limit was wrong if the free inverter then gives so many times as much."""
 
 LOW_READING_SAFETY: Final = 1.5
@@ -116,7 +116,8 @@ def forecast_impp(
     maximum_kw = measured_maximum_kw(power_kw, alpha, available_kw, rating_kw)
     reads_low = _reads_low(maximum_kw, cycle_s, last)
     is_limited = limit_kw < rating_kw
-    if not is_limited or power_kw < limit_kw * (1.0 - _tolerance(reads_low, last)):
+    lowest_held_kw = limit_kw * (1.0 - _tolerance(limit_kw, reads_low, last))
+    if not is_limited or power_kw < lowest_held_kw:
         below_limit = 1.0 - power_kw / limit_kw if is_limited and limit_kw > 0.0 else 0.0
         return _seen(maximum_kw, rating_kw, cycle_s, last.meter_error, below_limit, reads_low, last)
     meter_error = last.meter_error
@@ -199,8 +200,14 @@ def _hidden(
     )
 
 
-def _tolerance(reads_low: float, last: Estimate) -> float:
-    """How far below its limit, as a share of it, an inverter that it holds may read."""
+def _tolerance(limit_kw: float, reads_low: float, last: Estimate) -> float:
+    """How far below its limit, as a share of it, an inverter that it holds may read.
+
+    An inverter that was asked for all it has is expected just below its limit: there, only a meter
+    that is known to read low may take it for held.
+    """
+    if limit_kw >= last.power_kw * (1.0 - ROUNDING):
+        return max(BOUND_TOLERANCE, reads_low)
     widest = max(BOUND_TOLERANCE, BOUND_SPREADS * last.meter_error, reads_low)
     return min(widest, WIDEST_BOUND_TOLERANCE)
 

@@ -207,12 +207,12 @@ def test_short_cycles_do_not_make_a_trend_of_the_meters_noise() -> None:
 
 
 def test_a_noisy_meter_is_learned_from_what_it_reads_above_the_limit() -> None:
-    noise = 0.05 * np.random.default_rng(2).standard_normal(600)
+    noise = 0.01 * np.random.default_rng(2).standard_normal(600)
     found = readings(40.0, noise.tolist(), measured(80.0))
     # Once it is known, no reading is taken for the maximum, and what is assumed of it only grows.
     assert not any(estimate.is_seen for estimate in found[300:])
     assert found[-1].power_kw == RATING_KW
-    assert found[-1].meter_error == pytest.approx(0.05 * 0.4, rel=0.4)  # E max(0, e) = 0.4 sigma
+    assert found[-1].meter_error == pytest.approx(0.01 * 0.4, rel=0.4)  # E max(0, e) = 0.4 sigma
 
 
 def test_a_cloud_below_the_limit_is_never_taken_for_the_meters_error() -> None:
@@ -233,9 +233,17 @@ def test_an_inverter_shaded_to_just_below_its_limit_does_not_count_as_held_by_it
 
 
 def test_a_meter_that_reads_low_is_known_by_what_the_inverter_gives_once_it_is_free() -> None:
-    deceived = forecast(37.6, 40.0, measured(80.0))
-    assert deceived.maximum_kw == 37.6, "6 % below its limit it seems to be in the shade"
-    free = forecast(75.2, RATING_KW, deceived)
-    assert free.reads_low == pytest.approx(LOW_READING_SAFETY * 0.06)
-    again = forecast(37.6, 40.0, free)
-    assert again.power_kw >= 75.2, "the same reading deceives it no more"
+    deceived = forecast(39.0, 40.0, measured(80.0))
+    assert deceived.maximum_kw == 39.0, "2.5 % below its limit it seems to be in the shade"
+    free = forecast(78.0, RATING_KW, deceived)
+    assert free.reads_low == pytest.approx(LOW_READING_SAFETY * 0.025)
+    again = forecast(39.0, 40.0, free)
+    assert again.power_kw >= 78.0, "the same reading deceives it no more"
+
+
+def test_just_below_the_limit_of_an_inverter_that_is_asked_for_all_it_has_is_its_maximum() -> None:
+    # Held a little above its forecast, 1 % below that limit is where its maximum is expected.
+    known = measured(40.0)
+    assert forecast(39.9, held_kw(40.0, RATING_KW, known), known).is_seen
+    # With far more than it is asked for, the same reading is the meter's error.
+    assert not forecast(39.9, 40.3, measured(80.0)).is_seen
