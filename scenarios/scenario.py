@@ -284,7 +284,7 @@ class Scenario(_Table, frozen=True):
     orders: tuple[PlannedOrder, ...] = ()
 
     def __post_init__(self) -> None:
-        check_name(self.name, "scenario")
+        check_name(self.name, "name")
 
 
 class ScenarioFile(msgspec.Struct, frozen=True):

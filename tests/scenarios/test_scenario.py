@@ -279,7 +279,7 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
         ("duration_s = 30", "duration_s = 30\ncycle_s = 4", "time.duration_s: expected a whole"),
         ("seed = 7", "clouds.cloud_cover = nan", "irradiance.clouds.cloud_cover: expected"),
         ('title = "', 'pace = 1e7\ntitle = "', "pace: expected number"),
-        ('"small"', '"../x"', "name"),
+        ('"small"', '"../x"', "line 1: name: expected a name"),
         ('[neighbours]\nhistory = "earlier-day"\n', "", "neighbours: expected table, got nothing"),
         (
             "[control]",

@@ -50,7 +50,7 @@ def test_ratings_are_the_inverters_own_or_a_share_of_the_plants(path: Path) -> N
         (["inverter,lat,lon"], "expected 1 to"),
         (["inverter,lat,lon", *(f"n{row},1,2" for row in range(5000))], "expected 1 to"),
         (["inverter,lat,lon", "a,1,2", "b,1,2", "a,3,4"], "line 4, column 'inverter': expected"),
-        (["inverter,lat,lon", "a/b,1,2"], "name: expected"),
+        (["inverter,lat,lon", "a/b,1,2"], "expected a name"),
         (["inverter,lat,lon", "a,1,-180.5"], "line 2, column 'lon': expected"),
         (["inverter,lat,lon,rating_kw", "a,1,2,5", "b,1,2,0"], "line 3, column 'rating_kw': exp"),
     ],
