@@ -154,7 +154,7 @@ def parent_of(path: str) -> str:
 def check_name(name: str, where: str) -> None:
     """Refuse a node name that could not stand in a key."""
     if not _NAME.fullmatch(name):
-        expected = f"a name of up to {LONGEST_PATH} letters, digits, '_' and '-'"
+        expected = f"a name of up to {LONGEST_PATH} characters: letters, digits, '_' and '-'"
         raise InputError(f"{where}: expected {expected}, got {name!r}")
     if name in RESERVED_NAMES:
         reserved = ", ".join(sorted(RESERVED_NAMES))
