@@ -246,7 +246,11 @@ class RunReader:
     def last_cycle(self) -> int:
         """The last cycle of which there is a message, -1 if there is none."""
         # The plant's message that the run is over carries the cycle after the last one.
-        port_of = self._channels_of({port for port in self.ports() if port.signal is not RUN})
+        return self.last_cycle_on({port for port in self.ports() if port.signal is not RUN})
+
+    def last_cycle_on(self, ports: Collection[Port[Message]]) -> int:
+        """Return the last cycle of which there is a message on some ports, -1 if there is none."""
+        port_of = self._channels_of(ports)
         for chunk in reversed(self.outline.chunks):
             heads = map(self.head, self.messages_of(chunk, port_of))
             if cycles := [head.cycle for head in heads if head is not None]:

@@ -44,10 +44,9 @@ class RunGraph:
     stages: Columns agent, name, kind, tier, order, device (whether it is one's own device),
         across (whether it awaits inputs from another host, whose clock is another), deadline_ns,
         grace_ns (how much later it may publish), timed, and row (what it is reported under).
-    inputs: A row for each input of each variant of a stage: stage, variant, input (number of the
-        port), awaited.
-    variants: Which variant of a stage holds in a cycle, by stage and cycle until that repeats;
-        -1: the stage does not close in it. Shape (stages, longest period).
+    inputs: A row for each input of a stage in each turn: stage, turn, input (number of the port),
+        awaited. Turns are cycles until they repeat.
+    closes: Whether a stage closes in a turn, shape (stages, turns).
     """
 
     def __init__(self, plan: RunPlan) -> None:
@@ -69,17 +68,13 @@ class RunGraph:
             }
         )
         stages, inputs = [], []
-        self.variants = np.full((len(names), plan.control.periods.longest), -1, dtype=np.int16)
+        self.closes = np.zeros((len(names), plan.control.periods.longest), dtype=bool)
         for row, (agent, name) in enumerate(names):
-            variant_of: dict[object, int] = {}
             for turn, several in enumerate(turns[agent]):
                 for stage in (one for one in several if one.name == name):
-                    known = len(variant_of)
-                    variant = variant_of.setdefault((stage.awaits, stage.uses), known)
-                    self.variants[row, turn], timed = variant, stage.timed
-                    if variant == known:
-                        for port in dict.fromkeys((*stage.awaits, *stage.uses)):
-                            inputs.append((row, variant, number[port], port in stage.awaits))
+                    self.closes[row, turn], timed = True, stage.timed
+                    for port in dict.fromkeys((*stage.awaits, *stage.uses)):
+                        inputs.append((row, turn, number[port], port in stage.awaits))
             deadline_ns, slice_ns = deadlines.deadline_ns(agent, name), 0
             if timed:  # The plant's tick is when its first stage begins, not when it must end.
                 slice_ns = deadlines.slice_ns(agent, name)
@@ -90,7 +85,7 @@ class RunGraph:
         columns += ["deadline_ns", "grace_ns", "timed"]
         self.stages = pd.DataFrame(stages, columns=columns)
         self.stages["row"] = self.stages.tier + " " + self.stages.name
-        self.inputs = pd.DataFrame(inputs, columns=["stage", "variant", "input", "awaited"])
+        self.inputs = pd.DataFrame(inputs, columns=["stage", "turn", "input", "awaited"])
         host = {agent: plan.access.addresses.get(agent, "") for agent in turns}
         there = self.ports.agent[self.inputs.input].map(host).to_numpy()
         here = self.stages.agent[self.inputs.stage].map(host).to_numpy()
@@ -185,8 +180,8 @@ def _closed(messages: pd.DataFrame, graph: RunGraph) -> pd.DataFrame:
     """Return the stages that published, with what follows from their own messages alone."""
     table = messages.sort_values("publish_ns", kind="stable").rename(columns={"port": "message"})
     table["stage"] = graph.ports.stage.to_numpy()[table.message]
-    table["variant"] = graph.variants[table.stage, table.cycle % graph.variants.shape[1]]
-    table = table[table.variant >= 0]
+    table["turn"] = table.cycle % graph.closes.shape[1]
+    table = table[graph.closes[table.stage, table.turn]]
     table["first_ns"] = table.groupby(["cycle", "stage"]).publish_ns.transform("min")
     closed = table.drop_duplicates(["cycle", "stage"], keep="last", ignore_index=True)
     closed = closed.rename(columns={"publish_ns": "last_ns"})
@@ -204,8 +199,8 @@ def _inputs(
     came_ns: When the message of this cycle went out.
     used_ns: When the message went out that the stage used, perhaps of an earlier cycle.
     """
-    own = closed[["cycle", "stage", "variant", "message", "last_ns"]].rename_axis("at")
-    table = own.reset_index().merge(graph.inputs, on=["stage", "variant"])
+    own = closed[["cycle", "stage", "turn", "message", "last_ns"]].rename_axis("at")
+    table = own.reset_index().merge(graph.inputs, on=["stage", "turn"])
     table = table.merge(missing, how="left", on=["cycle", "message", "input"])
     period = graph.ports.period.to_numpy()[table.input]
     table["late"] = table.instead.notna()
@@ -270,11 +265,6 @@ def _end_cycle(reader: RunReader) -> int:
     plan, end = reader.plan, reader.plan.timing.cycles
     if PLANT in plan.access.external:
         own = [COMMAND.of(leaf) for leaf in plan.tree.leaves if leaf not in plan.access.external]
-        last = {record.port: record.cycle for record in reader.records(own)}
-        end = min(last.values(), default=end - 1) + 1
-    newest = min(reader.last_cycle + 1, end)
-    for begin in (max(newest - 1000, 0), 0):  # The whole file is read only if it must be.
-        ended = [one.cycle for one in reader.records([PRODUCTION.of(ROOT)], range(begin, end))]
-        if ended:
-            return max(ended) + 1
-    return 0
+        last = [reader.last_cycle_on([port]) for port in own]
+        end = min((cycle for cycle in last if cycle >= 0), default=end - 1) + 1
+    return min(reader.last_cycle_on([PRODUCTION.of(ROOT)]) + 1, end)
