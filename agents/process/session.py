@@ -83,8 +83,9 @@ def _with_passwords(plan: RunPlan, agent: str) -> SessionSettings:
     own: dict[str, object] = {
         "transport/auth/usrpwd/user": agent,
         "transport/auth/usrpwd/password": password(access.secret, agent),
-        "transport/auth/usrpwd/dictionary_file": access.users_file,
     }
+    if agent in links.listening:  # Others can start again after the run's folder was removed.
+        own["transport/auth/usrpwd/dictionary_file"] = access.users_file
     ports = access.agent_ports or access.tcp_ports
     settings = _settings(plan, agent, links, ports, subjects | {"": {}}, own)
     if agent in links.listening:

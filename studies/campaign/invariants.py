@@ -12,14 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from math import ceil, inf
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, SETPOINT, TELEMETRY
-from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name
-from studies.campaign.trace import Decision, FaultyRun
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, SETPOINT, TELEMETRY
+from bus_schemas.tree import CENTRAL, ROOT, agent_name
+from studies.campaign.parent_invariants import correction, division, help_lines, reports
+from studies.campaign.trace import EXACT, Breaches, Decision, FaultyRun
 
 OUT_SHARE: Final = 0.05
 """Share of the rating by which a plant may deliver more than its dispatch, for as long as it likes,
@@ -30,13 +31,6 @@ SETTLED_SHARE: Final = 0.01
 
 SETTLES_S: Final = 30.0
 """Time after the last fault in which it settles, besides `hold_cycles`."""
-
-_MOST_CORRECTION: Final = 0.1
-_EXACT: Final = 1e-6
-"""Rounding error, as a share of a rating."""
-
-Breaches: TypeAlias = Iterator[tuple[int, str]]
-"""Cycles in which an invariant does not hold, and how."""
 
 
 class Violation(NamedTuple):
@@ -101,8 +95,15 @@ def _inputs(run: FaultyRun) -> Breaches:
 
 
 def _one_authority(run: FaultyRun) -> Breaches:
-    """Check that a process sends one message on a port in a cycle."""
+    """Check that a process sends one message on a port in a cycle.
+
+    In the end there is one process for each port, but for those that woke up hearing nobody.
+    """
     yield from run.trace.twice
+    for port, of in run.trace.of.items():
+        for cycle in filter(run.is_quiet, of):
+            if len(of[cycle]) > 1 and port.publisher not in run.zombies:
+                yield cycle, f"{len(of[cycle])} processes send {port}"
 
 
 def _inverters(run: FaultyRun) -> Breaches:
@@ -118,7 +119,7 @@ def _inverters(run: FaultyRun) -> Breaches:
             if shown is None or wanted is None or decision.is_doubtful:
                 continue
             got = shown[0].alpha, shown[0].limit_kw
-            if any(abs(got[at] - wanted[at]) > _EXACT * near[at] for at in (0, 1)):
+            if any(abs(got[at] - wanted[at]) > EXACT * near[at] for at in (0, 1)):
                 yield decision.cycle, f"{leaf} obeys alpha and limit {got}, not {wanted}"
 
 
@@ -149,40 +150,6 @@ def _in_force(
         yield ordered[-1 - delay] if len(ordered) > delay else None
 
 
-def _reports(run: FaultyRun) -> Breaches:
-    """Check that IMPP and residual follow from a share, or from those of the children."""
-    tree = run.plan.tree
-    for one in run.decisions:
-        report = one.outputs.get(IMPP.of(one.node)) if one.agent != PLANT else None
-        share_kw = None if report is None or one.is_doubtful else one.share_kw(one.node)
-        if report is None or share_kw is None:
-            continue
-        children, left_kw = tree.children(one.node), one.outputs[RESIDUAL.of(one.node)].power_kw
-        impp_kw, due_kw = report.power_kw, report.power_kw - share_kw
-        if children:
-            impp_kw = sum(_counts_kw(one, child) for child in children)
-            due_kw = sum(_left_kw(one, child) for child in children)
-        if max(abs(impp_kw - report.power_kw), abs(due_kw - left_kw)) > _EXACT * tree.rating_kw(
-            ROOT
-        ):
-            text = f"reports {report.power_kw:,.1f} and {left_kw:,.1f} kW"
-            yield one.cycle, f"{one.agent} {text}, not {impp_kw:,.1f} and {due_kw:,.1f} kW"
-
-
-def _counts_kw(one: Decision, child: str) -> float:
-    """Return what a parent should count on from a child: its IMPP, or its share if it is silent."""
-    impp = one.used[IMPP.of(child)]
-    return (one.share_kw(child) or 0.0) if impp is None else float(impp.power_kw)
-
-
-def _left_kw(one: Decision, child: str) -> float:
-    """Return what a child has beyond its share: its residual, if that is of its IMPP."""
-    impp, residual = one.used[IMPP.of(child)], one.used[RESIDUAL.of(child)]
-    if impp is not None and residual is not None and residual.cycle == impp.cycle:
-        return float(residual.power_kw)
-    return _counts_kw(one, child) - (one.share_kw(child) or 0.0)
-
-
 def _tripped(run: FaultyRun) -> Breaches:
     """Check that an inverter which gives nothing, or is not heard, for longer is not counted on."""
     gave_in, newest = dict[str, int](), dict[str, int]()
@@ -199,51 +166,6 @@ def _tripped(run: FaultyRun) -> Breaches:
         is_heard = one.used[DISPATCH.of(ROOT)] is not None
         if is_none and is_heard and counted_kw > SETTLED_SHARE * run.plan.tree.rating_kw(leaf):
             yield one.cycle, f"{leaf} counts on {counted_kw:,.1f} kW that are not there"
-
-
-def _division(run: FaultyRun) -> Breaches:
-    """Check that a parent divides its target, or its share without one: all of it, and no more.
-
-    A silent child has its share. No other one gets more than it has, but part of what is lacking.
-    """
-    for one in run.decisions:
-        if one.stage != "solve" or one.is_doubtful or one.share_kw(ROOT) is None:
-            continue
-        children = run.plan.tree.children(one.node)
-        given = [one.outputs.get(SETPOINT.of(child)) for child in children]
-        if None not in given:
-            yield from ((one.cycle, f"{one.agent} {text}") for text in _wrong_division(run, one))
-        elif any(given):
-            yield one.cycle, f"{one.agent} has no setpoint for some of its children"
-
-
-def _wrong_division(run: FaultyRun, one: Decision) -> Iterator[str]:
-    tree = run.plan.tree
-    near_kw, children = _EXACT * tree.rating_kw(one.node), tree.children(one.node)
-    given = {child: one.outputs[SETPOINT.of(child)] for child in children}
-    silent = [child for child in children if one.used[IMPP.of(child)] is None]
-    silent_kw = sum(_counts_kw(one, child) for child in silent)
-    impp_kw = sum(_counts_kw(one, child) for child in children) - silent_kw
-    given_kw = sum(given[child].power_kw for child in children if child not in silent)
-    shared_kw, own_kw = sum(one.share_kw for one in given.values()), one.share_kw(one.node) or 0.0
-    target_kw = shared_kw
-    if one.agent == CENTRAL:  # What it adds by correction is not published.
-        most_kw = _MOST_CORRECTION * tree.rating_kw(ROOT) + near_kw
-        if abs(max(own_kw - silent_kw, 0.0) - shared_kw) > most_kw:
-            yield f"shares out {shared_kw:,.1f} of {own_kw:,.1f} kW"
-    else:
-        setpoint = one.used[SETPOINT.of(one.node)]
-        wanted_kw = own_kw if setpoint is None else setpoint.power_kw
-        target_kw = max(wanted_kw - silent_kw, 0.0)
-    floor_kw = run.plan.control.alpha_floor * impp_kw
-    if not min(target_kw, impp_kw) - near_kw <= given_kw <= max(target_kw, floor_kw) + near_kw:
-        yield f"gives {given_kw:,.1f} kW of {target_kw:,.1f} kW"
-    for child, setpoint in given.items():
-        beyond_kw = setpoint.power_kw - _counts_kw(one, child)
-        if (beyond_kw > near_kw and target_kw < impp_kw - near_kw) or (
-            child in silent and abs(beyond_kw) > near_kw
-        ):
-            yield f"gives {child} {beyond_kw:,.1f} kW beyond what it has"
 
 
 def _commands(run: FaultyRun) -> Breaches:
@@ -265,14 +187,18 @@ def _wrong_command(run: FaultyRun, one: Decision) -> Iterator[str]:
     leaf, control = one.agent, run.plan.control
     command, report = one.outputs[COMMAND.of(leaf)], one.reported[IMPP.of(leaf)]
     setpoint, share_kw = one.used[SETPOINT.of(leaf)], one.share_kw(leaf)
-    near_kw, impp_kw = _EXACT * run.plan.tree.rating_kw(leaf), report.power_kw
+    near_kw, impp_kw = EXACT * run.plan.tree.rating_kw(leaf), report.power_kw
     revert_kw = share_kw if run.plan.site.settings_of(leaf).revert else None
     got = command.revert_kw
     if (got is None) != (revert_kw is None) or abs((got or 0.0) - (revert_kw or 0.0)) > near_kw:
         yield f"to revert to {got}, not {revert_kw}"
     target_kw = share_kw if setpoint is None else setpoint.power_kw
-    # An inverter that is not heard is commanded its share, so that it shows itself if it lives.
-    if target_kw is None or report.stale_cycles > control.hold_cycles:
+    if target_kw is None:
+        return
+    if report.stale_cycles > control.hold_cycles:
+        # One that is not heard is commanded its share, so that it shows itself if it lives.
+        if share_kw is not None and abs(command.power_kw - share_kw) > near_kw:
+            yield f"{command.power_kw:,.1f} kW and not its share, though it is not heard"
         return
     least_kw = min(target_kw, impp_kw) - near_kw
     most_kw = max(target_kw, control.alpha_floor * impp_kw) + near_kw
@@ -315,9 +241,11 @@ INVARIANTS: Final[dict[str, Callable[[FaultyRun], Breaches]]] = {
     "inputs": _inputs,
     "one authority": _one_authority,
     "inverters": _inverters,
-    "reports": _reports,
+    "reports": reports,
     "tripped": _tripped,
-    "division": _division,
+    "division": division,
+    "help": help_lines,
+    "correction": correction,
     "commands": _commands,
     "silence": _silence,
 }

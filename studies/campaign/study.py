@@ -161,7 +161,10 @@ def judged_run(
         stopped.setdefault(one.agent, []).append(cycles_of)
     quiet = (first_s / cycle_s, settled_s / cycle_s)
     healthy_kw = found.healthy_kw[: len(trace.produced)]
-    run = FaultyRun(plan, trace, healthy_kw, quiet, round(longest_s / cycle_s), stopped)
+    frozen = [one for one in faults if isinstance(one, Freeze) and one.zombie]
+    zombies = {one.agent for one in incidents(frozen, plan.tree)}
+    longest = round(longest_s / cycle_s)
+    run = FaultyRun(plan, trace, healthy_kw, quiet, longest, stopped, zombies)
     return trace, list(violations(run))
 
 

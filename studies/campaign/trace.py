@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,11 @@ from bus_schemas.signals import DISPATCH, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import CENTRAL, ROOT
 
 Found: TypeAlias = list[tuple[int, str]]
+Breaches: TypeAlias = Iterator[tuple[int, str]]
 """Cycles in which something is wrong, and what."""
+
+EXACT: Final = 1e-6
+"""Rounding error, as a share of a rating."""
 
 
 @dataclass
@@ -94,6 +98,7 @@ class FaultyRun:
     quiet: First cycle with a fault, and that from which on all must be as if there had been none.
     longest: How many cycles power may be out of bounds at a time: what the faults allow.
     stopped: Cycles in which processes were killed or stood still, by agent.
+    zombies: Agents of which a process woke up beside its successor, hearing nobody.
     """
 
     plan: RunPlan
@@ -102,6 +107,7 @@ class FaultyRun:
     quiet: tuple[float, float]
     longest: int
     stopped: Mapping[str, Sequence[range]]
+    zombies: Collection[str]
     wrong_inputs: Found = field(default_factory=list)
 
     def is_quiet(self, cycle: int) -> bool:

@@ -138,6 +138,7 @@ def test_a_run_whose_folder_and_plan_are_gone_starts_controllers_again_and_fails
     run.until(lambda: int(cycle.findall(run.output.read_text())[-1]) > last, "a later cycle")
     assert run.interrupt() == 1
     assert "Traceback" not in run.error_text() + run.output.read_text()
+    assert "gave up" not in run.output.read_text(), "it needs nothing of the folder"
 
 
 def test_the_fork_server_is_the_parent_of_all_agents_and_killed_it_is_named(run: Heliarch) -> None:

@@ -1,4 +1,4 @@
-"""Random kills on real processes, for long: what they leave behind. `make soak`."""
+"""Random kills and cuts on real processes, for long: what they leave behind. `make soak`."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import os
 import random
 import re
 import signal
+import time
 from collections import Counter
-from itertools import count
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import psutil
 import pytest
+from cut_network import Network, network_of_its_own
 from running import Heliarch, Start, small_plant
 from verifying import first_differences
 
@@ -25,7 +27,8 @@ pytestmark = [pytest.mark.processes, pytest.mark.soak]
 
 SOAK_S = int(os.environ.get("SOAK_S", "1800"))
 RATE = 5
-CYCLES_BETWEEN_KILLS = 10 * RATE
+BETWEEN_FAULTS = 5 * RATE
+LONGEST_CUT_S = 4.0
 
 
 class Use(NamedTuple):
@@ -43,49 +46,64 @@ def use_of(process: psutil.Process) -> Use:
 
 
 def until_cycle(run: Heliarch, cycle: int) -> None:
-    shown = re.compile(r"cycle (\d+)/")
+    shown = re.compile(r"(\d+) of \d+ cycles")
     run.until(lambda: int(shown.findall(run.output.read_text())[-1]) >= cycle, f"cycle {cycle}")
 
 
+@pytest.fixture
+def network() -> Iterator[Network]:
+    with network_of_its_own() as found:
+        yield found
+
+
 @pytest.mark.timeout(SOAK_S + 900)
-def test_a_kill_every_ten_seconds_leaves_no_orphan_no_leak_and_nothing_unaccounted_for(
-    heliarch: Start, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_kill_or_a_cut_every_five_seconds_leaves_no_orphan_no_leak_and_nothing_unaccounted_for(
+    heliarch: Start, tmp_path: Path, network: Network, capsys: pytest.CaptureFixture[str]
 ) -> None:
     seed = random.randrange(2**32)
     drawn, cycles = random.Random(seed), SOAK_S * RATE
     scenario = small_plant(tmp_path / "plant", ("duration_s = 3600", f"duration_s = {cycles}"))
     options = ('standby=["central","supervisors"]', "restart.when=always")
     words = [word for option in options for word in ("--set", option)]
-    run = heliarch("launch", scenario, "--pace", str(RATE), *words)
+    run = heliarch("launch", scenario, "--pace", str(RATE), *words, network=network.name)
     run.until_running()
-    victims = [
-        name
-        for name in load_plan(run.folder / "plan.json").processes
-        if name not in {PLANT, RECORDER}
-    ]
+    processes = load_plan(run.folder / "plan.json").processes
+    victims = [name for name in processes if name not in {PLANT, RECORDER}]
     lasting = {
         "launcher": psutil.Process(run.process.pid),
         "fork server": run.fork_server(),
         **{name: run.process_of(name) for name in (PLANT, RECORDER)},
     }
-    kills: Counter[str] = Counter()
+    kills, cuts = Counter[str](), Counter[str]()
     uses: dict[str, list[Use]] = {name: [] for name in lasting}
-    for cycle in count(CYCLES_BETWEEN_KILLS, CYCLES_BETWEEN_KILLS):
-        if cycle > cycles - CYCLES_BETWEEN_KILLS:
-            break
+    for cycle in range(BETWEEN_FAULTS, cycles - 2 * BETWEEN_FAULTS, BETWEEN_FAULTS):
         until_cycle(run, cycle)
         for name, process in lasting.items():
             uses[name].append(use_of(process))
-        victim = drawn.choice(victims)
-        run.process_of(victim).send_signal(signal.SIGKILL)
-        kills[victim] += 1
-    assert run.wait() == 0, run.error_text()
+        if drawn.random() < 0.5:
+            victim = drawn.choice(victims)
+            run.process_of(victim).send_signal(signal.SIGKILL)
+            kills[victim] += 1
+        else:
+            victim = drawn.choice(processes)
+            network.cut_links(run.process_of(victim).pid)
+            time.sleep(drawn.uniform(0.5, LONGEST_CUT_S))
+            network.heal()
+            cuts[victim] += 1
+    run.wait()
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
+    found_again = verify(run.folder)
+    compared, of = found_again.total("compared"), found_again.messages.decided
     with capsys.disabled():
-        print(f"\nseed {seed}: {kills.total()} kills in {cycles:,} cycles, {uses}")
-    assert summary["launcher"]["restarts"] == kills
+        print(f"\nseed {seed}: {kills.total()} kills and {cuts.total()} cuts in {cycles:,} cycles")
+        print(
+            f"{compared:,} of {of:,} messages compared, {summary['messages_lost']:,} not recorded"
+        )
+        for name, found in uses.items():
+            print(f"{name}: {found[0]}, then {found[len(found) // 3]}, at last {found[-1]}")
+    assert summary["launcher"]["restarts"] == kills, "no process that lives is killed"
+    assert summary["launcher"]["given_up"] == {}
     assert summary["cycles"] == cycles
-    assert summary["messages_lost"] == 0
     assert set(summary["launcher"]["dropped"]) <= {"wrong_sender", "duplicate", "late"}
     for name, found in uses.items():
         early, late = found[1 : 2 + len(found) // 3], found[-len(found) // 3 :]
@@ -94,7 +112,6 @@ def test_a_kill_every_ten_seconds_leaves_no_orphan_no_leak_and_nothing_unaccount
         # A recorder keeps what its file's index will say: some 6 kB a second.
         growth_mb = 8e-3 * SOAK_S if name == RECORDER else 0.0
         assert late[-1].own_mb <= early[-1].own_mb + 2.0 + growth_mb, name
-    found_again = verify(run.folder)
     assert first_differences(found_again) == {}
     assert found_again.equal
 

@@ -144,4 +144,94 @@ BUGS: Final[dict[str, Sequence[Patch]]] = {
         Patch("agents/control/impp.py", "-METER_TOLERANCE * rating_kw", "0.0"),
         Patch("agents/control/impp.py", "return last.stale_cycles > hold_cycles", "return False"),
     ],
+    # Planted by somebody who had not written the campaign.
+    "hold lasts a cycle longer": [
+        Patch(INPUTS, "if age > self._hold_cycles:", "if age > self._hold_cycles + 1:")
+    ],
+    "an old dispatch is accepted for ever": [
+        Patch(
+            INPUTS,
+            "if age > self._hold_cycles:",
+            'if age > self._hold_cycles and str(port) != "dispatch":',
+        )
+    ],
+    "the correction winds up while the meter is silent": [
+        Patch(
+            PARENT,
+            "meter.cycle <= state.meter_cycle",
+            "meter.cycle < state.meter_cycle",
+        )
+    ],
+    "the correction goes on while no inverter is curtailed": [
+        Patch(
+            "agents/control/correction.py",
+            "    if is_free:\n        return 0.0\n",
+            "",
+        )
+    ],
+    "the most correlated sibling helps first": [
+        Patch(
+            "agents/control/allocation.py",
+            "key=row.__getitem__)",
+            "key=row.__getitem__, reverse=True)",
+        )
+    ],
+    "another child than the donor is topped up": [
+        Patch(
+            "agents/control/allocation.py",
+            "            donor = donors[line]\n",
+            "            donor = donors[-1 - line]\n",
+        )
+    ],
+    "a setpoint names the donor as the one in need": [
+        Patch(PARENT, "self._children[asking].path", "self._children[donor].path")
+    ],
+    "an inverter learns its revert value once": [
+        Patch(
+            INVERTERS,
+            "if command.revert_kw is not None and self._revert_is_commanded[position]:",
+            "if command.revert_kw is not None and self._revert_is_commanded[position] "
+            "and revert_kw[position] == self._revert_kw[position]:",
+        )
+    ],
+    "an old command renews the revert timer": [
+        Patch(INVERTERS, "renewed[position] = max(command.cycle, 0)", "renewed[position] = cycle")
+    ],
+    "an inverter that is not heard is not probed": [
+        Patch(
+            DIRECT,
+            "        lost = share_kw is not None and is_lost",
+            "        lost = False and is_lost",
+        )
+    ],
+    "old telemetry is taken for new": [
+        Patch(
+            DIRECT,
+            "if telemetry is not None and 0 <= telemetry.cycle <= state.telemetry_cycle:",
+            "if telemetry is None:",
+        )
+    ],
+    "a report hides how old it is": [
+        Patch(
+            PARENT,
+            "stale_cycles = impp.stale_cycles + turn.cycle - impp.cycle",
+            "stale_cycles = impp.stale_cycles",
+        )
+    ],
+    "a call for help is not sent": [
+        Patch("agents/dispatch.py", "if residual_kw < 0.0:", "if False:")
+    ],
+    "a replaced process goes on speaking": [
+        Patch(STANDBY, "        self.silent = True\n", "        self.silent = False\n")
+    ],
+    "a restarted process speaks as the first one": [
+        Patch(LOOP, "self.standby.incarnation = cycle", "self.standby.incarnation = 0")
+    ],
+    "a parent gives up on its own children between their reports": [
+        Patch(
+            INPUTS,
+            "age = cycle - message.cycle - one.period + 1",
+            "age = cycle - message.cycle - one.period + 2",
+        )
+    ],
 }
