@@ -1,4 +1,4 @@
-"""What a page asks for: the runs in a folder, and of one run its plan, states and powers."""
+"""What the page of a run asks for: its plan, its states and powers, its updates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from live_page.follower import RunFollower
 from live_page.plant_state import PlantState, columns
-from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 from results.figures import Figures, Shown, shown_in
 from sunspec.process import read_accounts
@@ -42,66 +41,6 @@ _MOST_POINTS: Final = 2000
 _NODE_POINTS: Final = 240
 _NODE_MESSAGES: Final = 300_000
 """Messages to read at most for the history of a node."""
-
-
-class _Facts(msgspec.Struct):
-    sim_start: str = ""
-    cycle_s: float = 0.0
-
-
-class _Launcher(msgspec.Struct):
-    interrupted: bool = False
-
-
-class _Summary(msgspec.Struct):
-    """What the list shows of a run's summary."""
-
-    run: _Facts = msgspec.field(default_factory=_Facts)
-    launcher: _Launcher = msgspec.field(default_factory=_Launcher)
-    cycles: int = 0
-    figures: dict[str, float | None] | None = None
-
-
-def recordings_in(folder: Path) -> dict[str, Path]:
-    """Return the recordings in a folder and the folders in it, by the names of their runs.
-
-    A name is a path in the folder, with ~ in place of /.
-    """
-    patterns = (f"*/{RECORDING_NAME}", f"*/*/{RECORDING_NAME}")
-    paths = [path for pattern in patterns for path in folder.glob(pattern)]
-    paths.sort(key=lambda path: path.stat().st_mtime, reverse=True)
-    return {path.parent.relative_to(folder).as_posix().replace("/", "~"): path for path in paths}
-
-
-def run_list(folder: Path) -> dict[str, Any]:
-    """Return the runs in a folder, the newest first, and the figures that are shown of them."""
-    figures = shown_in(Shown.COMPARE, Shown(0))
-    return {
-        "folder": str(folder),
-        "figures": [{"heading": one.heading, "decimals": one.decimals} for one in figures],
-        "runs": [
-            _row(name, recording, [figure.name for figure in figures])
-            for name, recording in recordings_in(folder).items()
-        ],
-    }
-
-
-def _row(name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
-    folder, written = recording.parent, recording.stat()
-    summary, state = _Summary(), "failed" if (folder / FAILURE_NAME).exists() else ""
-    with suppress(OSError, msgspec.DecodeError):
-        document = (folder / SUMMARY_NAME).read_bytes()
-        summary = msgspec.json.decode(document, type=_Summary)
-        state = "interrupted" if summary.launcher.interrupted else "over"
-    return {
-        "name": name,
-        "state": state,
-        "recorded_ms": written.st_mtime * 1e3,
-        "size_mb": written.st_size / 1e6,
-        "start": summary.run.sim_start,
-        "simulated_s": summary.cycles * summary.run.cycle_s,
-        "figures": [(summary.figures or {}).get(figure) for figure in figures],
-    }
 
 
 class RunView:

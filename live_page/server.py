@@ -18,17 +18,25 @@ from typing import Any, Final
 import msgspec
 import uvicorn
 from starlette.applications import Starlette
+from starlette.datastructures import MutableHeaders
 from starlette.middleware import Middleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import (
+    FileResponse,
+    HTMLResponse,
+    PlainTextResponse,
+    Response,
+    StreamingResponse,
+)
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bus_schemas.errors import InputError
 from live_page.process import PageAddress
-from live_page.run_view import RunView, recordings_in, run_list
+from live_page.run_list import recordings_in, run_list
+from live_page.run_view import RunView
 
 _STATIC: Final = Path(__file__).with_name("static")
 _MOST_CONNECTIONS: Final = 100
@@ -36,8 +44,16 @@ _STALLED_S: Final = 30.0
 """A browser that has taken nothing for so long is let go."""
 
 _OPEN_RUNS: Final = 4
+_CONTENT_POLICY: Final = "Content-Security-Policy"
+_OWN_FILES_ONLY: Final = "default-src 'self'"
+"""What a page may load, unless the response says otherwise."""
+
+_ONE_FILE_ONLY: Final = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+)
+"""The same of a comparison: nothing but what is in it."""
+
 _HEADERS: Final = {
-    "Content-Security-Policy": "default-src 'self'",
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
@@ -118,6 +134,7 @@ class PageServer:
             routes += [
                 Route("/", self._file("runs.html")),
                 Route("/runs", self._runs),
+                Route("/compare", self._compare),
                 Mount("/run/{run}", routes=of_run),
             ]
         middleware = [Middleware(_Guard, token=self._address.token)]
@@ -142,14 +159,22 @@ class PageServer:
         """Return the run that a request is about. Of several runs a few stay open."""
         if not self._several:
             return self._opened(self._path)
-        name = request.path_params["run"]
+        return self._opened(self._recording(request.path_params["run"]))
+
+    def _recording(self, name: str) -> Path:
         path = recordings_in(self._path).get(name)
         if path is None:
             raise InputError(f"{name}: no run of that name in {self._path}")
-        return self._opened(path)
+        return path
 
     async def _runs(self, request: Request) -> Response:
         return _json(run_list(self._path))
+
+    async def _compare(self, request: Request) -> Response:
+        """Return the comparison of two runs as a page of its own, which holds all that it needs."""
+        first, second = (self._recording(request.query_params.get(one, "")) for one in "ab")
+        page = await asyncio.to_thread(_comparison, (first, second))
+        return HTMLResponse(page, headers={_CONTENT_POLICY: _ONE_FILE_ONLY})
 
     async def _plan(self, request: Request) -> Response:
         return _json(self._view(request).plan())
@@ -182,7 +207,7 @@ class PageServer:
 
 
 class _Guard:
-    """Admits only requests that have the token."""
+    """Admits only requests that have the token, and says what their pages may load."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app
@@ -196,8 +221,22 @@ class _Guard:
         if self._token and not secrets.compare_digest(given.encode(), self._token.encode()):
             refusal = PlainTextResponse("the address needs the token that was printed\n", 403)
             await refusal(scope, receive, send)
-        else:
-            await self._app(scope, receive, send)
+            return
+
+        async def send_with_policy(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).setdefault(_CONTENT_POLICY, _OWN_FILES_ONLY)
+            await send(message)
+
+        await self._app(scope, receive, send_with_policy)
+
+
+def _comparison(recordings: tuple[Path, Path]) -> str:
+    # Plotly is for this page alone: the others do not wait for it.
+    from results.report.page import html_page  # noqa: PLC0415
+    from results.two_runs import compare_runs  # noqa: PLC0415
+
+    return html_page(compare_runs(recordings))
 
 
 def _json(document: object) -> Response:

@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 from recordings.read.reader import RunReader
+from recordings.read.run_file import RECORDING_NAME
 from recordings.read.series import RunSeries, read_series
 from results.figures import Shown, run_figures, runs_as_columns, shown_in
-from results.report.run_report import run_line, when
+from results.report.result import Result
+from results.report.run_report import run_line, runs_result, when
 from results.report.style import clock_text
-from results.tables import Cell, Column, Number, Table, key_column, word_column
+from results.scenario_differences import scenario_differences
+from results.tables import Cell, Column, Number, Table, json_rows, key_column, word_column
 
 _IN_ORDER: Final = {
     "commitment_kw": "dispatch, commitment",
@@ -31,6 +34,24 @@ _IN_ORDER: Final = {
 
 _GIVEN: Final = ("commitment_kw", "regulation_kw", "dispatch_kw", "mpp_kw")
 """What no controller decides."""
+
+
+def compare_runs(paths: tuple[Path, Path]) -> Result:
+    """Put two recordings side by side: what differs in their scenarios comes first."""
+    with RunReader(paths[0]) as first, RunReader(paths[1]) as second:
+        scenarios = scenario_differences(first, second)
+    series, lines = read_two_runs(paths)
+    tables = [scenarios, *two_runs_tables(*series)]
+    names = "scenario", "figures", "differences"
+    document = {"runs": [str(path) for path in paths]}
+    document |= {name: json_rows(table) for name, table in zip(names, tables, strict=True)}
+    title = " and ".join(_name(path) for path in paths)
+    return runs_result(title, series, tables, lines, document)
+
+
+def _name(path: Path) -> str:
+    """Return what to call a recording: its folder, unless its file has a name of its own."""
+    return path.resolve().parent.name if path.name == RECORDING_NAME else path.name
 
 
 def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]:

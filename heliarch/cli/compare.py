@@ -25,7 +25,6 @@ from heliarch.cli.options import (
 )
 from heliarch.cli.output import do_all, publish, shared
 from results.report.result import Result
-from results.tables import json_rows as table_rows
 from scenarios.run_options import FAULTS, RunOptions, TimeOptions, check_names
 
 if TYPE_CHECKING:
@@ -183,18 +182,12 @@ def _json(results: Sequence[Sequence[Row]]) -> list[Row]:
 
 def _two_runs(paths: tuple[Path, Path]) -> Result:
     """Put two recordings side by side."""
-    from results.report.run_report import runs_result
-    from results.two_runs import read_two_runs, two_runs_tables
+    from results.two_runs import compare_runs
 
     for path in paths:
         if not is_run(path):
             raise InputError(f"{path}: expected a recorded run, its folder or run.mcap")
-    series, lines = read_two_runs(paths)
-    tables = two_runs_tables(*series)
-    figures, differences = map(table_rows, tables)
-    runs = [str(path) for path in paths]
-    document = {"runs": runs, "figures": figures, "differences": differences}
-    return runs_result(f"{paths[0].name} and {paths[1].name}", series, tables, lines, document)
+    return compare_runs(paths)
 
 
 def _write_summary(results: Sequence[Sequence[Row]], csv: str | None) -> None:

@@ -49,7 +49,7 @@ def view(
 
 def _holds_several(path: Path) -> bool:
     """Tell a folder of runs from a run, which may not have begun yet."""
-    from live_page.run_view import recordings_in
+    from live_page.run_list import recordings_in
     from recordings.read.reader import RunReader
     from recordings.read.run_file import RECORDING_NAME
 

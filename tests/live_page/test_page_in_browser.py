@@ -172,6 +172,13 @@ def test_a_folder_of_runs_leads_to_each_of_them(window: Browser, run: Path) -> N
     with served(run.parent, several=True) as page:
         window.open(page.address)
         window.until("return document.querySelector('#rows a')", "the list")
+        typed = "const f = document.querySelector('#filter'); f.value = '{}'; f.oninput();"
+        count = " return document.querySelectorAll('#rows tr').length"
+        assert window.run(typed.format("nothing") + count) == 0
+        assert window.run(typed.format("fraction") + count) == 1
+        for width in (1280, 800, 420):
+            window.narrow(width)
+            assert window.run(NOTHING_OUTSIDE) == []
         window.run("document.querySelector('#rows a').click()")
         window.until(at(CYCLES - 1), "the run")
         window.run("document.querySelector('#back').click()")

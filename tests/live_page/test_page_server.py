@@ -11,8 +11,11 @@ from pathlib import Path
 
 import pytest
 from command_line import refusal
+from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, whole_run, write_run
 from served import served
+
+from scenarios.fault_rules import parse_fault
 
 CYCLES = 60
 
@@ -100,7 +103,7 @@ def test_the_runs_of_a_folder_are_listed_with_their_figures(run: Path, tmp_path:
     (run / "summary.json").write_text(
         json.dumps(
             {
-                "run": {"scenario": "field", "cycle_s": 1.0},
+                "run": {"scenario": "field", "cycle_s": 1.0, "planned_cycles": 1000},
                 "launcher": {"interrupted": True},
                 "cycles": CYCLES,
                 "figures": {"rmse": 4.2},
@@ -115,7 +118,8 @@ def test_the_runs_of_a_folder_are_listed_with_their_figures(run: Path, tmp_path:
         rows = {row["name"]: row for row in found["runs"]}
         assert set(rows) == {"one", "rates~rate-1"}
         assert 4.2 in rows["one"]["figures"]
-        assert rows["one"]["state"] == "interrupted"
+        assert rows["one"]["state"].startswith("interrupted")
+        assert (rows["one"]["scheme"], rows["one"]["actuator"]) == ("paper", "fraction")
         assert page.get("run/rates~rate-1/plan")["plant"] == "field"
         assert page.status("run/two/plan") == 404
         assert page.status("run/..~..~one/plan") == 404
@@ -140,3 +144,18 @@ def test_a_port_in_use_is_refused_in_one_line(run: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         assert port in refusal("view", run, "--page-port", port)
+
+
+def test_two_runs_of_a_folder_are_compared(tmp_path: Path) -> None:
+    faults = parse_fault("kill=c1/a,at=3s"), parse_fault("source=c2/*,loss=20%")
+    for name, rules in (("one", ()), ("two", faults)):
+        (tmp_path / name).mkdir()
+        write_run(tmp_path / name / "run.mcap", whole_run(9), plan=with_changes(PLAN, faults=rules))
+    with served(tmp_path, several=True) as page:
+        rows = {row["name"]: row for row in page.get("runs")["runs"]}
+        assert rows["two"]["faults"] == ["kill=c1/a,at=3s", "source=c2/*,loss=0.2"]
+        with urllib.request.urlopen(f"{page.root}compare?a=one&b=two", timeout=60) as answer:
+            text = answer.read().decode()
+            assert "script-src 'unsafe-inline'" in answer.headers["Content-Security-Policy"]
+        assert "source=c2/*,loss=0.2" in text
+        assert page.status("compare?a=one&b=three") == 404
