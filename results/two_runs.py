@@ -43,7 +43,7 @@ def compare_runs(paths: tuple[Path, Path]) -> Result:
     series, lines = read_two_runs(paths)
     tables = [scenarios, *two_runs_tables(*series)]
     names = "scenario", "figures", "differences"
-    document = {"runs": [str(path) for path in paths]}
+    document: dict[str, object] = {"runs": [str(path) for path in paths]}
     document |= {name: json_rows(table) for name, table in zip(names, tables, strict=True)}
     title = " and ".join(_name(path) for path in paths)
     return runs_result(title, series, tables, lines, document)

@@ -50,7 +50,7 @@ function drawHeading() {
     return head;
   }));
 }
-const classOf = column => [column.digits && "n", column.wide && "wide", column.words && "words"].filter(Boolean).join(" ");
+const classOf = column => [column.digits && "n", column.wide && "wide", column.words && "words", column.figure && "figure"].filter(Boolean).join(" ");
 
 function compareValues(a, b) {
   if (a == null || b == null) return a == null ? (b == null ? 0 : 1) : -1;  // What is unknown comes last.
@@ -100,7 +100,7 @@ async function refresh() {
   }
   $("about").textContent = list.folder;
   columns = [...COLUMNS, ...list.figures.map(({heading, decimals}, place) => (
-    {heading, by: run => run.figures[place], show: run => number(run.figures[place], decimals), digits: true, wide: place > 2}
+    {heading, by: run => run.figures[place], show: run => number(run.figures[place], decimals), digits: true, figure: true, wide: place > 2}
   ))];
   draw();
 }
