@@ -58,14 +58,11 @@ def check_base_port(base_port: int, plan: RunPlan) -> None:
         )
 
 
-def own_address(text: str) -> IPv4Address | IPv6Address:
-    """Read the value of `--address`."""
+def read_address(text: str, where: str = "--address") -> IPv4Address | IPv6Address:
     try:
         return ip_address(text)
     except ValueError:
-        raise InputError(
-            f"--address: expected an IP address such as 10.0.0.1, got {text}"
-        ) from None
+        raise InputError(f"{where}: expected an IP address such as 10.0.0.1, got {text}") from None
 
 
 def addresses_of(
@@ -76,17 +73,15 @@ def addresses_of(
     for text in on:
         where = f"--on {text}"
         address, _, names = text.partition("=")
-        try:
-            is_loopback = ip_address(address).is_loopback
-        except ValueError:
-            is_loopback, names = True, ""
         agents = find_agents(tree, names, where)
         if not agents:
             raise InputError(f"{where}: expected ADDRESS=AGENTS such as 10.0.0.2=c2/*")
-        if not is_loopback and not secure:
-            raise InputError(f"{where}: expected --secure with an address that others can reach")
-        if not is_loopback and ip_address(own).is_loopback:
-            raise InputError(f"{where}: expected --address with this host's address, got {own}")
+        if not ip_address(address).is_loopback:
+            if not secure:
+                why = "an address that others can reach"
+                raise InputError(f"{where}: expected --secure with {why}")
+            if ip_address(own).is_loopback:
+                raise InputError(f"{where}: expected --address with this host's address, got {own}")
         for agent in agents:
             if agent == PLANT:
                 raise InputError(f"{where}: expected controllers, got plant, which stays here")
@@ -119,10 +114,10 @@ def real_inverters(
     `where` is the place of the scenario's own, for errors.
     """
     chosen = split_devices(options)
-    for table in tables:
-        if table.node not in chosen:
-            parse_address(table.address, f"{where}: {table.node}")
-    addresses = {table.node: table.address for table in tables} | chosen
+    stated = {table.node: table.address for table in tables if table.node not in chosen}
+    for node, address in stated.items():
+        parse_address(address, f"{where}: {node}")
+    addresses = stated | chosen
     known = (*tree.leaves, METER)
     for node in addresses:
         place = "--device" if node in chosen else where

@@ -27,7 +27,7 @@ from agents.process.session import common_name
 from bus_schemas.errors import InputError
 from bus_schemas.whole_file import whole_file
 from bus_schemas.zenoh_session import KeyFiles
-from scenarios.elsewhere import own_address
+from scenarios.elsewhere import read_address
 
 _AUTHORITY_DAYS: Final = 3650
 _BEFORE: Final = timedelta(hours=1)
@@ -43,7 +43,7 @@ def make_keys(
     there stay: a process that starts in between finds a pair that matches, and a device needs
     nothing but its new certificate.
     """
-    hosts = (x509.IPAddress(own_address(address)) for address in ("127.0.0.1", *addresses))
+    hosts = (x509.IPAddress(read_address(address)) for address in ("127.0.0.1", *addresses))
     names = x509.SubjectAlternativeName(hosts)
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     ignored = folder / ".gitignore"

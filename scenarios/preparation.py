@@ -34,7 +34,7 @@ from scenarios.elsewhere import (
     addresses_of,
     check_base_port,
     external_agents,
-    own_address,
+    read_address,
     real_inverters,
 )
 from scenarios.fault_rules import fault_rules
@@ -319,7 +319,7 @@ def _standby(kinds: Sequence[str], tree: ControlTree, external: Sequence[str]) -
 
 def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
     """Return the folder of the keys; empty: the links are not encrypted."""
-    address = own_address(options.address)
+    address = read_address(options.address)
     if not (scenario.secure if options.secure is None else options.secure):
         if options.keys is not None:
             raise InputError("--keys: expected --secure with it")

@@ -15,7 +15,7 @@ from cyclopts import Group, Parameter, Token
 from agents.process.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError, not_one_of
-from scenarios.elsewhere import own_address, split_devices
+from scenarios.elsewhere import read_address, split_devices
 from scenarios.fault_rules import parse_fault
 from scenarios.real_time import machine_settings, parse_pace
 from scenarios.times import parse_duration_s, parse_time
@@ -179,7 +179,9 @@ class ProcessOptions:
     def __post_init__(self) -> None:
         split_devices(self.devices or ())
         _check_range("--external-timeout", self.external_timeout_s, 0.001, LONGEST_WAIT_S)
-        own_address(self.address)
+        read_address(self.address)
+        for text in self.on or ():
+            read_address(text.partition("=")[0], f"--on {text}")
         machine_settings(self.cpus or ())
         _check_range("--priority", self.priority, LOWEST_PRIORITY, HIGHEST_PRIORITY)
 

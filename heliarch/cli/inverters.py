@@ -14,7 +14,7 @@ from bus_schemas.errors import InputError
 from heliarch.cli.options import Data, Port, Scenario, Settings, changed_scenario
 from heliarch.cli.output import say
 from results.tables import console_for
-from scenarios.elsewhere import own_address
+from scenarios.elsewhere import read_address
 from scenarios.run_options import RunOptions, Seed, TimeOptions
 from sunspec.limited_inverter import LimitedInverter
 
@@ -55,7 +55,7 @@ def inverters(
     """
     if base_port is not None and port != _PORT:
         raise InputError("--port: expected no --base-port with it")
-    own_address(address)
+    read_address(address)
     from launch_scripts.run_folder import new_run_id
     from scenarios.preparation import prepare
     from sunspec.server import Sky, served

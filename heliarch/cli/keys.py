@@ -42,12 +42,12 @@ def keys(
     out
         Folder of the keys; default keys/PLANT.
     """
-    from scenarios.elsewhere import own_address
+    from scenarios.elsewhere import read_address
     from scenarios.plant_keys import make_keys
     from scenarios.preparation import prepare
 
     for one in address or ():
-        own_address(one)
+        read_address(one)
     plan = prepare(changed_scenario(scenario, data, settings), RunOptions(), "keys").plan
     folder = out or Path("keys") / plan.plant
     agents = plan.tree.agents()
