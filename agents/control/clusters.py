@@ -23,9 +23,6 @@ _STARTS = 20
 def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> Clusters:
     """Partition the inverters so that the correlation inside the clusters is least.
 
-    The members of each cluster are ascending. Clusters of the same size are in the order of their
-    first members.
-
     Parameters
     ----------
     correlation : numpy.ndarray, shape (N, N)

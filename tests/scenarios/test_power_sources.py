@@ -68,12 +68,18 @@ def test_a_sensor_left_out_takes_its_inverter_and_rating_away(oahu: Folder, tmp_
     assert "20100401.txt: line 1, column 'AP3': expected" in oahu.complaint()
 
 
-def test_clusters_are_those_of_the_earlier_day(oahu: Folder, tmp_path: Path) -> None:
+def test_clusters_are_those_of_the_earlier_day_whose_gaps_are_told(
+    oahu: Folder, tmp_path: Path
+) -> None:
     leaves = oahu.prepare().plan.tree.leaves
     write_day(tmp_path / "archive", date(2010, 4, 1), clouds(3))
     assert oahu.prepare().plan.tree.leaves == leaves
-    write_day(tmp_path / "archive", date(2010, 3, 31), clouds(4))
-    assert oahu.prepare().plan.tree.leaves != leaves
+    earlier = clouds(4)
+    earlier[5, AP3] = np.nan
+    write_day(tmp_path / "archive", date(2010, 3, 31), earlier)
+    found = oahu.prepare()
+    assert found.plan.tree.leaves != leaves
+    assert found.remarks[0].startswith("20100331.txt: AP3: 1 of 120 values missing")
 
 
 def test_a_day_shorter_than_the_run_and_a_folder_without_days_are_refused(

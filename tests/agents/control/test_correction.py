@@ -37,11 +37,6 @@ def test_it_takes_the_same_time_whatever_the_cycle() -> None:
     assert fast[-1] == pytest.approx(slow[-1], abs=2.5)
 
 
-def test_what_is_delivered_too_much_lowers_the_target() -> None:
-    assert corrected(10.0, 500.0, 510.0, False, RATING_KW, 1.0, 0.0) == 6.0
-    assert corrected(2.0, 500.0, 510.0, False, RATING_KW, 1.0, 0.0) == -2.0
-
-
 @pytest.mark.parametrize(
     ("response", "second"),
     [

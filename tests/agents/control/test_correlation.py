@@ -14,13 +14,6 @@ def random_walks(rows: int, columns: int, seed: int = 4) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal((rows, columns)).cumsum(axis=0) + 200.0
 
 
-def test_equation_5_by_hand() -> None:
-    # X = 1 2 3, Y = 1 3 2: deviations -1 0 1 and -1 1 0, so C = 1 / sqrt(2 * 2).
-    power = np.array([[1.0, 1.0], [2.0, 3.0], [3.0, 2.0]])
-    correlation = hourly_correlation(power, np.array([9, 9, 9]))[9]
-    np.testing.assert_allclose(correlation, [[1.0, 0.5], [0.5, 1.0]], rtol=0.0, atol=1e-15)
-
-
 def test_each_hour_equals_numpy_on_the_rows_of_that_hour_of_all_days() -> None:
     power = random_walks(4000, 17)
     hour = np.tile(np.repeat([10, 11], 1000), 2)
