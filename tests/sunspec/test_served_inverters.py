@@ -1,10 +1,11 @@
-"""Simulated inverters as SunSpec devices, read and limited by pysunspec2 as anybody's client."""
+"""Simulated inverters as SunSpec devices, read and limited by pysunspec2 and by our client."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import socket
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from math import inf
+from math import inf, nan
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,9 @@ from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Device
 from sunspec2.modbus.modbus import ModbusClientException
 
 from sunspec.addresses import parse_address
+from sunspec.client import DeviceError, SunSpecInverter, SunSpecMeter
 from sunspec.limited_inverter import LimitedInverter
+from sunspec.registers import Points, inverter_points
 from sunspec.server import Sky, served
 
 RATING_KW = 100.0
@@ -33,6 +36,7 @@ class Site:
         self._stack = stack
         self.clock = ClockByHand()
         self.addresses: dict[str, str] = {}
+        self.sky: Sky
 
     def seconds(self) -> float:
         return self.clock.now_ns / 1e9
@@ -40,12 +44,12 @@ class Site:
     def serve(
         self, *, waits: bool = False, delay_s: float = 0.0, ramp: float = inf, **where: Any
     ) -> dict[str, str]:
-        sky = Sky(SKY_KW, CYCLE_S, None if waits else self.seconds())
+        self.sky = Sky(SKY_KW, CYCLE_S, None if waits else self.seconds())
         inverters = {
-            name: LimitedInverter(RATING_KW, sky.available_kw(place), delay_s, ramp)
-            for place, name in enumerate(("c1/a", "c1/b"))
+            name: LimitedInverter(RATING_KW, self.sky.available_kw(position), delay_s, ramp)
+            for position, name in enumerate(("c1/a", "c1/b"))
         }
-        serving = served(inverters, sky, self.seconds, **where)
+        serving = served(inverters, self.sky, self.seconds, **where)
         self.addresses = self._stack.enter_context(serving)
         return self.addresses
 
@@ -184,3 +188,85 @@ def test_each_inverter_can_have_a_port_of_its_own(site: Site) -> None:
     addresses = site.serve(a_port_each=True)
     assert len({parse_address(place, "")[1] for place in addresses.values()}) == 3
     assert [watts(site.client(name)) for name in ("c1/a", "c1/b")] == [80_000, 60_000]
+
+
+# The gateway's client -----------------------------------------------------------------------------
+
+OLD = (103, 120, 121, 122, 123)
+NEW = (701, 702, 704)
+
+
+def served_with(site: Site, models: Sequence[int], missing: Sequence[str] = ()) -> SunSpecInverter:
+    """Serve inverters of some models that lack some points; return a client of c1/a."""
+
+    def points(inverter: LimitedInverter, at: float) -> Points:
+        return {
+            model: {name: value for name, value in found.items() if name not in missing}
+            for model, found in inverter_points(inverter, at).items()
+            if model in models
+        }
+
+    return SunSpecInverter(site.serve(waits=True, points=points)["c1/a"])
+
+
+@pytest.mark.parametrize("models", [OLD, NEW])
+def test_each_family_of_models_is_read_and_limited(site: Site, models: Sequence[int]) -> None:
+    inverter = served_with(site, models)
+    inverter.connect()
+    free = inverter.read()
+    assert (inverter.rating_kw, free.power_kw, free.limit_kw) == (100.0, 80.0, 100.0)
+    assert free.available_kw == 80.0
+
+    inverter.limit(30.0, 60.0, 20.0)
+    limited = inverter.read()
+    assert (limited.power_kw, limited.limit_kw, inverter.state) == (30.0, 30.0, "THROTTLED")
+    # The newer models state no available power: only an inverter that is not throttled shows it.
+    stated_kw = 80.0 if models is OLD else nan
+    assert limited.available_kw == pytest.approx(stated_kw, nan_ok=True)
+
+    site.clock.sleep(61.0)
+    assert inverter.read().power_kw == (80.0 if models is OLD else 20.0)
+
+
+@pytest.mark.parametrize("models", [OLD, NEW])
+def test_connecting_and_reading_leaves_a_limit_alone(site: Site, models: Sequence[int]) -> None:
+    inverter = served_with(site, models)
+    inverter.connect()
+    inverter.limit(40.0, 0.0)
+    site.sky.began_at = None  # The next write would set it.
+    another = SunSpecInverter(inverter.address)
+    another.connect()
+    assert another.read().limit_kw == 40.0
+    assert site.sky.began_at is None
+
+
+@pytest.mark.parametrize(
+    ("models", "without", "named"),
+    [
+        ((103, 121), (), "704 or 123"),
+        ((704, 702), (), "701 or 103"),
+        ((103, 123), (), "702"),
+        (OLD, ("WMaxLimPct",), "WMaxLimPct in SunSpec model 123"),
+    ],
+)
+def test_a_model_or_point_that_is_missing_is_named(
+    site: Site, models: Sequence[int], without: Sequence[str], named: str
+) -> None:
+    inverter = served_with(site, models, without)
+    with pytest.raises(DeviceError, match=named):
+        inverter.connect()
+
+
+def test_a_wrong_unit_what_is_no_meter_and_a_port_where_nobody_listens_are_named(
+    site: Site,
+) -> None:
+    inverter = served_with(site, OLD)
+    wrong = inverter.address.removesuffix("/1") + "/9"
+    with pytest.raises(DeviceError, match="unit"):
+        SunSpecInverter(wrong).connect()
+    with pytest.raises(DeviceError, match="203"):
+        SunSpecMeter(inverter.address).connect()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    with pytest.raises(DeviceError, match="refused"):
+        SunSpecInverter(f"modbus://127.0.0.1:{port}/1").connect()
