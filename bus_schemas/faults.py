@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from fnmatch import fnmatchcase
-from typing import Annotated, Final, Literal, TypeAlias
+from typing import Annotated, ClassVar, Final, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -95,6 +95,7 @@ class Partition(_LinkRule, frozen=True, tag="partition"):
 
     between: tuple[str, str]
     at: Interval | None = None
+    signal: ClassVar[None] = None
 
 
 LinkFault: TypeAlias = Disturbance | Blackout | Partition
@@ -107,10 +108,10 @@ def is_active(fault: LinkFault, time_s: float) -> bool:
 def acts_on(fault: LinkFault, port: Port[Message], listener: str) -> bool:
     if isinstance(fault, Partition):
         one, other = fault.between
-        ends, signal = [(one, other), (other, one)], None
+        ends = [(one, other), (other, one)]
     else:
-        ends, signal = [(fault.source, fault.listener)], fault.signal
-    return signal in {None, port.signal.name} and any(
+        ends = [(fault.source, fault.listener)]
+    return fault.signal in {None, port.signal.name} and any(
         fnmatchcase(port.publisher, source) and fnmatchcase(listener, heard_by)
         for source, heard_by in ends
     )
@@ -137,10 +138,10 @@ def link_objections(
         yield from _disturbance_objections(fault)
     if fault.at is not None:
         yield from interval_objections(fault.at)
+    signal = fault.signal
     if isinstance(fault, Partition):
-        signal, patterns = None, [("between", pattern) for pattern in fault.between]
+        patterns = [("between", pattern) for pattern in fault.between]
     else:
-        signal = fault.signal
         patterns = [("source", fault.source), ("listener", fault.listener)]
     agents = [agent for agent in tree.agents() if agent != RECORDER]
     for field, pattern in patterns:

@@ -76,16 +76,13 @@ class NetworkFaults:
         if faults is None or cycle < 0:
             return UNHARMED
         time_s = cycle * self._cycle_s
-        active = [each for each in faults if is_active(each.fault, time_s)]
-        cuts = [each.act for each in active if not isinstance(each.fault, Disturbance)]
-        for act in cuts:
-            act.add(cycle)
-        delays_ms = [] if cuts else [0.0]
-        for each in active:
-            before_ms = delays_ms
-            delays_ms = each.pass_on(cycle, before_ms)
-            if delays_ms != before_ms:
-                each.act.add(cycle)
+        delays_ms = [0.0]
+        for each in faults:
+            if is_active(each.fault, time_s):
+                passed_ms = each.pass_on(cycle, delays_ms)
+                if passed_ms != delays_ms:
+                    each.act.add(cycle)
+                delays_ms = passed_ms
         self.tally["lost"] += not delays_ms
         self.tally["duplicated"] += len(delays_ms) > 1
         self.tally["delayed"] += any(delays_ms)
