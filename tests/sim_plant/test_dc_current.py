@@ -76,16 +76,16 @@ def test_the_mean_of_the_combiners_is_the_inverters(read: Read) -> None:
 def test_the_mean_is_over_the_combiners_that_are_there(read: Read) -> None:
     found = read(currents=CURRENTS.replace("10,60,80,20,30,40", "10,60,80,20,,40"))
     np.testing.assert_allclose(found.power_kw[1], [70.0, 30.0])
-    (told,) = found.repairs
-    assert told.startswith("hour.csv: inverter 02: 1 of 12 currents of its 3 combiners missing")
+    (line,) = found.repairs
+    assert line.startswith("hour.csv: inverter 02: 1 of 12 currents of its 3 combiners missing")
 
 
 def test_a_combiner_without_a_column_is_missing_throughout(read: Read) -> None:
     without = "\n".join(line.rpartition(",")[0] for line in CURRENTS.splitlines()) + "\n"
     found = read(currents=without)
     np.testing.assert_allclose(found.power_kw[0], [60.0, 15.0])
-    (told,) = found.repairs
-    assert told.startswith("hour.csv: inverter 02: 4 of 12 currents of its 3 combiners missing")
+    (line,) = found.repairs
+    assert line.startswith("hour.csv: inverter 02: 4 of 12 currents of its 3 combiners missing")
 
 
 def test_an_inverter_that_comes_and_goes_is_refused(read: Read) -> None:

@@ -72,7 +72,7 @@ def with_gap(sensor: str, rows: slice) -> Floats:
     return ghi_wm2
 
 
-def test_a_gap_is_filled_and_told(read: Read) -> None:
+def test_a_gap_is_filled_and_reported(read: Read) -> None:
     found = read(day_text(DAY, with_gap("DH8", slice(40, 60))), stations=["DH6", "DH8"])
     (line,) = found.report
     assert line.startswith("20100401.txt: DH8: 20 of 150 values missing")

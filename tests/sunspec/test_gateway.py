@@ -46,14 +46,14 @@ def with_device(address: str, revert: Revert | None = None) -> RunPlan:
 @contextmanager
 def gateway(plan: RunPlan, folder: Path) -> Iterator[tuple[PlantPipes, list[str]]]:
     """Run a gateway; yield the plant's end, and the list of the gateway's messages."""
-    told: list[str] = []
+    messages: list[str] = []
     until, end = os.pipe()
-    found = Gateway(plan, told.append)
+    found = Gateway(plan, messages.append)
     thread = threading.Thread(target=found.serve, args=(folder, until))
     thread.start()
     try:
-        eventually(lambda: bool(told))
-        yield PlantPipes(plan, folder), told
+        eventually(lambda: bool(messages))
+        yield PlantPipes(plan, folder), messages
     finally:
         os.close(end)
         thread.join()
@@ -118,10 +118,10 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
         address = addresses["c1/a"]
         port = parse_address(address, "")[1]
         running = gateway(with_device(address), tmp_path)
-        devices, told = running.__enter__()
+        devices, messages = running.__enter__()
         devices.command(0, command(0, 30.0))
         eventually(lambda: newest(devices).power_kw == 30.0)
-    eventually(lambda: any(told))
+    eventually(lambda: any(messages))
     eventually(lambda: devices.expired(1) == {0})
     with one_inverter(port):  # It comes back without its limit.
         eventually(lambda: newest(devices).power_kw == 80.0 and not devices.expired(1))
@@ -147,10 +147,10 @@ class Busy(LimitedInverter):
 def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path: Path) -> None:
     with (
         one_inverter(kind=Busy) as addresses,
-        gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, told),
+        gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, messages),
     ):
         devices.command(0, command(0, 30.0))
-        eventually(lambda: any(told))
+        eventually(lambda: any(messages))
         devices.command(0, command(1, 30.0))
         eventually(lambda: newest(devices).power_kw == 30.0)
     (account,) = read_accounts(tmp_path)

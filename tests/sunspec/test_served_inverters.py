@@ -111,7 +111,7 @@ def test_a_limit_acts_after_its_delay_along_its_ramp_and_reverts(site: Site, lim
     assert watts(device) == 80_000
 
 
-def test_model_704_reverts_to_the_limit_it_was_told(site: Site) -> None:
+def test_model_704_reverts_to_the_limit_that_was_written_with_it(site: Site) -> None:
     site.serve()
     device = site.client()
     model = device.models[704][0]
