@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+import plotly.express as px
 import plotly.graph_objects as go
 from plotly.colors import diverging
-from plotly.subplots import make_subplots
 
 from agents.control.correlation import HourlyMatrices, hourly_correlation
 from bus_schemas.tree import parent_of
@@ -78,50 +78,40 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
     order = [position for together in members for position in together]
     names = [style.plain(series.inverters[position]) for position in order]
     midnight = series.times[0].tz_localize(None).normalize()
-    hours = [midnight + pd.Timedelta(hours=hour) for hour in matrices]
+    begins = (midnight + pd.Timedelta(hours=hour) for hour in matrices)
+    hours = {str(n): f"{hour.day} {hour:%b}, {hour.hour} h" for n, hour in enumerate(begins)}
     across = min(_ACROSS, len(matrices))
-    rows = -(-len(matrices) // across)
-    height_px = rows * _MATRIX_PX
-    figure = make_subplots(
-        rows=rows,
-        cols=across,
-        horizontal_spacing=0.02,
-        vertical_spacing=30.0 / height_px,
-        subplot_titles=[f"{hour.day} {hour:%b}, {hour.hour} h" for hour in hours],
+    height_px = -(-len(matrices) // across) * _MATRIX_PX
+    figure = px.imshow(
+        np.array([matrix[np.ix_(order, order)] for matrix in matrices.values()], dtype=np.float32),
+        x=names,
+        y=names,
+        facet_col=0,
+        facet_col_wrap=across,
+        facet_col_spacing=0.02,
+        facet_row_spacing=30.0 / height_px,
+        zmin=-1.0,
+        zmax=1.0,
+        color_continuous_scale=diverging.RdBu,
     )
+    figure.update_traces(hovertemplate="%{x}, %{y}: %{z:.2f}<extra></extra>")
+    figure.for_each_annotation(lambda title: title.update(text=hours[title.text.split("=")[1]]))
     edges = [end - 0.5 for end in accumulate(map(len, members))][:-1]
+    look = {"type": "line", "line": {"color": "white", "width": 1.5}}
     shapes = []
-    for panel, matrix in enumerate(matrices.values()):
-        row, column = panel // across + 1, panel % across + 1
-        figure.add_heatmap(
-            z=matrix[np.ix_(order, order)].astype(np.float32),
-            x=names,
-            y=names,
-            coloraxis="coloraxis",
-            hovertemplate="%{x}, %{y}: %{z:.2f}<extra></extra>",
-            row=row,
-            col=column,
-        )
-        axis = str(panel + 1) if panel else ""
-        look = {"type": "line", "line": {"color": "white", "width": 1.5}}
-        across_all = {"x": f"x{axis} domain", "y": f"y{axis} domain"}
+    for panel in figure.data:
+        x, y = panel.xaxis, panel.yaxis
         for edge in edges:
-            for along, other in ("xy", "yx"):
-                ends = {f"{along}0": edge, f"{along}1": edge, f"{other}0": 0, f"{other}1": 1}
-                refs = {f"{along}ref": f"{along}{axis}", f"{other}ref": across_all[other]}
-                shapes.append(look | ends | refs)
+            down = {"x0": edge, "x1": edge, "xref": x, "y0": 0, "y1": 1, "yref": f"{y} domain"}
+            along = {"y0": edge, "y1": edge, "yref": y, "x0": 0, "x1": 1, "xref": f"{x} domain"}
+            shapes += [look | down, look | along]
     style.dress(figure, height_px + 60, legend=False)
-    # All matrices are squares without ticks, at the top of their panel, below their titles.
-    bare = {"showticklabels": False, "ticks": "", "showgrid": False, "constrain": "domain"}
-    figure.update_xaxes(**bare)
-    figure.update_yaxes(**bare, autorange="reversed", constraintoward="top")
-    for axis in figure.select_yaxes():
-        axis.scaleanchor = axis.plotly_name.replace("axis", "").replace("y", "x", 1)
+    figure.update_xaxes(showticklabels=False, ticks="", showgrid=False)
+    figure.update_yaxes(showticklabels=False, ticks="", showgrid=False, constraintoward="top")
     figure.update_layout(
         shapes=shapes,  # All at once: to add lines one by one takes the square of their number.
         margin={"b": 20, "t": 40},
-        coloraxis={"colorscale": diverging.RdBu, "cmin": -1.0, "cmax": 1.0}
-        | {"colorbar": style.colour_bar("", _MATRIX_PX - 30)},
+        coloraxis={"colorbar": style.colour_bar("", _MATRIX_PX - 30)},
     )
     noun = series.plant.noun
     return style.ReportFigure(
