@@ -107,6 +107,8 @@ class RunAccount:
                 cycle_s=plan.timing.cycle_ns / 1e9,
                 hindsight_neighbours=preparation.hindsight,
                 remarks=preparation.remarks,
+                offset_kw=preparation.plan.control.offset_kw,
+                offset_errors=preparation.plan.control.offset_errors,
             ),
             launcher=LauncherAccount(
                 dropped=dropped,

@@ -55,7 +55,10 @@ class ProcessAccount(msgspec.Struct, frozen=True):
 
 
 class RunFacts(msgspec.Struct, frozen=True):
-    """What was run: of `planned_cycles` cycles, with clusters maybe chosen in hindsight."""
+    """What was run: of `planned_cycles` cycles, with clusters maybe chosen in hindsight.
+
+    offset_kw, offset_errors: How much more than the dispatch the plant aimed at, as in its plan.
+    """
 
     scenario: str
     driver: str
@@ -65,6 +68,8 @@ class RunFacts(msgspec.Struct, frozen=True):
     cycle_s: float
     hindsight_neighbours: bool = False
     remarks: tuple[str, ...] = ()
+    offset_kw: float = 0.0
+    offset_errors: float = 0.0
 
 
 class RunSummary(RunDocument, frozen=True, kw_only=True):

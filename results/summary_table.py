@@ -17,7 +17,7 @@ from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from results.figures import FIGURES, Figures, Shown, shown_in
 from results.report.tables import devices_tables, health_table
-from results.run_summary import ProcessAccount, RunSummary
+from results.run_summary import ProcessAccount, RunFacts, RunSummary
 from results.tables import Cell, Column, Number, Table, key_column, print_table, word_column
 
 Row: TypeAlias = tuple[str, Cell, str, str]
@@ -46,6 +46,7 @@ def summary_table(summary: RunSummary) -> Table:
         _COLUMNS,
         (
             *_pace_rows(summary),
+            *_offset_rows(summary.run),
             _GAP,
             *_figure_rows(summary),
             _GAP,
@@ -67,6 +68,14 @@ def _pace_rows(summary: RunSummary) -> Iterator[Row]:
     yield "Cycles", summary.cycles, "", note
     yield "Cycle rate", Number(rate, 1), "/s", f"{rate * cycle_s:,.0f} x real time"
     yield "Wall time", Number(summary.wall_s, 1), "s", f"after {summary.startup_s:.1f} s to start"
+
+
+def _offset_rows(run: RunFacts) -> Iterator[Row]:
+    """Say how far from its dispatch the plant aimed, if it did."""
+    if run.offset_kw:
+        yield "Offset", Number(run.offset_kw, 1), "kW", "aimed above the dispatch"
+    if run.offset_errors:
+        yield "Offset", Number(run.offset_errors, 2), "", "mean errors aimed above the dispatch"
 
 
 def figures_table(title: str, figures: Figures | None) -> Table:

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, cast, get_args
 
 from cyclopts import Parameter
 
@@ -48,6 +48,7 @@ def compare(
     schemes: Annotated[str | None, Parameter(metavar="NAMES")] = None,
     actuator: Annotated[str | None, Parameter(metavar="NAMES")] = None,
     show: Annotated[str | None, Parameter(metavar="FIGURES")] = None,
+    frontier: Literal["offset", "offset_errors"] | None = None,
     workers: Workers = 1,
     settings: Annotated[Settings, Parameter(metavar="FIELD=VALUES", help=_SETTINGS)] = None,
     span: TimeOptions = TimeOptions(),
@@ -58,7 +59,7 @@ def compare(
 ) -> None:
     """Compare control schemes under the same sky, for one day or many; or two recorded runs.
 
-    For a single case or two runs, --report writes a page, compare.html by default.
+    For a single case, --frontier or two runs, --report writes a page, compare.html by default.
 
     Example: `heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10`
 
@@ -87,6 +88,10 @@ def compare(
         outside-help, outside-help-able, missed-inputs, reverted, capacity, offered,
         signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy, delay,
         precision, score. Default: control-caused,over-delivered.
+    frontier
+        Turn this offset of the plant's target (`control.offset`: a share of the rating;
+        `control.offset_errors`: times its own mean error), and show what each scheme misses and
+        over-delivers: means over all other cases.
     faults
         A rule as for `simulate`, several that act together (delay=1s;loss=5%), or none. May be
         given several times: each is a case.
@@ -102,18 +107,22 @@ def compare(
         raise InputError(f"{scenario}: expected two runs, or one scenario")
     from results.figures import FIGURES
     from scenarios.scenario import load_scenario
-    from scenarios.settings import parse_setting
+    from scenarios.settings import Setting, parse_setting
     from studies.arrays.schemes import SCHEMES
     from studies.compare.cases import cases, parse_days, parse_seeds
+    from studies.compare.frontier import OFFSETS
     from studies.compare.study import run_case
 
     shown = _names("--show", show or _SHOWN, FIGURES)
     names = tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES)
     actuators = cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator)))
+    chosen = [parse_setting(text) for text in settings or ()]
+    if frontier is not None:
+        chosen.append(Setting(f"control.{frontier}", OFFSETS[frontier]))
     found = cases(
         load_scenario(scenario, files.data),
         RunOptions.of(span),
-        [parse_setting(text) for text in settings or ()],
+        chosen,
         faults or (),
         () if days is None else parse_days(days),
         () if seeds is None else parse_seeds(seeds),
@@ -122,11 +131,11 @@ def compare(
         result, rows = _one_case(found[0], names, actuators)
         results = [rows]
     else:
-        if files.report is not None:
+        if files.report is not None and frontier is None:
             many = f"{len(found):,}; see --csv and --json"
             raise InputError(f"--report: expected one case, got {many}")
         results = shared(partial(run_case, names, actuators), found, workers, "cases")
-        result = _many_cases(results, shown)
+        result = _many_cases(results, shown) if frontier is None else _frontier(frontier, results)
     do_all(
         partial(_write_summary, results, csv),
         partial(publish, result, files, "compare.html"),
@@ -172,6 +181,19 @@ def _many_cases(results: Sequence[Sequence[Row]], shown: Sequence[str]) -> Resul
     remarks = dict.fromkeys(row["remarks"] for rows in results for row in rows if row["remarks"])
     title = f"{len(results):,} cases"
     return Result(title, cases_tables(shown, results), _json(results), lines=list(remarks))
+
+
+def _frontier(field: str, results: Sequence[Sequence[Row]]) -> Result:
+    """Show what each scheme misses and over-delivers while an offset is turned."""
+    from studies.compare.frontier import frontier, frontier_table, turned
+
+    rows = turned(field, results)
+    return replace(
+        _many_cases(results, _SHOWN.split(",")),
+        title=f"control.{field} turned",
+        tables=[frontier_table(field, rows)],
+        figures=lambda: [frontier(rows, field)],
+    )
 
 
 def _json(results: Sequence[Sequence[Row]]) -> list[Row]:

@@ -26,7 +26,7 @@ from scenarios.scenario import load_scenario
 
 SUMMARY = replace(
     summary_of(Path("runs/r")),
-    run=RunFacts("field", "launch", "runs/r", "", planned_cycles=3600, cycle_s=1.0),
+    run=RunFacts("field", "launch", "runs/r", "", planned_cycles=3600, cycle_s=1.0, offset_kw=80.0),
     cycles=3600,
     processes=(),
     messages=(),
@@ -60,6 +60,7 @@ HALF = dict.fromkeys(FIGURES) | {
         ({"processes": BUSY}, "Processor time per cycle", ["2.00", "ms"]),
         ({"processes": BUSY}, "Memory, direct", ["40.0", "MB", "the median of 2"]),
         ({}, "Cycle rate", ["360.0"]),
+        ({}, "Offset", ["80.0", "kW", "aimed above the dispatch"]),
         ({"cycles": 9}, "Cycles", ["9", "", "ended early: 3,600 were planned"]),
         (
             {"cycles": 9, "launcher": LauncherAccount(interrupted=True)},
