@@ -107,7 +107,7 @@ def test_an_inverter_that_comes_and_goes_is_refused(read: Read) -> None:
         (CURRENTS, "t_s\n0\n10\n", "hour.csv: line 1: expected t_s and"),
         ("A-1,A-2", "A-1,A-9", "positions.csv: expected a line for each combiner"),
         ("A-2,01", "A-1,01", "positions.csv: line 3, column 'combiner'"),
-        ("A-2,01", "A-2,a/b", "positions.csv: name"),
+        ("A-2,01", "A-2,a/b", "positions.csv: expected a name"),
     ],
 )
 def test_one_wrong_field_is_located(read: Read, old: str, new: str, complaint: str) -> None:
