@@ -14,6 +14,7 @@ from agents.process.agent_process import run_controller
 from agents.process.launcher_link import LauncherLink
 from bus_schemas.errors import InputError
 from recordings.record.recorder import run_recorder
+from sim_plant.order_desk import OrderDesk, PlantAtDesk
 from sim_plant.plant import Plant
 from sim_plant.plant_run import run_plant
 from sim_plant.profile import load_profile
@@ -39,7 +40,9 @@ def run_process(
         case "recorder":
             return run_recorder(plan, folder, link)
         case "plant":
-            return run_plant(plan, lambda: _plant(plan, folder), link, patience_s)
+            with OrderDesk(folder) as desk:
+                make = lambda: PlantAtDesk(_plant(plan, folder), desk)  # noqa: E731
+                return run_plant(plan, make, link, patience_s)
         case _:
             return run_controller(plan, agent, link, rejoins=rejoins)
 

@@ -57,12 +57,14 @@ class Wanted:
     order: The newest order.
     power_kw: The power that the plant was to give.
     is_scheduled: Whether that was what the schedule asked for.
+    is_there: Whether it was what the order, or the schedule, asks for, and not a step of a ramp.
     """
 
     power_kw: float
     order: OrderInForce | None = None
     is_scheduled: bool = True
     cycle: int = -1
+    is_there: bool = True
 
     @classmethod
     def by(cls, dispatch: Dispatch) -> Wanted:
@@ -90,8 +92,7 @@ class Orders:
             order = _accepted(given, given.source, given.renew_s, order, cycle)
         elif order is not None:
             order = self._aged(order, cycle)
-        power_kw, is_scheduled = self._power_kw(last, order, scheduled_kw, len(missed))
-        return Wanted(power_kw, order, is_scheduled, cycle)
+        return self._wanted(last, order, scheduled_kw, cycle, len(missed))
 
     def _aged(self, order: OrderInForce, cycle: int) -> OrderInForce:
         age_s = (cycle - order.renewed) * self._cycle_s
@@ -103,21 +104,21 @@ class Orders:
             return replace(order, state="silent")
         return order
 
-    def _power_kw(
-        self, last: Wanted, order: OrderInForce | None, scheduled_kw: float, cycles: int
-    ) -> tuple[float, bool]:
-        """Return the power that is wanted some cycles after the last, and if it is scheduled."""
+    def _wanted(
+        self, last: Wanted, order: OrderInForce | None, scheduled_kw: float, cycle: int, passed: int
+    ) -> Wanted:
+        """Return what is wanted in a cycle, so many cycles after the last one."""
+        power_kw = target_kw = scheduled_kw
         is_ordered = order is not None and order.power_kw is not None and order.state != "over"
-        if order is None or (last.is_scheduled and not is_ordered):
-            return scheduled_kw, True
-        target_kw = scheduled_kw
-        if is_ordered and order.power_kw is not None:
-            target_kw = usable_dispatch_kw(order.power_kw, self._rating_kw)
-        if order.ramp_kw_per_min is None:
-            return target_kw, not is_ordered
-        step_kw = order.ramp_kw_per_min * cycles * self._cycle_s / 60.0
-        power_kw = min(max(target_kw, last.power_kw - step_kw), last.power_kw + step_kw)
-        return power_kw, not is_ordered and power_kw == target_kw
+        if order is not None and (is_ordered or not last.is_scheduled):
+            if is_ordered and order.power_kw is not None:
+                target_kw = usable_dispatch_kw(order.power_kw, self._rating_kw)
+            power_kw = target_kw
+            if order.ramp_kw_per_min is not None:
+                step_kw = order.ramp_kw_per_min * passed * self._cycle_s / 60.0
+                power_kw = min(max(target_kw, last.power_kw - step_kw), last.power_kw + step_kw)
+        is_there = power_kw == target_kw
+        return Wanted(power_kw, order, is_there and not is_ordered, cycle, is_there)
 
 
 def _accepted(

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+from agents.agent import Agent
 from agents.plan import RunPlan
 from agents.process.agent_process import AgentProcess, run_guarded
 from agents.process.events import Armed
@@ -18,7 +19,7 @@ from agents.process.launcher_link import LauncherLink
 from bus_schemas.errors import FailureError, listed
 from bus_schemas.signals import READY, RUN
 from bus_schemas.tree import PLANT, ROOT
-from sim_plant.plant import Plant
+from sim_plant.inverters import PlantState
 
 FIRST_ROUND: Final = -1_000_000
 """Cycle of the first arming round; the next ones count upwards."""
@@ -43,7 +44,10 @@ def longest_round_s(number: int) -> float:
 
 
 def run_plant(
-    plan: RunPlan, make_plant: Callable[[], Plant], link: LauncherLink, patience_s: float
+    plan: RunPlan,
+    make_plant: Callable[[], Agent[PlantState]],
+    link: LauncherLink,
+    patience_s: float,
 ) -> int:
     """Join the bus and lead the run; all agents must appear within the patience."""
 

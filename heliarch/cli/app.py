@@ -16,7 +16,7 @@ from heliarch.cli.boundary import BAD_INPUT, OK, boundary
 from heliarch.cli.options import OPTIONS
 
 COMMANDS: Final = {
-    "Run": ("launch", "node", "simulate", "timing", "conform", "inverters", "scenarios"),
+    "Run": ("launch", "node", "simulate", "timing", "conform", "inverters", "scenarios", "order"),
     "Look": ("view", "report", "inspect", "verify", "replay"),
     "Compare": ("compare", "campaign"),
     "Files": ("export", "recover"),

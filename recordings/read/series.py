@@ -23,6 +23,7 @@ from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, R
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port
 from bus_schemas.tree import parent_of
 from recordings.read.reader import RunReader
+from sim_plant.orders import OrderInForce
 
 _MOST_APART: Final = 1000
 """A series has at least one cycle of so many; the rest would be gaps alone."""
@@ -99,6 +100,7 @@ class RunSeries:
     unknown_kw: What real inverters that do not answer may give beside the delivered power, (T,).
     unlisted_kw: What the plant's own meter reads beyond the sum of its inverters, (T,).
     of_agents: Figures of merit that only a run of agents in a study counts, by name.
+    orders: Orders, each with the cycle in which it came into force or in which its state changed.
     """
 
     label: str
@@ -114,6 +116,7 @@ class RunSeries:
     unknown_kw: NDArray[np.float64]
     unlisted_kw: NDArray[np.float64]
     of_agents: Mapping[str, float] = field(default_factory=dict)
+    orders: tuple[tuple[int, OrderInForce], ...] = ()
 
     @classmethod
     def of(cls, plan: RunPlan, label: str, **values: NDArray[np.float64]) -> RunSeries:
@@ -197,6 +200,7 @@ class SeriesCollector:
             lambda: np.full((cycles, len(self._column)), nan)
         )
         self._heard = defaultdict[Port[Message], NDArray[np.bool_]](lambda: np.zeros(cycles, bool))
+        self._orders: list[tuple[int, OrderInForce]] = []
         self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
@@ -208,6 +212,7 @@ class SeriesCollector:
             case Dispatch():
                 rows = {name: np.array(getattr(message, of)) for name, of in _OF_DISPATCH.items()}
                 self._enter_of_plant(port, cycle, rows)
+                self._enter_order(message)
             case Production():
                 self._cycles = max(self._cycles, cycle + 1)
                 made = {"mpp_kw": message.inverter_mpp_kw, "power_kw": message.inverter_power_kw}
@@ -222,6 +227,15 @@ class SeriesCollector:
                 self._enter_of(port, "residual_kw", cycle, message.power_kw)
             case Command() if port.node in self._column:
                 self._enter_of(port, "alpha", cycle, message.alpha)
+
+    def _enter_order(self, dispatch: Dispatch) -> None:
+        order = OrderInForce.by(dispatch)
+        last = self._orders[-1][1] if self._orders else None
+        if order is not None and (
+            last is None
+            or (order.source, order.cycle, order.state) != (last.source, last.cycle, last.state)
+        ):
+            self._orders.append((dispatch.cycle, order))
 
     def _row(self, listed: Sequence[float]) -> NDArray[np.float64]:
         """Add up what a production lists of each inverter, by column."""
@@ -256,7 +270,8 @@ class SeriesCollector:
         columns = self._of_plant | self._of_inverters
         values = {name: column[: self._cycles] for name, column in columns.items()}
         series = RunSeries.of(self._plan, label, **values)
-        series = replace(series, plant=SeriesPlant.of(self._plan, self._clusters))
+        plant, orders = SeriesPlant.of(self._plan, self._clusters), tuple(self._orders)
+        series = replace(series, plant=plant, orders=orders)
         known = int(series.known.sum())
         if known * _MOST_APART <= series.cycles:
             raise InputError(

@@ -20,6 +20,7 @@ from typing import Final, TextIO
 import psutil
 import pytest
 from command_line import heliarch, process, refusal
+from order_desks import obeying_plant
 from plans_by_hand import with_changes
 from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 from replayed_runs import PLAN, run_in_memory, write
@@ -39,6 +40,7 @@ QUICK: Final = {
     "inverters": "small.toml --duration 1 --port 0",
     "conform": "c1/inv01 --scenario small.toml --pace max --external-timeout 0.1 --command true",
     "scenarios": "",
+    "order": "RUN 100kW",
     "view": "RUN",
     "report": "RUN",
     "inspect": "RUN --nodes c1",
@@ -84,11 +86,12 @@ def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def folder(master: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(master: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A working folder of its own for a test."""
     shutil.copytree(master, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    with obeying_plant(tmp_path / "run", PLAN):
+        yield tmp_path
 
 
 def words_of(name: str, folder: Path) -> list[str]:
@@ -145,6 +148,7 @@ BAD: Final = {
     "--on 127.0.0.2=c9, --on 127.0.0.2=plant, --on lab=c2, --on 10.0.0.2=c2/*",
     "node": "--plan nowhere.json, --host 127.0.0.3, --keys run",
     "inverters": "--port -1, --address 203.0.113.1, --from noon",
+    "order": "--ramp 5, --ramp -1kW/min, --ramp 0kW/min, --hold soon, --hold -1s",
     "timing": "--rate 20, --priority 20, --page-port 8000",
     "conform": "--pace 0, --tolerance -1, --external-timeout 0, --command {plan",
     "view": "--page-port -1, --page-address moon",

@@ -1,0 +1,63 @@
+"""`heliarch order`: gives an order to a run under way, and says how the plant answers."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from bus_schemas.errors import InputError
+from heliarch.cli.boundary import FAILED, OK
+from heliarch.cli.options import Json, Run
+from heliarch.cli.output import say, write_json
+from results.tables import console_for
+
+_Power = Annotated[str, Parameter(help="A power such as 2MW or 1500kW, or the word `schedule`.")]
+
+
+def order(
+    run: Run,
+    power: _Power,
+    /,
+    *,
+    ramp: Annotated[str | None, Parameter(metavar="RAMP")] = None,
+    hold: Annotated[str | None, Parameter(metavar="TIME")] = None,
+    json: Json = None,
+) -> int:
+    """Order a power from a run that `launch` has begun, or send its plant back to the schedule.
+
+    Prints the plant's answer. Exit status 1: its power has not settled there.
+
+    Example: `heliarch order runs/oahu-20261121-120000-4711 2MW --ramp 500kW/min`
+
+    Parameters
+    ----------
+    ramp
+        Ramp by which the dispatch goes there, such as 500kW/min; default: at once.
+    hold
+        Time after which the schedule returns, such as 15m; default: the order holds until the next.
+    """
+    from agents.plan import load_plan
+    from bus_schemas.tree import ROOT
+    from results.live_answer import answer_text, watched
+    from scenarios.powers import parse_power_kw, parse_ramp_kw_per_min
+    from scenarios.times import parse_duration_s
+    from sim_plant.order_desk import GivenOrder, OrderLine
+
+    folder = run if run.is_dir() else run.parent
+    if not (folder / "plan.json").exists():
+        raise InputError(f"{run}: expected the folder of a run, got none")
+    plan = load_plan(folder / "plan.json")
+    rating_kw = plan.tree.rating_kw(ROOT)
+    given = GivenOrder(
+        source="command",
+        power_kw=None if power == "schedule" else parse_power_kw(power, "order", rating_kw),
+        ramp_kw_per_min=None if ramp is None else parse_ramp_kw_per_min(ramp, "--ramp"),
+        hold_s=None if hold is None else parse_duration_s(hold, "--hold"),
+    )
+    with OrderLine(folder) as line:
+        line.give(given)
+        answer, remark = watched(line.statuses(), plan)
+    say(console_for(json), answer_text(answer) + remark)
+    write_json(answer, json)
+    return FAILED if answer.settling_s is None else OK

@@ -1,0 +1,190 @@
+"""How well a plant answered: to each order, to each step of its schedule, and to an AGC signal.
+
+A cycle's power holds for the whole cycle, so the shortest time of an answer is one cycle. Cycles in
+which the sun gives less than the dispatch say nothing about the plant's control, and do not count.
+docs/orders.md has the definitions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.read.series import RunSeries
+from results.regulation import performance_score
+from sim_plant.orders import OrderInForce
+
+TOLERANCE_PERCENT: Final = 1.0
+"""Of the plant's rating: within it a power has settled. A step of the schedule is larger."""
+
+_SIGNAL_S: Final = 15.0
+_SIGNAL_ORDERS: Final = 10
+"""So many orders of one source, none later than that after the one before, are one AGC signal."""
+
+_REST_S: Final = 10.0
+"""The error at rest is the mean over this time at the end, once the power has settled."""
+
+Values = NDArray[np.float64]
+
+
+class Answer(msgspec.Struct, frozen=True, kw_only=True):
+    """The plant's answer to an order, or to a step of its schedule. None: the run does not tell.
+
+    asked: Who asked for it: `schedule`, or the source of an order.
+    cycle, end_cycle: The first cycle of it, and that of what came next.
+    from_kw, to_kw: What the plant gave before, and what the dispatch came to.
+    ramp_s: Time that the dispatch took to get there [s]; 0: it was a step.
+    to_90_s: Of a step: until the power had covered nine tenths of it [s].
+    settling_s: From when the dispatch was there until the power stayed within 1 % [s].
+    overshoot_percent: Largest power beyond `to_kw`, in % of the rating.
+    error_percent: Mean of power less dispatch at rest, in % of the rating.
+    ramp_deviation_percent: Mean deviation from the ramp, in % of the rating.
+    accuracy, delay, score: Of an AGC signal, as PJM scores a regulation signal.
+    orders: How many orders a signal had.
+    unable_percent: Share of its cycles in which the sun gave less than the dispatch.
+    """
+
+    asked: str
+    cycle: int
+    end_cycle: int
+    from_kw: float
+    to_kw: float
+    ramp_s: float
+    to_90_s: float | None = None
+    settling_s: float | None = None
+    overshoot_percent: float | None = None
+    error_percent: float | None = None
+    ramp_deviation_percent: float | None = None
+    accuracy: float | None = None
+    delay: float | None = None
+    score: float | None = None
+    orders: int = 1
+    unable_percent: float = 0.0
+
+
+def answers(series: RunSeries) -> tuple[Answer, ...]:
+    """Return the plant's answers in a run, in the order of time."""
+    dispatch_kw, known = series.dispatch_kw, series.known
+    rating_kw = float(series.plant.rating_kw.sum())
+    begins = dict(_begins(series, rating_kw))
+    ends = [*list(begins)[1:], series.cycles]
+    found = []
+    for (cycle, (asked, orders)), end in zip(begins.items(), ends, strict=True):
+        cycles = slice(cycle, end)
+        before_kw = float(series.delivered_kw[cycle - 1 if cycle else 0])
+        if not known[cycles].all() or not np.isfinite(before_kw):
+            continue
+        step = answer(
+            dispatch_kw[cycles],
+            series.delivered_kw[cycles],
+            series.available_kw[cycles],
+            before_kw,
+            series.cycle_s,
+            rating_kw,
+        )
+        step = msgspec.structs.replace(step, asked=asked, cycle=cycle, end_cycle=end, orders=orders)
+        found.append(_scored(step, series, cycles) if orders > 1 else step)
+    return tuple(found)
+
+
+def answer(
+    dispatch_kw: Values,
+    delivered_kw: Values,
+    available_kw: Values,
+    from_kw: float,
+    cycle_s: float,
+    rating_kw: float,
+) -> Answer:
+    """Return the answer to what a dispatch asks for from its first cycle on, shape (T,)."""
+    to_kw = float(dispatch_kw[-1])
+    tolerance_kw = rating_kw * TOLERANCE_PERCENT / 100.0
+    # A schedule that follows the sun moves on: a ramp ends where it has come near its end.
+    moving = np.flatnonzero(np.abs(dispatch_kw - to_kw) > tolerance_kw)
+    there = int(moving[-1]) + 1 if len(moving) else 0
+    able = available_kw >= dispatch_kw - tolerance_kw
+    error_kw, ahead = delivered_kw - dispatch_kw, np.sign(to_kw - from_kw)
+    covered = ahead * (delivered_kw - from_kw) >= 0.9 * abs(to_kw - from_kw)
+    outside = np.flatnonzero((np.abs(error_kw) > tolerance_kw) & able)
+    outside = outside[outside >= there]
+    settled = int(outside[-1]) + 1 if len(outside) else there
+    rest = slice(max(settled, len(error_kw) - max(round(_REST_S / cycle_s), 1)), None)
+    percent = 100.0 / rating_kw
+    is_settled = settled < len(error_kw) and bool(able[settled:].any())
+    at_rest = error_kw[rest][able[rest]]
+    beyond = (ahead * error_kw)[there:][able[there:]]
+    ramp = slice(0, there)
+    deviations = np.abs(error_kw[ramp])[able[ramp]]
+    return Answer(
+        asked="",
+        cycle=0,
+        end_cycle=len(dispatch_kw),
+        from_kw=from_kw,
+        to_kw=to_kw,
+        ramp_s=there * cycle_s,
+        to_90_s=(int(covered.argmax()) + 1) * cycle_s if covered.any() and not there else None,
+        settling_s=(settled - there + 1) * cycle_s if is_settled else None,
+        overshoot_percent=max(float(beyond.max()), 0.0) * percent if len(beyond) else None,
+        error_percent=float(at_rest.mean()) * percent if is_settled and len(at_rest) else None,
+        ramp_deviation_percent=float(deviations.mean()) * percent if len(deviations) else None,
+        unable_percent=100.0 * float((~able).mean()),
+    )
+
+
+def _begins(series: RunSeries, rating_kw: float) -> Iterator[tuple[int, tuple[str, int]]]:
+    """Yield the first cycle of each answer, who asked for it, and with how many orders."""
+    steps_kw = np.abs(np.diff(series.commitment_kw, prepend=series.commitment_kw[:1]))
+    steps = np.flatnonzero(steps_kw > rating_kw * TOLERANCE_PERCENT / 100.0)
+    found = {int(cycle): "schedule" for cycle in steps if _is_scheduled(series.orders, int(cycle))}
+    for cycle, order in series.orders:
+        if order.state == "over":
+            found[cycle] = "schedule"
+        elif cycle == order.cycle:
+            found[cycle] = order.source
+    group: list[int] = []
+    for cycle, after in pairwise([*sorted(found), series.cycles]):
+        group.append(cycle)
+        is_next = found.get(after) == found[cycle] and found[cycle] != "schedule"
+        if is_next and (after - cycle) * series.cycle_s <= _SIGNAL_S:
+            continue
+        if len(group) >= _SIGNAL_ORDERS:
+            yield group[0], (found[cycle], len(group))
+        else:
+            yield from ((one, (found[one], 1)) for one in group)
+        group = []
+
+
+def _is_scheduled(orders: tuple[tuple[int, OrderInForce], ...], cycle: int) -> bool:
+    """Whether the schedule holds in a cycle."""
+    newest = next((order for since, order in reversed(orders) if since <= cycle), None)
+    return newest is None or newest.power_kw is None or newest.state == "over"
+
+
+def _scored(step: Answer, series: RunSeries, cycles: slice) -> Answer:
+    """Return the answer to an AGC signal: what a single step tells does not apply to it."""
+    dispatch_kw = series.dispatch_kw
+    middle_kw = float(dispatch_kw[cycles].max() + dispatch_kw[cycles].min()) / 2.0
+    half_kw = max(float(np.ptp(dispatch_kw[cycles])) / 2.0, 1e-9)
+    offered = np.zeros(series.cycles, dtype=bool)
+    offered[cycles] = True
+    score = performance_score(
+        (dispatch_kw - middle_kw) / half_kw,
+        (series.delivered_kw - middle_kw) / half_kw,
+        offered,
+        series.times[0],
+        series.cycle_s,
+    )
+    found = score or {}
+    nothing = dict.fromkeys(("to_90_s", "settling_s", "overshoot_percent", "error_percent"))
+    return msgspec.structs.replace(
+        step,
+        **nothing,
+        ramp_s=0.0,
+        accuracy=found.get("accuracy"),
+        delay=found.get("delay"),
+        score=found.get("score"),
+    )
