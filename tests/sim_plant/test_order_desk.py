@@ -34,7 +34,9 @@ def test_its_socket_is_for_the_owner_alone_and_goes_with_the_run(tmp_path: Path)
 
 def test_a_wrong_order_is_refused_and_the_next_one_obeyed(tmp_path: Path) -> None:
     with (
-        obeying_plant(tmp_path, PLAN), short_path(tmp_path) as path, OrderLine(tmp_path) as line,
+        obeying_plant(tmp_path, PLAN),
+        short_path(tmp_path) as path,
+        OrderLine(tmp_path) as line,
         socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as raw,
     ):
         raw.connect(path)
