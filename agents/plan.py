@@ -25,7 +25,16 @@ from bus_schemas.faults import Second
 from bus_schemas.messages import PROTOCOL, Message, Run
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import Occurrence, Port
-from bus_schemas.tree import PLANT, ROOT, ControlTree, check_name, depth, parent_of, standby_of
+from bus_schemas.tree import (
+    OPERATOR,
+    PLANT,
+    ROOT,
+    ControlTree,
+    check_name,
+    depth,
+    parent_of,
+    standby_of,
+)
 from bus_schemas.wiring import Links, Wiring
 
 LONGEST_CYCLE_NS: Final = 3_600_000_000_000
@@ -293,7 +302,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def wiring(self) -> Wiring:
-        return Wiring(self.plant, self.tree, self.standbys)
+        return Wiring(self.plant, self.tree, self.standbys, has_operator=self.has_operator)
 
     @cached_property
     def links(self) -> Links:
@@ -331,14 +340,22 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return () if self.timing.lockstep else self.supervision.standby
 
     @property
+    def has_operator(self) -> bool:
+        return OPERATOR in self.access.external
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        return (*self.tree.agents(), *((OPERATOR,) if self.has_operator else ()))
+
+    @property
     def processes(self) -> tuple[str, ...]:
-        return (*self.tree.agents(), *map(standby_of, self.standbys))
+        return (*self.agents, *map(standby_of, self.standbys))
 
     @cached_property
     def elsewhere(self) -> tuple[str, ...]:
         """Agents that the launcher does not start: devices, and agents on other hosts."""
         away = {*self.access.external, *self.access.addresses}
-        return tuple(agent for agent in self.tree.agents() if agent in away)
+        return tuple(agent for agent in self.agents if agent in away)
 
     @property
     def public(self) -> RunPlan:

@@ -47,7 +47,7 @@ class Role(Enum):
     CENTRAL = "the central controller"
     RECORDER = "the recorder"
     REPLAYER = "the replay of a recording"
-    OPERATOR = "the operator"
+    OPERATOR = "the operator's program"
     CONTROLLERS = "every controller"
 
 
@@ -127,8 +127,8 @@ class Port(Generic[M_co]):
 
 # fmt: off
 TELEMETRY: Final  = Signal("telemetry",  messages.Telemetry,  About.LEAVES,   Role.PLANT,    (Role.NODE,),    Occurrence.CYCLE, hop_p99_ms=10.0)
-DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.CYCLE)
-METER: Final      = Signal("meter",      messages.Meter,      About.PLANT,    Role.PLANT,    (Role.CENTRAL,), Occurrence.CYCLE)
+DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CONTROLLERS, Role.OPERATOR), Occurrence.CYCLE)
+METER: Final      = Signal("meter",      messages.Meter,      About.PLANT,    Role.PLANT,    (Role.CENTRAL, Role.OPERATOR), Occurrence.CYCLE)
 IMPP: Final       = Signal("impp",       messages.Impp,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE)
 RESIDUAL: Final   = Signal("residual",   messages.Residual,   About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE, hop_p99_ms=10.0)
 HELP: Final       = Signal("help",       messages.Help,       About.NODES,    Role.NODE,     (),              Occurrence.NEED)
@@ -136,7 +136,7 @@ SETPOINT: Final   = Signal("setpoint",   messages.Setpoint,   About.CHILDREN, Ro
 COMMAND: Final    = Signal("command",    messages.Command,    About.LEAVES,   Role.NODE,     (Role.PLANT,),   Occurrence.CYCLE, hop_p99_ms=10.0)
 PRODUCTION: Final = Signal("production", messages.Production, About.PLANT,    Role.PLANT,    (),              Occurrence.CYCLE)
 NOTICE: Final     = Signal("notice",     messages.Notice,     About.NODES,    Role.NODE,     (),              Occurrence.EVENT)
-RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.EVENT, decided=False)
+RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.CONTROLLERS, Role.OPERATOR), Occurrence.EVENT, decided=False)
 READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False, decided=False)
 CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False, decided=False)
 TAKEOVER: Final   = Signal("takeover",   messages.Takeover,   About.NODES,    Role.NODE,     (),              Occurrence.EVENT, decided=False)
@@ -159,9 +159,14 @@ _NAMES: Final = {
 }
 
 
-def listeners(port: Port[Message], tree: ControlTree) -> tuple[str, ...]:
-    """Names of the agents that act on a port's messages. The recorder hears all of them besides."""
-    roles = port.signal.listeners
+def listeners(
+    port: Port[Message], tree: ControlTree, *, has_operator: bool = False
+) -> tuple[str, ...]:
+    """Names of the agents that act on a port's messages. The recorder hears all of them besides.
+
+    has_operator: Whether the operator is a program on the bus.
+    """
+    roles = [role for role in port.signal.listeners if has_operator or role is not Role.OPERATOR]
     return tuple(name for role in roles for name in _agents(role, port.node, tree))
 
 

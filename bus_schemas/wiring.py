@@ -13,22 +13,34 @@ from functools import cached_property
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port, listeners, ports
-from bus_schemas.tree import RECORDER, ControlTree, agent_of, standby_of
+from bus_schemas.tree import OPERATOR, RECORDER, ControlTree, agent_of, standby_of
 
 
 class Wiring:
     """The wiring of a run.
 
     listeners, processes: Agents, and with them standbys, that hear each port.
+    has_operator: Whether the operator is a program on the bus; else nobody may publish orders.
     published, heard: Ports of each agent.
     last_ports: Of an agent with a standby: its last port in each cycle, and in each of its turns.
         Its two processes hear them from each other.
     """
 
-    def __init__(self, plant: str, tree: ControlTree, standbys: Collection[str] = ()) -> None:
+    def __init__(
+        self,
+        plant: str,
+        tree: ControlTree,
+        standbys: Collection[str] = (),
+        *,
+        has_operator: bool = False,
+    ) -> None:
         self.plant = plant
-        self.ports = ports(tree)
-        self.listeners = {port: listeners(port, tree) for port in self.ports}
+        self.ports = tuple(
+            port for port in ports(tree) if has_operator or port.publisher != OPERATOR
+        )
+        self.listeners = {
+            port: listeners(port, tree, has_operator=has_operator) for port in self.ports
+        }
         self.published: dict[str, list[Port[Message]]] = {}
         self.heard: dict[str, list[Port[Message]]] = {}
         self.last_ports: dict[str, tuple[Port[Message], ...]] = {}
@@ -45,7 +57,8 @@ class Wiring:
                 own = (agent,) if port in self.last_ports[agent] else ()
                 self.processes[port] += (*own, standby_of(agent))
         self._port_of = {self.key(port): port for port in self.ports}
-        self._processes = (*tree.agents(), *map(standby_of, standbys))
+        operator = (OPERATOR,) if has_operator else ()
+        self._processes = (*tree.agents(), *map(standby_of, standbys), *operator)
 
     def key(self, port: Port[Message]) -> str:
         return f"{self.plant}/{port}"

@@ -1,4 +1,4 @@
-"""What both examples need of docs/wire.md: the plan, a Zenoh session, messages with their heads."""
+"""What the examples need of docs/wire.md: the plan, a Zenoh session, messages with their heads."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ class Member:
         self, plan: dict[str, Any], agent: str, talks_to: list[str], endpoints: list[str]
     ) -> None:
         self.plan, self.agent = plan, agent
-        self.prefix = plan["plant"] if agent == "plant" else f"{plan['plant']}/{agent}"
+        is_node = agent not in {"plant", "operator"}
+        self.prefix = f"{plan['plant']}/{agent}" if is_node else plan["plant"]
         self.arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
         self.declared: list[object] = []  # It holds for as long as there is a name for it.
         self.cycle, self.incarnation, self.ready_ns = -(2**31), 0, 0  # No cycle has begun.

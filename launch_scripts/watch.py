@@ -14,7 +14,7 @@ from typing import Final, Literal, TypeAlias
 from agents.plan import RunPlan
 from agents.process.beats import BEAT_S, FORK_SERVER
 from agents.process.events import Event, Joined, Presence, Started, Status
-from bus_schemas.tree import PLANT, RECORDER
+from bus_schemas.tree import OPERATOR, PLANT, RECORDER
 from launch_scripts.supervision import Child, Children, Row
 
 LONGEST_STEP_S: Final = 0.5
@@ -226,7 +226,7 @@ class Externals:
         when = f"in cycle {event.cycle}" if event.cycle >= 0 else "before cycle 0"
         was = self._states[agent]
         if not event.alive:
-            if event.cycle >= 0 and not lockstep and agent != PLANT:
+            if event.cycle >= 0 and (agent == OPERATOR or (not lockstep and agent != PLANT)):
                 return f"{name} is gone {when}; the run goes on without it"
             if event.cycle >= 0 and agent in plan.access.external:
                 self._states[agent] = "gone"

@@ -20,7 +20,7 @@ import numpy as np
 from bus_schemas.codec import decode, decode_head
 from bus_schemas.messages import Dispatch, Head, Message, Notice, Production, Run
 from bus_schemas.signals import DISPATCH, NOTICE, PRODUCTION, RUN, Port
-from bus_schemas.tree import PLANT, RECORDER, parent_of
+from bus_schemas.tree import PLANT, RECORDER, ROOT, parent_of
 from live_page.run_events import RunEvents
 from recordings.inspect.agent_states import AgentStates
 from recordings.inspect.health import FAILURE_NAME
@@ -29,6 +29,7 @@ from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.series import SeriesCollector
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
+from sim_plant.orders import OrderInForce
 
 State: TypeAlias = Literal["waiting", "running", "stalled", "over", "failed"]
 """Before the first cycle; going on; nothing new for a while; ended; given up by its launcher."""
@@ -60,6 +61,7 @@ class RunFollower:
         self._firsts: list[int] = []
         clusters = tuple(dict.fromkeys(map(parent_of, self.plan.tree.leaves)))
         self._powers = SeriesCollector(self.plan, clusters)
+        self._order: OrderInForce | None = None
 
     def advance(self, budget_s: float) -> bool:
         """Read on for a while; return whether all that is in the file has been read."""
@@ -164,6 +166,7 @@ class RunFollower:
         match message:
             case Dispatch():
                 self._powers.see(port, message)
+                self._note_order(message)
             case Production() if 0 <= cycle < self.plan.timing.cycles:
                 self._powers.see(port, message)
                 self.cycles = max(self.cycles, cycle + 1)
@@ -174,6 +177,17 @@ class RunFollower:
             case Run(state="stop"):
                 self._stop_cycle = cycle
                 self.events.add("run", cycle, PLANT, "the run is over")
+
+    def _note_order(self, dispatch: Dispatch) -> None:
+        """Note a new order, and one whose source is silent or whose time is over."""
+        order, before = OrderInForce.by(dispatch), self._order
+        if order is None or (before is not None and order.what == before.what):
+            return
+        self._order = order
+        goes_on = before is not None and (before.source, before.state) == (order.source, "holds")
+        if not (goes_on and order.state == "holds" and order.renew_s is not None):
+            text = order.text(self.plan.tree.rating_kw(ROOT))
+            self.events.add("order", dispatch.cycle, order.source, text)
 
     def _look_for_failure(self) -> None:
         failure = self.run.path.parent / FAILURE_NAME

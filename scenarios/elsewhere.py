@@ -16,7 +16,7 @@ import msgspec
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.selection import find_agents
-from bus_schemas.tree import PLANT, RECORDER, ControlTree
+from bus_schemas.tree import OPERATOR, PLANT, RECORDER, ControlTree
 from sunspec.addresses import parse_address
 
 _PORTS: Final = range(1024, 65_536)
@@ -35,7 +35,7 @@ class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def external_agents(external: Sequence[str], tree: ControlTree) -> tuple[str, ...]:
     """Return the agents that `--external` names, in the order of the tree."""
-    team = tuple(agent for agent in tree.agents() if agent != RECORDER)
+    team = (*(agent for agent in tree.agents() if agent != RECORDER), OPERATOR)
     for agent in external:
         if agent not in team:
             raise InputError(f"--external: {not_one_of(team, agent)}")

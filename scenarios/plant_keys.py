@@ -79,7 +79,7 @@ def check_keys(plan: RunPlan, agents: Sequence[str] = ()) -> None:
     ends = datetime.now(UTC) + timedelta(
         seconds=plan.timing.cycles * plan.timing.cycle_wall_ns / 1e9
     )
-    for agent in agents or plan.tree.agents():
+    for agent in agents or plan.agents:
         files = KeyFiles.of(folder, agent)
         # The key of an agent elsewhere may be there alone.
         if agents or agent not in plan.elsewhere or files.key.exists():

@@ -27,7 +27,7 @@ from agents.plan import (
 )
 from agents.settings import Revert
 from bus_schemas.errors import InputError
-from bus_schemas.tree import ROOT, ControlTree, agent_name
+from bus_schemas.tree import OPERATOR, ROOT, ControlTree, agent_name
 from scenarios.clustering import control_tree, neighbourhoods
 from scenarios.elsewhere import (
     METER,
@@ -226,6 +226,11 @@ def _plan(
     with scenario_file.named():
         deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
     external = external_agents(options.external or (), day.tree)
+    if OPERATOR in external and not keys_folder:
+        raise InputError(
+            "--external operator: expected --secure with it, since any program of this host could "
+            "give orders"
+        )
     addresses = addresses_of(
         options.on or (), day.tree, external, options.address, secure=bool(keys_folder)
     )

@@ -45,6 +45,24 @@ class OrderInForce(msgspec.Struct, frozen=True, kw_only=True, gc=False):
         names = cls.__struct_fields__
         return cls(**{name: getattr(dispatch, f"order_{name}") for name in names})
 
+    @property
+    def what(self) -> tuple[object, ...]:
+        """What tells it from another order, and from itself in another state."""
+        return self.source, self.cycle, self.state
+
+    def text(self, rating_kw: float) -> str:
+        """Say what it asks for, and what became of it."""
+        if self.state == "over":
+            return "its order is over: back to the schedule"
+        if self.state == "silent":
+            return "silent: its order is not renewed"
+        ramp = "" if self.ramp_kw_per_min is None else f", {self.ramp_kw_per_min:,.10g} kW/min"
+        if self.power_kw is None:
+            return f"orders the schedule back{ramp}"
+        is_within = 0.0 <= self.power_kw <= rating_kw
+        clamped = "" if is_within else f", clamped to 0 to {rating_kw:,.10g} kW"
+        return f"orders {self.power_kw:,.10g} kW{clamped}{ramp}"
+
     def stated(self) -> dict[str, Any]:
         """Return the fields of a dispatch that state it."""
         return {f"order_{name}": value for name, value in asdict(self).items()}

@@ -42,6 +42,7 @@ def keys(
     out
         Folder of the keys; default keys/PLANT.
     """
+    from bus_schemas.tree import OPERATOR
     from scenarios.elsewhere import read_address
     from scenarios.plant_keys import make_keys
     from scenarios.preparation import prepare
@@ -50,7 +51,7 @@ def keys(
         read_address(one)
     plan = prepare(changed_scenario(scenario, data, settings), RunOptions(), "keys").plan
     folder = out or Path("keys") / plan.plant
-    agents = plan.tree.agents()
+    agents = (*plan.tree.agents(), OPERATOR)
     expires, is_new = make_keys(folder, plan.plant, agents, days, address or ())
     write_json({"folder": str(folder), "agents": agents, "expires": expires.isoformat()}, json)
     until = f"{expires:%Y-%m-%d %H:%M} UTC"

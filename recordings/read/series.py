@@ -230,11 +230,8 @@ class SeriesCollector:
 
     def _enter_order(self, dispatch: Dispatch) -> None:
         order = OrderInForce.by(dispatch)
-        last = self._orders[-1][1] if self._orders else None
-        if order is not None and (
-            last is None
-            or (order.source, order.cycle, order.state) != (last.source, last.cycle, last.state)
-        ):
+        last = self._orders[-1][1].what if self._orders else None
+        if order is not None and order.what != last:
             self._orders.append((dispatch.cycle, order))
 
     def _row(self, listed: Sequence[float]) -> NDArray[np.float64]:

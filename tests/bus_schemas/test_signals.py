@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bus_schemas.signals import listeners, ports
-from bus_schemas.tree import OPERATOR, ControlTree
+from bus_schemas.signals import ORDER, listeners
+from bus_schemas.tree import OPERATOR, ROOT, ControlTree
 from bus_schemas.wiring import Wiring
 
 OAHU = ControlTree((("c1/inv07", 470.0), ("c1/inv08", 470.0), ("c2/inv09", 470.0)))
@@ -29,7 +29,6 @@ LEAVES = ("c1/inv07", "c1/inv08", "c2/inv09")
         ("oahu/c1/inv07/command", "c1/inv07", ("plant",)),
         ("oahu/ready", "recorder", ("plant",)),
         ("oahu/clock", "replayer", ()),
-        ("oahu/order", "operator", ("plant",)),
     ],
 )
 def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple[str, ...]) -> None:
@@ -41,18 +40,20 @@ def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple
 
 
 @pytest.mark.parametrize("tree", TREES)
+@pytest.mark.parametrize("has_operator", [False, True])
 def test_listeners_are_others_of_the_run_linked_and_wired_with_whom_they_hear(
-    tree: ControlTree,
+    tree: ControlTree, has_operator: bool
 ) -> None:
-    wiring = Wiring("oahu", tree)
+    wiring = Wiring("oahu", tree, has_operator=has_operator)
+    agents = {*tree.agents(), *({OPERATOR} if has_operator else ())}
     linked = {frozenset(pair) for pair in wiring.links().pairs}
-    for port in ports(tree):
-        heard_by = listeners(port, tree)
+    assert (ORDER.of(ROOT) in wiring.ports) == has_operator
+    for port in wiring.ports:
+        heard_by = listeners(port, tree, has_operator=has_operator)
         assert len(set(heard_by)) == len(heard_by)
-        assert set(heard_by) <= set(tree.agents()) - {port.publisher}
-        if port.publisher != OPERATOR:  # Who is no process of most runs.
-            assert {frozenset({port.publisher, listener}) for listener in heard_by} <= linked
+        assert set(heard_by) <= agents - {port.publisher}
+        assert {frozenset({port.publisher, listener}) for listener in heard_by} <= linked
         assert port in wiring.published[port.publisher]
         assert wiring.listeners[port] == heard_by
-        for agent in tree.agents():
+        for agent in agents:
             assert (port in wiring.heard.get(agent, ())) == (agent in heard_by)

@@ -27,7 +27,7 @@ def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def test_keys_are_for_their_owner_alone(plant: str) -> None:
     keys = sorted(Path("keys/small").glob("*.key"))
-    assert len(keys) == 10, "nine agents and the authority"
+    assert len(keys) == 11, "nine agents, the operator and the authority"
     assert all(key.stat().st_mode & 0o077 == 0 for key in keys)
 
 

@@ -22,14 +22,14 @@ from plans_by_hand import plan_of, with_changes
 
 from agents.plan import RunPlan
 from agents.process.session import password, session_ids, session_settings, users
-from bus_schemas.signals import CLOCK
+from bus_schemas.signals import CLOCK, ports
 from bus_schemas.tcp_ports import reserved_ports
-from bus_schemas.tree import PLANT, RECORDER
+from bus_schemas.tree import OPERATOR, PLANT, RECORDER
 from bus_schemas.zenoh_session import KeyFiles, SessionSettings, open_sessions
 
 BARE = plan_of({"c1/a": 100.0, "c2/b": 100.0}, secret="told to nobody")
 AGENTS = BARE.tree.agents()
-PORTS = [port for port in BARE.wiring.ports if port.signal is not CLOCK]
+PORTS = [port for port in ports(BARE.tree) if port.signal is not CLOCK]
 LISTENING = BARE.links.listening
 DEVICE = "c2/b"
 INTRUDING_S = 1.0
@@ -54,7 +54,7 @@ class Team:
                 stack.enter_context(session)
                 for session in open_sessions(session_settings(plan, agent))
             ]
-            for agent in AGENTS
+            for agent in plan.agents
         }
         for agent, sessions in self.sessions.items():
             for session in sessions:
@@ -91,7 +91,7 @@ class Team:
         give_up_at = time.monotonic() + 30.0
         while any(
             self.heard_of(agent) != {place for place in self.due(agent) if place[0] != without}
-            for agent in AGENTS
+            for agent in self.plan.agents
             if agent != without
         ):
             assert time.monotonic() < give_up_at, "the links never came up"
@@ -111,7 +111,7 @@ class Team:
             (listener, str(port))
             for port in PORTS
             if port.publisher == agent
-            for listener in {*self.plan.wiring.listeners[port], RECORDER} - {agent}
+            for listener in {*self.plan.wiring.listeners.get(port, ()), RECORDER} - {agent}
         }
 
     def intrude(
@@ -146,7 +146,7 @@ class Team:
             sessions = [stack.enter_context(session) for session in opened]
             tokens = [
                 session.liveliness().declare_token(self.plan.wiring.alive_key(agent))
-                for agent, session in product(AGENTS, sessions)
+                for agent, session in product((*AGENTS, OPERATOR), sessions)
             ]
             until = time.monotonic() + INTRUDING_S
             while time.monotonic() < until:
@@ -198,13 +198,14 @@ def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("keys")
     for name in ("own", "other"):
-        make_keys(folder / name, BARE.plant, AGENTS, 1.0, ())
+        make_keys(folder / name, BARE.plant, (*AGENTS, OPERATOR), 1.0, ())
     return folder
 
 
 @pytest.fixture(scope="module")
 def with_keys(keys: Path) -> Iterator[Team]:
-    yield from team_of(with_changes(BARE, keys_folder=str(keys / "own")), keys)
+    plan = with_changes(BARE, keys_folder=str(keys / "own"), external=(OPERATOR,))
+    yield from team_of(plan, keys)
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
@@ -251,7 +252,7 @@ def test_with_keys_nobody_hears_a_stranger_or_an_agent_of_another_plant(
     assert with_keys.intrude(mode, keys=others) == set()
 
 
-@pytest.mark.parametrize("agent", [RECORDER, PLANT, "central", "c1/a"])
+@pytest.mark.parametrize("agent", [RECORDER, PLANT, OPERATOR, "central", "c1/a"])
 def test_with_the_keys_of_an_agent_a_program_can_say_what_that_agent_may_and_no_more(
     with_keys: Team, keys: Path, agent: str
 ) -> None:
