@@ -94,7 +94,8 @@ FIGURES: Final = {
         ("rmse", "Tracking RMSE", "kW", 2, _SRC),
         ("mae", "Tracking MAE", "kW", 2, _R),
         ("mileage", "Mileage per hour", "kW/h", 0, _SRC),
-        ("curtailed-energy", "Curtailed energy", "kWh", 1, _R),
+        ("curtailed-energy", "Curtailed energy", "kWh", 1, _SRC),
+        ("curtailed", "Curtailed", "% of available", 1, _R | _C),
         ("ancillary-potential", "Ancillary potential", "kWh", 1, _R),
         ("rise", "Largest rise", "kW/min", 1, _R),
         ("fall", "Largest fall", "kW/min", 1, _R),
@@ -191,6 +192,7 @@ def run_figures(series: RunSeries) -> Figures:
         "mae": float(np.mean(np.abs(error_kw))),
         "mileage": float(np.abs(np.diff(shortfall_kw)).sum()) / (len(shortfall_kw) * hours),
         "curtailed-energy": float(headroom_kw.sum()) * hours,
+        "curtailed": _share(headroom_kw.sum(), available_kw.sum()),
         "ancillary-potential": float(potential_kw.sum()) * hours,
         **ramp_figures(
             series.delivered_kw,
@@ -202,6 +204,11 @@ def run_figures(series: RunSeries) -> Figures:
         **series.of_agents,
         **regulation_figures(series),
     }
+
+
+def _share(part: float, whole: float) -> float | None:
+    """Return a part in %, None of nothing."""
+    return 100.0 * float(part) / float(whole) if whole > 0.0 else None
 
 
 def energy_figures(

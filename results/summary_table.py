@@ -100,7 +100,7 @@ def _rows_of(figures: Figures | None) -> Iterator[Row]:
         share_name = figure.name.removesuffix("-energy")
         share = None if share_name == figure.name else figures.get(share_name)
         if value is not None:
-            note = "" if share is None else f"{share:.3f} {FIGURES['shortfall'].unit}"
+            note = "" if share is None else f"{share:.3f} {FIGURES[share_name].unit}"
             if figure.name == "unknown-energy":
                 note = "unknown, not among the delivered: what they are assumed to have given"
             yield figure.title, Number(value, figure.decimals), figure.unit, note

@@ -104,7 +104,7 @@ class AgentStates:
         self._missed = MissedInputs(plan)
         self._missed_in = defaultdict[str, _Counts](_Counts)
         self._unheard = _Unheard(plan)
-        self._faults = list(_fault_changes(plan))
+        self._faults = list(fault_changes(plan))
         self._causes = defaultdict[str, list[tuple[int, Word]]](list)
         for begin_s, agent, what, *_ in incidents(plan.faults.rules, plan.tree):
             word = _CAUSES.get(what)
@@ -327,7 +327,7 @@ def _cycle_at(plan: RunPlan, time_s: float) -> int:
     return int(time_s * 1e9 / plan.timing.cycle_ns)
 
 
-def _fault_changes(plan: RunPlan) -> Iterator[Change]:
+def fault_changes(plan: RunPlan) -> Iterator[Change]:
     """Yield what the fault rules of a run do and when, in the order of time."""
     yield from sorted(
         (

@@ -5,7 +5,7 @@ All take runs of the same plant in the same cycles, with the same dispatch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
@@ -17,6 +17,7 @@ from results.report import style
 _PANEL_PX = 230
 _DASHED = {"color": style.BLACK, "width": 1.2, "dash": "dash"}
 _CLOSE_LOOK_S = 600.0
+_DEVIATION = "deviation [kW]"
 
 
 def available_power(series: Sequence[RunSeries]) -> style.ReportFigure:
@@ -29,56 +30,86 @@ def available_power(series: Sequence[RunSeries]) -> style.ReportFigure:
         lines.append(style.time_line(first, first.dispatch_kw, "dispatch, with regulation", grey))
     lines += _delivered_lines(series)
     lines.append(style.time_line(first, first.commitment_kw, "commitment", _DASHED))
-    figure = style.dress(go.Figure(lines), 420)
-    figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero")
-    style.label_time_axis(figure, first)
+    figure = make_subplots(
+        rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.68, 0.32]
+    )
+    figure.add_traces(lines, rows=1, cols=1)
+    for position, one in enumerate(series):
+        line = _deviation_line(one, style.scheme_line(position), showlegend=False)
+        figure.add_trace(line, row=2, col=1)
+    style.dress(figure, 560)
+    figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero", row=1, col=1)
+    figure.update_yaxes(title_text=_DEVIATION, row=2, col=1)
+    style.label_time_axis(figure, first, rows=2)
     short = 100.0 * np.mean((first.available_kw < first.dispatch_kw)[first.known])
     return style.ReportFigure(
         "available-power",
         "Available, committed and delivered power",
         "Power of the plant [kW]. The shaded area is what all inverters could have given at their "
         "maximum power points; the dashed line is the commitment. Available power was below the "
-        f"dispatch in {short:.1f} % of the cycles.",
+        f"dispatch in {short:.1f} % of the cycles. Below is what was delivered less what was "
+        "dispatched, on an axis of its own.",
         figure,
     )
 
 
 def delivered_and_shortfall(series: Sequence[RunSeries]) -> style.ReportFigure:
-    """Draw delivered power and its shortfall; each run has a panel with the same axes."""
+    """Draw delivered power, and its deviation from the dispatch; the runs have the same axes."""
     count = len(series)
+    titles = [style.plain(one.label) if count > 1 else "" for one in series]
     figure = make_subplots(
-        rows=count,
+        rows=2 * count,
         cols=1,
         shared_xaxes=True,
-        shared_yaxes="all",
-        vertical_spacing=0.18 / count,
-        subplot_titles=[style.plain(one.label) if count > 1 else "" for one in series],
+        vertical_spacing=0.14 / count,
+        row_heights=[0.6, 0.4] * count,
+        subplot_titles=[text for title in titles for text in (title, "")],
     )
-    red = {"color": style.SHORTFALL, "width": 1}
+    red = {"color": style.SHORTFALL, "width": 0.5}
+    grey = {"color": style.GREY, "width": 0.5}
     area = {"fill": "tozeroy", "fillcolor": style.faint(style.SHORTFALL)}
-    panels = zip(series, _delivered_lines(series), strict=True)
-    for row, (one, delivered) in enumerate(panels, start=1):
+    for number, (one, delivered) in enumerate(zip(series, _delivered_lines(series), strict=True)):
         # One entry in the legend is enough for what all panels have.
-        once = {"showlegend": row == 1}
-        shortfall = style.time_line(one, one.shortfall_kw, "shortfall", red, **area, **once)
+        once = {"showlegend": number == 0}
         dispatch = style.time_line(one, one.dispatch_kw, "dispatch", _DASHED, **once)
-        figure.add_traces([shortfall, delivered, dispatch], rows=row, cols=1)
-    style.dress(figure, 110 + _PANEL_PX * count)
-    figure.update_yaxes(title_text="power [kW]", rangemode="tozero")
+        figure.add_traces([delivered, dispatch], rows=2 * number + 1, cols=1)
+        unavoidable_kw = np.maximum(one.dispatch_kw - one.available_kw, 0.0)
+        missed = style.time_line(one, -one.shortfall_kw, "shortfall", red, **area, **once)
+        filled = {"fill": "tozeroy", "fillcolor": style.faint(style.GREY, 0.8)}
+        sky = style.time_line(one, -unavoidable_kw, "of it unavoidable", grey, **filled, **once)
+        look = style.scheme_line(number) | {"width": 1}
+        deviation = _deviation_line(one, look, showlegend=False)
+        figure.add_traces([missed, sky, deviation], rows=2 * number + 2, cols=1)
+    style.dress(figure, 110 + 2 * _PANEL_PX * count)
+    for number in range(count):
+        row = 2 * number + 1
+        figure.update_yaxes(title_text="power [kW]", rangemode="tozero", row=row, col=1)
+        figure.update_yaxes(title_text=_DEVIATION, row=row + 1, col=1)
+        if number:
+            figure.update_yaxes(matches="y", row=row, col=1)
+            figure.update_yaxes(matches="y2", row=row + 1, col=1)
     if count > 1:  # The legend stands above the title of the first panel.
-        figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * count), margin_t=70)
-    style.label_time_axis(figure, series[0], rows=count)
+        figure.update_layout(legend_y=1.0 + 24.0 / (2 * _PANEL_PX * count), margin_t=70)
+    style.label_time_axis(figure, series[0], rows=2 * count)
     energies = "; ".join(
         f"{one.label} {np.nansum(one.shortfall_kw) * one.cycle_s / 3600.0:,.1f} kWh"
         for one in series
     )
     return style.ReportFigure(
         "shortfall",
-        "Delivered power and its shortfall",
-        "Delivered power and dispatch of the plant [kW], and the shortfall, max(0, dispatch - "
-        f"delivered) [kW]. Energy of the shortfall: {energies}.",
+        "Delivered power and its deviation from the dispatch",
+        "Delivered power and dispatch of the plant [kW]. Below, on an axis of its own, delivered "
+        "less dispatch: what is below zero is the shortfall, the grey part of it unavoidable. "
+        f"Energy of the shortfall: {energies}.",
         figure,
     )
+
+
+def _deviation_line(one: RunSeries, line: Mapping[str, object], **look: object) -> go.Scatter:
+    deviation_kw = one.delivered_kw - one.dispatch_kw
+    # A group of its own would put the other entries of the legend below each other.
+    look |= {"legendgroup": None}
+    return style.time_line(one, deviation_kw, f"deviation, {one.label}", line, **look)
 
 
 def _delivered_lines(series: Sequence[RunSeries]) -> list[go.Scatter]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -13,17 +13,22 @@ from rich.console import Console
 from rich.markup import escape
 
 from agents.plan import RunPlan
-from bus_schemas.tree import parent_of
+from bus_schemas.tree import ROOT, parent_of
 from bus_schemas.whole_file import whole_file
+from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, series_of
+from results.figures import run_figures
+from results.report.clusters import clusters_map, clusters_table
+from results.report.help import help_between, help_figure, help_table
 from results.report.inverter_figures import MOST_INVERTERS, correlation_matrices, residuals
+from results.report.marks import Mark, mark, run_marks
 from results.report.page import html_page
 from results.report.plant_figures import available_power, delivered_and_shortfall, regulation
 from results.report.result import Result
 from results.report.style import ReportFigure
-from results.report.tables import devices_tables, figures_tables, health_table
-from results.run_summary import run_health
+from results.report.tables import devices_tables, figures_tables, health_table, network_tables
+from results.run_summary import RunSummary, run_health
 from results.tables import Table, counted
 from sunspec.process import read_accounts
 
@@ -40,14 +45,33 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
             series = series_of(reader, MOST_INVERTERS)
             series = replace(series, label=f"hierarchical ({plan.control.scheme})")
-            tables = [*figures_tables([series]), health_table(run_health(reader), reader.clock)]
-            tables += devices_tables(read_accounts(reader.path.parent))
+            found = help_between(reader, _nodes_drawn(plan))
+            health = run_health(reader)
+            summary = summary_in(reader.path.parent, plan, RunSummary)
+            tables = [
+                *figures_tables([series]),
+                help_table(found, reader.clock),
+                clusters_table(series, plan, found),
+                *network_tables(summary),
+                health_table(health, reader.clock),
+                *devices_tables(read_accounts(reader.path.parent)),
+            ]
+            marks = run_marks(reader, health)
     with console.status("drawing"):
-        title = f"{plan.plant}: run {plan.run_id}"
-        page = html_page(runs_result(title, [series], tables, [run_line(plan), *notes]))
+        title, lines = f"{plan.plant}: run {plan.run_id}", [run_line(plan), *notes]
+        more = [clusters_map(plan), help_figure(found)]
+        page = html_page(runs_result(title, [series], tables, lines, marks=marks, more=more))
     with whole_file(path) as file:
         file.write(page.encode())
     return path
+
+
+def _nodes_drawn(plan: RunPlan) -> Collection[str]:
+    """Return the nodes whose help is read: of a large plant, the clusters alone."""
+    nodes = [node for node in plan.tree.nodes if node != ROOT]
+    if len(plan.tree.leaves) > MOST_INVERTERS:
+        return [node for node in nodes if not plan.tree.is_leaf(node)]
+    return nodes
 
 
 def _notes(reader: RunReader) -> list[str]:
@@ -71,10 +95,40 @@ def runs_result(
     tables: Sequence[Table],
     lines: Sequence[str],
     document: object = None,
+    *,
+    marks: Sequence[Mark] = (),
+    more: Sequence[ReportFigure | None] = (),
 ) -> Result:
-    """Return one run, or several of the same plant in the same cycles, each with its own label."""
-    lines = [*lines, *_cycle_lines(series)]
-    return Result(title, tables, document, lines=lines, figures=lambda: _figures(series))
+    """Return one run, or several of the same plant in the same cycles, each with its own label.
+
+    marks: What happened in the run, marked in the figures over time. more: Further figures.
+    """
+    lines = [*map(_headline, series), *lines, *_cycle_lines(series)]
+
+    def figures() -> list[ReportFigure]:
+        return [*_figures(series, marks), *(figure for figure in more if figure is not None)]
+
+    return Result(title, tables, document, lines=lines, figures=figures)
+
+
+def _headline(one: RunSeries) -> str:
+    """Say in a line how the promise was kept, at which price, and for how many cycles."""
+    if not one.known.any():
+        return f"{one.label}: no cycle is known."
+    found = run_figures(one)
+    parts = []
+    if found.get("satisfied") is not None:
+        parts.append(f"{found['satisfied']:.2f} % of the commitment satisfied")
+    parts.append(
+        f"shortfall {found['shortfall-energy']:,.1f} kWh, of it "
+        f"{found['unavoidable-energy']:,.1f} kWh unavoidable"
+    )
+    curtailed = f"{found['curtailed-energy']:,.1f} kWh curtailed"
+    if found.get("curtailed") is not None:
+        curtailed += f" ({found['curtailed']:.1f} % of the available energy)"
+    parts.append(curtailed)
+    covered = f"{found['cycles']:,.0f} of {found['planned-cycles']:,.0f} cycles"
+    return f"{one.label}: {'; '.join(parts)}; {covered} covered."
 
 
 def run_line(plan: RunPlan) -> str:
@@ -109,7 +163,7 @@ def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
     return lines
 
 
-def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
+def _figures(series: Sequence[RunSeries], marks: Sequence[Mark]) -> list[ReportFigure]:
     """Draw all figures that these runs have something to show in.
 
     Signals of the single inverters are drawn of the last run whose scheme has residuals: those of
@@ -124,6 +178,8 @@ def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
         figure = residuals(signalling[-1])
         whose = f"Under the scheme {signalling[-1].label}. " if len(series) > 1 else ""
         figures.append(replace(figure, caption=whose + figure.caption))
+    for over_time in filter(None, figures):
+        mark(over_time.figure, series[0], marks)
     figures.append(correlation_matrices(series[0]))
     return [figure for figure in figures if figure is not None]
 

@@ -22,13 +22,14 @@ BLACK: Final = "#222222"
 GREY: Final = "#8a8a8a"
 SAND: Final = "#e9cf8f"
 BLUE: Final = "#0072b2"
+GREEN: Final = "#009e73"
 ORANGE: Final = "#e69f00"
 VERMILLION: Final = "#d55e00"
 
 SHORTFALL: Final = VERMILLION
 """Power that the plant lacked. No scheme has this colour."""
 
-SCHEMES: Final = (BLUE, "#009e73", "#cc79a7", ORANGE, "#56b4e9")
+SCHEMES: Final = (BLUE, GREEN, "#cc79a7", ORANGE, "#56b4e9")
 _DASHES: Final = ("solid", "dash", "dot", "dashdot")
 
 FONT: Final = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"

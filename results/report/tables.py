@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from recordings.inspect.health import Health, health_lines
+from recordings.inspect.health import Health, counts_text, health_lines
 from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from results.figures import Shown, run_figures, runs_as_columns, shown_in
+from results.run_summary import RunSummary
 from results.tables import Column, Table, attributes, key_column, texts_table
 from sunspec.process import DeviceAccount
 
@@ -42,6 +43,23 @@ def figures_tables(series: Sequence[RunSeries]) -> list[Table]:
 def health_table(health: Health, clock: RunClock) -> Table:
     """Return the table of a run's health, a line for each kind of finding."""
     return texts_table("Health of the run", health_lines(health, clock))
+
+
+def network_tables(summary: RunSummary | None) -> list[Table]:
+    """Return the table of a run's messages by signal; none without its summary."""
+    if summary is None:
+        return []
+    columns = (
+        key_column("signal"),
+        Column("published"),
+        Column("recorded"),
+        Column("lost"),
+    )
+    dropped = counts_text(summary.launcher.dropped) or "none"
+    missed = f"{summary.missing_inputs:,} inputs missed at deadlines"
+    notes = f"Dropped by agents: {dropped}; {missed}. External agents are not counted here."
+    rows = attributes(summary.messages, columns)
+    return [Table("The network", columns, rows, (notes,))] if rows else []
 
 
 def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:

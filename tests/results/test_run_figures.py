@@ -52,6 +52,7 @@ def test_a_run_of_four_half_hours_by_hand() -> None:
             "rmse": np.sqrt(6900.0 / 4.0),
             "mileage": 80.0,  # 0, 10, 80, 0 in two hours
             "curtailed-energy": 50.0,  # (50 + 30 + 10 + 10) / 2
+            "curtailed": 100.0 * 50.0 / 190.0,
             "ancillary-potential": 50.0,  # (50 + 20 + 30) / 2
             "rise": 50.0 / 30.0,
             "fall": 70.0 / 30.0,

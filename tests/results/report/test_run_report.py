@@ -6,12 +6,15 @@ import json
 import re
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from plotly.offline import get_plotlyjs_version
 from synthetic_runs import TEN_O_CLOCK_HST_NS, cloudy_run, without_estimates
 
+import results.report
 from recordings.read.series import RunSeries
 from results.report.page import html_page
 from results.report.run_report import runs_result
@@ -106,8 +109,13 @@ def test_the_curves_are_those_of_the_run() -> None:
     for name in ("available", "delivered", "commitment"):
         np.testing.assert_allclose(trace(power, name).y, getattr(run, f"{name}_kw"), rtol=1e-6)
     shortfall_kw = trace(figures["shortfall"], "shortfall").y
-    np.testing.assert_allclose(shortfall_kw, run.shortfall_kw, rtol=1e-6, atol=1e-5)
-    axis = power.layout.xaxis
+    np.testing.assert_allclose(shortfall_kw, -run.shortfall_kw, rtol=1e-6, atol=1e-5)
+    off_kw = run.delivered_kw - run.dispatch_kw
+    for figure in (power, figures["shortfall"]):
+        deviation = trace(figure, f"deviation, {run.label}")
+        np.testing.assert_allclose(deviation.y, off_kw, rtol=1e-6, atol=1e-3)
+        assert deviation.yaxis == "y2", "it has an axis of its own"
+    axis = power.layout.xaxis2
     assert axis.range == (TEN_O_CLOCK_LOCAL_MS, TEN_O_CLOCK_LOCAL_MS + 900_000)
     assert axis.title.text == "local time (HST)"
 
@@ -163,7 +171,7 @@ def test_each_scheme_has_its_panel_its_column_and_one_colour() -> None:
     figures = figures_of(*runs)
     layout = figures["shortfall"].layout
     assert [note.text for note in layout.annotations] == ["hierarchical", "no help"]
-    assert layout.yaxis.matches == "y2", "their axes are the same"
+    assert (layout.yaxis3.matches, layout.yaxis4.matches) == ("y", "y2"), "axes are the same"
     names = {"available-power": "delivered", "shortfall": "delivered", "regulation": "given"}
     colours = {trace(figures[at], f"{of}, no help").line.color for at, of in names.items()}
     assert len(colours) == 1
@@ -197,7 +205,18 @@ def test_the_page_loads_nothing_and_has_plotly_once() -> None:
     assert not re.search(r"url\(|@import", page.of("style")[0].text)
     (policy,) = [one for one in page.of("meta") if "http-equiv" in one.attributes]
     assert str(policy.attributes["content"]).startswith("default-src 'none';")
-    assert sum("plotly.js v" in script.text for script in page.of("script")) == 1
+    assert sum("plotly.js (cartesian" in script.text for script in page.of("script")) == 1
+
+
+def test_the_library_in_the_page_is_the_one_that_figures_are_written_for() -> None:
+    bundled = Path(results.report.__file__).with_name("templates") / "plotly-cartesian.min.js"
+    assert f"v{get_plotlyjs_version()}" in bundled.read_text(encoding="utf-8")[:200]
+
+
+def test_the_page_of_an_hour_is_small() -> None:
+    names = tuple(f"c{n % 3}/inv{n:02}" for n in range(17))
+    run = cloudy_run(cycles=3600, inverters=names)
+    assert len(html_page(runs_result("An hour", [run], figures_tables([run]), ()))) < 3_000_000
 
 
 # Incomplete and small runs ------------------------------------------------------------------------

@@ -1,0 +1,129 @@
+"""Who helped whom: how much each node lacked, when it was worst, and who produced power for it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+import numpy as np
+import plotly.graph_objects as go
+
+from bus_schemas.messages import Residual, Setpoint
+from bus_schemas.signals import RESIDUAL, SETPOINT
+from bus_schemas.tree import ROOT
+from recordings.read.reader import RunReader
+from recordings.read.run_clock import RunClock
+from results.report import style
+from results.tables import Cell, Column, Table, key_column, word_column
+
+_MOST_ROWS = 30
+_MOST_HELPERS = 3
+_CELL_PX = 16
+
+
+@dataclass
+class Need:
+    """What one node lacked: energy, and the largest deficit with its cycle."""
+
+    lacking_kwh: float = 0.0
+    worst_kw: float = 0.0
+    worst_cycle: int = 0
+    cycles: int = 0
+
+
+@dataclass
+class HelpBetween:
+    """The help among the children of each parent; `given_kwh` by helper and needy node."""
+
+    nodes: tuple[str, ...]
+    needs: dict[str, Need] = field(default_factory=lambda: defaultdict(Need))
+    given_kwh: dict[tuple[str, str], float] = field(default_factory=lambda: defaultdict(float))
+
+    def helpers(self, needy: str) -> list[tuple[str, float]]:
+        """Return who helped a node and by how much energy [kWh], most first."""
+        found = [(giver, kwh) for (giver, node), kwh in self.given_kwh.items() if node == needy]
+        return sorted(found, key=lambda one: -one[1])
+
+    @property
+    def most_needy(self) -> list[str]:
+        needy = [node for node, need in self.needs.items() if need.lacking_kwh > 0.0]
+        return sorted(needy, key=lambda node: -self.needs[node].lacking_kwh)
+
+
+def help_between(reader: RunReader, nodes: Collection[str]) -> HelpBetween:
+    """Read how nodes helped their siblings. A setpoint holds until its parent's next turn."""
+    plan, hours = reader.plan, reader.plan.timing.cycle_s / 3600.0
+    wanted = tuple(node for node in plan.tree.nodes if node in nodes and node != ROOT)
+    found = HelpBetween(wanted)
+    ports = {signal.of(node) for signal in (RESIDUAL, SETPOINT) for node in wanted}
+    for port, message in reader.on(ports):
+        match message:
+            case Residual() if message.power_kw < 0.0:
+                need = found.needs[port.node]
+                need.lacking_kwh -= message.power_kw * hours
+                need.cycles += 1
+                if -message.power_kw > need.worst_kw:
+                    need.worst_kw, need.worst_cycle = -message.power_kw, message.cycle
+            case Setpoint():
+                turn_hours = hours * plan.control.period(port)
+                for line in message.help_given:
+                    found.given_kwh[port.node, line.needy] += line.power_kw * turn_hours
+    return found
+
+
+def help_table(found: HelpBetween, clock: RunClock) -> Table:
+    """Return the nodes that lacked power, the neediest first, with those who helped most."""
+    ranked = found.most_needy
+    rows: list[tuple[Cell, ...]] = []
+    for node in ranked[:_MOST_ROWS]:
+        need, helpers = found.needs[node], found.helpers(node)
+        named = ", ".join(f"{giver} {kwh:,.1f}" for giver, kwh in helpers[:_MOST_HELPERS])
+        more = f" and {len(helpers) - _MOST_HELPERS} more" if len(helpers) > _MOST_HELPERS else ""
+        got_kwh = sum(kwh for _, kwh in helpers)
+        worst = f"{need.worst_kw:,.0f} kW at {clock.text(need.worst_cycle)}"
+        rows.append((node, need.lacking_kwh, need.cycles, worst, got_kwh, named + more or "nobody"))
+    columns = (
+        key_column("needy", "node"),
+        Column("lacking", "kWh", 1),
+        Column("cycles"),
+        word_column("worst moment"),
+        Column("help", "kWh", 1),
+        word_column("from [kWh]", "helpers"),
+    )
+    notes = [
+        "Lacking: its share of the dispatch less its IMPP. Help comes from siblings: for an "
+        "inverter from its own cluster, for a cluster from other clusters. What its own cluster "
+        "cannot give is part of what the cluster lacks."
+    ]
+    if len(ranked) > _MOST_ROWS:
+        notes.append(f"{len(ranked) - _MOST_ROWS:,} others lacked less.")
+    return Table("Who helped whom", columns, rows, notes)
+
+
+def help_figure(found: HelpBetween) -> style.ReportFigure | None:
+    """Draw the energy that each node gave to each other one; None where nobody helped."""
+    pairs = found.given_kwh
+    givers = [node for node in found.nodes if any(giver == node for giver, _ in pairs)]
+    needy = [node for node in found.nodes if any(other == node for _, other in pairs)]
+    if not pairs:
+        return None
+    cells = np.array([[pairs.get((giver, node), np.nan) for giver in givers] for node in needy])
+    heat = go.Heatmap(
+        z=cells.astype(np.float32),
+        x=[style.plain(node) for node in givers],
+        y=[style.plain(node) for node in needy],
+        colorscale="Blues",
+        zmin=0.0,
+        colorbar=style.colour_bar("kWh", max(len(needy) * _CELL_PX, 120)),
+        hovertemplate="%{x} for %{y}: %{z:,.2f} kWh<extra></extra>",
+    )
+    figure = style.dress(go.Figure(heat), max(len(needy) * _CELL_PX, 120) + 130, legend=False)
+    figure.update_yaxes(autorange="reversed", dtick=1, tickfont_size=11, title_text="needy")
+    figure.update_xaxes(dtick=1, tickfont_size=11, tickangle=-60, title_text="helper")
+    return style.ReportFigure(
+        "help",
+        "Who helped whom",
+        "Energy that each node produced beyond its share for a sibling that lacked power [kWh].",
+        figure,
+    )

@@ -1,0 +1,79 @@
+"""A report says who lacked power and who gave it, how clusters fared, and where faults were."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from plans_by_hand import with_changes
+from recordings_by_hand import PLAN, whole_run, write_run
+
+from recordings.inspect.overview import read_overview
+from recordings.read.reader import open_run
+from recordings.read.series import read_series
+from results.report.clusters import clusters_table
+from results.report.help import help_between, help_figure, help_table
+from results.report.marks import run_marks
+from results.report.run_report import runs_result, write_run_report
+from scenarios.fault_rules import parse_fault
+
+CYCLES = 90
+HOURS = CYCLES / 3600.0
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A recording with faults: `c1/a` lacks 20 kW in each cycle, and `c1/b` gives them."""
+    faults = parse_fault("freeze=c2,at=20s..30s"), parse_fault("kill=c1/a,at=50s")
+    plan = with_changes(PLAN, faults=faults, positions_m=((0, 0), (9, 0), (0, 9), (9, 9)))
+    write_run(
+        tmp_path / "run.mcap",
+        whole_run(CYCLES),
+        plan=plan,
+        is_kept=lambda one: one[0].publisher != "c2" or not 20 <= one[1].cycle < 30,
+    )
+    return tmp_path / "run.mcap"
+
+
+def test_the_needy_are_ranked_with_their_helpers(run: Path) -> None:
+    with open_run(run) as reader:
+        found = help_between(reader, reader.plan.tree.nodes)
+        table = help_table(found, reader.clock)
+    assert found.most_needy == ["c1/a"]
+    assert found.needs["c1/a"].lacking_kwh == pytest.approx(20.0 * HOURS)
+    ((giver, kwh),) = found.helpers("c1/a")
+    assert giver == "c1/b"
+    assert kwh == pytest.approx(20.0 * HOURS)
+    assert table.texts()[0][0] == "c1/a"
+    figure = help_figure(found)
+    assert figure is not None
+    (heat,) = figure.figure.data
+    assert (heat.x, heat.y) == (("c1/b",), ("c1/a",))
+
+
+def test_clusters_have_their_energies(run: Path) -> None:
+    with open_run(run) as reader:
+        found = help_between(reader, reader.plan.tree.nodes)
+        table = clusters_table(read_series(run), reader.plan, found)
+    names, inverters, *_ = zip(*table.rows, strict=True)
+    assert (names, inverters) == (("c1", "c2"), (2, 2))
+    assert table.rows[0][3] == pytest.approx((40.0 + 90.0) * HOURS)
+
+
+def test_faults_and_absences_are_marked_in_every_figure_over_time(run: Path) -> None:
+    with open_run(run) as reader:
+        marks = run_marks(reader, read_overview(reader).health)
+    assert [one.cycle for one in marks] == [20, 20, 30, 30, 50]
+    result = runs_result("A run", [read_series(run)], (), (), marks=marks)
+    for figure in result.figures():
+        texts = [note.hovertext for note in figure.figure.layout.annotations if note.hovertext]
+        assert len(texts) == len(marks) * (figure.anchor != "correlation"), figure.anchor
+
+
+def test_a_report_of_a_recording_begins_with_what_was_kept_and_at_which_price(run: Path) -> None:
+    page = write_run_report(run).read_text(encoding="utf-8")
+    head = page[: page.index("<nav")]
+    for words in ("of the commitment satisfied", "kWh curtailed", "90 of 1,000 cycles"):
+        assert words in head
+    for section in ("Who helped whom", "Clusters", "Health of the run"):
+        assert section in page
