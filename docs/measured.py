@@ -17,6 +17,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 
 from heliarch import compare, load_scenario
@@ -113,16 +114,22 @@ def hour(letter: str) -> dict[str, Any]:
     return {"irradiance.currents": f"hour_{letter}.csv"}
 
 
+CELLS: Final = {"commitment.share": [0.5, 0.7, 0.8, 0.9], "plant.meter_noise": [0, 0.005]}
+
+
+def skies_of(data: Path) -> dict[str, tuple[ScenarioFile, dict[str, Any]]]:
+    """Return the scenario of each measured sky, and its settings."""
+    hours = {f"hour {letter}": (real_plant(data), hour(letter)) for letter in "abc"}
+    return {"HOPE": (hope(data), {}), **hours}
+
+
 @cache
 def known_skies(data: Path) -> pd.DataFrame:
     """Compare on four measured skies: 4 commitments, without and with 0.5 % of meter noise."""
-    skies: dict[str, tuple[ScenarioFile, dict[str, Any]]] = {"HOPE": (hope(data), {})}
-    skies |= {f"hour {letter}": (real_plant(data), hour(letter)) for letter in "abc"}
-    cells = {"commitment.share": [0.5, 0.7, 0.8, 0.9], "plant.meter_noise": [0, 0.005]}
     run = partial(compare, actuators=BOTH, workers=WORKERS)
     tables = []
-    for sky, (scenario, settings) in skies.items():
-        cases = {**cells, **settings}
+    for sky, (scenario, settings) in skies_of(data).items():
+        cases = {**CELLS, **settings}
         aims = {**cases, "control.offset_errors": [0.0, 0.5, 1.0, 1.5, 2.0]}
         tables += [
             run(scenario, schemes=["uniform-cap", "paper"], settings=cases).assign(sky=sky),
@@ -157,6 +164,51 @@ def offsets(data: Path) -> Lines:
         count = (apart <= 5e-4).all(axis=1).sum()
         figures = (f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}", count)
         yield row([actuator, scheme, f"{aim:g}", *figures])
+
+
+def intervals(data: Path) -> Lines:
+    """Write how much less is missed and over-delivered than by the paper: skies are the unit.
+
+    An interval holds 95 % of the means of skies drawn again and again from those measured.
+    """
+    rows = known_skies(data)
+    rows = rows[rows["control.offset_errors"] == 0.0]
+    errors = ["control-caused", "over-delivered"]
+    means = rows.groupby(["actuator", "scheme", "sky"])[errors].mean()
+    yield from header(["actuator", "skies", *(f"{name}, 95 %" for name in ERRORS)])
+    for actuator in BOTH:
+        apart = (means.loc[actuator, "predictive"] - means.loc[actuator, "paper"]).to_numpy()
+        draws = np.random.default_rng(1).integers(len(apart), size=(10_000, len(apart)))
+        low, high = np.quantile(apart[draws].mean(axis=1), (0.025, 0.975), axis=0)
+        spans = zip(apart.mean(axis=0), low, high, strict=True)
+        cells = (f"{mean:+.3f} ({least:+.3f} to {most:+.3f})" for mean, least, most in spans)
+        yield row([actuator, len(apart), *cells])
+
+
+def stated(data: Path) -> Lines:
+    """Write what it is worth that inverters state their available power, behind limits."""
+    titles = ["inverters state", *ERRORS, "sum %"]
+    yield from header(titles)
+    errors = ["control-caused", "over-delivered"]
+    for title, bias in {
+        "nothing": None,
+        "exactly": 0.0,
+        "2 % high": 0.02,
+        "2 % low": -0.02,
+    }.items():
+        states = {} if bias is None else {"plant.available_bias": [bias]}
+        found = [
+            compare(
+                scenario,
+                schemes=["predictive"],
+                actuators=["limit"],
+                workers=WORKERS,
+                settings={**CELLS, **settings, **states},
+            )
+            for scenario, settings in skies_of(data).values()
+        ]
+        missed, over = pd.concat(found)[errors].mean()
+        yield row([title, f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}"])
 
 
 # docs/clusters.md
@@ -278,6 +330,8 @@ def measured(data: Path) -> dict[str, Tables]:
         "results.md": {
             "measured skies": partial(measured_skies, data),
             "offsets": partial(offsets, data),
+            "intervals": partial(intervals, data),
+            "stated": partial(stated, data),
         },
         "clusters.md": {
             "HOPE": lambda: clusters({"HOPE": (hope(data), {})}),

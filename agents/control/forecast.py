@@ -115,19 +115,29 @@ def forecast_impp(
     power_kw = max(power_kw, 0.0)
     maximum_kw = measured_maximum_kw(power_kw, alpha, available_kw, rating_kw)
     reads_low = _reads_low(maximum_kw, cycle_s, last)
+    states = is_stated(available_kw, rating_kw)
     is_limited = limit_kw < rating_kw
     lowest_held_kw = limit_kw * (1.0 - _tolerance(limit_kw, reads_low, last))
     if not is_limited or power_kw < lowest_held_kw:
         below_limit = 1.0 - power_kw / limit_kw if is_limited and limit_kw > 0.0 else 0.0
-        return _seen(maximum_kw, rating_kw, cycle_s, last.meter_error, below_limit, reads_low, last)
+        return _seen(
+            maximum_kw,
+            rating_kw,
+            cycle_s,
+            last.meter_error,
+            below_limit,
+            reads_low,
+            states,
+            last,
+        )
     meter_error = last.meter_error
     if limit_kw > 0.0:
         above = max(power_kw / limit_kw - 1.0, 0.0)
         gain = min(_gain(cycle_s, METER_MEMORY_S), 1.0 / METER_READINGS)
         meter_error += (above - meter_error) * gain
-    if is_stated(available_kw, rating_kw):
+    if states:
         maximum_kw = min(available_kw, rating_kw)
-        return _seen(maximum_kw, rating_kw, cycle_s, meter_error, 0.0, reads_low, last)
+        return _seen(maximum_kw, rating_kw, cycle_s, meter_error, 0.0, reads_low, states, last)
     return _hidden(limit_kw, rating_kw, cycle_s, meter_error, reads_low, last)
 
 
@@ -135,10 +145,12 @@ def held_kw(setpoint_kw: float, rating_kw: float, known: Estimate) -> float:
     """Return the power limit of an inverter that is asked for all it has, or for more.
 
     Asked for its forecast, it is held near that; asked for more, since the whole plant lacks
-    power, it is free.
+    power, it is free. One that states its available power needs no room in which it would show.
     """
     if setpoint_kw > known.power_kw * (1.0 + ROUNDING):
         return rating_kw
+    if known.is_stated and known.power_kw > 0.0:
+        return known.power_kw
     room_kw = HELD_SPREADS * known.spread_kw + HELD_SHARE * rating_kw
     return min(known.power_kw + room_kw, rating_kw)
 
@@ -150,6 +162,7 @@ def _seen(
     meter_error: float,
     below_limit: float,
     reads_low: float,
+    states: bool,
     last: Estimate,
 ) -> Estimate:
     """Extrapolate a maximum that was measured or stated."""
@@ -172,6 +185,7 @@ def _seen(
         meter_error=meter_error,
         below_limit=below_limit,
         reads_low=reads_low,
+        is_stated=states,
     )
 
 
@@ -197,6 +211,7 @@ def _hidden(
         meter_error=meter_error,
         below_limit=0.0,
         reads_low=reads_low,
+        is_stated=False,
     )
 
 

@@ -39,6 +39,8 @@ class Estimate(NamedTuple):
         By what share of the limit the last reading lay below it; 0 if the limit held it.
     reads_low
         By what share of a limit readings may lie below it although it holds the inverter.
+    is_stated
+        Whether the inverter states its available power: then no limit hides the maximum.
     """
 
     power_kw: float
@@ -51,6 +53,7 @@ class Estimate(NamedTuple):
     meter_error: float = FIRST_METER_ERROR
     below_limit: float = 0.0
     reads_low: float = 0.0
+    is_stated: bool = False
 
 
 NOTHING_KNOWN: Final = Estimate(0.0, 0)
@@ -92,6 +95,7 @@ def estimate_impp(
         meter_error=last.meter_error,
         below_limit=0.0,
         reads_low=0.0,
+        is_stated=False,
     )
 
 
@@ -134,6 +138,7 @@ def stale(last: Estimate) -> Estimate:
         meter_error=last.meter_error,
         below_limit=last.below_limit,
         reads_low=last.reads_low,
+        is_stated=last.is_stated,
     )
 
 

@@ -241,6 +241,12 @@ def test_a_meter_that_reads_low_is_known_by_what_the_inverter_gives_once_it_is_f
     assert again.power_kw >= 78.0, "the same reading deceives it no more"
 
 
+def test_an_inverter_that_states_its_power_is_held_at_its_forecast_without_room() -> None:
+    known = forecast(50.0, RATING_KW, NOTHING_KNOWN, available_kw=50.0)
+    assert held_kw(known.power_kw, RATING_KW, known) == known.power_kw
+    assert held_kw(known.power_kw + 0.1, RATING_KW, known) == RATING_KW, "the plant lacks power"
+
+
 def test_just_below_the_limit_of_an_inverter_that_is_asked_for_all_it_has_is_its_maximum() -> None:
     # Held a little above its forecast, 1 % below that limit is where its maximum is expected.
     known = measured(40.0)
