@@ -14,7 +14,10 @@ from bus_schemas.signals import DISPATCH, Occurrence, Port
 
 
 class Driver:
-    """Some agents of a run, on one bus."""
+    """Some agents of a run, on one bus.
+
+    closed: How many stages they have closed.
+    """
 
     def __init__(self, loops: Iterable[Loop[Any]], bus: Bus, now_ns: Callable[[], int]) -> None:
         self.loops = {loop.name: loop for loop in loops}
@@ -25,6 +28,7 @@ class Driver:
         self._numbers = count()
         self._deadlines: list[tuple[int, int, str]] = []
         self._deadline_of: dict[str, int | None] = dict.fromkeys(self.loops)
+        self.closed = 0
 
     def leave(self, name: str) -> Loop[Any]:
         """Go on without an agent, whose process stands still or has died."""
@@ -53,8 +57,7 @@ class Driver:
         arrivals = self.bus.receive(self._until_ns(longest_ns), self._wanted)
         self._act_on(arrivals)
         # In memory all messages of a moment come before its deadlines.
-        if self._only is not None or not arrivals:
-            self._close_overdue()
+        self._close_overdue(self.now_ns() - bool(arrivals))
         return arrivals
 
     def stop(self) -> None:
@@ -83,9 +86,7 @@ class Driver:
         return until_ns
 
     def _act_on(self, arrivals: Sequence[Arrival]) -> None:
-        only = self._only
-        if only is not None and only.catch_up(self.now_ns()):
-            self.advance(only)
+        self._catch_up()
         for agent, port, message, time_ns in arrivals:
             loop = self.loops[agent]
             loop.hear(port, message, time_ns)
@@ -96,6 +97,7 @@ class Driver:
 
     def _close(self, loop: Loop[Any]) -> None:
         bus, now_ns = self.bus, self.now_ns
+        self.closed += 1
         for port, message in loop.close_stage(now_ns()):
             bus.publish(port, message, now_ns())
 
@@ -108,9 +110,18 @@ class Driver:
             heappop(self._deadlines)  # That stage is closed, or its agent gone.
         return None
 
-    def _close_overdue(self) -> None:
+    def _catch_up(self) -> None:
+        """Take agents whose cycle is over to the cycle under way."""
+        while (deadline_ns := self._next_deadline_ns()) is not None and deadline_ns < self.now_ns():
+            loop = self.loops[self._deadlines[0][2]]
+            if not loop.catch_up(self.now_ns()):
+                return
+            self.advance(loop)
+
+    def _close_overdue(self, now_ns: int) -> None:
+        """Close the stage with the earliest deadline, if that is over."""
         deadline_ns = self._next_deadline_ns()
-        if deadline_ns is not None and deadline_ns <= self.now_ns():
+        if deadline_ns is not None and deadline_ns <= now_ns:
             loop = self.loops[heappop(self._deadlines)[2]]
             self._close(loop)
             self.advance(loop)

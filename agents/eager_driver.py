@@ -1,13 +1,13 @@
-"""Drives one controller on Zenoh's own thread.
+"""Drives the controllers of a process on Zenoh's own thread.
 
 The thread that receives a stage's last message closes the stage and publishes what it decides: that
-saves a fifth of the processor time of a cycle. The agent's own thread sleeps until the next
+saves a fifth of the processor time of a cycle. The process's own thread sleeps until the next
 deadline. The plant needs its own thread: it waits in `put` for a recorder that falls behind.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import inf
 from threading import Lock
 from typing import Any
@@ -19,11 +19,10 @@ from bus_schemas.zenoh_bus import ZenohBus
 
 
 class EagerDriver(Driver):
-    """One controller, on Zenoh."""
+    """Controllers of one process, on Zenoh."""
 
-    def __init__(self, loop: Loop[Any], bus: ZenohBus) -> None:
-        super().__init__([loop], bus, bus.now_ns)
-        self._loop = loop
+    def __init__(self, loops: Iterable[Loop[Any]], bus: ZenohBus) -> None:
+        super().__init__(loops, bus, bus.now_ns)
         self._zenoh = bus
         self._lock = Lock()
         self._sleeps_to_ns: float = inf
@@ -32,7 +31,8 @@ class EagerDriver(Driver):
     def run(self) -> Iterator[Sequence[Arrival]]:
         self._zenoh.inbox.on_enough = self._act_at_once
         with self._lock:
-            self.advance(self._loop)
+            for loop in self.loops.values():
+                self.advance(loop)
             self._act()
         while not self.finished:
             yield self.turn()
@@ -45,7 +45,7 @@ class EagerDriver(Driver):
         self._zenoh.inbox.sleep(self._zenoh.timeout_s(until_ns))
         with self._lock:
             arrivals = self._act()
-            self._close_overdue()
+            self._close_overdue(self.now_ns())
             arrivals += self._act()
         if self._error is not None:
             raise self._error
@@ -72,10 +72,10 @@ class EagerDriver(Driver):
 
     def _act(self) -> list[Arrival]:
         """Act on what has come, until there is less than is wanted."""
-        arrivals = self._zenoh.take()
-        self._act_on(arrivals)
-        while self._zenoh.inbox.want(self._wanted):
-            more = self._zenoh.take()
-            self._act_on(more)
-            arrivals += more
-        return arrivals
+        arrivals: list[Arrival] = []
+        while True:
+            taken = self._zenoh.take()
+            self._act_on(taken)
+            arrivals += taken
+            if not self._zenoh.want(self._wanted):
+                return arrivals

@@ -11,6 +11,7 @@ import msgspec
 from bus_schemas.errors import InputError, listed
 from bus_schemas.faults import Interval, LinkFault, Second, interval_objections, link_objections
 from bus_schemas.tree import ControlTree, agent_name
+from bus_schemas.wiring import Wiring
 
 
 class _ProcessRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -60,7 +61,7 @@ Fault: TypeAlias = LinkFault | ProcessFault
 
 
 class Incident(NamedTuple):
-    """Something that happens to a process at a simulated time since cycle 0 [s]."""
+    """Something that happens to an agent at a simulated time since cycle 0 [s]."""
 
     time_s: float
     agent: str
@@ -68,19 +69,24 @@ class Incident(NamedTuple):
     until_s: float = 0.0
 
 
-def incidents(faults: Sequence[Fault], tree: ControlTree) -> list[Incident]:
-    """Return what happens to processes by the faults of a run, in the order of time."""
+def incidents(faults: Sequence[Fault], tree: ControlTree, wiring: Wiring) -> list[Incident]:
+    """Return what happens to agents by the faults of a run, in the order of time.
+
+    What happens to a process happens to all its agents.
+    """
     due: list[Incident] = []
     for fault in faults:
+        if not isinstance(fault, Kill | Freeze):
+            continue
+        processes = dict.fromkeys(map(wiring.process_of, _stopped(fault, tree)))
+        stopped = [agent for process in processes for agent in wiring.members_of(process)]
         match fault:
             case Kill():
-                stopped = _stopped(fault, tree)
                 due += (Incident(fault.at, agent, "kill", fault.until or 0.0) for agent in stopped)
             case Freeze(at=(begin_s, end_s), zombie=True):
-                stopped = _stopped(fault, tree)
                 due += (Incident(begin_s, agent, "replace", end_s) for agent in stopped)
             case Freeze(at=(begin_s, end_s)):
-                for agent in _stopped(fault, tree):
+                for agent in stopped:
                     due += Incident(begin_s, agent, "freeze"), Incident(end_s, agent, "thaw")
     return sorted(due)
 

@@ -30,6 +30,8 @@ from bus_schemas.tree import (
     PLANT,
     ROOT,
     ControlTree,
+    agent_name,
+    ancestors,
     check_name,
     depth,
     parent_of,
@@ -270,10 +272,12 @@ class Supervision(msgspec.Struct, frozen=True, kw_only=True):
     """How the launcher keeps the processes of a run going.
 
     standby: Parents that have a standby, except in lockstep, where nothing has a deadline.
+    groups: Agents that share their process with all agents below them, but those of other groups.
     """
 
     restart: RestartPolicy = RestartPolicy()
     standby: tuple[str, ...] = ()
+    groups: tuple[str, ...] = ()
     machine: MachineSettings = MachineSettings()
 
 
@@ -302,7 +306,13 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def wiring(self) -> Wiring:
-        return Wiring(self.plant, self.tree, self.standbys, has_operator=self.has_operator)
+        return Wiring(
+            self.plant,
+            self.tree,
+            self.standbys,
+            self._process_of(),
+            has_operator=self.has_operator,
+        )
 
     @cached_property
     def links(self) -> Links:
@@ -347,9 +357,26 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def agents(self) -> tuple[str, ...]:
         return (*self.tree.agents(), *((OPERATOR,) if self.has_operator else ()))
 
+    def members(self) -> tuple[str, ...]:
+        """All agents and standbys, each of which is in one of the processes."""
+        return (*self.agents, *map(standby_of, self.standbys))
+
     @property
     def processes(self) -> tuple[str, ...]:
-        return (*self.agents, *map(standby_of, self.standbys))
+        return self.wiring.processes
+
+    def _process_of(self) -> dict[str, str]:
+        """Return the process of each agent in a group: the nearest group's on the same host."""
+        external, host_of = self.access.external, self.access.addresses.get
+        heads = {*self.supervision.groups} - {*external}
+        found: dict[str, str] = {}
+        for node in self.tree.nodes if heads else ():
+            agent = agent_name(node)
+            above = map(agent_name, (node, *ancestors(node)))
+            head = next((name for name in above if name in heads), agent)
+            if agent not in external and host_of(agent) == host_of(head):
+                found[agent] = head
+        return found
 
     @cached_property
     def elsewhere(self) -> tuple[str, ...]:
@@ -424,6 +451,7 @@ def check_plan(plan: RunPlan) -> None:
     access = plan.access
     for number, fault in enumerate(plan.faults.rules):
         check_fault(fault, plan.tree, f"faults[{number}]", access.external, access.addresses)
+    _check_groups(plan)
     leaves, height = plan.tree.leaves, plan.tree.height
     if not 0 < plan.timing.cycle_ns <= LONGEST_CYCLE_NS:
         got = f"got {plan.timing.cycle_ns:,}"
@@ -454,3 +482,14 @@ def _check_orders(plan: RunPlan) -> None:
         if cycle in taken:
             raise InputError(f"orders[{number}].at: expected a cycle without another order")
         taken.add(cycle)
+
+
+def _check_groups(plan: RunPlan) -> None:
+    parents = [*map(agent_name, plan.tree.parents)]
+    for group in plan.supervision.groups:
+        if group not in parents:
+            raise InputError(f"processes: expected any of {listed(parents)}, got {group!r}")
+    for parent in plan.supervision.standby:
+        if len(plan.wiring.members_of(plan.wiring.process_of(parent))) > 1:
+            expected = "parents with a process of their own"
+            raise InputError(f"standby: expected {expected}, got {parent}, which shares one")

@@ -7,7 +7,7 @@ receiver waits. So a run is the same each time, to the last bit.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from heapq import heappop, heappush
 from itertools import count
 
@@ -16,7 +16,6 @@ from bus_schemas.messages import Message
 from bus_schemas.network_faults import UNHARMED, NetworkFaults
 from bus_schemas.signals import Port
 from bus_schemas.tree import agent_of
-from bus_schemas.wiring import Wiring
 
 
 class VirtualClock:
@@ -30,8 +29,9 @@ class VirtualClock:
 
 
 class MemoryBus:
-    """One bus for all agents, with one queue.
+    """One bus for all agents of a process, with one queue.
 
+    listeners: Who hears each port.
     on_publish: Called with every message that is published, as a recorder would hear it.
     clock: Set to the time of each arrival. None: lockstep, where nothing waits for a time.
     faults: Of the network; they need a clock.
@@ -39,13 +39,13 @@ class MemoryBus:
 
     def __init__(
         self,
-        wiring: Wiring,
+        listeners: Mapping[Port[Message], Sequence[str]],
         on_publish: Callable[[Port[Message], Message], None] | None = None,
         clock: VirtualClock | None = None,
         faults: NetworkFaults | None = None,
     ) -> None:
         self.outbox = Outbox()
-        self._listeners = wiring.processes
+        self._listeners = listeners
         self._on_publish = on_publish
         self._clock = clock
         self.faults = faults
@@ -54,6 +54,11 @@ class MemoryBus:
         self._numbers = count()
         self._under_way: list[tuple[int, int, Arrival]] = []
         self._held: dict[str, list[Arrival] | None] = {}
+
+    @property
+    def holds_any(self) -> bool:
+        """Whether messages wait for their listeners."""
+        return bool(self._arrived)
 
     def hold(self, agent: str, *, keep: bool) -> None:
         """Bring an agent nothing from now on; keep what comes for it, or lose it."""
@@ -68,7 +73,7 @@ class MemoryBus:
         if self._on_publish is not None:
             self._on_publish(port, message)
         faults, arrived = self.faults, self._arrived
-        for agent in self._listeners[port]:
+        for agent in self._listeners.get(port, ()):
             fate = UNHARMED if faults is None else faults.fates(port, agent_of(agent), message)
             if fate is UNHARMED:
                 arrived.append(Arrival(agent, port, message, now_ns))

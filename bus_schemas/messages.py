@@ -25,7 +25,7 @@ PROTOCOL: Final = 3
 # The largest plant needs less of each.
 LARGEST_PAYLOAD: Final = 1 << 20
 LONGEST_TEXT: Final = 1_000
-MOST_MISSING: Final = 4_096
+MOST_MISSING: Final = 16_384
 LONGEST_MISSING: Final = 256
 
 _CYCLE: Final = re.compile(r"0|[1-9][0-9]{0,17}")
@@ -59,8 +59,8 @@ class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
         most 200 characters.
     missing: The inputs of the decision that were older than they should have been, so that a
         recording tells which messages an output used. `KEY@CYCLE`: the newest usable message was of
-        that earlier cycle. `KEY`: there was none, or it was too old to count. At most 4,096 entries
-        of up to 256 characters.
+        that earlier cycle. `KEY`: there was none, or it was too old to count. At most 16,384
+        entries of up to 256 characters.
     ready_time_ns: Monotonic clock of the sending host when the decision could be made: its last
         awaited input had come, or its deadline had passed.
     publish_time_ns: Monotonic clock of the sending host when the message went out.

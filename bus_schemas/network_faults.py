@@ -56,7 +56,7 @@ class NetworkFaults:
         self.tally: Counter[str] = Counter()
         self._cycle_s = cycle_ns / 1e9
         self._faults_on: dict[tuple[Port[Message], str], list[_FaultOnLink]] = {}
-        for port, listener in links(tree):
+        for port, listener in links(tree) if faults else ():
             for number, fault in faults.items():
                 if acts_on(fault, port, listener):
                     seed_text = f"{seed} {number} {port} {listener}"

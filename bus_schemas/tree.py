@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from math import fsum
 from typing import Final
 
@@ -23,7 +23,7 @@ ROOT: Final = ""
 
 LONGEST_PATH: Final = 200
 MOST_CHILDREN: Final = 1_000
-MOST_INVERTERS: Final = 4_000
+MOST_INVERTERS: Final = 10_000
 LARGEST_RATING_KW: Final = 1e9
 
 RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, OPERATOR, "alive"})
@@ -125,10 +125,15 @@ class ControlTree:
 
     def leaves_below(self, path: str) -> tuple[int, ...]:
         """Positions, in the plant's order, of the inverters at or below a node."""
-        below = f"{path}/" if path else ""
-        return tuple(
-            index for index, leaf in enumerate(self.leaves) if f"{leaf}/".startswith(below)
-        )
+        return self._leaves_below.get(path, ())
+
+    @cached_property
+    def _leaves_below(self) -> dict[str, tuple[int, ...]]:
+        found: dict[str, list[int]] = {}
+        for index, leaf in enumerate(self.leaves):
+            for path in (leaf, *ancestors(leaf)):
+                found.setdefault(path, []).append(index)
+        return {path: tuple(indexes) for path, indexes in found.items()}
 
     def agents(self) -> tuple[str, ...]:
         """Names of all agents that a run has, the recorder and the plant first."""
@@ -139,6 +144,13 @@ def ancestors(path: str) -> tuple[str, ...]:
     """Paths above a node, from its parent up to the root."""
     parts = path.split("/") if path else []
     return tuple("/".join(parts[:end]) for end in range(len(parts) - 1, -1, -1))
+
+
+def common_ancestor(paths: Collection[str]) -> str:
+    """Return the lowest node that all of these are at or below."""
+    parts = [path.split("/") for path in paths]
+    pairs = zip(min(parts), max(parts), strict=False)
+    return "/".join(part for part, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
 def depth(path: str) -> int:

@@ -7,20 +7,31 @@ a link of its own (see docs/decisions/0002-explicit-links.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port, listeners, ports
-from bus_schemas.tree import OPERATOR, RECORDER, ControlTree, agent_of, standby_of
+from bus_schemas.signals import IMPP, Occurrence, Port, Signal, listeners, ports
+from bus_schemas.tree import (
+    OPERATOR,
+    RECORDER,
+    ControlTree,
+    agent_of,
+    ancestors,
+    common_ancestor,
+    standby_of,
+)
 
 
 class Wiring:
     """The wiring of a run.
 
-    listeners, processes: Agents, and with them standbys, that hear each port.
+    process_of: The process of each agent that shares one; the others have one of their own name.
     has_operator: Whether the operator is a program on the bus; else nobody may publish orders.
+
+    listeners, hearers: Agents, and with them standbys, that hear each port.
     published, heard: Ports of each agent.
     last_ports: Of an agent with a standby: its last port in each cycle, and in each of its turns.
         Its two processes hear them from each other.
@@ -31,10 +42,12 @@ class Wiring:
         plant: str,
         tree: ControlTree,
         standbys: Collection[str] = (),
+        process_of: Mapping[str, str] | None = None,
         *,
         has_operator: bool = False,
     ) -> None:
         self.plant = plant
+        self._tree = tree
         self.ports = tuple(
             port for port in ports(tree) if has_operator or port.publisher != OPERATOR
         )
@@ -48,17 +61,63 @@ class Wiring:
             self.published.setdefault(port.publisher, []).append(port)
             for name in names:
                 self.heard.setdefault(name, []).append(port)
-        self.processes = dict(self.listeners)
+        self.hearers = dict(self.listeners)
         for agent in standbys:
             last = {port.signal.occurrence: port for port in self.published[agent]}
             self.last_ports[agent] = (last[Occurrence.CYCLE], last[Occurrence.TURN])
             self.heard[agent] += self.last_ports[agent]
             for port in self.heard[agent]:
                 own = (agent,) if port in self.last_ports[agent] else ()
-                self.processes[port] += (*own, standby_of(agent))
+                self.hearers[port] += (*own, standby_of(agent))
         self._port_of = {self.key(port): port for port in self.ports}
+        self._process_of = process_of or {}
+        self._members: dict[str, list[str]] = {}
         operator = (OPERATOR,) if has_operator else ()
-        self._processes = (*tree.agents(), *map(standby_of, standbys), *operator)
+        for name in (*tree.agents(), *map(standby_of, standbys), *operator):
+            self._members.setdefault(self.process_of(name), []).append(name)
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        return tuple(self._members)
+
+    def process_of(self, name: str) -> str:
+        """Return the process that runs an agent or a standby."""
+        return self._process_of.get(name, name)
+
+    def members_of(self, process: str) -> tuple[str, ...]:
+        """Return the agents, or the standby, that a process runs."""
+        return tuple(self._members[process])
+
+    def hearers_in(self, process: str) -> dict[Port[Message], tuple[str, ...]]:
+        """Return who hears each port in a process."""
+        found: dict[Port[Message], tuple[str, ...]] = {}
+        for name in self.members_of(process):
+            for port in self.heard.get(agent_of(name), ()):
+                found[port] = (*found.get(port, ()), name)
+        return found
+
+    def heard_from_others(self, process: str) -> list[Port[Message]]:
+        """Return the ports that a process hears and that not only its own agents publish on."""
+        return [port for port in self.hearers_in(process) if self._sources(port) - {process}]
+
+    def _sources(self, port: Port[Message]) -> set[str]:
+        """Return the processes, if they exist, that may publish on a port."""
+        standby = {standby_of(port.publisher)} & self._members.keys()
+        return {self.process_of(port.publisher)} | standby
+
+    @cached_property
+    def carried(self) -> dict[tuple[str, str], list[Port[Message]]]:
+        """The ports on which a process publishes what another hears, by that pair.
+
+        The recorder, which hears all, has the ports of every process.
+        """
+        found: dict[tuple[str, str], list[Port[Message]]] = {}
+        for port, hearers in self.hearers.items():
+            sinks = {RECORDER, *map(self.process_of, hearers)}
+            for source in self._sources(port) & self._members.keys():
+                for sink in sinks - {source}:
+                    found.setdefault((source, sink), []).append(port)
+        return found
 
     def key(self, port: Port[Message]) -> str:
         return f"{self.plant}/{port}"
@@ -67,19 +126,62 @@ class Wiring:
         """Port that a key names, None if there is none."""
         return self._port_of.get(key)
 
+    def key_exprs(
+        self, ports: Iterable[Port[Message]], least: int = 2
+    ) -> dict[str, list[Port[Message]]]:
+        """Return key expressions that match these ports and no others, and what each matches.
+
+        At least so many ports of a signal have one in common: of all nodes at or below a node, of
+        its children, or of all below it.
+        """
+        of_signal: dict[Signal[Message], list[Port[Message]]] = {}
+        for port in ports:
+            of_signal.setdefault(port.signal, []).append(port)
+        found: dict[str, list[Port[Message]]] = {}
+        for signal, some in of_signal.items():
+            nodes = {port.node for port in some}
+            common = self._wildcard(signal, nodes) if len(nodes) >= least else None
+            found |= {common: some} if common else {self.key(port): [port] for port in some}
+        return found
+
+    def _wildcard(self, signal: Signal[Message], nodes: set[str]) -> str | None:
+        """Return one key expression for a signal of exactly these nodes; None: there is none."""
+        top, below = common_ancestor(nodes), self._below[signal]
+        start = f"{self.plant}/{top}/" if top else f"{self.plant}/"
+        if len(nodes) == below[top]:
+            return f"{start}**/{signal.name}"
+        if nodes == {*self._tree.children(top)}:
+            return f"{start}*/{signal.name}"
+        if top not in nodes and len(nodes) == below[top] - 1:
+            return f"{start}*/**/{signal.name}"
+        return None
+
+    @cached_property
+    def _below(self) -> dict[Signal[Message], Counter[str]]:
+        """How many ports each signal has at or below each node."""
+        found: dict[Signal[Message], Counter[str]] = {}
+        for port in self.ports:
+            found.setdefault(port.signal, Counter()).update((port.node, *ancestors(port.node)))
+        return found
+
     def alive_key(self, agent: str) -> str:
         return f"{self.plant}/{agent}/alive"
 
+    def alive_keys(self, process: str) -> list[str]:
+        """Return key expressions of the tokens of a process's agents and of no others."""
+        members = self.members_of(process)
+        if len(members) == self._below[IMPP][process] > 1:
+            return [self.alive_key(f"{process}/**")]
+        return [self.alive_key(name) for name in members]
+
     def links(self) -> Links:
         """Return a link for each pair of processes of which one publishes what the other hears."""
-        rank = {process: number for number, process in enumerate(self._processes)}
-        pairs = {(RECORDER, process) for process in self._processes if process != RECORDER}
-        for port, hearers in self.processes.items():
-            for source in {port.publisher, standby_of(port.publisher)} & rank.keys():
-                for sink in {*hearers} - {source}:
-                    # A standby is as near to the top as its agent, and comes after it.
-                    top, below = sorted((source, sink), key=lambda one: (rank[agent_of(one)], one))
-                    pairs.add((top, below))
+        rank = {process: number for number, process in enumerate(self.processes)}
+        pairs = set()
+        for pair in self.carried:
+            # A standby is as near to the top as its agent, and comes after it.
+            top, below = sorted(pair, key=lambda one: (rank[agent_of(one)], one))
+            pairs.add((top, below))
         return Links(tuple(sorted(pairs, key=lambda pair: (rank[pair[0]], rank[pair[1]]))))
 
 

@@ -1,4 +1,4 @@
-"""The bus between processes: one Zenoh session for each agent, over TCP on the loopback address.
+"""The bus between processes: one Zenoh session for each process, over TCP on the loopback address.
 
 Zenoh calls us on its own thread: the callback appends to a queue, and wakes the agent's thread or
 acts itself (`agents.eager_driver`). See docs/decisions for what was measured.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from functools import partial
 from heapq import heappop, heappush
@@ -22,6 +22,7 @@ from bus_schemas.bus import Arrival
 from bus_schemas.codec import decode, encode
 from bus_schemas.host_clock import HostClock
 from bus_schemas.inbox import Inbox
+from bus_schemas.memory_bus import MemoryBus
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal
@@ -41,7 +42,7 @@ each declaration, which among 1,000 inverters would be a million messages."""
 
 
 class ZenohBus(AgentSessions):
-    """The bus of one agent, in its process or that of its standby.
+    """The bus of one process: memory among its agents, Zenoh for what others hear.
 
     patience_s: Longest time that one call waits for messages.
     clock: Clock of the plant, if the plant is on another host.
@@ -61,6 +62,9 @@ class ZenohBus(AgentSessions):
         self._clock = clock
         self.inbox = Inbox()
         self._process = process
+        self._hearers = wiring.hearers_in(process)
+        self._inside = MemoryBus(self._hearers, self._put)
+        self.outbox = self._inside.outbox
         self._patience_s = patience_s
         self._newest: dict[Port[Message], bytes] = {}
         self._puts: dict[Port[Message], list[Put]] = {}
@@ -68,14 +72,15 @@ class ZenohBus(AgentSessions):
         self._declare()
 
     def _declare(self) -> None:
-        wiring, agent, settings = self._wiring, agent_of(self._process), self._settings
+        wiring, process, settings = self._wiring, self._process, self._settings
         devices = set(() if settings.devices is None else settings.devices.peers)
-        published, heard = wiring.published[agent], wiring.heard.get(agent, [])
+        published = wiring.carried[process, RECORDER]
+        self.heard = heard = wiring.heard_from_others(process)
         many = _signals_of_many(published)
         puts: dict[Port[Message], list[Put]] = {}
         for port in published:
             # The session for devices needs only what is heard there; the recorder hears all.
-            hears_there = not devices.isdisjoint({RECORDER, *wiring.processes[port]})
+            hears_there = not devices.isdisjoint({RECORDER, *wiring.hearers[port]})
             must_arrive = settings.lockstep or port.signal.occurrence is Occurrence.EVENT
             control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
             how: dict[str, Any] = {"encoding": ENCODING, "congestion_control": control}
@@ -88,16 +93,15 @@ class ZenohBus(AgentSessions):
             )
             puts[port] = [own, *(self._device_put(port, put) for put in to_devices)]
         self._puts = puts
-        many = _signals_of_many(heard)
         hear_of = {wiring.key(port): self.inbox.callback(port) for port in heard}
 
         def hear_many(sample: zenoh.Sample) -> None:
             if (hear := hear_of.get(str(sample.key_expr))) is not None:
                 hear(sample)
 
-        alone = [wiring.key(port) for port in heard if port.signal not in many]
-        subscribed = {key: hear_of[key] for key in alone}
-        subscribed |= {f"{wiring.plant}/**/{signal.name}": hear_many for signal in many}
+        subscribed = {
+            key: hear_of.get(key, hear_many) for key in wiring.key_exprs(heard, least=_MANY)
+        }
         self._declared += (
             session.declare_subscriber(
                 key,
@@ -114,7 +118,7 @@ class ZenohBus(AgentSessions):
                 )
                 for session in self._sessions
             )
-        self._show_token(self._process)
+        self._show_tokens(wiring.members_of(process))
 
     @property
     def dropped(self) -> Counter[tuple[str, str]]:
@@ -123,7 +127,9 @@ class ZenohBus(AgentSessions):
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
-        self.outbox.stamp(port, message, now_ns)
+        self._inside.publish(port, message, now_ns)
+
+    def _put(self, port: Port[Message], message: Message) -> None:
         payload = encode(message)
         self._newest[port] = payload
         with suppress(zenoh.ZError):  # The session has been closed, to be opened anew.
@@ -138,7 +144,7 @@ class ZenohBus(AgentSessions):
 
     def newest(self) -> list[Arrival]:
         """Return the newest messages of those that are heard in lockstep, the dispatch first."""
-        heard, taken = self._wiring.heard[agent_of(self._process)], []
+        taken = []
         for session in self._sessions:
             for reply in session.get(
                 f"{self._wiring.plant}/**",
@@ -148,7 +154,7 @@ class ZenohBus(AgentSessions):
             ):
                 if (sample := reply.ok) is not None:
                     port = self._wiring.port(str(sample.key_expr))
-                    if port in heard:
+                    if port in self.heard:
                         taken.append((port, sample.payload, time.monotonic_ns()))
         return self._decoded(sorted(taken, key=lambda one: one[0].signal is not DISPATCH))
 
@@ -157,8 +163,10 @@ class ZenohBus(AgentSessions):
             for port, payload in list(self._newest.items()):
                 query.reply(self._wiring.key(port), payload, encoding=ENCODING)
 
-    def receive(self, until_ns: int | None, wanted: int = 1) -> list[Arrival]:
+    def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
         """Return what has arrived: once `wanted` messages are there, or when the time has come."""
+        if arrived := self._inside.receive(None):
+            return arrived
         give_up_at = time.monotonic() + self.timeout_s(until_ns)
         while taken := self.inbox.take(wanted, give_up_at - time.monotonic()):
             arrivals = self._decoded(taken)
@@ -167,7 +175,14 @@ class ZenohBus(AgentSessions):
         return []
 
     def take(self) -> list[Arrival]:
-        return self._decoded(self.inbox.take())
+        return [*self._inside.receive(None), *self._decoded(self.inbox.take())]
+
+    def want(self, wanted: int) -> bool:
+        """Ask to be called once so many messages are there; return whether they are.
+
+        A message among the agents of the process is always enough.
+        """
+        return self._inside.holds_any or self.inbox.want(wanted)
 
     def timeout_s(self, until_ns: int | None) -> float:
         """How long to wait for a time of the run's clock, at most for the patience."""
@@ -176,7 +191,7 @@ class ZenohBus(AgentSessions):
         return min(self._patience_s, (until_ns - self.now_ns()) / 1e9)
 
     def _decoded(self, taken: list[tuple[Port[Message], zenoh.ZBytes, int]]) -> list[Arrival]:
-        arrivals = []
+        arrivals: list[Arrival] = []
         for port, payload, time_ns in taken:
             try:
                 message = decode(port.signal, payload.to_bytes())
@@ -188,16 +203,15 @@ class ZenohBus(AgentSessions):
                     if port.publisher == PLANT:
                         self._clock.hear(message.publish_time_ns, time_ns)
                     came_ns = self._clock.at(time_ns)
-                arrivals.append(Arrival(self._process, port, message, came_ns))
+                arrivals += (Arrival(name, port, message, came_ns) for name in self._hearers[port])
         return arrivals
 
 
 class FaultyBus:
-    """The bus of one agent at the end of imperfect links: faults act where messages come in."""
+    """A bus at the end of imperfect links: faults act where messages come in."""
 
-    def __init__(self, bus: ZenohBus, agent: str, faults: NetworkFaults) -> None:
+    def __init__(self, bus: ZenohBus, faults: NetworkFaults) -> None:
         self._bus = bus
-        self._agent = agent
         self._faults = faults
         # The numbers keep the order of what is due at one moment, and messages uncompared.
         self._numbers = count()
@@ -212,7 +226,8 @@ class FaultyBus:
             due_ns = self._under_way[0][0]
             until_ns = due_ns if until_ns is None else min(until_ns, due_ns)
         for arrival in self._bus.receive(until_ns, wanted):
-            for delay_ns in self._faults.fates(arrival.port, self._agent, arrival.message):
+            agent = agent_of(arrival.agent)
+            for delay_ns in self._faults.fates(arrival.port, agent, arrival.message):
                 late = arrival._replace(time_ns=arrival.time_ns + delay_ns)
                 heappush(self._under_way, (late.time_ns, next(self._numbers), late))
         now_ns, arrived = self._bus.now_ns(), []
@@ -221,6 +236,6 @@ class FaultyBus:
         return arrived
 
 
-def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
+def _signals_of_many(ports: Collection[Port[Message]]) -> list[Signal[Message]]:
     counts = Counter(port.signal for port in ports)
     return [signal for signal, count in counts.items() if count >= _MANY]

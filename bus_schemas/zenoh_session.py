@@ -317,10 +317,13 @@ class AgentSessions(ABC):
             with suppress(zenoh.ZError):
                 session.close()
 
-    def _show_token(self, process: str) -> None:
-        """Let others see that the process is there."""
-        key = self._wiring.alive_key(process)
-        self._declared += (session.liveliness().declare_token(key) for session in self._sessions)
+    def _show_tokens(self, members: Sequence[str]) -> None:
+        """Let others see that the agents of the process are there."""
+        self._declared += (
+            session.liveliness().declare_token(self._wiring.alive_key(name))
+            for session in self._sessions
+            for name in members
+        )
 
 
 class RunSubscriber(AgentSessions):
@@ -347,7 +350,7 @@ class RunSubscriber(AgentSessions):
             )
             for session in self._sessions
         ]
-        self._show_token(self._agent)
+        self._show_tokens([self._agent])
 
     def _close(self) -> None:
         # A session does not close while Zenoh's thread waits for room in a queue.

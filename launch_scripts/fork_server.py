@@ -33,7 +33,7 @@ from agents.process.launcher_link import LauncherLink, Packets, packets
 from agents.process.machine import die_with_parent
 from agents.process.session import session_settings
 from agents.team import controller
-from bus_schemas.tree import RECORDER, agent_name
+from bus_schemas.tree import RECORDER, agent_of
 from launch_scripts.fork_requests import Request, Signal, Start
 from launch_scripts.process import run_process
 from recordings.read.run_file import log_name
@@ -116,9 +116,10 @@ class ForkServer:
             plan = load_plan(Path(request.plan))
             self._run = plan, BeatTable(self._beats, plan.processes)
             # What all of them need is worked out once, before there are many.
-            for node in plan.tree.nodes[-1:]:
-                Loop(controller(plan, agent_name(node)), plan)
-                session_settings(plan, agent_name(node))
+            for process in plan.processes[-1:]:
+                for name in plan.wiring.members_of(process):
+                    Loop(controller(plan, agent_of(name)), plan)
+                session_settings(plan, process)
             _ = plan.network_faults
             gc.collect()
             gc.freeze()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import Final
@@ -33,7 +33,15 @@ from launch_scripts.directions import directions
 from launch_scripts.fork_requests import Start
 from launch_scripts.restarts import Restarts
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import Child, Children, ForkServerProcess, RunFailure, stall
+from launch_scripts.supervision import (
+    Child,
+    Children,
+    ForkServerProcess,
+    RunFailure,
+    has_exited,
+    is_through,
+    stall,
+)
 from launch_scripts.view import View
 from launch_scripts.watch import SILENT_S, Externals, Hearing, Watch
 from results.run_summary import RunSummary
@@ -78,7 +86,7 @@ class _Launch:
         plan = account.preparation.plan
         self._watch = Watch(plan, children)
         self._restarts = Restarts(plan, children, self._watch, self._start_again, view.say)
-        self._hearing = Hearing(children, self._watch, self._reopen, view.say)
+        self._hearing = Hearing(plan, children, self._watch, self._reopen, view.say)
         self._externals = Externals(plan, view.say)
         self._stalled_at: float | None = None
         self._stop_asked_at: float | None = None
@@ -121,7 +129,10 @@ class _Launch:
         recorded = self._finish()
         for child in children:
             account.add_process(child)
-        account.restarts, account.given_up = self._restarts.counts, self._restarts.given_up
+        for process, count in self._restarts.counts.items():
+            account.restarts.update(dict.fromkeys(plan.wiring.members_of(process), count))
+        for process, cycle in self._restarts.given_up.items():
+            account.given_up |= dict.fromkeys(plan.wiring.members_of(process), cycle)
         account.recording_gaps = self._hearing.gaps
         if PLANT in children.by_agent:  # The recorder may not have heard of all cycles.
             cycles = children.table.read(PLANT).cycle
@@ -236,7 +247,7 @@ class _Launch:
         self._stalled_at = (self._stalled_at or now) if waiting else None
         if self._stalled_at is None or now < self._stalled_at + _GATHER_S or not waiting:
             return
-        line, to_blame = stall(children, self._plan.tree)
+        line, to_blame = stall(children, self._plan)
         # While the recorder stands still, everybody waits for it.
         recorder = children[RECORDER]
         if recorder.ready and not self._is_present(recorder):
@@ -266,7 +277,7 @@ class _Launch:
         if self._interruption or is_early:
             # After an early end, a controller waits in case the plant goes on after all.
             children.ask_to_end([child.agent for child in children.controllers()])
-        self._await_end(children.controllers())
+        self._await(children.controllers(), is_through)
         for child in children.controllers():
             # A standby of an external agent is not the launcher's to account for.
             if child.finished and agent_of(child.agent) not in self._plan.elsewhere:
@@ -274,13 +285,15 @@ class _Launch:
         account.is_complete = not self._restarts.lost_processes
         # It is unknown what a process that died had published: wait until nothing more comes.
         children.end_recorder(account.published.total() if account.is_complete else _UNKNOWN)
-        self._await_end([recorder])
+        self._await([recorder])
+        children.table.close_recording()
+        self._await(children.controllers())
         return recorder.recorded or Recorded({}, 0, 0, "the recorder did not close its file")
 
-    def _await_end(self, some: list[Child]) -> None:
+    def _await(self, some: list[Child], is_done: Callable[[Child], bool] = has_exited) -> None:
         """Wait until processes end. Those that do not are asked to, and at last killed."""
         for step in (self._ask_to_end, self._restarts.end_by_force, self._give_up):
-            if not (left := self._children.await_exit(some, _END_S, self._look)):
+            if not (left := self._children.await_end(some, _END_S, is_done, self._look)):
                 return
             (self._give_up if self._watch.server_stands_still else step)(left)
 

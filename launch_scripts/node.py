@@ -17,8 +17,8 @@ from launch_scripts.watch import Watch
 
 
 def share_of(plan: RunPlan, host: str) -> tuple[str, ...]:
-    """Return the agents that a plan has for a host."""
-    agents = tuple(agent for agent in plan.elsewhere if plan.access.addresses.get(agent) == host)
+    """Return the processes that a plan has for a host."""
+    agents = tuple(name for name in plan.processes if plan.access.addresses.get(name) == host)
     if not agents:
         hosts = ", ".join(dict.fromkeys(plan.access.addresses.values()))
         raise InputError(
@@ -61,6 +61,6 @@ def run_share(
                 where = f"{plan.access.host_of(PLANT)}:{plan.access.tcp_ports[PLANT]}"
                 say(f"all are ready for the plant at {where}")
             restarts.look()
-        children.await_exit([*children], 10.0)
+        children.await_end([*children], 10.0)
     if restarts.given_up:
         raise RunFailure(f"given up in the run: {', '.join(restarts.given_up)}")

@@ -222,8 +222,9 @@ class _FaultRules:
     """What the fault rules of a run do to controllers: kill, freeze and thaw them."""
 
     def __init__(self, plan: RunPlan) -> None:
-        self._due = incidents(plan.faults.rules, plan.tree)
+        self._due = incidents(plan.faults.rules, plan.tree, plan.wiring)
         self._frozen: dict[str, str] = {}
+        self._process_of = plan.wiring.process_of
         self._wall_per_s = plan.timing.cycle_wall_ns / plan.timing.cycle_ns
         self._began_at_s: float | None = None
         # The process that speaks for each agent with a standby, and since which cycle.
@@ -256,10 +257,10 @@ class _FaultRules:
         while self._due and self._due[0].time_s * self._wall_per_s <= now_s - self._began_at_s:
             one = self._due.pop(0)
             # A rule means the process that speaks, or that was frozen.
-            name, _ = self._speakers.get(one.agent, (one.agent, 0))
+            name, _ = self._speakers.get(one.agent, (self._process_of(one.agent), 0))
             if one.what == "freeze":
                 self._frozen[one.agent] = name
             elif one.what == "thaw":
                 name = self._frozen.pop(one.agent, name)
             found.append(one._replace(agent=name))
-        return found
+        return [*dict.fromkeys(found)]

@@ -72,13 +72,13 @@ class MemoryRun:
         # Within one process no message is late: without faults a pace needs no deadlines.
         self.plan = changed(plan, timing={"cycle_wall_ns": 0}) if clock is None else plan
         faults = self.plan.network_faults() if plan.faults.rules else None
-        self._incidents = incidents(plan.faults.rules, plan.tree)
+        self._incidents = incidents(plan.faults.rules, plan.tree, plan.wiring)
         self._restart_takes_s = restart_takes_s
         self._make = make
         self._frozen: dict[str, tuple[Loop[Any], int]] = {}
         self._restarted_s: dict[str, list[float]] = {}
         self.given_up: dict[str, int] = {}
-        self.bus = MemoryBus(self.plan.wiring, on_publish, clock, faults)
+        self.bus = MemoryBus(self.plan.wiring.hearers, on_publish, clock, faults)
         team: list[Agent[Any]] = [Plant(self.plan, profile)]
         team += [make(self.plan, agent_name(node)) for node in self.plan.tree.nodes]
         loops = [
@@ -105,7 +105,7 @@ class MemoryRun:
                     for name, loop in self.loops.items()
                     if loop.waiting
                 }
-                raise RunFailure(who_waits(waiting, self.plan.tree)[0])
+                raise RunFailure(who_waits(waiting, self.plan)[0])
         yield from range(done, plant.cycle)
 
     def _turns(self, start_ns: int) -> Iterator[Sequence[Arrival]]:

@@ -32,7 +32,7 @@ from agents.process.events import (
 from agents.process.launcher_link import Packets, decode_event, packets
 from agents.process.side_process import SideProcess
 from bus_schemas.errors import FailureError, listed
-from bus_schemas.tree import RECORDER, ControlTree, agent_of
+from bus_schemas.tree import RECORDER, agent_of
 from launch_scripts.fork_requests import Request, Signal
 from recordings.read.run_file import log_name
 
@@ -194,6 +194,15 @@ class Child:
             return False
 
 
+def has_exited(child: Child) -> bool:
+    return child.exited is not None
+
+
+def is_through(child: Child) -> bool:
+    """Whether a process has come to the end of the run, or of itself."""
+    return child.finished is not None or child.exited is not None
+
+
 class Children:
     """The processes of some agents of a run. Leaving the context ends those that still run.
 
@@ -302,18 +311,19 @@ class Children:
         """Send a signal to the processes of some agents, unless they have ended."""
         self.server.ask(Signal(tuple(agents), int(number)))
 
-    def await_exit(
+    def await_end(
         self,
         children: list[Child],
         timeout_s: float,
+        is_done: Callable[[Child], bool] = has_exited,
         look: Callable[[], list[tuple[Child, Event]]] | None = None,
     ) -> list[Child]:
-        """Wait until processes end or send no events any more; return those that have not ended.
+        """Wait until processes are done or send no events any more; return those that are not done.
 
         look: Called again and again; returns what `events` has returned.
         """
         until = time.monotonic() + timeout_s
-        while left := [child for child in children if child.exited is None]:
+        while left := [child for child in children if not is_done(child)]:
             if any(child in children for child, _ in (look() if look else self.events(0.02))):
                 until = time.monotonic() + timeout_s
             if time.monotonic() > until:
@@ -351,9 +361,9 @@ class Children:
 
 
 def who_waits(
-    waiting: Mapping[str, Waiting], tree: ControlTree, stopped: Collection[str] = ()
+    waiting: Mapping[str, Waiting], plan: RunPlan, stopped: Collection[str] = ()
 ) -> tuple[str, list[str]]:
-    """Return one line on which agents of a stalled run wait for which, and those to blame.
+    """Return one line on which processes of a stalled run wait for which, and those to blame.
 
     To blame are processes that a signal has stopped; else those that others wait for and that do
     not wait in the same cycle themselves; else who waits in the earliest stage: all that it needs
@@ -364,8 +374,11 @@ def who_waits(
     needed: dict[str, list[str]] = {}
     for agent, event in stuck.items():
         for port, publisher in event.needs:
-            needed.setdefault(publisher, []).append(f"{agent} waits for {port}")
-    places = {name: stage_place(agent_of(name), one.stage, tree) for name, one in stuck.items()}
+            process = plan.wiring.process_of(publisher)
+            needed.setdefault(process, []).append(f"{agent} waits for {port}")
+    places = {
+        name: stage_place(agent_of(name), one.stage, plan.tree) for name, one in stuck.items()
+    }
     earliest = [agent for agent, place in places.items() if place == min(places.values())]
     to_blame = [*stopped] or [agent for agent in needed if agent not in stuck] or earliest
     what = "stopped by a signal:" if stopped else "nothing that can be used came from"
@@ -376,8 +389,8 @@ def who_waits(
     return "; ".join(filter(None, (line, listed(waits)))), to_blame
 
 
-def stall(children: Children, tree: ControlTree) -> tuple[str, list[str]]:
+def stall(children: Children, plan: RunPlan) -> tuple[str, list[str]]:
     """Say in one line why the run of some processes stalls; return it with those to blame."""
     waiting = {child.agent: child.waiting for child in children if child.waiting is not None}
     stopped = [child.agent for child in children if child.is_stopped()]
-    return who_waits(waiting, tree, stopped)
+    return who_waits(waiting, plan, stopped)

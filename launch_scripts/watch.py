@@ -127,6 +127,7 @@ class Hearing:
 
     def __init__(
         self,
+        plan: RunPlan,
         children: Children,
         watch: Watch,
         reopen: Callable[[str], None],
@@ -134,6 +135,7 @@ class Hearing:
     ) -> None:
         self.gaps: list[tuple[int, int]] = []
         self._children = children
+        self._process_of = plan.wiring.process_of
         self._watch = watch
         self._reopen = reopen
         self._say = say
@@ -145,7 +147,8 @@ class Hearing:
     def hear(self, status: Status) -> None:
         """Take in which agents the recorder does not hear, and whose messages others miss."""
         live = {child.agent for child in self._children if self._lives(child)}
-        not_heard, missed = live.intersection(status.not_heard), live.intersection(status.missed)
+        not_heard = live.intersection(map(self._process_of, status.not_heard))
+        missed = live.intersection(map(self._process_of, status.missed))
         hears_plant = PLANT not in not_heard
         hears_none = bool(not_heard) and live - {RECORDER} <= not_heard
         unheard = not_heard | missed

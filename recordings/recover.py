@@ -8,11 +8,12 @@ from typing import BinaryIO, Final
 import msgspec
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import PRODUCTION, Port, ports
+from bus_schemas.signals import PRODUCTION, Port
 from bus_schemas.tree import ROOT
 from bus_schemas.whole_file import new_path
 from recordings.read.gaps import gaps_of_ports
 from recordings.read.reader import RunReader
+from recordings.read.run_file import recorded_ports
 from recordings.record.chunk_writer import ChunkWriter
 from recordings.record.writer import declare
 
@@ -99,4 +100,4 @@ def _begin(file: BinaryIO, run: RunReader) -> tuple[ChunkWriter, dict[Port[Messa
         )
     for name, entries in outline.metadata.items():
         writer.add_metadata(name, entries)
-    return writer, declare(writer, run.plan, ports(run.plan.tree))
+    return writer, declare(writer, run.plan, recorded_ports(run.plan))

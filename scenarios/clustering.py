@@ -22,7 +22,7 @@ _TIER_LETTERS: Final = "czar"
 
 
 def control_tree(
-    control: ControlTable, sites: Sites, covariance: HourlyMatrices, hours: Sequence[int]
+    control: ControlTable, sites: Sites, deviations: HourlyMatrices, hours: Sequence[int]
 ) -> ControlTree:
     """Cluster inverters, then clusters, and so on, by their mean correlation in these hours."""
     if (control.cluster_sizes is None) == (control.cluster_count is None):
@@ -35,7 +35,7 @@ def control_tree(
     tiers: Sequence[Sequence[int] | int] = control.cluster_sizes or control.cluster_count or ()
     for tier, given in enumerate(tiers):
         sizes = _sizes(given, tier, len(groups))
-        clusters = _choose(control, sizes, groups, sites, covariance, hours)
+        clusters = _choose(control, sizes, groups, sites, deviations, hours)
         groups = [
             tuple(leaf for place in cluster for leaf in groups[place]) for cluster in clusters
         ]
@@ -48,19 +48,20 @@ def control_tree(
 
 
 def neighbourhoods(
-    tree: ControlTree, covariance: HourlyMatrices, order: Sequence[int], began_ns: dict[int, int]
+    tree: ControlTree, deviations: HourlyMatrices, order: Sequence[int], began_ns: dict[int, int]
 ) -> tuple[NodeNeighbourhoods, ...]:
     """Return the correlation between each parent's children, from the beginning of each hour on.
 
-    `order` has the place in the matrices of each inverter of the tree.
+    `order` has the column in the matrices of each inverter of the tree.
     """
     found = []
     for parent in tree.parents:
-        groups = [tree.leaves_below(child) for child in tree.children(parent)]
+        groups = [
+            [order[leaf] for leaf in tree.leaves_below(child)] for child in tree.children(parent)
+        ]
         hours = []
         for hour, time_ns in sorted(began_ns.items()):
-            of_tree = covariance[hour][order][:, order]
-            rows = group_correlation(of_tree, groups).tolist()
+            rows = group_correlation(deviations[hour], groups).tolist()
             hours.append(Neighbourhood(time_ns, tuple(map(tuple, rows))))
         found.append(NodeNeighbourhoods(parent, tuple(hours)))
     return tuple(found)
@@ -88,14 +89,14 @@ def _choose(
     sizes: Sequence[int],
     groups: list[tuple[int, ...]],
     sites: Sites,
-    covariance: HourlyMatrices,
+    deviations: HourlyMatrices,
     hours: Sequence[int],
 ) -> Sequence[Sequence[int]]:
     match control.clusters:
         case "correlation":
-            return search_clusters(_mean_correlation(groups, covariance, hours), sizes)
+            return search_clusters(_mean_correlation(groups, deviations, hours), sizes)
         case "most-alike":
-            return search_clusters(-_mean_correlation(groups, covariance, hours), sizes)
+            return search_clusters(-_mean_correlation(groups, deviations, hours), sizes)
         case "geographic":
             return geographic_clusters(*_positions_m(groups, sites), sizes)
         case "random":
@@ -105,10 +106,10 @@ def _choose(
 
 
 def _mean_correlation(
-    groups: list[tuple[int, ...]], covariance: HourlyMatrices, hours: Sequence[int]
+    groups: list[tuple[int, ...]], deviations: HourlyMatrices, hours: Sequence[int]
 ) -> NDArray[np.float64]:
     """Return the correlation between groups, the mean of all hours that decide."""
-    hourly = [group_correlation(covariance[hour], groups) for hour in hours]
+    hourly = [group_correlation(deviations[hour], groups) for hour in hours]
     return np.asarray(np.mean(hourly, axis=0))
 
 

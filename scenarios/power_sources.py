@@ -27,11 +27,11 @@ def power_source(
 ) -> PowerSource:
     """Read what the scenario names, or make the sky that it describes."""
     irradiance = scenario_file.scenario.irradiance
-    inverters = scenario_file.scenario.plant.inverters
-    if inverters is not None and not isinstance(irradiance, CloudIrradiance):
+    plant = scenario_file.scenario.plant
+    if (plant.inverters or plant.grid) and not isinstance(irradiance, CloudIrradiance):
         raise InputError(
-            "plant.inverters: expected none with measured data, which says where the inverters "
-            f"are, got {inverters!r}"
+            "plant.inverters, plant.grid: expected none with measured data, which says where the "
+            "inverters are"
         )
     match irradiance:
         case CloudIrradiance():
@@ -46,12 +46,14 @@ def power_source(
 
 def _cloudy_sky(scenario_file: ScenarioFile, table: CloudIrradiance, seed: int | None) -> CloudySky:
     plant = scenario_file.scenario.plant
-    if plant.inverters is None:
+    if (plant.inverters is None) == (plant.grid is None):
         raise InputError(
-            "plant.inverters: expected a CSV with the columns inverter, lat, lon, got nothing"
+            "plant.inverters: expected a CSV with the columns inverter, lat, lon, or plant.grid"
         )
     return CloudySky(
-        sites=read_sites(scenario_file.data_path(plant.inverters), plant.rating_kw),
+        sites=plant.grid.sites(plant.rating_kw)
+        if plant.grid is not None
+        else read_sites(scenario_file.data_path(plant.inverters or ""), plant.rating_kw),
         altitude_m=plant.altitude_m,
         pv=scenario_file.scenario.pv,
         clouds=table.clouds,

@@ -13,7 +13,7 @@ import pandas as pd
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agents.control.correlation import HourlyMatrices, hourly_covariance
+from agents.control.correlation import HourlyMatrices, hourly_deviations
 from agents.plan import (
     Access,
     Control,
@@ -43,6 +43,7 @@ from scenarios.real_time import (
     cycle_wall_ns,
     machine_settings,
     parse_pace,
+    process_groups,
     tier_deadlines_ns,
 )
 from scenarios.run_options import RunOptions
@@ -109,14 +110,14 @@ class _Day:
     source: PowerSource
     available_kw: NDArray[np.float64]
     commitment_kw: NDArray[np.float64]
-    covariance: HourlyMatrices
+    deviations: HourlyMatrices
     tree: ControlTree
 
     @property
     def order(self) -> list[int]:
         """Place in the source of each inverter of the tree."""
-        names = self.source.sites.names
-        return [names.index(leaf.rpartition("/")[2]) for leaf in self.tree.leaves]
+        place_of = {name: place for place, name in enumerate(self.source.sites.names)}
+        return [place_of[leaf.rpartition("/")[2]] for leaf in self.tree.leaves]
 
     @property
     def positions_m(self) -> tuple[tuple[float, float], ...]:
@@ -182,12 +183,12 @@ def _day(
         source.clear_sky_kw,
         scenario_file.data_path,
     )
-    covariance = _covariance(own, own_times, source, times)
+    deviations = _deviations(own, own_times, source, times)
     of_scenario = _local_hours(own_times, own.time.timezone)
     # Hours without a past cannot decide on clusters, unless there are no others.
-    hours = sorted(set(of_scenario.tolist()).intersection(covariance))
-    tree = control_tree(scenario.control, source.sites, covariance, hours or list(covariance))
-    return _Day(times, source, available_kw, commitment, covariance, tree)
+    hours = sorted(set(of_scenario.tolist()).intersection(deviations))
+    tree = control_tree(scenario.control, source.sites, deviations, hours or list(deviations))
+    return _Day(times, source, available_kw, commitment, deviations, tree)
 
 
 def _warnings(day: _Day) -> Iterator[str]:
@@ -225,6 +226,7 @@ def _plan(
     control = scenario.control
     with scenario_file.named():
         deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
+        groups = process_groups(scenario.processes, day.tree)
     external = external_agents(options.external or (), day.tree)
     if OPERATOR in external and not keys_folder:
         raise InputError(
@@ -260,7 +262,7 @@ def _plan(
             alpha_min=control.alpha_min,
             hold_cycles=control.hold_cycles,
             neighbourhoods=neighbourhoods(
-                day.tree, day.covariance, day.order, _beginnings_ns(day.times, scenario)
+                day.tree, day.deviations, day.order, _beginnings_ns(day.times, scenario)
             ),
             correction=scheme == "predictive" if control.correction is None else control.correction,
             offset_kw=control.offset * day.tree.rating_kw(ROOT),
@@ -298,6 +300,7 @@ def _plan(
             restart=scenario.restart,
             standby=_standby(scenario.standby, day.tree, external),
             machine=machine_settings(options.cpus or (), options.priority),
+            groups=groups,
         ),
         orders=scenario.orders,
     )
@@ -367,13 +370,13 @@ def _times(
     return pd.date_range(first, periods=cycles, freq=step, unit="ns")
 
 
-def _covariance(
+def _deviations(
     scenario: Scenario,
     own_times: pd.DatetimeIndex,
     source: PowerSource,
     times: pd.DatetimeIndex,
 ) -> HourlyMatrices:
-    """Covariance of the inverters' power in the past, for the hours of scenario and run.
+    """Deviations of the inverters' power in the past, for the hours of scenario and run.
 
     Whichever part of the scenario is run, the plant keeps its clusters and neighbours.
     """
@@ -386,7 +389,7 @@ def _covariance(
         whole_hours = _whole_hours(own_times, step).union(_whole_hours(times, step))
         past = whole_hours if measured is None else measured
         history_kw = source.earlier_day_kw(past)
-    return hourly_covariance(history_kw, _local_hours(past, scenario.time.timezone))
+    return hourly_deviations(history_kw, _local_hours(past, scenario.time.timezone))
 
 
 def _whole_hours(times: pd.DatetimeIndex, step: pd.Timedelta) -> pd.DatetimeIndex:

@@ -12,12 +12,15 @@ import os
 import re
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Final, Literal, cast
+from typing import Final, Literal, TypeAlias, cast
 
 from agents.cycle import KINDS, Kind, parts_up_to, stage_place
 from agents.process.machine import MachineSettings
 from bus_schemas.errors import InputError, not_one_of
-from bus_schemas.tree import CENTRAL, ControlTree
+from bus_schemas.tree import CENTRAL, ROOT, ControlTree, parent_of
+
+Processes: TypeAlias = Literal["agent", "cluster", "zone"] | tuple[str, ...]
+"""Agents that share a process, see `Scenario`."""
 
 SLOWEST_PACE: Final = 1e-3
 FASTEST_PACE: Final = 1e6
@@ -86,6 +89,23 @@ def tier_deadlines_ns(
             f"{SHORTEST_DEADLINE_MS:g} ms or more after the one before, got {list(deadlines_ms)}"
         )
     return found
+
+
+def process_groups(processes: Processes, tree: ControlTree) -> tuple[str, ...]:
+    """Return the parents that share a process with all below them."""
+    if isinstance(processes, tuple):
+        return processes
+    if processes == "agent":
+        return ()
+    found = {*map(parent_of, tree.leaves)}
+    if processes == "zone":
+        found = {*map(parent_of, found)}
+    if not found - {ROOT}:
+        expected = (
+            f"a plant that has a {processes} between its inverters and the central controller"
+        )
+        raise InputError(f"processes: expected {expected}, got none")
+    return tuple(path for path in tree.parents if path and path in found)
 
 
 def machine_settings(cpus: Sequence[str], priority: int | None = None) -> MachineSettings:

@@ -27,6 +27,7 @@ from scenarios.real_time import (
     LONGEST_DEADLINE_MS,
     SHORTEST_DEADLINE_MS,
     SLOWEST_PACE,
+    Processes,
 )
 from scenarios.run_options import LARGEST_SEED
 from scenarios.times import LONGEST_S
@@ -34,6 +35,7 @@ from sim_plant.clouds import CloudSettings
 from sim_plant.commitment import CommitmentSettings
 from sim_plant.pv import PvSettings
 from sim_plant.regulation import RegulationSettings
+from sim_plant.sites import Grid
 
 
 def _one_of(names: Iterable[str]) -> Meta:
@@ -82,6 +84,7 @@ class PlantTable(_Table, frozen=True):
     """The inverters.
 
     inverters: CSV: `inverter, lat, lon[, rating_kw]`. Only for `clouds`.
+    grid: Inverters in regular rows, instead of a CSV.
     rating_kw: AC rating of the plant, split equally where the CSV has no ratings.
     altitude_m: Height above the sea [m].
     actuator: A command is a power `limit`, or a `fraction` of the inverter's maximum.
@@ -96,6 +99,7 @@ class PlantTable(_Table, frozen=True):
     """
 
     inverters: str | None = None
+    grid: Grid | None = None
     rating_kw: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
     altitude_m: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 0.0
     actuator: Actuator = "limit"
@@ -260,6 +264,8 @@ class Scenario(_Table, frozen=True):
     secure: Whether `launch` encrypts every link, as with `--secure`.
     devices: Real inverters; `--device` adds to them.
     standby: Parents that have a standby, in real time.
+    processes: What a process holds: one `agent`; a `cluster` or `zone` with all below it; or so
+        for the parents that are listed.
     orders: Orders to the plant during the run.
     """
 
@@ -280,6 +286,7 @@ class Scenario(_Table, frozen=True):
     secure: bool = False
     devices: tuple[DeviceTable, ...] = ()
     standby: tuple[Literal["central", "supervisors"], ...] = ()
+    processes: Processes = "agent"
     timing: TimingTable = TimingTable()
     orders: tuple[PlannedOrder, ...] = ()
 

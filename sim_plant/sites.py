@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isclose
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import MOST_INVERTERS, check_name
@@ -26,6 +28,37 @@ class Sites:
     lat_deg: Floats
     lon_deg: Floats
     rating_kw: Floats
+
+
+class Grid(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Inverters in rows, each from west to east, the southernmost row first.
+
+    rows: Number of rows.
+    columns: Inverters in each row.
+    apart_m: Distance from one to the next, in the row and between rows [m].
+    lat: Latitude of the first one [degrees].
+    lon: Longitude of the first one [degrees].
+    """
+
+    rows: Annotated[int, Meta(ge=1, le=MOST_INVERTERS)]
+    columns: Annotated[int, Meta(ge=1, le=MOST_INVERTERS)]
+    apart_m: Annotated[float, Meta(gt=0.0, le=10_000.0)]
+    lat: Annotated[float, Meta(ge=-80.0, le=80.0)]
+    lon: Annotated[float, Meta(ge=-180.0, le=180.0)]
+
+    def sites(self, plant_rating_kw: float | None) -> Sites:
+        """Return them by the names `inv001`, `inv002` and so on."""
+        count = self.rows * self.columns
+        if count > MOST_INVERTERS:
+            raise InputError(f"plant.grid: expected 1 to {MOST_INVERTERS:,}, got {count:,}")
+        row, column = np.divmod(np.arange(count), self.columns)
+        step_deg = self.apart_m / _METRES_PER_DEGREE
+        return Sites(
+            tuple(f"inv{number:0{len(str(count))}}" for number in range(1, count + 1)),
+            self.lat + row * step_deg,
+            self.lon + column * step_deg / np.cos(np.deg2rad(self.lat)),
+            equal_ratings_kw(plant_rating_kw, count, "plant.grid"),
+        )
 
 
 def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:

@@ -1,11 +1,11 @@
-"""One agent of a run as a process: sets it up, joins the bus, and drives it through the run."""
+"""A process of a run: sets up its agents, joins the bus, and drives them through the run."""
 
 from __future__ import annotations
 
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from math import inf
 from typing import Any, Final
@@ -53,8 +53,16 @@ _STOP_PATIENCE_S: Final = 10.0
 """How long a controller waits after its last cycle for the plant to end the run."""
 
 
+_STAY_S: Final = 3.0
+_STAY_LOOK_S: Final = 0.05
+"""How long an agent on another host stays on the bus after the run, and how often others check
+whether all is recorded. If a session closes before the recorder has read all that came from it, and
+the recorder sends a keep-alive meanwhile, the rest is lost: some 6,000 messages in one of two runs
+of `thousand` on a busy machine."""
+
+
 def run_controller(plan: RunPlan, name: str, link: LauncherLink, *, rejoins: bool = False) -> int:
-    """Run a controller; `rejoins`: the run is already under way. Returns the exit status."""
+    """Run a process of controllers; `rejoins`: into a run under way. Returns the exit status."""
 
     def run() -> None:
         while not _take_part(plan, name, link, rejoins):
@@ -79,8 +87,9 @@ def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
 
 
 def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> bool:
-    """Run a controller; return False if the plant disappeared first, and may come back."""
-    with AgentProcess(plan, controller(plan, agent_of(name)), link, name) as process:
+    """Run a process of controllers; return False if the plant disappeared, and may come back."""
+    agents = {member: controller(plan, agent_of(member)) for member in plan.wiring.members_of(name)}
+    with AgentProcess(plan, name, agents, link) as process:
         log.info("%s is on the bus", name)
         if rejoins:
             process.await_plant()
@@ -90,7 +99,7 @@ def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> b
             for _ in process.drive():
                 if link.dismissed:
                     break
-                if process.plant_is_gone() and not process.loop.finished:
+                if process.plant_is_gone() and not process.driver.finished:
                     if link.by_hand:
                         return False
                     raise FailureError("the plant is gone")
@@ -105,12 +114,12 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
 
     Any agent may say that the run ends early: the launcher confirms it, or the plant goes on.
     """
-    loop, plan = process.loop, process.plan
+    loop, plan, driver = process.loop, process.plan, process.driver
     give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.timing.cycle_wall_ns / 1e9
-    while loop.finished and not link.dismissed:
+    while driver.finished and not link.dismissed:
         if loop.times.stop_heard and loop.times.end_cycle == plan.timing.cycles:
             return True
-        process.driver.turn(longest_ns=process.driver.now_ns() + round(_STOP_LOOK_S * 1e9))
+        driver.turn(longest_ns=driver.now_ns() + round(_STOP_LOOK_S * 1e9))
         # It is through with its cycles: who stays in one of them counts as stuck.
         link.beat(plan.timing.cycles)
         if process.plant_is_gone():
@@ -138,19 +147,20 @@ class _NotingBus:
 
 
 class AgentProcess:
-    """An agent in a run: its loop and driver on the bus, and its link to the launcher.
+    """The agents of one process: their loops and driver on the bus, and the link to the launcher.
 
-    It beats after each wait. A controller's own thread waits for the lock that Zenoh's thread holds
-    while it acts: if the agent hangs on either thread, there is no beat.
+    It beats after each wait. Controllers' own thread waits for the lock that Zenoh's thread holds
+    while it acts: if an agent hangs on either thread, there is no beat.
+
+    loop: Of its first agent, which stands for all where they are in step.
     """
 
     def __init__(
-        self, plan: RunPlan, agent: Agent[Any], link: LauncherLink, name: str | None = None
+        self, plan: RunPlan, name: str, agents: Mapping[str, Agent[Any]], link: LauncherLink
     ) -> None:
-        name = name or agent.name
         self.plan = plan
         self.link = link
-        set_up_process(plan, agent.name)
+        set_up_process(plan, agent_of(name))
         is_away = name in plan.access.addresses
         self._bus = ZenohBus(
             name,
@@ -160,12 +170,12 @@ class AgentProcess:
             clock=HostClock() if is_away else None,
             starts=link.starts,
         )
-        self.loop = Loop(agent, plan, log_drop, name)
-        self.driver = driver_of(self.loop, self._bus, plan)
+        loops = [Loop(agent, plan, log_drop, member) for member, agent in agents.items()]
+        self.loop = loops[0]
+        self.driver = driver_of(loops, self._bus, plan)
         faults = plan.network_faults()
-        if faults.concern(agent.name):
-            faulty = FaultyBus(self._bus, agent.name, faults)
-            self.driver = Driver([self.loop], faulty, self._bus.now_ns)
+        if any(faults.concern(agent.name) for agent in agents.values()):
+            self.driver = Driver(loops, FaultyBus(self._bus, faults), self._bus.now_ns)
         if plan.faults.device:
             disturbed = DeviceFaults(plan.faults.device).disturbed
             self._bus.change_device_puts(partial(disturbed, cycle_time_ns=self.loop.times.time_ns))
@@ -174,7 +184,7 @@ class AgentProcess:
         self.watch_tokens = self._bus.watch_tokens
         self._tokens = self.watch_tokens() if is_away or link.by_hand else None
         self._plant_gone_at = inf
-        self._given_up: tuple[str, ...] = ()
+        self._given_up = 0
         self.beat()
         link.tell(Joined())
 
@@ -185,21 +195,19 @@ class AgentProcess:
         self._bus.__exit__(*error)
 
     def drive(self) -> Iterator[None]:
-        """Drive the agent through the run; tell the launcher if it cannot go on in lockstep."""
-        loop = self.loop
+        """Drive the agents through the run; tell the launcher if they cannot go on in lockstep."""
+        loop, driver = self.loop, self.driver
         was_silent = loop.standby.silent
-        stage, waits_since = (loop.cycle, loop.stage), time.monotonic()
-        for _ in self.driver.run():
-            if self.plan.timing.lockstep and (loop.cycle, loop.stage) != stage:
-                stage, waits_since = (loop.cycle, loop.stage), time.monotonic()
+        closed, waits_since = driver.closed, time.monotonic()
+        for _ in driver.run():
+            if driver.closed != closed:
+                closed, waits_since = driver.closed, time.monotonic()
             elif (
                 self.plan.timing.lockstep
-                and loop.waiting
-                and loop.cycle >= 0
                 and time.monotonic() - waits_since >= self.plan.timing.stall_timeout_s
             ):
                 waits_since = time.monotonic()
-                self.link.tell(Waiting(loop.cycle, loop.stage, loop.needs))
+                self._tell_waiting()
             if was_silent and not loop.standby.silent:
                 self.link.tell(TookOver(loop.standby.incarnation))
             self.beat()
@@ -209,14 +217,27 @@ class AgentProcess:
             was_silent = loop.standby.silent
             yield
 
+    def _tell_waiting(self) -> None:
+        """Tell the launcher what those that are furthest behind need from other processes."""
+        waiting = [one for one in self.driver.loops.values() if one.waiting and one.cycle >= 0]
+        cycle = min((one.cycle for one in waiting), default=-1)
+        own = self.driver.loops.keys()
+        for loop in waiting:
+            needs = [need for need in loop.needs if need[1] not in own]
+            if loop.cycle == cycle and needs:
+                self.link.tell(Waiting(cycle, loop.stage, needs))
+                return
+
     def beat(self) -> None:
         """Show that the process is alive; as the plant, publish the agents given up since."""
         loop, table = self.loop, self.link.table
         self.link.beat(loop.cycle)
         if loop.name != PLANT or table is None or loop.cycle < 0:
             return
-        if table.number_given_up != len(self._given_up):
-            self._given_up = agents = table.given_up()
+        if table.number_given_up != self._given_up:
+            self._given_up = table.number_given_up
+            wiring = self.plan.wiring
+            agents = tuple(one for name in table.given_up() for one in wiring.members_of(name))
             sim_time_ns = self.plan.timing.sim_time_ns(loop.cycle)
             message = GivenUp(loop.cycle, sim_time_ns, PLANT, (), agents=agents)
             self.driver.publish(GIVEN_UP.of(ROOT), message)
@@ -243,35 +264,45 @@ class AgentProcess:
 
     def catch_up(self) -> None:
         """Join a run in lockstep, where the others wait: ask them for what they have said last."""
-        heard = self.plan.wiring.heard[self.loop.agent.name]
-        publishers = {self.plan.wiring.alive_key(port.publisher) for port in heard}
-        tokens = self.watch_tokens()
+        publishers = {self.plan.wiring.alive_key(port.publisher) for port in self._bus.heard}
+        tokens, loops = self.watch_tokens(), self.driver.loops
         while self.loop.cycle < 0 and not (self.link.dismissed or self.plant_is_gone()):
             if publishers <= tokens.alive():
-                for _, port, message, time_ns in self._bus.newest():
-                    self.loop.hear(port, message, time_ns)
+                for member, port, message, time_ns in self._bus.newest():
+                    loops[member].hear(port, message, time_ns)
             self.beat()
             time.sleep(_LOOK_S)
 
     def report(self) -> None:
+        """Tell the launcher how it ended; stay on the bus until all is recorded."""
         self.driver.stop()
-        loop = self.loop
-        dropped = (*loop.inputs.dropped.items(), *self._bus.dropped.items())
+        loops = self.driver.loops.values()
+        dropped = [*self._bus.dropped.items()]
+        for loop in loops:
+            dropped += loop.inputs.dropped.items()
         self.link.tell(
             Finished(
                 published=dict(self._bus.outbox.published),
                 dropped=[(port, cause, number) for (port, cause), number in dropped],
-                skipped_cycles=loop.times.skipped_cycles,
-                dismissed=self.link.dismissed and loop.cycle < self.plan.timing.cycles,
+                skipped_cycles=sum(loop.times.skipped_cycles for loop in loops),
+                dismissed=self.link.dismissed and self.loop.cycle < self.plan.timing.cycles,
             )
         )
+        if not self.driver.finished:  # It was dismissed in the middle of the run.
+            return
+        table, give_up_at = self.link.table, inf
+        if self.loop.name in self.plan.access.addresses:  # The launcher is on another host.
+            give_up_at = time.monotonic() + _STAY_S
+        while table is not None and not table.recording_is_closed and time.monotonic() < give_up_at:
+            time.sleep(_STAY_LOOK_S)
 
 
-def driver_of(loop: Loop[Any], bus: ZenohBus, plan: RunPlan) -> Driver:
-    """Return the driver of an agent: Zenoh's thread must not wait for room in its own queue."""
-    if loop.agent.name != PLANT and len(plan.wiring.published[loop.agent.name]) <= _MOST_EAGER:
-        return EagerDriver(loop, bus)
-    return Driver([loop], bus, bus.now_ns)
+def driver_of(loops: Sequence[Loop[Any]], bus: ZenohBus, plan: RunPlan) -> Driver:
+    """Return the driver of a process: Zenoh's thread must not wait for room in its own queue."""
+    published = sum(len(plan.wiring.published[loop.agent.name]) for loop in loops)
+    if loops[0].agent.name != PLANT and published <= _MOST_EAGER:
+        return EagerDriver(loops, bus)
+    return Driver(loops, bus, bus.now_ns)
 
 
 def set_up_process(plan: RunPlan, agent: str) -> None:

@@ -1,7 +1,7 @@
 """Signs of life: memory that the processes of a run share with their launcher.
 
 A beat needs no bus, and cannot be lost or dropped. Through the same memory the launcher says who
-was given up, and how many messages the recorder is to expect.
+was given up, how many messages the recorder is to expect, and when all is recorded.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ BEAT_S: Final = 0.8
 FORK_SERVER: Final = "fork server"
 """It beats too, in the first place of the table."""
 
-_HEAD: Final = struct.Struct("qq")
-"""Messages to expect, counted from 1 (0: not known), and how many agents were given up."""
+_HEAD: Final = struct.Struct("qq?7x")
+"""Messages to expect, counted from 1 (0: not known), how many agents were given up, and whether the
+recording is closed."""
 
 _PLACE: Final = struct.Struct("qq??6x")
 _SENDS: Final = 16
@@ -63,8 +64,8 @@ class BeatTable:
     def give_up(self, name: str) -> None:
         """Say that an agent does not come back."""
         self._memory[self._places[name] + _GIVEN_UP] = True
-        expected, number = _HEAD.unpack_from(self._memory)
-        _HEAD.pack_into(self._memory, 0, expected, number + 1)
+        expected, number, is_closed = _HEAD.unpack_from(self._memory)
+        _HEAD.pack_into(self._memory, 0, expected, number + 1, is_closed)
 
     @property
     def number_given_up(self) -> int:
@@ -75,8 +76,16 @@ class BeatTable:
 
     def expect(self, messages: int) -> None:
         """Let the recorder end once so many messages of the run have come."""
-        _HEAD.pack_into(self._memory, 0, messages + 1, self.number_given_up)
+        _HEAD.pack_into(self._memory, 0, messages + 1, self.number_given_up, False)
 
     def expected(self) -> int | None:
-        count, _ = _HEAD.unpack_from(self._memory)
+        count, *_ = _HEAD.unpack_from(self._memory)
         return int(count) - 1 if count else None
+
+    def close_recording(self) -> None:
+        """Let processes that have come to the end of the run leave the bus."""
+        _HEAD.pack_into(self._memory, 0, 0, self.number_given_up, True)
+
+    @property
+    def recording_is_closed(self) -> bool:
+        return bool(_HEAD.unpack_from(self._memory)[2])

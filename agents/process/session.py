@@ -48,7 +48,7 @@ program: the recorder accepts all messages, so that it can name the senders of f
 
 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
-    """Return how an agent of the plan, or a standby, joins the bus.
+    """Return how a process of the plan joins the bus; it has the name of an agent or a standby.
 
     With keys, a certificate names the agent at the other end of a link. Without, every process of
     ours has a password. A run that was set up by hand has neither: any program may join.
@@ -148,22 +148,18 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
         return rule
 
     def between(publisher: str, listener: str) -> list[str]:
-        """Return the keys on which one process may publish to another; the recorder hears all."""
-        return [
-            wiring.key(port)
-            for port in wiring.published.get(agent_of(publisher), ())
-            if listener == RECORDER or listener in wiring.processes[port]
-        ]
+        """Return the keys on which one process may publish to another."""
+        return [*wiring.key_exprs(wiring.carried.get((publisher, listener), ()))]
 
     listens = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"]
     # In lockstep a process that replaces another queries what it has missed.
     listens += ["declare_queryable", "query"]
     of_all = [
         add("subscriptions", ["ingress", "egress"], listens, [f"{wiring.plant}/**"]),
-        add("own token", ["egress"], ["liveliness_token"], [wiring.alive_key(agent)]),
+        add("own token", ["egress"], ["liveliness_token"], wiring.alive_keys(agent)),
     ]
     for peer in links.peers(agent):
-        own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], [wiring.alive_key(peer)])]
+        own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], wiring.alive_keys(peer))]
         if heard := between(peer, agent):
             own.append(add(f"from {peer}", ["ingress"], ["put", "reply"], heard))
         if published := between(agent, peer):

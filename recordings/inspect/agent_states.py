@@ -106,7 +106,7 @@ class AgentStates:
         self._unheard = _Unheard(plan)
         self._faults = list(fault_changes(plan))
         self._causes = defaultdict[str, list[tuple[int, Word]]](list)
-        for begin_s, agent, what, *_ in incidents(plan.faults.rules, plan.tree):
+        for begin_s, agent, what, *_ in incidents(plan.faults.rules, plan.tree, plan.wiring):
             word = _CAUSES.get(what)
             if word is not None:
                 self._causes[agent].append((_cycle_at(plan, begin_s), word))

@@ -17,7 +17,7 @@ from bus_schemas.codec import decode, decode_head
 from bus_schemas.errors import InputError, InputWarning, listed, printable
 from bus_schemas.messages import Head, Message, Run
 from bus_schemas.selection import find_nodes, find_signals
-from bus_schemas.signals import RUN, SIGNALS, Port, Signal, ports
+from bus_schemas.signals import RUN, SIGNALS, Port, Signal
 from bus_schemas.tree import ROOT
 from recordings.read.frames import LISTS, list_frame, signal_frame
 from recordings.read.mcap_file import (
@@ -30,7 +30,12 @@ from recordings.read.mcap_file import (
     unpack_chunk,
 )
 from recordings.read.run_clock import RunClock
-from recordings.read.run_file import RECORDING_NAME, further_file, read_origin
+from recordings.read.run_file import (
+    RECORDING_NAME,
+    further_file,
+    read_origin,
+    recorded_ports,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -231,8 +236,7 @@ class RunReader:
     def channels(self) -> dict[int, Port[Message]]:
         """Ports by the numbers of their channels."""
         if not self.outline.channels:  # The first chunk has them, and is damaged.
-            logged = (port for port in ports(self.plan.tree) if port.signal.logged)
-            return dict(enumerate(logged, start=1))  # As the writer numbers them.
+            return dict(enumerate(recorded_ports(self.plan), start=1))
         port_at = self.plan.wiring.port
         port_of = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
         return {number: port for number, port in port_of.items() if port is not None}

@@ -9,7 +9,10 @@ from zoneinfo import ZoneInfo
 import msgspec
 
 from agents.plan import RunPlan, check_plan
-from bus_schemas.errors import InputError
+from bus_schemas.errors import FailureError, InputError
+from bus_schemas.messages import Message
+from bus_schemas.signals import Occurrence, Port, ports
+from bus_schemas.tree import PLANT, ROOT, agent_name
 from recordings.read.mcap_file import Outline
 from recordings.read.run_clock import RunClock
 from scenarios.times import FIRST_YEAR, LAST_YEAR
@@ -28,6 +31,31 @@ SCHEMA_VERSION: Final = "4"
 
 def log_name(agent: str) -> str:
     return f"{agent.replace('/', '.')}.log"
+
+
+_MOST_CHANNELS: Final = 65_535
+"""MCAP has no higher number for one."""
+
+
+def recorded_ports(plan: RunPlan) -> tuple[Port[Message], ...]:
+    """Return the ports that a recording has channels for, numbered from 1 in this order.
+
+    A plant with too many has none for what single agents never say: a takeover without a standby.
+    """
+    found = [port for port in ports(plan.tree) if port.signal.logged]
+    if len(found) > _MOST_CHANNELS:
+        speakers = {agent_name(ROOT), PLANT, *plan.supervision.standby}
+        found = [
+            port
+            for port in found
+            if port.signal.occurrence is not Occurrence.EVENT or port.publisher in speakers
+        ]
+    if len(found) > _MOST_CHANNELS:
+        expected = f"up to {_MOST_CHANNELS:,} keys in a recording"
+        raise FailureError(
+            f"expected {expected}, got {len(found):,}: take fewer inverters or tiers"
+        )
+    return tuple(found)
 
 
 class NothingRecordedError(InputError):

@@ -25,8 +25,8 @@ from agents.plan import RunPlan
 from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Head, Message
-from bus_schemas.signals import SIGNALS, Port, Signal, ports
-from recordings.read.run_file import SCHEMA_VERSION
+from bus_schemas.signals import SIGNALS, Port, Signal
+from recordings.read.run_file import SCHEMA_VERSION, recorded_ports
 from recordings.record.chunk_writer import ChunkWriter
 
 _UNWRITABLE: Final = (OSError, struct.error, ValueError, OverflowError, MemoryError)
@@ -91,7 +91,7 @@ class RunWriter:
         self._file = path.open("xb")
         self._writer = ChunkWriter(self._file, "heliarch", f"heliarch {version('heliarch')}")
         self._write_origin(plan, scenario, driver)
-        self._channels = declare(self._writer, plan, ports(plan.tree))
+        self._channels = declare(self._writer, plan, recorded_ports(plan))
         self._unless_ended(self._file.flush)  # A recorder that is killed at once leaves its plan.
 
     def add(

@@ -21,7 +21,7 @@ from agents.cycle import kind_of
 from agents.faults import Fault, Freeze, Kill, ProcessFault, Trip, incidents
 from agents.plan import RunPlan, changed
 from bus_schemas.faults import Blackout, Disturbance, LinkFault, Partition, links
-from bus_schemas.tree import CENTRAL, PLANT, agent_name, depth, parent_of
+from bus_schemas.tree import PLANT, agent_name, depth, parent_of
 from launch_scripts.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
 from launch_scripts.supervision import RunFailure
 from scenarios.fault_rules import fault_text
@@ -155,14 +155,14 @@ def judged_run(
     longest_s = hold_s + slowest_s + (_OLD_REPORTS_S if spared else revert_s)
     first_s = min(map(begin_s, faults), default=inf)
     stopped: dict[str, list[range]] = {}
-    for one in incidents(faults, plan.tree):
+    for one in incidents(faults, plan.tree, plan.wiring):
         until_s = max(one.time_s, one.until_s) + _STOPPED_S
         cycles_of = range(int((one.time_s - _STOPPED_S) / cycle_s), int(until_s / cycle_s) + 1)
         stopped.setdefault(one.agent, []).append(cycles_of)
     quiet = (first_s / cycle_s, settled_s / cycle_s)
     healthy_kw = found.healthy_kw[: len(trace.produced)]
     frozen = [one for one in faults if isinstance(one, Freeze) and one.zombie]
-    zombies = {one.agent for one in incidents(frozen, plan.tree)}
+    zombies = {one.agent for one in incidents(frozen, plan.tree, plan.wiring)}
     longest = round(longest_s / cycle_s)
     run = FaultyRun(plan, trace, healthy_kw, quiet, longest, stopped, zombies)
     return trace, list(violations(run))
@@ -295,8 +295,9 @@ def _spares_inverters(plan: RunPlan, fault: Fault) -> bool:
     """Whether a fault leaves direct controllers alone, and all that they and the plant publish."""
     inverters = set(plan.tree.leaves)
     match fault:
-        case Kill(agents=agent) | Freeze(agents=agent):
-            return agent in {CENTRAL, *plan.tree.parents}
+        case Kill() | Freeze():
+            stopped = incidents((fault,), plan.tree, plan.wiring)
+            return inverters.isdisjoint(one.agent for one in stopped)
         case Partition(between=agents):
             return inverters.isdisjoint(agents) and not any("*" in agent for agent in agents)
     return False

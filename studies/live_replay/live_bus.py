@@ -204,7 +204,7 @@ class LiveControllers:
         self.interruption = interruption
         self._children = children
         self._on_message = on_message
-        self._tree = plan.tree
+        self._plan = plan
         self._inbox = Inbox()
         ports = [port for port in plan.wiring.ports if port.publisher in children.by_agent]
         self._steps = {port: step for port in ports if (step := due_step(plan, port))}
@@ -254,11 +254,12 @@ class LiveControllers:
         """Return why a cycle does not end: the controllers say what they wait for."""
         is_known = any(child.waiting for child in self._children)
         text = f"stalled in cycle {cycle}"
-        return RunFailure(stall(self._children, self._tree)[0] if is_known else text)
+        return RunFailure(stall(self._children, self._plan)[0] if is_known else text)
 
     def receive_the_last(self) -> None:
         """Let the controllers end, and receive all that they have sent."""
-        if late := self._children.await_exit(list(self._children), _END_S):
+        self._children.table.close_recording()
+        if late := self._children.await_end(list(self._children), _END_S):
             agent = late[0].agent
             raise self._children.failure(agent, f"{agent} did not end with the run")
         ended = [child.finished for child in self._children if child.finished is not None]

@@ -143,5 +143,6 @@ def _plan(reader: RunReader, file: Path | None, end: str | None) -> RunPlan:
             if value_of(plan) != value_of(reader.plan):
                 raise InputError(f"{file} {field}: expected that of the recorded run")
     cycles = min(reader.clock.span(None, end).stop, complete)
-    plan = changed(plan, timing={"cycles": cycles})
+    # Live controllers are named one by one, and each has a process of its own.
+    plan = changed(plan, timing={"cycles": cycles}, supervision={"groups": ()})
     return msgspec.structs.replace(plan, run_id=reader.plan.run_id)

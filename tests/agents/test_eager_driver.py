@@ -76,7 +76,7 @@ def linked(plan: RunPlan, agent: Controller | None = None) -> Iterator[Plant]:
         settings = SessionSettings("eager-by-hand", [], endpoint)
         bus = ZenohBus("a", plan.wiring, settings, patience_s=FOR_EVER_S)
         stack.enter_context(bus)
-        driver = EagerDriver(Loop(agent or controller(plan, "a"), plan), bus)
+        driver = EagerDriver([Loop(agent or controller(plan, "a"), plan)], bus)
         own_thread = stack.enter_context(ThreadPoolExecutor(1))
         yield Plant(session, driver, own_thread.submit(list, driver.run()))
 
@@ -122,5 +122,5 @@ def test_who_sends_more_in_a_cycle_than_a_queue_takes_does_not_send_on_the_bus_s
         plan = plan_of({f"i{leaf}": 1.0 for leaf in range(number)})
         bus = ZenohBus("central", plan.wiring, SessionSettings("many", [], []), patience_s=0.0)
         with bus:
-            driver = driver_of(Loop(controller(plan, "central"), plan), bus, plan)
+            driver = driver_of([Loop(controller(plan, "central"), plan)], bus, plan)
         assert isinstance(driver, EagerDriver) == is_eager

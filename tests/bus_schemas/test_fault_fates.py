@@ -138,6 +138,6 @@ def test_a_delayed_message_arrives_when_it_is_due_and_a_doubled_one_twice() -> N
 
     wire = SimpleNamespace(receive=receive, now_ns=clock)
     faults = at_work(Disturbance(delay_ms=40.0), Disturbance(duplicate=1.0))
-    bus = FaultyBus(cast(Any, wire), "c1", faults)
+    bus = FaultyBus(cast(Any, wire), faults)
     assert bus.receive(0) == bus.receive(39_000_000) == []
     assert [arrival.time_ns for arrival in bus.receive(SECOND_NS)] == [40_000_000] * 2

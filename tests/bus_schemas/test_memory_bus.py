@@ -33,7 +33,9 @@ def test_messages_are_stamped_and_those_of_the_run_numbered_and_counted() -> Non
 
 def test_the_clock_jumps_to_the_next_arrival_or_to_the_end_of_the_wait_and_never_back() -> None:
     clock, delayed = VirtualClock(), {0: Disturbance(delay_ms=30.0)}
-    bus = MemoryBus(Wiring("pair", TREE), None, clock, NetworkFaults(delayed, 1, TREE, 1_000 * MS))
+    bus = MemoryBus(
+        Wiring("pair", TREE).hearers, None, clock, NetworkFaults(delayed, 1, TREE, 1_000 * MS)
+    )
     bus.publish(*residual("c1/a", 0), 0)
     assert bus.receive(20 * MS) == ()
     assert clock.now_ns == 20 * MS

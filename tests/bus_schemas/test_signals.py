@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import zenoh
 
 from bus_schemas.signals import ORDER, listeners
 from bus_schemas.tree import OPERATOR, ROOT, ControlTree
@@ -57,3 +58,53 @@ def test_listeners_are_others_of_the_run_linked_and_wired_with_whom_they_hear(
         assert wiring.listeners[port] == heard_by
         for agent in agents:
             assert (port in wiring.heard.get(agent, ())) == (agent in heard_by)
+
+
+# Several agents in one process -------------------------------------------------------------------
+
+PLACES = [f"z{z}/c{z}{c}/i{leaf}" for z in (1, 2) for c in (1, 2, 3) for leaf in (1, 2, 3)]
+TALL = ControlTree(tuple((path, 1.0) for path in (*PLACES, "z1/i9", "c9/i1", "c9-x/i1")))
+
+
+@pytest.mark.parametrize("groups", [{}, "c", "z", dict.fromkeys(TALL.nodes, "central")])
+def test_a_process_may_publish_what_its_agents_may_and_nothing_else(groups: object) -> None:
+    if isinstance(groups, str):
+        heads = [path for path in TALL.parents if path.rpartition("/")[2].startswith(groups)]
+        groups = {
+            node: head for head in heads for node in TALL.nodes if f"{node}/".startswith(f"{head}/")
+        }
+    assert isinstance(groups, dict)
+    wiring = Wiring("tall", TALL, (), groups)
+    keys = {wiring.key(port): port for port in wiring.ports}
+    for (source, sink), carried in wiring.carried.items():
+        allowed = [zenoh.KeyExpr(expr) for expr in wiring.key_exprs(carried)]
+        through = {
+            port
+            for key, port in keys.items()
+            if any(one.includes(zenoh.KeyExpr(key)) for one in allowed)
+        }
+        assert through == {*carried}, (source, sink)
+        assert {wiring.process_of(port.publisher) for port in carried} == {source}
+        if sink != "recorder":
+            hearers = {wiring.process_of(name) for port in carried for name in wiring.hearers[port]}
+            assert sink in hearers
+
+
+def test_a_process_shows_the_tokens_of_its_agents_and_no_others() -> None:
+    groups = dict.fromkeys(("c9", "c9/i1"), "c9") | {"z1/c11/i1": "z1", "z1": "z1"}
+    wiring = Wiring("tall", TALL, (), groups)
+    for process in wiring.processes:
+        shown = [zenoh.KeyExpr(expr) for expr in wiring.alive_keys(process)]
+        found = {
+            agent
+            for agent in TALL.agents()
+            if any(one.includes(zenoh.KeyExpr(wiring.alive_key(agent))) for one in shown)
+        }
+        assert found == {*wiring.members_of(process)}
+
+
+def test_many_ports_of_a_parent_have_one_key_expression() -> None:
+    wiring = Wiring("tall", TALL)
+    of_parent = [port for port in wiring.heard["z1/c11"] if port.signal.name == "impp"]
+    assert list(wiring.key_exprs(of_parent)) == ["tall/z1/c11/*/impp"]
+    assert len(wiring.key_exprs(of_parent, least=4)) == 3

@@ -56,7 +56,7 @@ def test_a_node_has_the_children_of_the_next_tier_and_the_rating_of_all_its_inve
         *(((("c1/a", kw),), "c1/a: rating_kw") for kw in (0.0, -5.0, math.nan, math.inf)),
         *((((path, 1.0),), "expected a name") for path in ("", "c1//a", "c1/*", "c1/a\n")),
         ((("plant/a", 1.0),), "got 'plant'"),
-        (tuple((f"c{n // 10}/i{n}", 1.0) for n in range(MOST_INVERTERS + 1)), "4,000 inverters"),
+        (tuple((f"c{n // 10}/i{n}", 1.0) for n in range(MOST_INVERTERS + 1)), "10,000 inverters"),
         (tuple((f"c1/i{n}", 1.0) for n in range(MOST_CHILDREN + 1)), "c1: expected up to 1,000"),
         ((("x" * (LONGEST_PATH + 1), 1.0),), "200 characters"),
     ],

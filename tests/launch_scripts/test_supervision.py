@@ -55,6 +55,7 @@ class Watched:
             lambda: self.now_s,
         )
         self.hearing = Hearing(
+            plan,
             self.children,
             self.watch,
             lambda name: self.signal([name], SIGUSR1),

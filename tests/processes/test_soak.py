@@ -119,7 +119,7 @@ def test_a_kill_or_a_cut_every_five_seconds_leaves_no_orphan_no_leak_and_nothing
 @pytest.mark.timeout(900)
 def test_a_thousand_inverters_start_again_and_again(heliarch: Start) -> None:
     for _ in range(3):
-        run = heliarch("launch", "thousand", "--duration", "1m")
+        run = heliarch("launch", "thousand", "--duration", "1m", "--set", "processes=agent")
         assert run.wait() == 0
         summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
         assert (summary["cycles"], summary["messages_lost"]) == (6, 0)

@@ -248,7 +248,7 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
         (
             "rating_kw",
             "rating_mw",
-            "line 11: plant.rating_mw: expected the fields inverters, rating",
+            "line 11: plant.rating_mw: expected the fields inverters, grid, rating",
         ),
         ('title = "', 'motto = "', "line 2: motto: expected the fields name, title, time, plant"),
         ("seed = 7", "seeds = 7", "line 15: irradiance.seeds: expected the fields kind, seed"),

@@ -9,7 +9,13 @@ import pytest
 from complaints import complaint_of
 
 from bus_schemas.errors import InputError
-from sim_plant.sites import east_north_m, inverter_name, placed_on_the_equator, read_sites
+from sim_plant.sites import (
+    Grid,
+    east_north_m,
+    inverter_name,
+    placed_on_the_equator,
+    read_sites,
+)
 
 
 @pytest.fixture
@@ -48,7 +54,7 @@ def test_ratings_are_the_inverters_own_or_a_share_of_the_plants(path: Path) -> N
     ("lines", "complaint"),
     [
         (["inverter,lat,lon"], "expected 1 to"),
-        (["inverter,lat,lon", *(f"n{row},1,2" for row in range(5000))], "expected 1 to"),
+        (["inverter,lat,lon", *(f"n{row},1,2" for row in range(10_001))], "expected 1 to"),
         (["inverter,lat,lon", "a,1,2", "b,1,2", "a,3,4"], "line 4, column 'inverter': expected"),
         (["inverter,lat,lon", "a/b,1,2"], "expected a name"),
         (["inverter,lat,lon", "a,1,-180.5"], "line 2, column 'lon': expected"),
@@ -87,3 +93,17 @@ def test_a_plant_without_a_place_keeps_its_distances() -> None:
             np.hypot(x_m[i] - x_m[j], y_m[i] - y_m[j]),
             rtol=1e-9,
         )
+
+
+def test_a_grid_has_its_rows_from_west_to_east_and_from_the_south() -> None:
+    sites = Grid(rows=2, columns=3, apart_m=120.0, lat=37.1, lon=-4.2).sites(600.0)
+    assert sites.names == tuple(f"inv{number}" for number in range(1, 7))
+    assert sites.rating_kw.tolist() == [100.0] * 6
+    east_m, north_m = east_north_m(sites.lat_deg, sites.lon_deg)
+    np.testing.assert_allclose(east_m, [-120.0, 0.0, 120.0] * 2, atol=0.01)
+    np.testing.assert_allclose(north_m, [-60.0] * 3 + [60.0] * 3, atol=0.01)
+
+
+def test_a_grid_that_is_too_large_is_refused() -> None:
+    grid = Grid(rows=101, columns=100, apart_m=120.0, lat=37.1, lon=-4.2)
+    assert "10,100" in complaint_of(grid.sites, 600.0)

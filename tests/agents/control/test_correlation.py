@@ -6,7 +6,7 @@ import pytest
 from agents.control.correlation import (
     group_correlation,
     hourly_correlation,
-    hourly_covariance,
+    hourly_deviations,
 )
 
 
@@ -17,12 +17,14 @@ def random_walks(rows: int, columns: int, seed: int = 4) -> np.ndarray:
 def test_each_hour_equals_numpy_on_the_rows_of_that_hour_of_all_days() -> None:
     power = random_walks(4000, 17)
     hour = np.tile(np.repeat([10, 11], 1000), 2)
-    correlation, covariance = hourly_correlation(power, hour), hourly_covariance(power, hour)
+    correlation, deviations = hourly_correlation(power, hour), hourly_deviations(power, hour)
     assert list(correlation) == [10, 11]
     for h in correlation:
         rows = power[hour == h].T
         np.testing.assert_allclose(correlation[h], np.corrcoef(rows), rtol=0.0, atol=1e-12)
-        np.testing.assert_allclose(covariance[h], np.cov(rows, bias=True), rtol=1e-9)
+        np.testing.assert_allclose(
+            deviations[h].T, rows - rows.mean(axis=1, keepdims=True), atol=1e-9
+        )
         assert np.array_equal(np.diag(correlation[h]), np.ones(17))
 
 
@@ -39,15 +41,15 @@ def test_a_series_that_does_not_vary_counts_as_fully_correlated(level: float) ->
 def test_group_correlation_is_that_of_the_summed_series() -> None:
     power = random_walks(1800, 7)
     groups = [(0, 3, 5), (1,), (2, 4, 6)]
-    covariance = hourly_covariance(power, np.full(1800, 13))[13]
+    deviations = hourly_deviations(power, np.full(1800, 13))[13]
     sums = np.column_stack([power[:, list(group)].sum(axis=1) for group in groups])
     np.testing.assert_allclose(
-        group_correlation(covariance, groups), np.corrcoef(sums.T), rtol=0.0, atol=1e-12
+        group_correlation(deviations, groups), np.corrcoef(sums.T), rtol=0.0, atol=1e-12
     )
 
 
 def test_members_that_cancel_each_other_sum_to_a_constant() -> None:
     walk = random_walks(600, 1)[:, 0]
     power = np.column_stack([walk, 1000.0 - walk, random_walks(600, 1, seed=5)[:, 0]])
-    covariance = hourly_covariance(power, np.full(600, 13))[13]
-    assert np.array_equal(group_correlation(covariance, [(0, 1), (2,)]), np.ones((2, 2)))
+    deviations = hourly_deviations(power, np.full(600, 13))[13]
+    assert np.array_equal(group_correlation(deviations, [(0, 1), (2,)]), np.ones((2, 2)))

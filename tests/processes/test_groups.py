@@ -1,0 +1,123 @@
+"""Several agents in one process: they decide, fail and come back as agents do."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from command_line import done
+from running import Heliarch, Start, small_plant
+from test_launch import decided, summary_of
+from verifying import assert_equal_as_far_as_recorded
+
+from agents.plan import load_plan
+from bus_schemas.messages import parse_missing
+from bus_schemas.signals import IMPP
+from recordings.read.reader import RunReader
+from recordings.verify.verification import verify
+from results.run_summary import RunSummary
+
+pytestmark = pytest.mark.processes
+
+GROUPED = ("--set", "processes=cluster")
+GROUP = ("c2", "c2/inv03", "c2/inv04")
+
+
+@pytest.fixture(scope="module")
+def tall(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A plant of four tiers, of which the upper ones act rarely."""
+    tiers = "cluster_sizes = [[1, 1, 2], [2, 1]]\nperiod_cycles = [6, 3, 1]"
+    changes = ("cluster_sizes = [[2, 2]]", tiers), ("share = 0.5", "share = 1.1")
+    return small_plant(tmp_path_factory.mktemp("tall"), *changes)
+
+
+@pytest.mark.parametrize(
+    ("processes", "number"), [("cluster", 8), ("zone", 5), ('["central"]', 3), ('["z2"]', 9)]
+)
+def test_agents_in_one_process_decide_bit_for_bit_what_they_decide_alone(
+    tall: str, tmp_path: Path, processes: str, number: int
+) -> None:
+    words = (tall, "--duration", "40", "--set", f"processes={processes}")
+    ours = decided(tmp_path / "launched", "launch", *words)
+    assert ours == decided(tmp_path / "simulated", "simulate", *words)
+    summary = summary_of(tmp_path / "launched")
+    assert len(load_plan(tmp_path / "launched" / "plan.json").processes) == number
+    assert len(summary.processes) == number
+    assert (summary.lost, summary.launcher.dropped) == (0, {})
+
+
+REAL_TIME = ("--duration", "1h", "--pace", "10")
+LOCKSTEP = ("--duration", "2h", "--set", "restart.when=on-failure")
+
+
+@pytest.mark.parametrize("words", [REAL_TIME, LOCKSTEP])
+def test_a_killed_group_comes_back_as_a_whole(
+    heliarch: Start, plant: str, words: Sequence[str]
+) -> None:
+    run = heliarch("launch", plant, *words, *GROUPED)
+    run.until_recorded()
+    run.process_of("c2").send_signal(signal.SIGKILL)
+    for agent in GROUP:
+        run.until_back(agent)
+    assert ended(run).launcher.restarts == dict.fromkeys(GROUP, 1)
+    assert_equal_as_far_as_recorded(run, verify(run.folder))
+
+
+def test_a_group_that_does_not_come_back_is_given_up_as_a_whole(
+    heliarch: Start, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--duration", "2h", *GROUPED)
+    run.until_recorded()
+    run.process_of("c2").send_signal(signal.SIGKILL)
+    run.until_shown("the run goes on without c2")
+    run.until_recorded(run.recorded_cycles() + 100)
+    assert ended(run, status=1).launcher.given_up.keys() == {*GROUP}
+
+
+def test_a_frozen_group_goes_on_in_the_cycle_under_way(heliarch: Start, plant: str) -> None:
+    rule = "freeze=c1/inv01,at=20s..50s"
+    run = heliarch("launch", plant, *REAL_TIME, *GROUPED, "--fault", rule)
+    run.until_recorded(100)
+    ended(run)
+    with RunReader(run.folder) as reader:
+        cycles: dict[str, list[int]] = {node: [] for node in ("c1", "c1/inv01", "c1/inv02", "c2")}
+        for port, message in reader.messages(IMPP):
+            cycles.get(port.node, []).append(message.cycle)
+    for node in ("c1", "c1/inv01", "c1/inv02"):
+        assert not {*range(25, 45)}.intersection(cycles[node])
+        assert {*range(60, 90)} <= {*cycles[node]}
+    assert {*range(25, 45)} <= {*cycles["c2"]}
+
+
+def test_faults_act_on_the_links_inside_a_group(heliarch: Start, plant: str) -> None:
+    rule = "partition=c1/inv01|c1,at=20s..40s"
+    run = heliarch("launch", plant, *REAL_TIME, *GROUPED, "--fault", rule)
+    run.until_recorded(60)
+    ended(run)
+    with RunReader(run.folder) as reader:
+        lacked = {
+            message.cycle
+            for _, message in reader.messages(IMPP, nodes="c1")
+            if "c1/inv01/residual" in [key for key, _ in map(parse_missing, message.missing)]
+        }
+    assert {*range(20, 40)} <= lacked
+    assert not lacked.issuperset(range(60))
+
+
+def test_groups_join_an_encrypted_run_with_the_keys_of_their_heads(
+    tall: str, tmp_path: Path
+) -> None:
+    pytest.importorskip("cryptography")
+    done("keys", tall, "--out", tmp_path / "keys")
+    words = (tall, "--duration", "40", *GROUPED)
+    secure = ("--secure", "--keys", str(tmp_path / "keys"))
+    ours = decided(tmp_path / "launched", "launch", *words, *secure)
+    assert ours == decided(tmp_path / "simulated", "simulate", *words)
+
+
+def ended(run: Heliarch, status: int = 130) -> RunSummary:
+    """End a run after the cycle under way; return its summary."""
+    assert run.interrupt() == status, run.error_text()
+    return summary_of(run.folder)
