@@ -357,6 +357,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def agents(self) -> tuple[str, ...]:
         return (*self.tree.agents(), *((OPERATOR,) if self.has_operator else ()))
 
+    @property
     def members(self) -> tuple[str, ...]:
         """All agents and standbys, each of which is in one of the processes."""
         return (*self.agents, *map(standby_of, self.standbys))

@@ -291,7 +291,7 @@ def _published(agent: Agent[Any], stage: Stage) -> Iterator[str]:
     for done in agent.stages(0):
         inputs: dict[Any, Any] = dict.fromkeys((*done.awaits, *done.uses))
         inputs |= {DISPATCH.of(ROOT): dispatch, TELEMETRY.of(INVERTER): telemetry}
-        turn = Turn(done.name, 0, 0, (0, 0, agent.name, ()), inputs)
+        turn = Turn(done.name, 0, 0, (0, 0, agent.name, (), 0, 0, 0, 0), inputs)
         state, outputs = agent.step(state, turn)
         if done.name == stage.name:
             break
