@@ -22,6 +22,9 @@ KINDS: Final = {
 }
 """How new messages can differ from the recorded ones."""
 
+LOSSES: Final = frozenset({"only new", "not recorded", "input not recorded"})
+"""What shows that the recording lacks messages, and no agent decides otherwise."""
+
 
 @dataclass(frozen=True, slots=True)
 class Difference:

@@ -10,7 +10,7 @@ import msgspec
 from bus_schemas.messages import Message, in_words
 from recordings.read.frames import HEAD_FIELDS
 from recordings.read.run_clock import RunClock
-from recordings.verify.agent_result import KINDS, AgentResult, Difference
+from recordings.verify.agent_result import KINDS, LOSSES, AgentResult, Difference
 from recordings.verify.equality import NOT_COMPARED, Equality, Value
 from recordings.verify.verification import Verification
 
@@ -80,9 +80,13 @@ def _verdict(verification: Verification, equality: Equality) -> str:
     of = f"{compared:,} of {decided:,} messages compared ({compared / max(decided, 1):.1%})"
     if verification.first is not None:
         name, first = verification.first
+        kinds = {kind for result in verification.agents.values() for kind in result.differences}
+        what = f"NOT equal: {verification.differences:,} differences"
+        if kinds <= LOSSES:
+            what = "NOT whole: no agent decides otherwise, but messages are not recorded"
         return (
-            f"NOT equal: {verification.differences:,} differences, the first: {name} in cycle "
-            f"{first.cycle}, {first.message or first.text} ({first.kind}); {of}"
+            f"{what}, the first: {name} in cycle {first.cycle}, "
+            f"{first.message or first.text} ({first.kind}); {of}"
         )
     if not verification.equal:
         return f"NOT equal: {of}"

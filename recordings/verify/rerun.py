@@ -19,19 +19,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Any, TypeAlias
 
 import msgspec
 
 from agents.agent import Agent, Stage, Turn
-from agents.control.impp import Estimate
+from agents.control.impp import Estimate, is_plausible
 from agents.cycle import stage_of
 from agents.direct import DirectController, DirectState
 from agents.inputs import Inputs
 from agents.plan import RunPlan
 from agents.team import direct_controller
+from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Impp, Message, Telemetry, parse_missing
-from bus_schemas.signals import DISPATCH, ORDER, Port
+from bus_schemas.signals import DISPATCH, ORDER, TELEMETRY, Port
 from bus_schemas.tree import ROOT
 from recordings.verify.agent_result import AgentResult, Difference
 from recordings.verify.equality import Equality
@@ -216,10 +218,13 @@ class AgentRerun:
         if isinstance(process.agent, StatedEstimates) and stage.name == "estimate":
             stated = (message for message in recorded.values() if isinstance(message, Impp))
             process.agent.stated = next(stated, None)
-        process.state, outputs = process.agent.step(process.state, turn)
+        before = process.state
+        process.state, outputs = process.agent.step(before, turn)
         if process.unknown_since is not None and isinstance(dispatch, Dispatch):
             process.state = replace(process.state, wanted=Wanted.by(dispatch))
         new = dict(outputs)
+        if process.unknown_since is not None and isinstance(before, DirectState):
+            is_known &= self._is_same_whatever_it_remembers(process.agent, before, turn, outputs)
         if not is_certain or (process.unknown_since is not None and missing):
             process.lose_track(cycle)
         elif not recorded and not self.plan.timing.lockstep:
@@ -235,16 +240,23 @@ class AgentRerun:
         """Whether a stage's outputs follow from recorded messages.
 
         The plant forgets what it was commanded long ago. A direct controller commands by the IMPP
-        that it has just published; its next IMPP rests on older measurements.
+        that it has just published. By the paper's rule its IMPP rests on the telemetry of this
+        cycle alone; a forecast rests on older measurements.
         """
-        since = process.unknown_since
+        since, plan = process.unknown_since, self.plan
         if since is not None and self.forgets_after is not None:
             if now.cycle - since > self.forgets_after:
                 process.unknown_since = None
         elif since is not None and isinstance(process.state, DirectState):
+            if (
+                now.stage == "estimate"
+                and plan.control.scheme == "paper"
+                and self._is_measured(now)
+            ):
+                process.unknown_since = None
             for impp in now.recorded.get("estimate", {}).values():
                 if now.stage == "actuate" and isinstance(impp, Impp):
-                    if impp.stale_cycles > self.plan.control.hold_cycles:
+                    if impp.stale_cycles > plan.control.hold_cycles:
                         return False  # It says 0 kW, and remembers what it was.
                     estimate = process.state.estimate._replace(
                         power_kw=impp.power_kw, stale_cycles=impp.stale_cycles
@@ -252,6 +264,28 @@ class AgentRerun:
                     process.state = DirectState(estimate, now.cycle)
                     return True
         return process.unknown_since is None
+
+    def _is_measured(self, now: CycleUnderWay) -> bool:
+        """Whether a direct controller used a measurement of this cycle."""
+        rating_kw = self.plan.tree.rating_kw(self.name)
+        telemetry = now.used.get(TELEMETRY.of(self.name))
+        return (
+            isinstance(telemetry, Telemetry)
+            and telemetry.cycle == now.cycle
+            and is_plausible(telemetry.power_kw, telemetry.alpha, rating_kw)
+        )
+
+    def _is_same_whatever_it_remembers(
+        self, agent: Agent[Any], state: DirectState, turn: Turn, outputs: Sequence[Delivery]
+    ) -> bool:
+        """Whether a command does not depend on the mean forecast error, which is not published."""
+        extremes = (
+            DirectState(state.estimate._replace(spread_kw=kw), state.telemetry_cycle)
+            for kw in (0.0, inf)
+        )
+        return turn.stage != "actuate" or all(
+            agent.step(one, turn)[1] == outputs for one in extremes
+        )
 
     def _take_inputs(self, process: Process, now: CycleUnderWay, stage: Stage) -> bool:
         """Take in the messages that a stage used; return whether all of them are recorded."""

@@ -235,6 +235,6 @@ def test_a_cut_ends_no_run_and_kills_nobody(
     found = outcome(heliarch, network, "oahu", cut)
     with capsys.disabled():
         print(found.row(cut))
-    if cut.what != "40% of all packets":  # It ends nothing; what else it does is measured.
-        assert found.restarts == cut.is_killed
-        assert found.heard_s < 5.0
+    assert found.restarts == cut.is_killed
+    # Where many packets are lost, TCP waits for long before it sends them again.
+    assert found.heard_s < (15.0 if cut.what == "40% of all packets" else 5.0)

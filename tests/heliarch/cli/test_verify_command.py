@@ -13,6 +13,7 @@ from recorded_runs import AGENTS, cloudy_profile, faulty_plan, plan_of, publishe
 
 from agents.direct import DirectController
 from agents.plan import Control
+from bus_schemas.signals import COMMAND
 from recordings.read.run_file import RECORDING_NAME
 from recordings.verify.verification import PROFILE_NAME
 
@@ -119,6 +120,16 @@ def test_the_verdict_says_what_share_was_compared_and_nothing_compared_is_not_eq
     assert f"{own} of {decided} messages compared ({own / decided:.1%})" in last
     record(run, PLAN, [pair for pair in PUBLISHED if pair[0].publisher == "c2/d"])
     assert outcome_of(run)[0] == 1
+
+
+def test_the_verdict_tells_messages_that_are_not_recorded_from_other_decisions(run: Path) -> None:
+    lost = next(n for n, (port, _) in enumerate(PUBLISHED) if port.signal is COMMAND)
+    port, command = PUBLISHED[lost]
+    for message, beginning in ((None, "NOT whole"), (replace(command, alpha=0.5), "NOT equal")):
+        kept = [] if message is None else [(port, message)]
+        record(run, PLAN, [*PUBLISHED[:lost], *kept, *PUBLISHED[lost + 1 :]])
+        assert outcome_of(run)[0] == 1
+        assert heliarch("verify", run).stdout.splitlines()[-1].startswith(beginning)
 
 
 # What it refuses ----------------------------------------------------------------------------------

@@ -200,8 +200,9 @@ def test_what_the_successor_of_a_successor_says_again_is_no_difference(tmp_path:
         faulty_plan(LATE, cycles=40),
         faulty_plan(replace(LATE, loss=0.1), cycles=40, period_cycles=(6, 2)),
         faulty_plan(Kill("c1", 20.2), LATE, cycles=40, standby=("c1", "central")),
+        faulty_plan(LATE, cycles=40, actuator="limit"),
     ],
-    ids=["lockstep", "late", "slow", "standby"],
+    ids=["lockstep", "late", "slow", "standby", "held near a forecast"],
 )
 def test_what_was_sent_while_the_recorder_was_away_is_no_difference(
     plan: RunPlan, seed: int, tmp_path: Path
@@ -219,6 +220,19 @@ def test_what_was_sent_while_the_recorder_was_away_is_no_difference(
     productions = sum(port.signal is PRODUCTION for part in kept for port, _ in part)
     assert found.unrecorded_cycles == plan.timing.cycles - productions
     assert found.agents["c2"].compared > 0.8 * found.agents["c2"].recorded, "it remembers nothing"
+
+
+def test_the_paper_s_estimate_is_compared_again_from_the_first_measurement_after_a_gap(
+    tmp_path: Path,
+) -> None:
+    plan = plan_of(cycles=40, scheme="paper", correction=False)
+    messages = published(plan, cloudy_profile(plan))
+    cycles = [message.cycle for _, message in messages]
+    folder = record(tmp_path / "run", plan, messages[: cycles.index(12)], cloudy_profile(plan))
+    record_on(folder, plan, messages[cycles.index(20) :])
+    found = verify(folder, "c1/a")
+    assert found.equal
+    assert found.agents["c1/a"].not_compared == 0
 
 
 def test_the_state_after_a_takeover_that_was_not_recorded_is_unknown(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Runs seeds of a campaign until one breaks an invariant, of the code that `PYTHONPATH` names.
 
-python first_broken_seed.py oahu 150s 1..300
+python first_broken_seed.py oahu 150s 1..300 limit
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from studies.campaign.study import campaign, faults_of, judged_run, with_standby
 from studies.compare.cases import parse_seeds
 
 
-def main(scenario: str, duration: str, seeds: str) -> None:
-    found = campaign(prepare(load_scenario(scenario), RunOptions(duration=duration), "campaign"))
+def main(scenario: str, duration: str, seeds: str, actuator: str) -> None:
+    options = RunOptions(duration=duration, actuator="limit" if actuator == "limit" else "fraction")
+    found = campaign(prepare(load_scenario(scenario), options, "campaign"))
     first, broken = 0, list[Violation]()
     for seed in parse_seeds(seeds):
         faults, standby = faults_of(found.plan, seed)

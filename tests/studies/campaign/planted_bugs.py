@@ -20,6 +20,9 @@ class Patch(NamedTuple):
 INPUTS, DIRECT, PARENT = "agents/inputs.py", "agents/direct.py", "agents/parent.py"
 INVERTERS, LOOP, STANDBY = "sim_plant/inverters.py", "agents/loop.py", "agents/standby.py"
 
+OF_FRACTIONS: Final = frozenset({"a reverted inverter stays limited"})
+"""Bugs that show only where commands are a fraction of the maximum, and no limit."""
+
 BUGS: Final[dict[str, Sequence[Patch]]] = {
     "an inverter never reverts": [
         Patch(

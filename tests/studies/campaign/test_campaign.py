@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from command_line import done, heliarch
-from planted_bugs import BUGS, Patch
+from planted_bugs import BUGS, OF_FRACTIONS, Patch
 
 from agents.faults import Freeze, Kill, Trip
 from agents.plan import RunPlan
@@ -78,7 +78,8 @@ def test_a_planted_bug_is_found_by_seeds_1_to_300(
     bug: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code = planted(tmp_path / "code", BUGS[bug])
-    words = [sys.executable, str(FIRST_BROKEN_SEED), "oahu", "150s", "1..300"]
+    actuator = "fraction" if bug in OF_FRACTIONS else "limit"
+    words = [sys.executable, str(FIRST_BROKEN_SEED), "oahu", "150s", "1..300", actuator]
     answer = subprocess.run(
         words, env={"PYTHONPATH": str(code)}, cwd=code, capture_output=True, check=True, text=True
     )
