@@ -123,6 +123,8 @@ class CsvTable:
 
 def read_csv(path: Path, header: tuple[str, ...] = ()) -> CsvTable:
     """Read a CSV file; its first line is the header unless that is given."""
+    if path.exists() and not path.is_file():  # A pipe would be waited for.
+        raise InputError(f"{path}: expected a CSV file in UTF-8, got no regular file")
     try:
         # A spreadsheet may have put a byte order mark first.
         text = path.read_text(encoding="utf-8-sig").rstrip("\r\n")

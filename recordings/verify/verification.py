@@ -149,8 +149,8 @@ def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
     path = recording.with_name(PROFILE_NAME)
     if not path.exists():
         return None
-    profile = load_profile(path)
     shape = (plan.timing.cycles, len(plan.inverters))
+    profile = load_profile(path, *shape)
     if profile.mpp_kw.shape != shape:
         raise InputError(
             f"{path}: expected {shape} cycles and inverters, as the recorded run has, "

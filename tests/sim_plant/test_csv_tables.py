@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from complaints import complaint_of
 
+from bus_schemas.errors import InputError
 from sim_plant.csv_tables import CsvTable, read_csv
 
 TEXT = "utc, a ,b\n2010-04-01T20:00:00Z,1,2\n2010-04-01T20:00:01Z,3,\n2010-04-01T20:00:02Z,-1.5,6\n"
@@ -77,6 +79,12 @@ def test_another_form_is_refused(tmp_path: Path, old: str, new: str, complaint: 
         table.numbers(("a",))
 
     assert f"x.csv: {complaint}" in complaint_of(checked)
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(InputError, match="regular file"):
+        read_csv(tmp_path / "pipe.csv")
 
 
 def test_what_is_no_text_file_is_refused(tmp_path: Path) -> None:

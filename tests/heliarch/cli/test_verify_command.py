@@ -137,6 +137,8 @@ def test_the_verdict_tells_messages_that_are_not_recorded_from_other_decisions(r
 
 def test_a_recording_that_cannot_be_verified_is_refused(run: Path, tmp_path: Path) -> None:
     assert "nowhere" in refusal("verify", tmp_path / "nowhere")
+    cloudy_profile(plan_of(cycles=200)).save(run / PROFILE_NAME)
+    assert "larger" in refusal("verify", run), "it is not unpacked"
     cloudy_profile(plan_of(cycles=9)).save(run / PROFILE_NAME)
     assert "(9, 4)" in refusal("verify", run), "the profile of another run"
     (run / PROFILE_NAME).unlink()
