@@ -18,6 +18,7 @@ from recordings.inspect.health import Health, LauncherAccount, WrongMessages
 from recordings.read.counting import checked
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
+from results.answers import Answer
 from results.run_summary import (
     MessageCount,
     ProcessAccount,
@@ -86,10 +87,12 @@ class RunAccount:
         preparation, plan, path = self.preparation, self.preparation.plan, self.folder.recording
         recorded, fault = checked(path, plan, recorded)
         found = Counter(recorded.recorded)
-        figures = health = None
+        figures, health, answers = None, None, tuple[Answer, ...]()
         if found:
             try:
-                figures = recorded_figures(path) if recorded.cycles else None
+                if recorded.cycles:
+                    budgets = preparation.scenario.scenario.answers
+                    figures, answers = recorded_figures(path, budgets)
                 health = recorded_health(path, plan)
             except InputError as error:
                 fault = fault or f"the recording cannot be read: {error}"
@@ -130,6 +133,7 @@ class RunAccount:
             external=tuple(map(self._compared, recorded.external)),
             devices=devices,
             health=health,
+            answers=answers,
         )
 
     def _compared(self, account: ExternalAccount) -> ExternalAccount:

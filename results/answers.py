@@ -7,7 +7,7 @@ docs/orders.md has the definitions.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import Final
 
@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from recordings.read.series import RunSeries
 from results.regulation import performance_score
+from results.tables import Column, Table, attributes, key_column
+from scenarios.scenario import AnswerBudgets
 from sim_plant.orders import OrderInForce
 
 TOLERANCE_PERCENT: Final = 1.0
@@ -38,6 +40,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     asked: Who asked for it: `schedule`, or the source of an order.
     cycle, end_cycle: The first cycle of it, and that of what came next.
     from_kw, to_kw: What the plant gave before, and what the dispatch came to.
+    duration_s: Time until the next one, or the end [s].
     ramp_s: Time that the dispatch took to get there [s]; 0: it was a step.
     to_90_s: Of a step: until the power had covered nine tenths of it [s].
     settling_s: From when the dispatch was there until the power stayed within 1 % [s].
@@ -47,6 +50,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     accuracy, delay, score: Of an AGC signal, as PJM scores a regulation signal.
     orders: How many orders a signal had.
     unable_percent: Share of its cycles in which the sun gave less than the dispatch.
+    missed: The figures that did not keep their budgets.
     """
 
     asked: str
@@ -55,6 +59,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     from_kw: float
     to_kw: float
     ramp_s: float
+    duration_s: float
     to_90_s: float | None = None
     settling_s: float | None = None
     overshoot_percent: float | None = None
@@ -65,6 +70,13 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     score: float | None = None
     orders: int = 1
     unable_percent: float = 0.0
+    missed: tuple[str, ...] = ()
+    is_judged: bool = False
+
+    @property
+    def verdict(self) -> bool | None:
+        """Whether all budgets were kept; None: there are none."""
+        return not self.missed if self.is_judged else None
 
 
 def answers(series: RunSeries) -> tuple[Answer, ...]:
@@ -72,10 +84,9 @@ def answers(series: RunSeries) -> tuple[Answer, ...]:
     dispatch_kw, known = series.dispatch_kw, series.known
     rating_kw = float(series.plant.rating_kw.sum())
     begins = dict(_begins(series, rating_kw))
-    ends = [*list(begins)[1:], series.cycles]
     found = []
-    for (cycle, (asked, orders)), end in zip(begins.items(), ends, strict=True):
-        cycles = slice(cycle, end)
+    for cycle, end in pairwise([*begins, series.cycles]):
+        (asked, orders), cycles = begins[cycle], slice(cycle, end)
         before_kw = float(series.delivered_kw[cycle - 1 if cycle else 0])
         if not known[cycles].all() or not np.isfinite(before_kw):
             continue
@@ -126,6 +137,7 @@ def answer(
         from_kw=from_kw,
         to_kw=to_kw,
         ramp_s=there * cycle_s,
+        duration_s=len(dispatch_kw) * cycle_s,
         to_90_s=(int(covered.argmax()) + 1) * cycle_s if covered.any() and not there else None,
         settling_s=(settled - there + 1) * cycle_s if is_settled else None,
         overshoot_percent=max(float(beyond.max()), 0.0) * percent if len(beyond) else None,
@@ -133,6 +145,55 @@ def answer(
         ramp_deviation_percent=float(deviations.mean()) * percent if len(deviations) else None,
         unable_percent=100.0 * float((~able).mean()),
     )
+
+
+def judged(found: tuple[Answer, ...], budgets: AnswerBudgets | None) -> tuple[Answer, ...]:
+    """Return answers with what each of them missed of the budgets, if there are any."""
+    if budgets is None:
+        return found
+    return tuple(
+        msgspec.structs.replace(one, missed=tuple(_missed(one, budgets)), is_judged=True)
+        for one in found
+    )
+
+
+def _missed(found: Answer, budgets: AnswerBudgets) -> Iterator[str]:
+    for name, limit in msgspec.structs.asdict(budgets).items():
+        value = getattr(found, name)
+        if limit is None:
+            continue
+        if value is None:
+            # A power that had the time and did not settle; without the sun it could not.
+            is_judged = name == "settling_s" and found.orders == 1 and not found.unable_percent
+            if is_judged and found.duration_s - found.ramp_s > limit:
+                yield name
+        elif (value < limit) if name == "score" else (abs(value) > limit):
+            yield name
+
+
+def answers_tables(found: Iterable[Answer]) -> list[Table]:
+    """Return the table of a plant's answers; none where nothing was asked."""
+    columns = (
+        key_column("by", "asked"),
+        Column("cycle", name="cycle"),
+        Column("from", "kW", 0, name="from_kw"),
+        Column("to", "kW", 0, name="to_kw"),
+        Column("ramp", "s", 1, name="ramp_s"),
+        Column("90 %", "s", 1, name="to_90_s"),
+        Column("settled", "s", 1, name="settling_s"),
+        Column("overshoot", "%", 2, name="overshoot_percent"),
+        Column("at rest", "%", 2, name="error_percent"),
+        Column("off the ramp", "%", 2, name="ramp_deviation_percent"),
+        Column("score", "", 3, name="score"),
+        Column("budgets", name="verdict"),
+    )
+    rows = attributes(found, columns)
+    notes = (
+        "90 %: of a step. Settled: from when the dispatch was there until the power stayed within "
+        "1 % of the rating. Percentages are of the rating.",
+        "Cycles in which the sun gave less than the dispatch do not count.",
+    )
+    return [Table("How the plant answered", columns, rows, notes)] if rows else []
 
 
 def _begins(series: RunSeries, rating_kw: float) -> Iterator[tuple[int, tuple[str, int]]]:

@@ -15,7 +15,9 @@ from recordings.inspect.health import Health, RunDocument, WrongMessages, summar
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import read_plant_series
+from results.answers import Answer, answers, judged
 from results.figures import Figures, run_figures
+from scenarios.scenario import AnswerBudgets
 from sunspec.process import DeviceAccount
 
 _MOST_REFUSED: Final = 0.1
@@ -77,7 +79,8 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
 
     `cycles` were completed. `figures` is None if none of them can be read in the recording.
     `messages` are those of Heliarch's processes, `external` what was heard of external agents.
-    `health` is None if the recording was not read for it.
+    `health` is None if the recording was not read for it. `answers` are the plant's, to orders and
+    steps of the schedule.
     """
 
     run: RunFacts
@@ -90,6 +93,7 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
     external: tuple[ExternalAccount, ...] = ()
     devices: tuple[DeviceAccount, ...] = ()
     health: Health | None = None
+    answers: tuple[Answer, ...] = ()
 
     @property
     def cycles_per_s(self) -> float:
@@ -133,6 +137,8 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
         if launcher.recording_gaps:
             spans = [f"{first:,} to {last:,}" for first, last in launcher.recording_gaps]
             yield f"the recorder was cut off: not recorded are cycles {listed(spans)}"
+        if missed := sum(bool(answer.missed) for answer in self.answers):
+            yield f"{missed} of {len(self.answers)} answers of the plant kept not all budgets"
         if attacked := self._two_senders():
             text = listed([f"{one.key}: {one.example}" for one in attacked])
             yield f"more than one program sent messages on {text}"
@@ -167,9 +173,12 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
         return msgspec.json.format(msgspec.json.encode(document), indent=2)
 
 
-def recorded_figures(recording: Path) -> Figures:
-    """Read the figures of merit. Raises InputError: The recording has none to show."""
-    return run_figures(read_plant_series(recording))
+def recorded_figures(
+    recording: Path, budgets: AnswerBudgets | None = None
+) -> tuple[Figures, tuple[Answer, ...]]:
+    """Read figures of merit and answers. Raises InputError: The recording has none to show."""
+    series = read_plant_series(recording)
+    return run_figures(series), judged(answers(series), budgets)
 
 
 def recorded_health(recording: Path, plan: RunPlan) -> Health | None:

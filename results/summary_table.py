@@ -15,6 +15,7 @@ from bus_schemas.errors import InputError
 from recordings.inspect.health import counts_text
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
+from results.answers import answers_tables
 from results.figures import FIGURES, Figures, Shown, shown_in
 from results.report.tables import devices_tables, health_table
 from results.run_summary import ProcessAccount, RunFacts, RunSummary
@@ -29,7 +30,8 @@ _GAP: Final = ("", "", "", "")
 
 def print_summary(summary: RunSummary, console: Console) -> None:
     """Print the table; then the health of a run with faults, or in which something went wrong."""
-    for table in (summary_table(summary), *devices_tables(summary.devices)):
+    tables = summary_table(summary), *answers_tables(summary.answers)
+    for table in (*tables, *devices_tables(summary.devices)):
         print_table(console, table)
     with suppress(InputError), RunReader(Path(summary.run.folder)) as run:
         if summary.is_incomplete or run.plan.faults.rules:

@@ -14,6 +14,7 @@ from scenarios.scenario import (
     OahuGridIrradiance,
     ScenarioFile,
     local_start,
+    zoned,
 )
 from sim_plant import oahu_grid
 from sim_plant.dc_current import read_currents
@@ -45,7 +46,8 @@ def power_source(
 
 
 def _cloudy_sky(scenario_file: ScenarioFile, table: CloudIrradiance, seed: int | None) -> CloudySky:
-    plant = scenario_file.scenario.plant
+    plant, time = scenario_file.scenario.plant, scenario_file.scenario.time
+    clear_until = table.clear_until
     if (plant.inverters is None) == (plant.grid is None):
         raise InputError(
             "plant.inverters: expected a CSV with the columns inverter, lat, lon, or plant.grid"
@@ -59,6 +61,7 @@ def _cloudy_sky(scenario_file: ScenarioFile, table: CloudIrradiance, seed: int |
         clouds=table.clouds,
         seed=table.seed if seed is None else seed,
         history_seed=table.seed,
+        clear_until=None if clear_until is None else pd.Timestamp(zoned(clear_until, time)),
     )
 
 

@@ -118,10 +118,12 @@ class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
 
     seed: Seed of the cloud field; `--seed` replaces it.
     clouds: The sky: see below.
+    clear_until: Local time up to which the sky is clear. Default: clouds all the time.
     """
 
     seed: Seed = 0
     clouds: CloudSettings = CloudSettings()
+    clear_until: datetime | None = None
 
 
 class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
@@ -245,6 +247,25 @@ class BudgetTable(_Table, frozen=True):
     resident_mb: dict[AnyKind, Amount] = {}
 
 
+class AnswerBudgets(_Table, frozen=True):
+    """Limits by which the plant's answers to orders are judged: the run fails if one is not kept.
+
+    to_90_s: Of a step: time until nine tenths of it are covered [s].
+    settling_s: Time until the power stays within 1 % of the rating [s].
+    overshoot_percent: Largest power beyond the order, in % of the rating.
+    error_percent: Mean error at rest, in % of the rating.
+    ramp_deviation_percent: Mean deviation from a ramp, in % of the rating.
+    score: Least score of an AGC signal, 0 to 1.
+    """
+
+    to_90_s: Limit | None = None
+    settling_s: Limit | None = None
+    overshoot_percent: Amount | None = None
+    error_percent: Amount | None = None
+    ramp_deviation_percent: Amount | None = None
+    score: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+
+
 class TimingTable(_Table, frozen=True):
     """What a run in real time is judged by."""
 
@@ -267,6 +288,7 @@ class Scenario(_Table, frozen=True):
     processes: What a process holds: one `agent`; a `cluster` or `zone` with all below it; or so
         for the parents that are listed.
     orders: Orders to the plant during the run.
+    answers: Limits for the plant's answers to orders. Default: none is judged.
     """
 
     name: str
@@ -289,6 +311,7 @@ class Scenario(_Table, frozen=True):
     processes: Processes = "agent"
     timing: TimingTable = TimingTable()
     orders: tuple[PlannedOrder, ...] = ()
+    answers: AnswerBudgets | None = None
 
     def __post_init__(self) -> None:
         check_name(self.name, "name")
@@ -360,8 +383,13 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
 
 def local_start(time: TimeTable) -> datetime:
     """Return the first cycle's time with its zone."""
+    return zoned(time.start, time)
+
+
+def zoned(moment: datetime, time: TimeTable) -> datetime:
+    """Return a time of a scenario with its zone."""
     zone = ZoneInfo(time.timezone)
-    return time.start.astimezone(zone) if time.start.tzinfo else time.start.replace(tzinfo=zone)
+    return moment.astimezone(zone) if moment.tzinfo else moment.replace(tzinfo=zone)
 
 
 def _find(name_or_path: str) -> Path:

@@ -49,17 +49,30 @@ class PlantUnderSky:
 class CloudySky(PlantUnderSky):
     """A synthetic cloud field that drifts over the inverters.
 
-    Earlier days have the scenario's seed, `history_seed`, whatever the run's own seed.
+    Earlier days have the scenario's seed, `history_seed`, whatever the run's own seed. The sky of
+    the run is clear before `clear_until`.
     """
 
     clouds: CloudSettings
     seed: int
     history_seed: int
+    clear_until: pd.Timestamp | None = None
     measured_times: ClassVar[None] = None  # Any time can be asked for.
     remarks: ClassVar[tuple[str, ...]] = ()
 
     def available_kw(self, times: pd.DatetimeIndex) -> Floats:
-        return self._drawn_kw(times, self.seed)
+        cloudy_kw = self._drawn_kw(times, self.seed)
+        if self.clear_until is None:
+            return cloudy_kw
+        ghi_wm2 = clear_sky_ghi(
+            times,
+            self.sites.lat_deg,
+            self.sites.lon_deg,
+            self.altitude_m,
+            self.clouds.linke_turbidity,
+        )
+        clear_kw = self.power_kw(np.repeat(ghi_wm2[:, None], len(self.sites.names), 1), times)
+        return np.where((times < self.clear_until)[:, None], clear_kw, cloudy_kw)
 
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return the power under another day's clouds of the same climate, shape (T, n)."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 import pandas as pd
 from rich.console import Console
@@ -18,6 +20,7 @@ from bus_schemas.whole_file import whole_file
 from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, series_of
+from results.answers import answers, answers_tables, judged
 from results.figures import run_figures
 from results.report.clusters import clusters_map, clusters_table
 from results.report.help import help_between, help_figure, help_table
@@ -30,6 +33,7 @@ from results.report.style import ReportFigure
 from results.report.tables import devices_tables, figures_tables, health_table, network_tables
 from results.run_summary import RunSummary, run_health
 from results.tables import Table, counted
+from scenarios.scenario import AnswerBudgets
 from sunspec.process import read_accounts
 
 REPORT_NAME: Final = "report.html"
@@ -50,6 +54,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
             summary = summary_in(reader.path.parent, plan, RunSummary)
             tables = [
                 *figures_tables([series]),
+                *answers_tables(judged(answers(series), _budgets(reader))),
                 help_table(found, reader.clock),
                 clusters_table(series, plan, found),
                 *network_tables(summary),
@@ -72,6 +77,13 @@ def _nodes_drawn(plan: RunPlan) -> Collection[str]:
     if len(plan.tree.leaves) > MOST_INVERTERS:
         return [node for node in nodes if not plan.tree.is_leaf(node)]
     return nodes
+
+
+def _budgets(reader: RunReader) -> AnswerBudgets | None:
+    """Return the limits that the scenario of a recording states for the plant's answers."""
+    with suppress(msgspec.ValidationError):
+        return msgspec.convert(reader.scenario_table().get("answers"), AnswerBudgets | None)
+    return None
 
 
 def _notes(reader: RunReader) -> list[str]:

@@ -1,0 +1,124 @@
+"""The plant's answers, against numbers worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from runs_by_hand import RATING_KW, run_of
+
+from results.answers import Answer, answer, answers, judged
+from scenarios.scenario import AnswerBudgets
+from sim_plant.orders import OrderInForce
+
+CYCLE_S = 2.0
+
+
+def answered(
+    dispatch_kw: Sequence[float], delivered_kw: Sequence[float], available_kw: float = 1e4
+) -> Answer:
+    """The answer to a dispatch after 100 kW, in cycles of 2 s."""
+    dispatch, delivered = np.array(dispatch_kw), np.array(delivered_kw)
+    able = np.full(len(dispatch), available_kw)
+    return answer(dispatch, delivered, able, 100.0, CYCLE_S, RATING_KW)
+
+
+def test_a_step_has_its_times_its_overshoot_and_its_error_at_rest() -> None:
+    # 400 kW up: nine tenths are at 460 kW. 1 % of the rating are 10 kW.
+    found = answered([500.0] * 10, [200, 470, 530, 515, 505, 505, 505, 505, 505, 505])
+    assert (found.ramp_s, found.to_90_s, found.settling_s) == (0.0, 4.0, 10.0)
+    assert found.overshoot_percent == pytest.approx(3.0)
+    assert found.error_percent == pytest.approx(0.5)
+    assert found.ramp_deviation_percent is None
+
+
+def test_downwards_the_overshoot_is_below() -> None:
+    found = answered([50.0] * 4, [40.0, 50.0, 70.0, 50.0])
+    assert found.overshoot_percent == pytest.approx(1.0)
+    assert (found.to_90_s, found.settling_s) == (2.0, 8.0)
+
+
+def test_a_ramp_is_judged_by_its_deviation_and_settles_after_its_end() -> None:
+    found = answered([200.0, 300.0, 400.0, 400.0, 400.0], [180.0, 280.0, 370.0, 402.0, 400.0])
+    assert (found.ramp_s, found.to_90_s, found.settling_s) == (4.0, None, 4.0)
+    assert found.ramp_deviation_percent == pytest.approx(2.0)
+
+
+def test_cycles_without_the_sun_do_not_count_and_what_never_settles_says_so() -> None:
+    assert answered([500.0] * 4, [300.0] * 4).settling_s is None
+    found = answered([500.0] * 4, [300.0] * 4, available_kw=300.0)
+    assert (found.settling_s, found.error_percent, found.unable_percent) == (None, None, 100.0)
+
+
+def order(cycle: int, power_kw: float | None, source: str = "command", **more: Any) -> OrderInForce:
+    return OrderInForce(
+        source=source,
+        cycle=cycle,
+        renewed=cycle,
+        power_kw=power_kw,
+        ramp_kw_per_min=None,
+        hold_s=None,
+        renew_s=None,
+        **more,
+    )
+
+
+def test_each_order_and_each_step_of_the_schedule_has_its_answer() -> None:
+    commitment = np.array([100.0] * 10 + [300.0] * 30)
+    dispatch = commitment.copy()
+    dispatch[20:30] = 200.0
+    orders = ((20, order(20, 200.0)), (30, order(20, 200.0, state="over")))
+    run = run_of(commitment, 1e4, dispatch, start="2010-04-01T12:00:00")
+    found = answers(replace(run, dispatch_kw=dispatch, orders=orders))
+    assert [(one.asked, one.cycle, one.end_cycle) for one in found] == [
+        ("schedule", 10, 20),
+        ("command", 20, 30),
+        ("schedule", 30, 40),
+    ]
+    assert [one.settling_s for one in found] == [1.0, 1.0, 1.0]
+
+
+def test_a_run_in_which_nothing_is_asked_has_no_answers() -> None:
+    assert answers(run_of(np.full(20, 100.0), 1e4, np.full(20, 100.0))) == ()
+
+
+def test_a_step_of_the_schedule_under_an_order_is_none_of_the_plant() -> None:
+    commitment = np.array([100.0] * 10 + [300.0] * 10)
+    run = run_of(commitment, 1e4, np.full(20, 200.0))
+    ordered = replace(run, dispatch_kw=np.full(20, 200.0), orders=((5, order(5, 200.0)),))
+    assert [one.asked for one in answers(ordered)] == ["command"]
+
+
+def test_orders_that_follow_each_other_are_one_signal_with_a_score() -> None:
+    at = np.arange(0, 600, 4)
+    powers = 500.0 + 200.0 * np.sin(2.0 * np.pi * at / 200.0)
+    dispatch = np.repeat(powers, 4)
+    orders = tuple(
+        (int(cycle), order(int(cycle), kw)) for cycle, kw in zip(at, powers, strict=True)
+    )
+    run = run_of(np.full(600, 100.0), 1e4, dispatch)
+    (found,) = answers(replace(run, dispatch_kw=dispatch, orders=orders))
+    assert found.orders == 150
+    assert found.score == pytest.approx(1.0)
+    still = run_of(np.full(600, 100.0), 1e4, np.full(600, 500.0))
+    (found,) = answers(replace(still, dispatch_kw=dispatch, orders=orders))
+    assert found.score is not None
+    assert found.score < 0.4
+
+
+def test_budgets_name_what_each_answer_missed() -> None:
+    slow = answered([500.0] * 10, [200, 470, 530, 515, 505, 505, 505, 505, 505, 505])
+    never = answered([500.0] * 10, [300.0] * 10)
+    sunless = answered([500.0] * 10, [300.0] * 10, available_kw=300.0)
+    limits = AnswerBudgets(to_90_s=4.0, settling_s=9.0, overshoot_percent=2.0, error_percent=0.5)
+    found = judged((slow, never, sunless), limits)
+    assert [one.missed for one in found] == [
+        ("settling_s", "overshoot_percent"),
+        ("settling_s",),
+        (),
+    ]
+    assert [one.verdict for one in found] == [False, False, True]
+    assert [one.verdict for one in judged((slow,), None)] == [None]
