@@ -67,7 +67,7 @@ def _cloudy_sky(scenario_file: ScenarioFile, table: CloudIrradiance, seed: int |
 
 def _measured_sky(scenario_file: ScenarioFile, table: MeasuredIrradiance) -> MeasuredPlant:
     path, positions = (scenario_file.data_path(name) for name in (table.ghi, table.positions))
-    irradiance = read_measured_ghi(path, positions, table.stations)
+    irradiance = read_measured_ghi(path, positions, table.stations, table.longest_filled_s)
     sky = _at_the_sensors(scenario_file, irradiance, len(irradiance.sensors))
     return measured_sky(sky, irradiance)
 
@@ -122,4 +122,5 @@ def _measured_plant(scenario_file: ScenarioFile, table: DcCurrents) -> MeasuredP
         table.full_power_current,
         pd.Timestamp(local_start(scenario.time)).tz_convert("UTC").as_unit("ns"),
         scenario.plant.rating_kw,
+        table.longest_filled_s,
     )

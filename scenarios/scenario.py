@@ -126,7 +126,25 @@ class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
     clear_until: datetime | None = None
 
 
-class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
+class _MeasuredSeries(_Table, frozen=True):
+    """What is done with the gaps of a measured series.
+
+    fill: Fill gaps on straight lines in time, or refuse them.
+    max_gap_s: A longer gap is refused [s].
+    """
+
+    fill: Literal["refuse", "interpolate"] = "refuse"
+    max_gap_s: Annotated[float, Meta(gt=0.0, le=LONGEST_S)] = 60.0
+
+    @property
+    def longest_filled_s(self) -> float | None:
+        """The longest gap that is filled [s]; None: none is."""
+        return self.max_gap_s if self.fill == "interpolate" else None
+
+
+class MeasuredIrradiance(
+    _MeasuredSeries, frozen=True, kw_only=True, tag="measured", tag_field="kind"
+):
     """Measured irradiance: a CSV of GHI with one column for each station, and their positions.
 
     ghi: CSV: time stamps, then one column of GHI [W/m^2] for each station.
@@ -156,7 +174,7 @@ class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind")
     most_missing: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.1
 
 
-class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
+class DcCurrents(_MeasuredSeries, frozen=True, kw_only=True, tag="dc-current", tag_field="kind"):
     """Power from the measured DC currents of a real plant's combiners, without irradiance.
 
     currents: CSV: `t_s` (0 at `time.start`), then one column for each combiner.
@@ -350,9 +368,10 @@ class ScenarioFile(msgspec.Struct, frozen=True):
         for folder in (self.path.parent, self.data_folder, _SHIPPED):
             if (folder / name).exists():
                 return folder / name
+        where = "docs/data.md says where its data come from"
         raise InputError(
             f"{name}: expected it beside the scenario, in the folder of --data, or beside the "
-            "shipped scenarios, got none"
+            f"shipped scenarios, got none{f'; {where}' if self.path.parent == _SHIPPED else ''}"
         )
 
 

@@ -6,13 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from bus_schemas.errors import InputError
+from bus_schemas.errors import InputError, listed
 from sim_plant import Floats
+
+_MISSING: Final = ("", "nan", "na", "null")
+"""What programs write where a value is missing, in lower case."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,17 +76,18 @@ class CsvTable:
     ) -> Floats:
         """Return columns as numbers from `low` to `high`, shape (rows, columns).
 
-        An empty field is an error, or NaN if `empty_is_missing`.
+        An empty field and `NaN` are an error, or NaN if `empty_is_missing`.
         """
         found = [pd.to_numeric(self.text(name), errors="coerce") for name in columns]
         values = np.column_stack(found).astype(np.float64)
         bad = ~((values >= low) & (values <= high) & np.isfinite(values))
         if empty_is_missing:
-            empty = np.column_stack([self.text(name).str.strip() == "" for name in columns])
-            bad &= ~empty
+            texts = [self.text(name).str.strip().str.lower() for name in columns]
+            bad &= ~np.column_stack([text.isin(_MISSING) for text in texts])
         if bad.any():
             row, column = np.argwhere(bad)[0]
-            raise self.error(int(row), columns[column], expected)
+            more = f" and {bad.sum() - 1:,} more such fields" if bad.sum() > 1 else ""
+            raise InputError(f"{self.error(int(row), columns[column], expected)}{more}")
         return values
 
     def times(self, column: str) -> pd.DatetimeIndex:
@@ -98,27 +103,45 @@ class CsvTable:
             raise self.error(int(times.isna().argmax()), column, expected)
         return pd.DatetimeIndex(times.dt.as_unit("ns")).rename(None)
 
-    def seconds_ns(self, column: str) -> NDArray[np.int64]:
-        """Return a column of two or more seconds that keep one step, in ns."""
+    def seconds_ns(self, column: str, *, may_lack: bool = False) -> NDArray[np.int64]:
+        """Return a column of two or more seconds that keep one step, in ns; see `check_steady`."""
         second = self.numbers((column,), "a number of seconds", -1e9, 1e9)[:, 0]
         time_ns: NDArray[np.int64] = np.rint(second * 1e9).astype(np.int64)
-        self.check_steady(column, time_ns)
+        self.check_steady(column, time_ns, may_lack=may_lack)
         return time_ns
 
     def check_length(self) -> None:
         if len(self.fields) < 2:
             raise InputError(f"{self.name}: expected at least 2 rows, got {len(self.fields)}")
 
-    def check_steady(self, column: str, time_ns: NDArray[np.int64]) -> None:
-        """Refuse the times of a column unless they are two or more that keep one step above 0."""
+    def check_steady(
+        self, column: str, time_ns: NDArray[np.int64], *, may_lack: bool = False
+    ) -> None:
+        """Refuse the times of a column unless they are two or more that keep one step above 0.
+
+        All lines that break the step are named at once. Times may be missing with `may_lack`.
+        """
         self.check_length()
         step_ns = np.diff(time_ns)
         # The median, so that one gap at the top of the file is not taken for its step.
-        usual_ns = float(np.median(step_ns))
-        bad = np.flatnonzero((step_ns != usual_ns) | (step_ns <= 0))
+        usual_ns = max(float(np.median(step_ns)), 1.0)
+        lacks = (step_ns > usual_ns) & (step_ns % usual_ns == 0)
+        repeated, back = step_ns == 0, step_ns < 0
+        out_of_step = (step_ns != usual_ns) & ~(lacks | repeated | back)
+        kinds = {"repeated": repeated, "earlier": back, "out of step": out_of_step}
+        if not may_lack:
+            kinds["after missing times"] = lacks
+        bad = np.flatnonzero(np.any(list(kinds.values()), axis=0))
         if bad.size:
+            lines = self.fields.index[1:].to_numpy() + 1
+            told = [
+                f"{kind}: {listed(list(map(str, lines[rows])))}"
+                for kind, rows in kinds.items()
+                if rows.any()
+            ]
             expected = f"times in one step above 0, here mostly {usual_ns / 1e9:g} s"
-            raise self.error(int(bad[0]) + 1, column, expected)
+            error = self.error(int(bad[0]) + 1, column, expected)
+            raise InputError(f"{error} (all such lines: {'; '.join(told)})")
 
 
 def read_csv(path: Path, header: tuple[str, ...] = ()) -> CsvTable:

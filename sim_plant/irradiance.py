@@ -10,6 +10,7 @@ import pandas as pd
 from bus_schemas.errors import InputError, listed
 from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
+from sim_plant.time_gaps import without_gaps
 
 GHI_MIN_WM2 = -10.0
 GHI_MAX_WM2 = 2000.0
@@ -26,13 +27,15 @@ class Irradiance:
         negative.
     coordinates: `lat` and `lon` of each sensor [degree], north and east positive.
     source: The file.
-    report: A line for each sensor that was filled or left out.
+    report: Lines on what was filled or left out.
+    longest_gap_s: Longest gap that was filled on straight lines in time.
     """
 
     ghi_wm2: pd.DataFrame
     coordinates: pd.DataFrame
     source: str
     report: tuple[str, ...] = ()
+    longest_gap_s: float = 0.0
 
     @property
     def times(self) -> pd.DatetimeIndex:
@@ -44,14 +47,17 @@ class Irradiance:
 
 
 def read_measured_ghi(
-    ghi_csv: Path, positions_csv: Path, stations: Sequence[str] | None = None
+    ghi_csv: Path,
+    positions_csv: Path,
+    stations: Sequence[str] | None = None,
+    max_gap_s: float | None = None,
 ) -> Irradiance:
     """Read measured GHI and the coordinates of the sensors from two CSV files.
 
     The first column of `ghi_csv`, whatever its header, is the time stamp, with its offset from UTC
-    and in constant steps. Every other column is one sensor, named by the header, in W/m^2. No
-    value may be missing. Pyranometers read a little below zero at night: values from -10 to 0 W/m^2
-    are set to 0.
+    and in constant steps. Every other column is one sensor, named by the header, in W/m^2. Gaps of
+    at most `max_gap_s` are filled; by default there may be none. Pyranometers read a little below
+    zero at night: values from -10 to 0 W/m^2 are set to 0.
 
     `stations` are the sensors wanted, in this order. By default they are all columns of `ghi_csv`,
     which must then be all stations of `positions_csv`: a file that lacks some is that of a smaller
@@ -70,10 +76,14 @@ def read_measured_ghi(
     wanted = tuple(known if stations is None else stations)
     check_stations(wanted, known, f"{table.name}: line 1: stations")
     coordinates = read_coordinates(positions_csv, wanted)
-    ghi_wm2 = checked_ghi(table, wanted, table.numbers(wanted, "a number in W/m2"))
-    times = table.times(stamp)
-    table.check_steady(stamp, times.asi8)
-    return Irradiance(ghi_wm2.set_index(times), coordinates, str(ghi_csv))
+    may_lack, expected = max_gap_s is not None, "a number in W/m2"
+    if not may_lack:
+        expected += " (irradiance.fill = 'interpolate' fills gaps)"
+    numbers = table.numbers(wanted, expected, empty_is_missing=may_lack)
+    ghi_wm2, times = checked_ghi(table, wanted, numbers), table.times(stamp)
+    filled = without_gaps(table, stamp, times.asi8, ghi_wm2, max_gap_s)
+    complete = filled.values.set_axis(pd.DatetimeIndex(filled.values.index, tz="UTC"))
+    return Irradiance(complete, coordinates, str(ghi_csv), filled.report, filled.longest_gap_s)
 
 
 def read_coordinates(path: Path, stations: Sequence[str]) -> pd.DataFrame:

@@ -20,7 +20,7 @@ COMMANDS: Final = {
     "Look": ("view", "report", "inspect", "verify", "replay"),
     "Compare": ("compare", "campaign"),
     "Files": ("export", "recover"),
-    "Set up": ("doctor", "keys"),
+    "Set up": ("init", "doctor", "keys"),
 }
 """The commands under the headings of `heliarch --help`."""
 

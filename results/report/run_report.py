@@ -87,7 +87,7 @@ def _budgets(reader: RunReader) -> AnswerBudgets | None:
 
 
 def _notes(reader: RunReader) -> list[str]:
-    """Return what the recording says about the run."""
+    """Return what the recording, and the summary beside it, say about the run."""
     scenario, origin = reader.scenario_table(), reader.metadata.get("run", {})
     notes = [
         f"Scenario: {scenario.get('title', reader.plan.plant)}.",
@@ -96,6 +96,8 @@ def _notes(reader: RunReader) -> list[str]:
     ]
     if scenario.get("neighbours", {}).get("history") == "hindsight":
         notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
+    summary = summary_in(reader.path.parent, reader.plan, RunSummary)
+    notes += summary.run.remarks if summary else ()
     if not reader.whole:
         notes.append("The recording is incomplete: the report shows the part that it holds.")
     return notes

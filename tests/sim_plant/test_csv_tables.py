@@ -61,6 +61,18 @@ def test_seconds_keep_one_step(tmp_path: Path, times: list[int], place: str) -> 
     assert complaint_of(table.seconds_ns, "s").startswith(place)
 
 
+def test_all_lines_that_break_the_step_are_named_at_once(tmp_path: Path) -> None:
+    table = read(tmp_path, "\n".join(["s", *map(str, [0, 1, 1, 2, 3, 6, 7, 5, 6, 7, 7.5, 8.5])]))
+    assert complaint_of(table.seconds_ns, "s").endswith(
+        "(all such lines: repeated: 4; earlier: 9; out of step: 12; after missing times: 7)"
+    )
+
+
+def test_the_number_of_wrong_fields_is_told_beside_the_first(tmp_path: Path) -> None:
+    table = read(tmp_path, TEXT.replace(",3,", ",x,"))
+    assert complaint_of(table.numbers, ("a", "b")).endswith("got 'x' and 1 more such fields")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [

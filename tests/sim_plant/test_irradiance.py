@@ -30,11 +30,15 @@ Read = Callable[..., Irradiance]
 @pytest.fixture
 def read(tmp_path: Path) -> Read:
     def read_texts(
-        ghi: str = GHI, positions: str = POSITIONS, stations: list[str] | None = None
+        ghi: str = GHI,
+        positions: str = POSITIONS,
+        stations: list[str] | None = None,
+        max_gap_s: float | None = None,
     ) -> Irradiance:
         (tmp_path / "ghi.csv").write_text(ghi, encoding="utf-8")
         (tmp_path / "positions.csv").write_text(positions, encoding="utf-8")
-        return read_measured_ghi(tmp_path / "ghi.csv", tmp_path / "positions.csv", stations)
+        paths = tmp_path / "ghi.csv", tmp_path / "positions.csv"
+        return read_measured_ghi(*paths, stations, max_gap_s)
 
     return read_texts
 
@@ -86,6 +90,51 @@ def test_a_file_that_lacks_a_station_is_not_taken_for_a_smaller_plant(read: Read
     more = POSITIONS + "DH9,21.3,-158.0,0.0\n"
     assert "got none for DH9" in complaint_of(read, positions=more)
     assert read(positions=more, stations=["DH3", "DH4"]).sensors == ("DH3", "DH4")
+
+
+GAPS = """\
+utc,DH3,AP1,DH4
+2010-04-01T20:00:00Z,NaN,790,100
+2010-04-01T20:00:01Z,801,,110
+2010-04-01T20:00:04Z,804,802,140
+2010-04-01T20:00:05Z,805,803,150
+"""
+
+
+def test_missing_values_and_lines_are_filled_on_straight_lines_and_told(read: Read) -> None:
+    found = read(GAPS, max_gap_s=3.0)
+    assert (found.times == pd.date_range("2010-04-01T20:00:00Z", periods=6, freq="s")).all()
+    expected = [
+        *([801.0, 790.0, 100.0], [801.0, 793.0, 110.0], [802.0, 796.0, 120.0]),
+        *([803.0, 799.0, 130.0], [804.0, 802.0, 140.0], [805.0, 803.0, 150.0]),
+    ]
+    np.testing.assert_allclose(found.ghi_wm2, expected)
+    (line,) = found.report
+    assert line.startswith("ghi.csv: 8 of 18 values were missing, in gaps of at most 3 s")
+    assert line.endswith("DH3 3, AP1 3, DH4 2")
+
+
+def test_a_file_without_gaps_is_read_the_same_whether_gaps_are_filled_or_not(read: Read) -> None:
+    refused, filled = read(), read(max_gap_s=3.0)
+    pd.testing.assert_frame_equal(refused.ghi_wm2, filled.ghi_wm2, check_freq=False)
+    assert filled.report == ()
+
+
+@pytest.mark.parametrize(
+    ("ghi", "named"),
+    [
+        (GAPS, ["at most 2 s", "3 s of AP1 (see line 2)"]),
+        (GAPS.replace("804,", ",").replace("801,", ",").replace("805,", ","), ["6 s of DH3"]),
+        (
+            GAPS.replace("00:01Z", "00:00Z").replace("00:05Z", "00:03Z"),
+            ["repeated: 3", "earlier: 5"],
+        ),
+        (GAPS.replace("00:04Z", "00:03.5Z"), ["out of step: 3"]),
+    ],
+)
+def test_what_cannot_be_filled_is_refused(read: Read, ghi: str, named: list[str]) -> None:
+    complaint = complaint_of(read, ghi, max_gap_s=2.0)
+    assert [one for one in named if one not in complaint] == []
 
 
 def test_kilowatts_are_recognised(read: Read) -> None:

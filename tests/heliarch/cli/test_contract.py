@@ -24,7 +24,7 @@ from order_desks import obeying_plant
 from plans_by_hand import with_changes
 from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 from replayed_runs import PLAN, run_in_memory, write
-from running import small_plant
+from running import REPOSITORY, small_plant
 from timed_recordings import cycle, recorded
 
 from heliarch.cli.app import COMMANDS, run_command
@@ -40,6 +40,7 @@ QUICK: Final = {
     "inverters": "small.toml --duration 1 --port 0",
     "conform": "c1/inv01 --scenario small.toml --pace max --external-timeout 0.1 --command true",
     "scenarios": "",
+    "init": "positions.csv ghi.csv --out new.toml",
     "order": "RUN 100kW",
     "view": "RUN",
     "report": "RUN",
@@ -72,7 +73,7 @@ each way to work."""
 
 @pytest.fixture(scope="module")
 def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a scenario, a plan for another host, and two recorded runs."""
+    """A folder with a scenario, its own data, a plan for another host, and two recorded runs."""
     path = tmp_path_factory.mktemp("master")
     small_plant(path)
     ports = dict.fromkeys(PLAN.links.listening, 7_999)
@@ -80,6 +81,8 @@ def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "there.json").write_bytes(there.as_json())
     (path / "here.json").write_bytes(PLAN.as_json())
     write(path / "run", run_in_memory())
+    for name in ("positions.csv", "ghi.csv"):
+        shutil.copy(REPOSITORY / "examples" / "own_plant" / name, path)
     (path / "timed").mkdir()
     recorded(path / "timed", cycle(0), cycle(1))
     return path
@@ -99,7 +102,7 @@ def words_of(name: str, folder: Path) -> list[str]:
 
 
 def with_json(names: list[str]) -> list[str]:
-    return [name for name in names if name not in {"view", "report", "inverters", "node"}]
+    return [name for name in names if name not in {"view", "report", "inverters", "node", "init"}]
 
 
 def test_every_command_is_held_to_the_contract() -> None:
@@ -252,6 +255,7 @@ def test_options_that_do_not_go_together_are_refused(words: str, folder: Path) -
         ("simulate --sceme paper", "--scheme"),
         ("simulate --scheme papre", "paper"),
         ("simulate oahuu", "oahu"),
+        ("simulate hope-melpitz", "docs/data.md"),
         ("simulate small.toml --set comitment.share=0.3", "commitment"),
         ("inspect run --nodes c1/aa", "c1/a"),
     ],

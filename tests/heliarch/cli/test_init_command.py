@@ -1,0 +1,65 @@
+"""`heliarch init`: the scenario that it writes runs as it is, and says how good the data are."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import done, refusal
+from running import REPOSITORY
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with the two files of a plant in a folder of their own."""
+    shutil.copytree(REPOSITORY / "examples" / "own_plant", tmp_path / "measured")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run_it(scenario: str) -> tuple[list[str], str]:
+    """Run a scenario; return what its summary remarks and its report say."""
+    done("simulate", scenario, "--out", "run", "--report", "--json", "summary.json")
+    summary = json.loads(Path("summary.json").read_text(encoding="utf-8"))
+    assert summary["cycles"] == 61
+    return summary["run"]["remarks"], Path("run/report.html").read_text(encoding="utf-8")
+
+
+def test_the_scenario_runs_at_once(folder: Path) -> None:
+    printed = done("init", "measured/positions.csv", "measured/ghi.csv", "--out", "plant.toml")
+    assert "heliarch simulate plant.toml" in printed
+    assert run_it("plant.toml")[0] == []
+
+
+def test_gaps_are_filled_and_told_in_scenario_summary_and_report(folder: Path) -> None:
+    ghi = folder / "measured" / "ghi.csv"
+    lines = ghi.read_text(encoding="utf-8").splitlines()
+    lines[9] = ",".join([*lines[9].split(",")[:3], "NaN", *lines[9].split(",")[4:]])
+    del lines[5:7]
+    ghi.write_text("\n".join(lines), encoding="utf-8")
+    done("init", "measured/positions.csv", "measured/ghi.csv")
+    told = "ghi.csv: 13 of 366 values were missing, in gaps of at most 20 s"
+    assert told in (folder / "my-plant.toml").read_text(encoding="utf-8")
+    (remark,), report = run_it("my-plant.toml")
+    assert remark.startswith(told)
+    assert remark in report
+
+
+def test_stations_without_a_position_are_left_out_and_none_at_all_is_refused(folder: Path) -> None:
+    positions = folder / "measured" / "positions.csv"
+    header, first, *_ = positions.read_text(encoding="utf-8").splitlines()
+    positions.write_text(f"{header}\n{first}\n", encoding="utf-8")
+    done("init", "measured/positions.csv", "measured/ghi.csv")
+    assert 'stations = ["p1"]' in (folder / "my-plant.toml").read_text(encoding="utf-8")
+    run_it("my-plant.toml")
+    positions.write_text(f"{header}\n{first.replace('p1', 'q1')}\n", encoding="utf-8")
+    assert "ghi.csv: line 1" in refusal(
+        "init", "measured/positions.csv", "measured/ghi.csv", "--out", "other.toml"
+    )
+
+
+def test_it_replaces_no_file(folder: Path) -> None:
+    (folder / "my-plant.toml").touch()
+    assert "--out" in refusal("init", "measured/positions.csv", "measured/ghi.csv")
