@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 from itertools import count
-from typing import Any
+from typing import Any, Final
 
 from agents.loop import Loop
 from bus_schemas.bus import Arrival, Bus
 from bus_schemas.messages import Message
-from bus_schemas.signals import DISPATCH, Occurrence, Port
+from bus_schemas.signals import DISPATCH, SIGNALS, Occurrence, Port
+
+_LEADING: Final = frozenset(
+    {DISPATCH, *(one for one in SIGNALS if one.occurrence is Occurrence.EVENT)}
+)
+"""Signals that may take an agent elsewhere: into the run when it begins, or when it has begun."""
 
 
 class Driver:
@@ -90,9 +95,7 @@ class Driver:
         for agent, port, message, time_ns in arrivals:
             loop = self.loops[agent]
             loop.hear(port, message, time_ns)
-            # The beginning of the run, or a dispatch that takes it into a run that has begun.
-            is_event = port.signal.occurrence is Occurrence.EVENT
-            if not loop.waiting or is_event or port.signal is DISPATCH:
+            if not loop.waiting or port.signal in _LEADING:
                 self.advance(loop)
 
     def _close(self, loop: Loop[Any]) -> None:

@@ -27,6 +27,8 @@ _NONE_YET: Final = -(2**62)
 _COUNT_IN_ARMING: Final = frozenset({"wrong_sender", "out_of_range"})
 """The other causes do not: arming rounds overlap while links come up."""
 
+_JOINED: Final = "is of a process that joined in cycle"
+
 
 def log_drop(count: int, why: str) -> None:
     """Log the first ten dropped messages of a kind, then the 16th, 32nd, 64th and so on."""
@@ -102,11 +104,10 @@ class Inputs:
         Nothing changes before. `enters`: The message takes the agent into its cycle.
         """
         of, incarnation = message.cycle, message.incarnation
-        joined = f"is of a process that joined in cycle {incarnation}"
         if incarnation < one.incarnation:
-            cause, why = "wrong_sender", f"{joined}, since replaced"
+            cause, why = "wrong_sender", f"{_JOINED} {incarnation}, since replaced"
         elif incarnation > max(of, 0):
-            cause, why = "out_of_range", f"{joined}, which is yet to come"
+            cause, why = "out_of_range", f"{_JOINED} {incarnation}, which is yet to come"
         elif of >= self._cycles or (of > max(cycle, 0) + self._horizon and not enters):
             cause, why = "wrong_cycle", f"is too far from {cycle}"
         elif of <= one.newest_cycle:

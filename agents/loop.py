@@ -100,14 +100,19 @@ class Loop(Generic[S]):
         if message.source != port.publisher:
             why = f"is from {message.source!r}"
             self.inputs.drop("wrong_sender", port, message, why, self.cycle)
-        elif isinstance(message, Run):
-            self._hear_run(port, message, time_ns)
-        elif isinstance(message, GivenUp):
-            self.give_up(message.agents, time_ns)
-        elif isinstance(message, Order):
-            self.inputs.hear_order(port, message, self.cycle)
-        elif one is not None and not message.cycle < 0 <= self.cycle:  # None of an arming round.
+        elif one is None:
+            self._hear_event(port, message, time_ns)
+        elif not message.cycle < 0 <= self.cycle:  # None of an arming round.
             self._hear_input(one, message, time_ns)
+
+    def _hear_event(self, port: Port[Message], message: Message, time_ns: int) -> None:
+        match message:
+            case Run():
+                self._hear_run(port, message, time_ns)
+            case GivenUp():
+                self.give_up(message.agents, time_ns)
+            case Order():
+                self.inputs.hear_order(port, message, self.cycle)
 
     def _hear_input(self, one: Input, message: Message, time_ns: int) -> None:
         inputs, standby, port = self.inputs, self.standby, one.port

@@ -203,7 +203,8 @@ class ZenohBus(AgentSessions):
                     if port.publisher == PLANT:
                         self._clock.hear(message.publish_time_ns, time_ns)
                     came_ns = self._clock.at(time_ns)
-                arrivals += (Arrival(name, port, message, came_ns) for name in self._hearers[port])
+                for name in self._hearers[port]:
+                    arrivals.append(Arrival(name, port, message, came_ns))
         return arrivals
 
 
