@@ -28,7 +28,6 @@ class Driver:
         self.loops = {loop.name: loop for loop in loops}
         self.bus = bus
         self.now_ns = now_ns
-        self._only = next(iter(self.loops.values())) if len(self.loops) == 1 else None
         # The numbers keep the order of deadlines at one moment, and names uncompared.
         self._numbers = count()
         self._deadlines: list[tuple[int, int, str]] = []
@@ -82,7 +81,8 @@ class Driver:
 
     @property
     def _wanted(self) -> int:
-        return len(self._only.waiting) or 1 if self._only is not None else 1
+        """The least number of messages with which one of the agents can go on."""
+        return min((len(one.waiting) for one in self.loops.values() if one.waiting), default=1)
 
     def _until_ns(self, longest_ns: int | None) -> int | None:
         until_ns = self._next_deadline_ns()

@@ -11,7 +11,7 @@ import pytest
 from complaints import complaint_of
 from plans_by_hand import plan_of
 
-from agents.plan import load_plan
+from agents.plan import check_plan, load_plan
 from launch_scripts.process import main
 
 PLAN = plan_of({"c1/a": 470.5, "c1/b": 1 / 3, "c2/a": 1e6}, cycles=3600, period_cycles=(10, 1))
@@ -71,3 +71,35 @@ def test_a_process_started_by_hand_must_be_one_of_the_run(
     monkeypatch.setattr("sys.argv", ["process", node, "--plan", str(path)])
     assert main() == 2
     assert node in capsys.readouterr().err
+
+
+TALL = dict.fromkeys(("z1/c1/a", "z1/c1/b", "z1/c2/c", "z2/c3/d"), 100.0)
+
+
+def test_an_agent_is_in_the_process_of_the_nearest_group_above_it_on_its_host() -> None:
+    away = {"z1/c2": "10.0.0.2", "z1/c2/c": "10.0.0.2", "z2/c3/d": "10.0.0.2"}
+    plan = plan_of(
+        TALL,
+        groups=("z1", "z1/c1", "z2"),
+        external=("z1/c1/b",),
+        addresses=away,
+        standby=("central",),
+    )
+    assert plan.processes == (
+        *("recorder", "plant", "central", "z1", "z2", "z1/c1", "z1/c2"),
+        *("z1/c1/b", "z1/c2/c", "z2/c3/d"),
+    )
+    assert plan.wiring.members_of("z1/c1") == ("z1/c1", "z1/c1/a")
+    assert plan.wiring.members_of("z2") == ("z2", "z2/c3")
+    assert "z1/c1+standby" not in plan.members
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"groups": ("z9",)}, "processes: expected any of central, z1"),
+        ({"groups": ("z1",), "standby": ("z1/c1",)}, "standby: expected parents with a process"),
+    ],
+)
+def test_groups_that_cannot_be_are_refused(changes: dict[str, object], complaint: str) -> None:
+    assert complaint_of(check_plan, plan_of(TALL, **changes)).startswith(complaint)
