@@ -47,7 +47,7 @@ from launch_scripts.watch import SILENT_S, Externals, Hearing, Watch
 from results.run_summary import RunSummary
 from scenarios.elsewhere import check_devices, listening
 from scenarios.preparation import Preparation
-from sunspec.process import GatewayProcess
+from sunspec.process import GatewayProcess, PlantUnitProcess
 
 _ARMING_S: Final = 60.0
 """How long it may take to cycle 0 once no more processes come onto the bus. The plant gives up
@@ -354,8 +354,12 @@ def launch(
         if gateway is not None:
             gateway.join(folder.path)
         own = tuple(agent for agent in plan.processes if agent not in plan.elsewhere)
+        address = preparation.options.operator
         try:
-            with Children(server, plan, own, folder.logs) as children:
+            with (
+                Children(server, plan, own, folder.logs) as children,
+                PlantUnitProcess(address, folder.path) if address is not None else nullcontext(),
+            ):
                 return _Launch(account, view, children, gateway, interruption).run()
         except FailureError as failure:
             with suppress(OSError):  # The disk may be full: that must not hide the failure.

@@ -19,6 +19,7 @@ from scenarios.elsewhere import read_address, split_devices
 from scenarios.fault_rules import parse_fault
 from scenarios.real_time import machine_settings, parse_pace
 from scenarios.times import parse_duration_s, parse_time
+from sunspec.addresses import parse_address
 
 LARGEST_SEED = 2**32
 LONGEST_WAIT_S = 86_400.0
@@ -139,6 +140,9 @@ class ProcessOptions:
     devices
         Use a real inverter, over Modbus TCP: NODE=modbus://10.0.0.7/1. With one for each inverter,
         meter=ADDRESS is the plant's real meter. May be given several times.
+    operator
+        Take orders over Modbus TCP at this address: modbus://127.0.0.1:5030. The plant is one
+        SunSpec unit there.
     external_timeout_s
         How long to wait for external agents and other hosts. Once all are there, they have 30 s
         to answer the arming rounds.
@@ -165,6 +169,7 @@ class ProcessOptions:
 
     external: Annotated[_Texts, Parameter(metavar="AGENT", group=DEVICES)] = None
     devices: Annotated[_Texts, Parameter("--device", metavar="NODE=ADDRESS", group=DEVICES)] = None
+    operator: Annotated[str | None, Parameter(metavar="ADDRESS", group=DEVICES)] = None
     external_timeout_s: Annotated[
         float, Parameter("--external-timeout", metavar="SECONDS", group=DEVICES)
     ] = 60.0
@@ -178,6 +183,8 @@ class ProcessOptions:
 
     def __post_init__(self) -> None:
         split_devices(self.devices or ())
+        if self.operator is not None:
+            parse_address(self.operator, "--operator")
         _check_range("--external-timeout", self.external_timeout_s, 0.001, LONGEST_WAIT_S)
         read_address(self.address)
         for text in self.on or ():

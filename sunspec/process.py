@@ -72,6 +72,19 @@ def log_in(folder: Path) -> Path:
     return folder / "logs" / "gateway.log"
 
 
+class PlantUnitProcess(SideProcess):
+    """The process that serves the plant as one Modbus unit, beside a run."""
+
+    def __init__(self, address: str, folder: Path) -> None:
+        words = ("sunspec.plant_unit", address, str(folder.absolute()))
+        super().__init__(*words, stdout=subprocess.PIPE)
+        assert self.process.stdout is not None
+        refusal = os.fsdecode(self.process.stdout.readline())
+        if refusal != "\n":
+            self.close()
+            raise InputError(refusal.strip() or "--operator: pip install 'heliarch[modbus]'")
+
+
 class GatewayProcess(SideProcess):
     """The gateway's process, as its launcher sees it. It ends with the context."""
 

@@ -7,7 +7,7 @@ what is written to the points of a limit, or to `Conn`, is applied to the invert
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from math import ceil, inf, log10, sqrt
 from typing import Any, Final, TypeAlias
 
@@ -39,7 +39,8 @@ class Registers:
 
     points: Returns its present points; the first model is the common one, 1.
     write_limit: Called with a model's number and the fields of `LimitSettings` that were written
-        to it. Not used for units without a model of `LIMIT_POINTS`.
+        to it. Not used for units without a model of `writable`.
+    writable: By model, the points that may be written, and the fields that they set.
     """
 
     def __init__(
@@ -47,8 +48,9 @@ class Registers:
         unit: int,
         points: Callable[[], Points],
         write_limit: Callable[[int, dict[str, Any]], None] | None = None,
+        writable: Mapping[int, Mapping[str, str]] = LIMIT_POINTS,
     ) -> None:
-        self._points, self._write_limit = points, write_limit
+        self._points, self._write_limit, self._writable = points, write_limit, writable
         self._models: dict[int, Model] = {}
         image = bytearray(_SUNS)
         for number, values in points().items():
@@ -85,7 +87,7 @@ class Registers:
 
     def _write(self, model: Model, first: int, values: list[int]) -> ExcCodes | None:
         """Take points of a limit, all of them or none."""
-        known = LIMIT_POINTS.get(model.model_id, {})
+        known = self._writable.get(model.model_id, {})
         data = struct.pack(f">{len(values)}H", *values)
         written: dict[str, Any] = {}
         for name, point in model.points.items():
@@ -131,7 +133,7 @@ def inverter_device(
     def current() -> Points:
         at = now()
         inverter.advance(at)
-        return _common("simulated inverter", name, unit) | points(inverter, at)
+        return common_points("simulated inverter", name, unit) | points(inverter, at)
 
     def write(model: int, written: dict[str, Any]) -> None:
         renews = written.keys() != {"connected"}
@@ -152,23 +154,29 @@ def meter_device(
 ) -> SimDevice:
     """Return the meter where a plant is connected: power fed in is positive."""
     inverters = list(inverters)
-    sf = _scale(1e3 * sum(inverter.rating_kw for inverter in inverters))
+    rating_kw = sum(inverter.rating_kw for inverter in inverters)
 
     def current() -> Points:
         at = now()
         for inverter in inverters:
             inverter.advance(at)
         watts = 1e3 * sum(inverter.power_kw(at) for inverter in inverters)
-        energy = sum(inverter.energy_kwh for inverter in inverters)
-        amperes = _amperes(watts)
-        measured: dict[str, float | str] = {
-            "A_SF": 1, "V_SF": 0, "Hz_SF": -2, "W_SF": sf, "TotWh_SF": 3, "A": amperes,
-            "AphA": amperes, "AphB": amperes, "AphC": amperes, "PhV": _VOLTS / sqrt(3.0),
-            "PPV": _VOLTS, "Hz": 60, "W": watts, "TotWhExp": 1e3 * energy, "TotWhImp": 0, "Evt": 0,
-        }  # fmt: skip
-        return _common("plant meter", "meter", unit) | {203: measured}
+        energy_kwh = sum(inverter.energy_kwh for inverter in inverters)
+        what = common_points("plant meter", "meter", unit)
+        return what | {203: meter_points(watts, energy_kwh, rating_kw)}
 
     return Registers(unit, current).device
+
+
+def meter_points(watts: float, energy_kwh: float, rating_kw: float) -> dict[str, float | str]:
+    """Return the points of model 203, where a plant of a rating is connected."""
+    amperes = _amperes(watts)
+    return {
+        "A_SF": 1, "V_SF": 0, "Hz_SF": -2, "W_SF": _scale(1e3 * rating_kw), "TotWh_SF": 3,
+        "A": amperes, "AphA": amperes, "AphB": amperes, "AphC": amperes,
+        "PhV": _VOLTS / sqrt(3.0), "PPV": _VOLTS, "Hz": 60, "W": watts,
+        "TotWhExp": 1e3 * energy_kwh, "TotWhImp": 0, "Evt": 0,
+    }  # fmt: skip
 
 
 def inverter_points(inverter: LimitedInverter, at: float) -> Points:
@@ -232,7 +240,7 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
     }  # fmt: skip
 
 
-def _common(what: str, name: str, unit: int) -> Points:
+def common_points(what: str, name: str, unit: int) -> Points:
     return {1: {"Mn": "Heliarch", "Md": what, "SN": name[-32:], "Vr": "1", "DA": unit}}
 
 

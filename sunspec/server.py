@@ -85,13 +85,13 @@ def served(
     ]
     with (
         start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(_listening(devices, host, port)) as addresses,
+        portal.wrap_async_context_manager(listening(devices, host, port)) as addresses,
     ):
         yield addresses
 
 
 @asynccontextmanager
-async def _listening(
+async def listening(
     devices: Iterable[dict[str, SimDevice]], host: str, port: int
 ) -> AsyncIterator[dict[str, str]]:
     """Serve devices at one port after the other; gives their addresses."""
