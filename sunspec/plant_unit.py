@@ -58,7 +58,7 @@ class UnitSettings(msgspec.Struct, frozen=True):
     set_in_w: Annotated[int, Meta(ge=1, le=1)] = 1
     set_w: Annotated[float, Meta(ge=0.0)] = 0.0
     set_revert_s: _RevertS = 0
-    ramp_percent_per_s: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
+    ramp_percent_per_s: Annotated[int, Meta(ge=0, le=1_000)] = 0
 
     def order(self, rating_kw: float) -> GivenOrder:
         power_kw, hold_s = None, 0

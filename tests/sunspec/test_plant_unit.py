@@ -1,0 +1,92 @@
+"""The plant as one SunSpec unit, read and ordered by a master of an independent library."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+
+import pytest
+from command_line import refusal
+from running import Start
+
+from bus_schemas.messages import Dispatch
+from bus_schemas.signals import DISPATCH
+from bus_schemas.tcp_ports import reserved_ports
+from recordings.read.reader import RunReader
+from recordings.verify.verification import verify
+
+pytest.importorskip("sunspec2")
+
+from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Device
+
+pytestmark = pytest.mark.processes
+
+WAIT_S = 60.0
+
+
+@contextmanager
+def master(port: int) -> Iterator[Device]:
+    """A SunSpec master that has found the models of the unit."""
+    device = Device(slave_id=1, ipaddr="127.0.0.1", ipport=port)
+    device.scan()
+    yield device
+    device.close()
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    give_up_at = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < give_up_at, what
+        time.sleep(0.1)
+
+
+def power_kw(device: Device) -> float:
+    model = device.models[701][0]
+    model.read()
+    return float(model.points["W"].cvalue) / 1e3
+
+
+def test_a_master_reads_the_plant_orders_a_power_with_a_ramp_and_it_reverts(
+    heliarch: Start, plant: str
+) -> None:
+    with reserved_ports(["unit"]) as ports:
+        port = ports["unit"]
+    words = ("--pace", "1", "--duration", "1h", "--scheme", "paper")
+    run = heliarch("launch", plant, *words, "--operator", f"modbus://127.0.0.1:{port}")
+    run.until_running()
+    with master(port) as device:
+        assert {1, 701, 702, 203, 704} <= device.models.keys()
+        assert device.models[702][0].points["WMaxRtg"].cvalue == 1_900_000
+        until(lambda: power_kw(device) > 500.0, "a power of the plant")
+        control = device.models[704][0]
+        control.points["WSet"].cvalue = 400_000
+        control.points["WSetMod"].cvalue = 1
+        control.points["WSetEna"].cvalue = 1
+        control.points["WSetRvrtTms"].cvalue = 6
+        control.points["WRmp"].cvalue = 20
+        control.write()
+        until(lambda: abs(power_kw(device) - 400.0) < 1.0, "the power that was ordered")
+        until(lambda: power_kw(device) > 500.0, "the schedule, since nothing was written again")
+        meter = device.models[203][0]
+        meter.read()
+        assert meter.points["W"].cvalue > 500_000
+        control.points["WSet"].cvalue = 1_900_001
+        with pytest.raises(Exception, match=r"[Ee]xception|3"):
+            control.points["WSet"].write()
+    run.interrupt()
+    with RunReader(run.folder) as reader:
+        found = [message for _, message in reader.messages(DISPATCH)]
+    dispatches = [message for message in found if isinstance(message, Dispatch)]
+    states = {message.order_state for message in dispatches if message.order_source == "modbus"}
+    assert states == {"holds", "silent", "over"}
+    ramp_kw = [message.power_kw for message in dispatches if message.order_state == "holds"]
+    steps = [abs(after - before) for before, after in pairwise(ramp_kw)]
+    assert max(steps) <= 0.2 * 1900.0 + 1e-6
+    assert verify(run.folder).equal
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:5030", "modbus://127.0.0.1:5030/300", "moon"])
+def test_an_address_that_cannot_be_is_refused(plant: str, address: str) -> None:
+    assert "--operator" in refusal("launch", plant, "--operator", address)
