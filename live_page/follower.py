@@ -31,8 +31,9 @@ from results.figures import Figures, run_figures
 from results.report.decimation import extremes
 from sim_plant.orders import OrderInForce
 
-State: TypeAlias = Literal["waiting", "running", "stalled", "over", "failed"]
-"""Before the first cycle; going on; nothing new for a while; ended; given up by its launcher."""
+State: TypeAlias = Literal["waiting", "running", "stalled", "over", "interrupted", "failed"]
+"""Before the first cycle; going on; nothing new for a while; ended as planned, or before; given up
+by its launcher."""
 
 _STALLED_S: Final = 5.0
 """Nothing new in the file for this long, or for three cycles, is worth saying."""
@@ -82,7 +83,8 @@ class RunFollower:
         if self._failed:
             return "failed"
         if self.run.outline.closed or self._stop_cycle >= self.cycles:
-            return "over"  # Unless the plant has gone on: then another program said so.
+            # Unless the plant has gone on: then another program said so.
+            return "over" if self._stop_cycle >= self.plan.timing.cycles else "interrupted"
         if not self.cycles:
             return "waiting"
         longest_s = max(_STALLED_S, 3.0 * self.plan.timing.cycle_wall_ns / 1e9)
@@ -176,7 +178,8 @@ class RunFollower:
                 self.events.add("run", cycle, PLANT, "the run begins")
             case Run(state="stop"):
                 self._stop_cycle = cycle
-                self.events.add("run", cycle, PLANT, "the run is over")
+                how = "over" if cycle >= self.plan.timing.cycles else "interrupted"
+                self.events.add("run", cycle, PLANT, f"the run is {how}")
 
     def _note_order(self, dispatch: Dispatch) -> None:
         """Note a new order, and one whose source is silent or whose time is over."""

@@ -38,10 +38,19 @@ _EXPECTED: Final = (
 )
 
 
-def run_length_s(request: RunRequest, default: str) -> float:
-    """Return how long a run lasts: up to `--to`, or for `--duration` or its default [s]."""
+LEAST_CYCLES: Final = 120
+"""Of fewer than 100 cycles the p99 would be the longest one."""
+
+
+def run_length_s(request: RunRequest, rate_hz: float, default_s: float) -> float:
+    """Return how long a run lasts: up to `--to`, for `--duration`, or for its default [s].
+
+    By default it has `LEAST_CYCLES` at least.
+    """
     if request.options.end is None:
-        return parse_duration_s(request.options.duration or default, "--duration")
+        if request.options.duration is None:
+            return max(default_s, LEAST_CYCLES / rate_hz)
+        return parse_duration_s(request.options.duration, "--duration")
     plan = prepare_run(request)[0].plan
     return plan.timing.cycles * plan.timing.cycle_ns / 1e9
 

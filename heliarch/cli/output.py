@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO, Final, TypeVar
 
 import msgspec
 from rich.console import Console
@@ -20,6 +21,8 @@ from bus_schemas.whole_file import whole_file
 from heliarch.cli.options import ResultOptions
 from results.report.result import Result, print_result
 from results.tables import console_for
+
+_NEXT_LINE_S: Final = 10.0
 
 Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
@@ -33,11 +36,25 @@ def say(console: Console, *lines: str) -> None:
 
 @contextmanager
 def progress_bar(description: str, total: float = 1.0) -> Iterator[Callable[[float], None]]:
-    """Show in a terminal how far something has come; give a function that says how far."""
+    """Show how far something has come; give a function that says how far.
+
+    Without a terminal, a line every `_NEXT_LINE_S` says so.
+    """
     console = Console(stderr=True)
+    said_at = time.monotonic()
+
+    def say_share(completed: float) -> None:
+        nonlocal said_at
+        if time.monotonic() > said_at + _NEXT_LINE_S:
+            said_at = time.monotonic()
+            say(console, f"{description}: {100.0 * completed / total:.0f} %")
+
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(description, total=total)
-        yield lambda completed: progress.update(task, completed=completed)
+        if console.is_terminal:
+            yield lambda completed: progress.update(task, completed=completed)
+        else:
+            yield say_share
 
 
 def shared(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -20,6 +22,7 @@ from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.simulation import simulate
 from launch_scripts.supervision import ForkServerProcess, RunFailure
 from live_page.process import PageProcess
+from results.busy import busy
 from results.run_summary import RunSummary
 from results.summary_table import print_summary
 from results.tables import console_for
@@ -76,9 +79,21 @@ def _print_result(
         partial(print_summary, summary, console),
         partial(say, console, f"recording: {folder.recording}"),
         write_page,
+        partial(say, console, *what_next(folder.path)),
     )
     failures = [complain(failure, FAILED) for failure in summary.failures()]
     return max(failures) if failures else INTERRUPTED if summary.launcher.interrupted else OK
+
+
+def what_next(run: Path) -> list[str]:
+    """Return the commands that a user wants after a run, as they can be typed."""
+    program = Path(sys.argv[0])
+    is_found = shutil.which("heliarch") == str(program.absolute())
+    name = "heliarch" if is_found or program.name != "heliarch" else str(program)
+    commands = {"view": "watch it again", "report": "what it was worth", "inspect": "what it holds"}
+    lines = [(f"{name} {command} {run}", what) for command, what in commands.items()]
+    width = max(len(line) for line, _ in lines)
+    return ["next:", *(f"  {line:<{width}}   {what}" for line, what in lines)]
 
 
 def run(
@@ -93,7 +108,7 @@ def run(
     Without a server, which starts the processes, the run stays in this process. `began_at` is the
     monotonic time at which the user asked for it [s].
     """
-    with console.status("preparing"):  # Thousands of inverters take minutes to cluster.
+    with busy(Console(stderr=True), "preparing"):  # Thousands of inverters take minutes to cluster.
         preparation, folder = prepare_run(request)
     plan = preparation.plan
     if server is not None:

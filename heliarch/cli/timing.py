@@ -49,7 +49,7 @@ def timing(
     rate
         Cycles a second: one rate (20; default 1), several (5,10,20), or a range (1..200, auto) in
         which to find the highest rate that the plant keeps up with. A run takes 60 s, or 15 s at
-        each of several rates, unless --to or --duration says otherwise.
+        each of several rates, and 120 cycles at least, unless --to or --duration says otherwise.
     """
     from heliarch.cli.live_view import PlainView
     from heliarch.cli.run import page_beside, run_request
@@ -75,18 +75,18 @@ def timing(
     view = partial(PlainView, console)
     with page_beside(page, console) as shown:
         if len(rates) == 1:
-            length_s = run_length_s(request, "60s")
+            length_s = run_length_s(request, rates[0], 60.0)
             preparation, place = prepare_at(rates[0], length_s, request, request.out)
             if shown is not None:
                 say(console, f"page: {shown.show(place.path)}")
             return _publish(measured_run(preparation, place, view), place.path, files)
-        length_s = run_length_s(request, "15s")
         folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
 
         def timed(rate_hz: float) -> TimingReport:
             name = f"rate-{rate_hz:g}"
             if (folder / name).exists():
                 name = f"{name}-again"
+            length_s = run_length_s(request, rate_hz, 15.0)
             return measured_run(*prepare_at(rate_hz, length_s, request, folder / name), view)
 
         if shown is not None:

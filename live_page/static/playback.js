@@ -2,7 +2,7 @@
 
 import {$} from "./dom.js";
 
-const STATES = {waiting: "starting", stalled: "nothing new", over: "over", failed: "failed", running: "running"};
+const STATES = {waiting: "starting", stalled: "nothing new", over: "over", interrupted: "interrupted", failed: "failed", running: "running"};
 
 // `onUpdate` gets each update of the server, and whether it is the first one of its stream.
 // `at`: the cycle shown, how many cycles there are, and whether the run is over.
@@ -33,7 +33,7 @@ export function playback(onUpdate) {
 
   function showState(news) {
     at.cycles = news.cycles ?? 0;
-    at.over = ["over", "failed"].includes(news.state);
+    at.over = ["over", "interrupted", "failed"].includes(news.state);
     const state = news.reading != null ? `reading ${Math.round(100 * news.reading)} %` : STATES[news.state];
     $("state").textContent = live || at.over ? state : `${state}, ${playing ? "playing" : "paused"}`;
     $("play").textContent = playing || (live && !at.over) ? "❚❚" : "▶";

@@ -21,6 +21,7 @@ from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, series_of
 from results.answers import answers, answers_tables, judged
+from results.busy import busy
 from results.figures import run_figures
 from results.report.clusters import clusters_map, clusters_table
 from results.report.help import help_between, help_figure, help_table
@@ -46,7 +47,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         path, plan = out or reader.path.with_name(REPORT_NAME), reader.plan
         notes = _notes(reader)
         size_mb = reader.path.stat().st_size / 1e6
-        with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
+        with busy(console, escape(f"reading {size_mb:,.0f} MB of {run}")):
             series = series_of(reader, MOST_INVERTERS)
             series = replace(series, label=f"hierarchical ({plan.control.scheme})")
             found = help_between(reader, _nodes_drawn(plan))
@@ -62,7 +63,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
                 *devices_tables(read_accounts(reader.path.parent)),
             ]
             marks = run_marks(reader, health)
-    with console.status("drawing"):
+    with busy(console, "drawing"):
         title, lines = f"{plan.plant}: run {plan.run_id}", [run_line(plan), *notes]
         more = [clusters_map(plan), help_figure(found)]
         page = html_page(runs_result(title, [series], tables, lines, marks=marks, more=more))
@@ -98,6 +99,9 @@ def _notes(reader: RunReader) -> list[str]:
         notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
     summary = summary_in(reader.path.parent, reader.plan, RunSummary)
     notes += summary.run.remarks if summary else ()
+    stop, planned = reader.stop_cycle, reader.plan.timing.cycles
+    if stop is not None and stop < planned:
+        notes.append(f"The run was interrupted after {stop:,} of {planned:,} cycles.")
     if not reader.whole:
         notes.append("The recording is incomplete: the report shows the part that it holds.")
     return notes

@@ -143,7 +143,10 @@ def _summary_table(figure: Figure, cases: Sequence[Sequence[Row]]) -> Table:
         *(Column(title, "", figure.decimals, name=name) for name, title in titles.items()),
     ]
     cells = rows[[column.name or column.title for column in columns]].to_numpy(dtype=object)
-    return Table(f"{figure.heading}, {len(cases):,} cases", columns, cells.tolist())
+    # Cases with the same sky are no further evidence of how a scheme fares under others.
+    skies = len({tuple(of_case[0].get(name) for name in _DRAWS) for of_case in cases})
+    counts = f"{skies:,} {'sky' if skies == 1 else 'skies'} in {len(cases):,} cases"
+    return Table(f"{figure.heading}, {counts}", columns, cells.tolist())
 
 
 def summaries(

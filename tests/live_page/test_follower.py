@@ -56,7 +56,7 @@ def test_a_recording_is_followed_while_it_is_written(tmp_path: Path) -> None:
             follower.advance(1.0)
             assert follower.cycles == cycle + 1
     follower.advance(1.0)
-    assert follower.state == "over"
+    assert follower.state == "interrupted"
     assert follower.powers(range(5), 100)["delivered"] == [239.0] * 5
 
 
@@ -185,7 +185,7 @@ def test_a_restart_is_an_event_and_late_messages_of_the_replaced_process_are_no_
 
 def test_a_stop_that_the_plant_contradicts_does_not_end_the_run(tmp_path: Path) -> None:
     (start, *cycles, stop), told = whole_run(9), (RUN.of(ROOT), PLAN.run_message("stop", 4, 1))
-    runs = {"running": [start, told, *cycles, told], "over": [start, told, *cycles, stop]}
+    runs = {"running": [start, told, *cycles, told], "interrupted": [start, told, *cycles, stop]}
     for state, deliveries in runs.items():
         write_run(tmp_path / state, deliveries, close=False)
         assert followed(tmp_path / state).state == state

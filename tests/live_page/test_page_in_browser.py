@@ -67,7 +67,7 @@ def test_a_launched_run_moves_and_stays_when_it_is_over(
     window.until(moved.format(here + 5), "later cycles")
     window.until(curve("power-chart"), "curves")
     run.process.send_signal(signal.SIGINT)
-    window.until("return document.querySelector('#state').textContent == 'over'", "its end")
+    window.until("return document.querySelector('#state').textContent == 'interrupted'", "its end")
     window.until(at(run.recorded_cycles() - 1), "the last cycle")
     assert window.run("return document.querySelector('#banner').hidden")
     assert window.problems() == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from rich.console import Console
 
 from heliarch.cli.app import COMMANDS
 from heliarch.cli.live_view import PlainView
+from results.busy import busy
 from results.figures import FIGURES
 from results.tables import Table, key_column, print_table
 from scenarios.scenario import shipped_scenarios
@@ -93,7 +95,7 @@ def test_doctor_finds_what_would_stop_a_run_and_says_what_to_do_about_it() -> No
 
 @pytest.mark.parametrize("is_terminal", [True, False])
 def test_a_launched_run_shows_names_with_markup_and_escapes_as_text(is_terminal: bool) -> None:
-    output = io.StringIO()
+    output = io.io.StringIO()
     console = Console(file=output, force_terminal=is_terminal, width=200, color_system=None)
     view = PlainView(console, plan_at_noon())
     view.say(HOSTILE)
@@ -104,3 +106,19 @@ def test_a_launched_run_shows_names_with_markup_and_escapes_as_text(is_terminal:
     assert "\x9b" not in shown
     assert "\x1b]" not in shown
     assert "\x1b[2J" not in shown
+
+
+def test_a_run_ends_with_the_commands_that_look_at_it(plant: str, tmp_path: Path) -> None:
+    text = done("simulate", plant, "--duration", "5", "--out", tmp_path / "run")
+    for command in ("view", "report", "inspect"):
+        assert f"{command} {tmp_path / 'run'}" in text
+
+
+def test_what_takes_long_is_said_without_a_terminal() -> None:
+    said = io.StringIO()
+    console = Console(file=said, width=80)
+    with busy(console, "drawing", first_s=0.01):
+        give_up_at = time.monotonic() + 20.0
+        while "drawing" not in said.getvalue():
+            assert time.monotonic() < give_up_at
+            time.sleep(0.01)

@@ -24,7 +24,8 @@ from studies.timing import prepare_at, run_length_s
         (10.0, {"duration": "4s"}, 40),
         (7.0, {"duration": "0.5"}, 4),
         (28.3, {"end": "12:00:10"}, 283),
-        (10.0, {}, 30),
+        (10.0, {}, 120),
+        (50.0, {}, 150),
     ],
 )
 def test_a_run_is_a_whole_number_of_cycles_long(
@@ -32,7 +33,7 @@ def test_a_run_is_a_whole_number_of_cycles_long(
 ) -> None:
     options = RunOptions(start="12:00", **length)  # type: ignore[arg-type]
     request = RunRequest(load_scenario("oahu"), options)
-    preparation, _ = prepare_at(rate_hz, run_length_s(request, "3s"), request, tmp_path)
+    preparation, _ = prepare_at(rate_hz, run_length_s(request, rate_hz, 3.0), request, tmp_path)
     assert preparation.plan.timing.cycles == cycles
     usual = prepare(request.scenario, RunOptions(start="12:00", duration="2s"), "usual").plan
     assert preparation.plan.inverters == usual.inverters, "the rate does not change the clusters"
