@@ -9,7 +9,7 @@ from bus_schemas.messages import in_words
 from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name
 from recordings.inspect.agent_states import AgentState
 from recordings.inspect.timeline import HelpLine, NodeCycle
-from results.tables import Cell, Column, Table, key_column, word_column
+from results.tables import Cell, Column, Table, counted, key_column, word_column
 
 _CYCLE: Final = Column("cycle", key=True)
 
@@ -46,18 +46,35 @@ def node_table(tree: ControlTree, node: str, rows: Sequence[NodeCycle]) -> Table
     return Table(agent_name(node), columns, cells)
 
 
-def plant_table(
-    tree: ControlTree, title: str, nodes: Sequence[NodeCycle], states: Mapping[str, AgentState]
-) -> Table:
-    """Return all nodes of the plant in one cycle, as a tree; `states` are by agent."""
+def plant_table(tree: ControlTree, title: str, nodes: Sequence[NodeCycle]) -> Table:
+    """Return all nodes of the plant in one cycle, as a tree."""
     of_path = dict(zip(tree.nodes, nodes, strict=True))
-    cells = []
-    for path, branch in _branches(tree, ROOT, ""):
-        row, state = of_path[path], states[agent_name(path)]
-        remarks = [] if state.word == "fine" else [state.text()]
-        remarks += filter(None, [_remarks(row)])
-        cells.append((branch, *_cells(_DIRECT, row), "; ".join(remarks)))
+    cells = [
+        (branch, *_cells(_DIRECT, of_path[path]), _remarks(of_path[path]))
+        for path, branch in _branches(tree, ROOT, "")
+    ]
     return Table(title, (key_column("node"), *_DIRECT, _REMARKS), cells)
+
+
+def states_table(states: Mapping[str, AgentState]) -> Table:
+    """Return the agents of which there is something to say, by what was recorded up to a cycle."""
+    told = {
+        agent: state
+        for agent, state in states.items()
+        if state.word != "fine" or state.missed_inputs or state.restarts
+    }
+    columns = (
+        key_column("agent"),
+        word_column("state"),
+        Column("inputs missed", name="missed_inputs"),
+        Column("restarts"),
+    )
+    rows = [
+        (agent, state.text(), state.missed_inputs, state.restarts) for agent, state in told.items()
+    ]
+    others = len(states) - len(told)
+    note = f"{counted(others, 'agent')} fine, without missed inputs or restarts" if others else ""
+    return Table("Agents up to this cycle", columns, rows, (note,) if note else ())
 
 
 def _cells(columns: Sequence[Column], row: NodeCycle) -> Iterator[Cell]:

@@ -106,22 +106,23 @@ def _show_plant(run: RunReader, cycle: int, console: Console) -> dict[str, Any]:
     from recordings.read.series import read_plant_series
     from results.figures import run_figures
     from results.summary_table import figures_table
-    from results.timeline_tables import plant_table
+    from results.timeline_tables import plant_table, states_table
 
     tree = run.plan.tree
     nodes = next(timeline(run, tree.nodes, range(cycle, cycle + 1)), None)
     if nodes is None:
         nothing = f"{run.path}: there is no message of cycle {cycle}, {run.clock.extent()}"
         raise InputError(run.damage_text() or nothing)
-    with progress_bar("reading") as run.follow:
-        followed = states_at(run, cycle)
-    states = {agent: followed.at(agent, cycle) for agent in followed.agents}
-    series = read_plant_series(run.path).between(0, cycle + 1)
-    figures = run_figures(series) if series.known.any() else None
     central = nodes[0]
     date = f"{run.clock.local(cycle):%Y-%m-%d}"
     title = f"Cycle {cycle}, {date} {central.time}: {_plant_text(central)}"
-    print_table(console, plant_table(tree, title, nodes, states))
+    print_table(console, plant_table(tree, title, nodes))
+    with progress_bar("reading what led to it") as run.follow:
+        followed = states_at(run, cycle)
+    states = {agent: followed.at(agent, cycle) for agent in followed.agents}
+    print_table(console, states_table(states))
+    series = read_plant_series(run.path).between(0, cycle + 1)
+    figures = run_figures(series) if series.known.any() else None
     print_table(console, figures_table("Figures of merit up to this cycle", figures))
     return {
         "cycle": cycle,

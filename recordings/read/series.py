@@ -7,11 +7,11 @@ the figures of merit.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isnan, nan
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 import pandas as pd
@@ -283,14 +283,25 @@ def read_series(path: Path) -> RunSeries:
         return series_of(reader)
 
 
-def series_of(reader: RunReader, most_inverters: int | None = None) -> RunSeries:
+class Listener(Protocol):
+    """Takes in messages of its ports while a series is read: a recording is walked through once."""
+
+    @property
+    def ports(self) -> Collection[Port[Message]]: ...
+
+    def see(self, port: Port[Message], message: Message) -> None: ...
+
+
+def series_of(
+    reader: RunReader, most_inverters: int | None = None, also: Sequence[Listener] = ()
+) -> RunSeries:
     """Read a recording; in a plant of more inverters, clusters stand for them."""
     nodes, clusters = reader.plan.tree.leaves, _clusters(reader.plan, most_inverters)
     signals = (IMPP, RESIDUAL) if clusters else (IMPP, RESIDUAL, COMMAND)
     ports: set[Port[Message]] = {
         signal.of(node) for signal in signals for node in clusters or nodes
     }
-    return _read(reader, ports, clusters)
+    return _read(reader, ports, clusters, also)
 
 
 def read_plant_series(path: Path) -> RunSeries:
@@ -310,10 +321,20 @@ def _clusters(plan: RunPlan, most_inverters: int | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(map(parent_of, leaves)))
 
 
-def _read(reader: RunReader, ports: set[Port[Message]], clusters: tuple[str, ...]) -> RunSeries:
+def _read(
+    reader: RunReader,
+    ports: set[Port[Message]],
+    clusters: tuple[str, ...],
+    also: Sequence[Listener] = (),
+) -> RunSeries:
     collector = SeriesCollector(reader.plan, clusters)
-    for port, message in reader.on(reader.ports(DISPATCH, PRODUCTION) | ports):
-        collector.see(port, message)
+    own = reader.ports(DISPATCH, PRODUCTION) | ports
+    for port, message in reader.on(own.union(*(one.ports for one in also))):
+        if port in own:
+            collector.see(port, message)
+        for one in also:
+            if port in one.ports:
+                one.see(port, message)
     try:
         return collector.series(reader.plan.run_id)
     except InputError as error:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import plotly.graph_objects as go
 
-from bus_schemas.messages import Residual, Setpoint
-from bus_schemas.signals import RESIDUAL, SETPOINT
+from agents.plan import RunPlan
+from bus_schemas.messages import Message, Residual, Setpoint
+from bus_schemas.signals import RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT
-from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock
 from results.report import style
 from results.tables import Cell, Column, Table, key_column, word_column
@@ -32,13 +32,40 @@ class Need:
     cycles: int = 0
 
 
-@dataclass
 class HelpBetween:
-    """The help among the children of each parent; `given_kwh` by helper and needy node."""
+    """The help among the children of each parent, of some nodes, from the messages of a run.
 
-    nodes: tuple[str, ...]
-    needs: dict[str, Need] = field(default_factory=lambda: defaultdict(Need))
-    given_kwh: dict[tuple[str, str], float] = field(default_factory=lambda: defaultdict(float))
+    `needs` are by node, `given_kwh` by helper and needy node. A setpoint holds until its parent's
+    next turn.
+    """
+
+    def __init__(self, plan: RunPlan, nodes: Collection[str]) -> None:
+        self.nodes = tuple(node for node in plan.tree.nodes if node in nodes and node != ROOT)
+        self.needs = defaultdict[str, Need](Need)
+        self.given_kwh = defaultdict[tuple[str, str], float](float)
+        hours = plan.timing.cycle_s / 3600.0
+        self._hours: dict[Port[Message], float] = {
+            signal.of(node): hours * plan.control.period(signal.of(node))
+            for signal in (RESIDUAL, SETPOINT)
+            for node in self.nodes
+        }
+
+    @property
+    def ports(self) -> Collection[Port[Message]]:
+        return self._hours.keys()
+
+    def see(self, port: Port[Message], message: Message) -> None:
+        hours = self._hours[port]
+        match message:
+            case Residual() if message.power_kw < 0.0:
+                need = self.needs[port.node]
+                need.lacking_kwh -= message.power_kw * hours
+                need.cycles += 1
+                if -message.power_kw > need.worst_kw:
+                    need.worst_kw, need.worst_cycle = -message.power_kw, message.cycle
+            case Setpoint():
+                for line in message.help_given:
+                    self.given_kwh[port.node, line.needy] += line.power_kw * hours
 
     def helpers(self, needy: str) -> list[tuple[str, float]]:
         """Return who helped a node and by how much energy [kWh], most first."""
@@ -49,27 +76,6 @@ class HelpBetween:
     def most_needy(self) -> list[str]:
         needy = [node for node, need in self.needs.items() if need.lacking_kwh > 0.0]
         return sorted(needy, key=lambda node: -self.needs[node].lacking_kwh)
-
-
-def help_between(reader: RunReader, nodes: Collection[str]) -> HelpBetween:
-    """Read how nodes helped their siblings. A setpoint holds until its parent's next turn."""
-    plan, hours = reader.plan, reader.plan.timing.cycle_s / 3600.0
-    wanted = tuple(node for node in plan.tree.nodes if node in nodes and node != ROOT)
-    found = HelpBetween(wanted)
-    ports = {signal.of(node) for signal in (RESIDUAL, SETPOINT) for node in wanted}
-    for port, message in reader.on(ports):
-        match message:
-            case Residual() if message.power_kw < 0.0:
-                need = found.needs[port.node]
-                need.lacking_kwh -= message.power_kw * hours
-                need.cycles += 1
-                if -message.power_kw > need.worst_kw:
-                    need.worst_kw, need.worst_cycle = -message.power_kw, message.cycle
-            case Setpoint():
-                turn_hours = hours * plan.control.period(port)
-                for line in message.help_given:
-                    found.given_kwh[port.node, line.needy] += line.power_kw * turn_hours
-    return found
 
 
 def help_table(found: HelpBetween, clock: RunClock) -> Table:

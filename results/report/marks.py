@@ -1,4 +1,4 @@
-"""Marks in the figures over time: where faults, restarts and absences of a run are."""
+"""Marks in the figures over time: where faults, orders, restarts and absences of a run are."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from typing import Final, NamedTuple
 
 import plotly.graph_objects as go
 
+from agents.plan import RunPlan
+from bus_schemas.messages import Dispatch, Message
+from bus_schemas.signals import DISPATCH, Port
+from bus_schemas.tree import ROOT
 from recordings.inspect.agent_states import fault_changes
 from recordings.inspect.health import Health
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries
 from results.report import style
+from sim_plant.orders import OrderInForce
 
 _MOST: Final = 60
 
@@ -24,9 +29,28 @@ class Mark(NamedTuple):
     colour: str
 
 
-def run_marks(reader: RunReader, health: Health) -> list[Mark]:
+class OrderMarks:
+    """Marks of the operator's orders, from the dispatches that state them."""
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.ports = frozenset({DISPATCH.of(ROOT)})
+        self.marks: list[Mark] = []
+        self._rating_kw = plan.tree.rating_kw(ROOT)
+        self._before: OrderInForce | None = None
+
+    def see(self, port: Port[Message], message: Message) -> None:
+        assert isinstance(message, Dispatch)
+        order = OrderInForce.by(message)
+        if order is None or (self._before is not None and order.what == self._before.what):
+            return
+        self._before = order
+        text = f"{order.source}: {order.text(self._rating_kw)}"
+        self.marks.append(Mark(message.cycle, text, style.BLUE))
+
+
+def run_marks(reader: RunReader, health: Health, orders: Sequence[Mark]) -> list[Mark]:
     """Return the marks of a run in the order of time, at most sixty of them."""
-    return sorted(_marks(reader, health))[:_MOST]
+    return sorted([*_marks(reader, health), *orders])[:_MOST]
 
 
 def _marks(reader: RunReader, health: Health) -> Iterator[Mark]:

@@ -24,9 +24,9 @@ from results.answers import answers, answers_tables, judged
 from results.busy import busy
 from results.figures import run_figures
 from results.report.clusters import clusters_map, clusters_table
-from results.report.help import help_between, help_figure, help_table
+from results.report.help import HelpBetween, help_figure, help_table
 from results.report.inverter_figures import MOST_INVERTERS, correlation_matrices, residuals
-from results.report.marks import Mark, mark, run_marks
+from results.report.marks import Mark, OrderMarks, mark, run_marks
 from results.report.page import html_page
 from results.report.plant_figures import available_power, delivered_and_shortfall, regulation
 from results.report.result import Result
@@ -48,9 +48,9 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         notes = _notes(reader)
         size_mb = reader.path.stat().st_size / 1e6
         with busy(console, escape(f"reading {size_mb:,.0f} MB of {run}")):
-            series = series_of(reader, MOST_INVERTERS)
+            found, orders = HelpBetween(plan, _nodes_drawn(plan)), OrderMarks(plan)
+            series = series_of(reader, MOST_INVERTERS, [found, orders])
             series = replace(series, label=f"hierarchical ({plan.control.scheme})")
-            found = help_between(reader, _nodes_drawn(plan))
             health = run_health(reader)
             summary = summary_in(reader.path.parent, plan, RunSummary)
             tables = [
@@ -62,7 +62,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
                 health_table(health, reader.clock),
                 *devices_tables(read_accounts(reader.path.parent)),
             ]
-            marks = run_marks(reader, health)
+            marks = run_marks(reader, health, orders.marks)
     with busy(console, "drawing"):
         title, lines = f"{plan.plant}: run {plan.run_id}", [run_line(plan), *notes]
         more = [clusters_map(plan), help_figure(found)]

@@ -95,7 +95,7 @@ def test_doctor_finds_what_would_stop_a_run_and_says_what_to_do_about_it() -> No
 
 @pytest.mark.parametrize("is_terminal", [True, False])
 def test_a_launched_run_shows_names_with_markup_and_escapes_as_text(is_terminal: bool) -> None:
-    output = io.io.StringIO()
+    output = io.StringIO()
     console = Console(file=output, force_terminal=is_terminal, width=200, color_system=None)
     view = PlainView(console, plan_at_noon())
     view.say(HOSTILE)

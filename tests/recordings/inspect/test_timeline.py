@@ -14,7 +14,6 @@ from bus_schemas.messages import Notice
 from bus_schemas.signals import IMPP, NOTICE, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings import open_run
-from recordings.inspect.agent_states import states_at
 from recordings.inspect.timeline import NodeCycle, timeline
 from results.timeline_tables import node_table, plant_table
 
@@ -110,8 +109,6 @@ def test_missing_inputs_and_notices_of_a_node_are_in_its_row(tmp_path: Path) -> 
 def test_the_plant_in_one_cycle_is_a_tree_of_all_its_nodes(recording: Path) -> None:
     with open_run(recording) as run:
         (rows,) = timeline(run, PLAN.tree.nodes, range(10, 11))
-        followed = states_at(run, 10)
-    states = {agent: followed.at(agent, 10) for agent in followed.agents}
-    names, *_, remarks = zip(*plant_table(PLAN.tree, "", rows, states).texts(), strict=True)
+    names, *_, remarks = zip(*plant_table(PLAN.tree, "", rows).texts(), strict=True)
     assert names == ("central", "├─ c1", "│  ├─ a", "│  └─ b", "└─ c2", "   ├─ c", "   └─ d")
     assert remarks[1:4] == ("need: a", "from b 20.0", "for a 20.0")

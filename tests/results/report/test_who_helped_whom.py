@@ -9,11 +9,11 @@ from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, whole_run, write_run
 
 from recordings.inspect.overview import read_overview
-from recordings.read.reader import open_run
-from recordings.read.series import read_series
+from recordings.read.reader import RunReader, open_run
+from recordings.read.series import read_series, series_of
 from results.report.clusters import clusters_table
-from results.report.help import help_between, help_figure, help_table
-from results.report.marks import run_marks
+from results.report.help import HelpBetween, help_figure, help_table
+from results.report.marks import Mark, run_marks
 from results.report.run_report import runs_result, write_run_report
 from scenarios.fault_rules import parse_fault
 
@@ -35,9 +35,15 @@ def run(tmp_path: Path) -> Path:
     return tmp_path / "run.mcap"
 
 
+def helped(reader: RunReader) -> HelpBetween:
+    found = HelpBetween(reader.plan, reader.plan.tree.nodes)
+    series_of(reader, also=[found])
+    return found
+
+
 def test_the_needy_are_ranked_with_their_helpers(run: Path) -> None:
     with open_run(run) as reader:
-        found = help_between(reader, reader.plan.tree.nodes)
+        found = helped(reader)
         table = help_table(found, reader.clock)
     assert found.most_needy == ["c1/a"]
     assert found.needs["c1/a"].lacking_kwh == pytest.approx(20.0 * HOURS)
@@ -53,7 +59,7 @@ def test_the_needy_are_ranked_with_their_helpers(run: Path) -> None:
 
 def test_clusters_have_their_energies(run: Path) -> None:
     with open_run(run) as reader:
-        found = help_between(reader, reader.plan.tree.nodes)
+        found = helped(reader)
         table = clusters_table(read_series(run), reader.plan, found)
     names, inverters, *_ = zip(*table.rows, strict=True)
     assert (names, inverters) == (("c1", "c2"), (2, 2))
@@ -62,8 +68,10 @@ def test_clusters_have_their_energies(run: Path) -> None:
 
 def test_faults_and_absences_are_marked_in_every_figure_over_time(run: Path) -> None:
     with open_run(run) as reader:
-        marks = run_marks(reader, read_overview(reader).health)
-    assert [one.cycle for one in marks] == [20, 20, 30, 30, 50]
+        marks = run_marks(
+            reader, read_overview(reader).health, [Mark(70, "operator: 100 kW", "#000000")]
+        )
+    assert [one.cycle for one in marks] == [20, 20, 30, 30, 50, 70]
     result = runs_result("A run", [read_series(run)], (), (), marks=marks)
     for figure in result.figures():
         texts = [note.hovertext for note in figure.figure.layout.annotations if note.hovertext]
