@@ -55,6 +55,7 @@ def node(
     console = console_for(None)
     folder = run_folder(new_run_id(run_plan.plant), out)
     with ForkServerProcess() as server:
-        say(console, f"{len(agents)} agents of {run_plan.plant} on {host}, logs in {folder.logs}")
+        number = f"{len(agents)} processes of {run_plan.plant}"
+        say(console, f"{number} on {host}, logs in {folder.logs}")
         run_share(run_plan, agents, folder, server, lambda line: say(console, line))
     say(console, "the run is over")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from command_line import done
 from running import Heliarch, Start, small_plant
-from test_launch import decided, summary_of
+from test_launch import decided, decisions, summary_of
 from verifying import assert_equal_as_far_as_recorded
 
 from agents.plan import load_plan
@@ -118,6 +118,19 @@ def test_groups_join_an_encrypted_run_with_the_keys_of_their_heads(
     secure = ("--secure", "--keys", str(tmp_path / "keys"))
     ours = decided(tmp_path / "launched", "launch", *words, *secure)
     assert ours == decided(tmp_path / "simulated", "simulate", *words)
+
+
+def test_another_host_runs_a_cluster_as_one_process(heliarch: Start, plant: str) -> None:
+    words = ("launch", plant, "--duration", "40", *GROUPED)
+    run = heliarch(*words, "--on", "127.0.0.2=c2/*")
+    plan = run.folder / "plan.json"
+    run.until(plan.exists, "its plan")
+    node = heliarch("node", "--plan", plan, "--host", "127.0.0.2")
+    assert (node.wait(), run.wait()) == (0, 0), node.error_text() + run.error_text()
+    assert [path.name for path in (node.folder / "logs").iterdir()] == ["c2.log"]
+    assert decisions(run.folder) == decided(
+        run.folder.with_name("simulated"), "simulate", *words[1:]
+    )
 
 
 def ended(run: Heliarch, status: int = 130) -> RunSummary:
