@@ -29,7 +29,9 @@ async def _serve() -> None:
         return
     settings = msgspec.json.decode(first, type=PageSettings)
     address = PageAddress(socket.socket(fileno=settings.socket), settings.token)
-    server = PageServer(Path(settings.path), address, several=settings.several)
+    server = PageServer(
+        Path(settings.path), address, several=settings.several, orders=settings.orders
+    )
     serving = asyncio.create_task(server.serve())
     if await over.readline():
         gone = asyncio.create_task(over.read())

@@ -49,8 +49,13 @@ class PageAddress:
         return self.url() + ("   (not encrypted)" if self.token else "")
 
 
-def open_address(address: str | None, port: int | None) -> PageAddress:
-    """Take an address and a port for a page: by default the loopback address, and any free port."""
+def open_address(
+    address: str | None, port: int | None, *, needs_token: bool = False
+) -> PageAddress:
+    """Take an address and a port for a page: by default the loopback address, and any free port.
+
+    `needs_token`: Also on the loopback address, which every user of this machine reaches.
+    """
     try:
         ip = ipaddress.ip_address("127.0.0.1" if address in {None, "localhost"} else address)
     except ValueError:
@@ -69,7 +74,9 @@ def open_address(address: str | None, port: int | None) -> PageAddress:
             f"--page-address, --page-port: expected a free port of this machine, got {ip} port "
             f"{port or 'any'}: {error.strerror}"
         ) from None
-    return PageAddress(listener, "" if ip.is_loopback else secrets.token_urlsafe(16))
+    return PageAddress(
+        listener, "" if ip.is_loopback and not needs_token else secrets.token_urlsafe(16)
+    )
 
 
 class PageSettings(msgspec.Struct):
@@ -79,13 +86,15 @@ class PageSettings(msgspec.Struct):
     several: bool
     socket: int
     token: str
+    orders: bool = False
 
 
 class PageProcess(SideProcess):
     """The page's process, as its launcher sees it. It ends with the context."""
 
-    def __init__(self, address: str | None, port: int | None) -> None:
-        self._address = open_address(address, port)
+    def __init__(self, address: str | None, port: int | None, *, orders: bool = False) -> None:
+        self._address = open_address(address, port, needs_token=orders)
+        self._orders = orders
         super().__init__(
             "live_page",
             stdout=subprocess.DEVNULL,
@@ -103,7 +112,7 @@ class PageProcess(SideProcess):
         The folder may be made later.
         """
         number, token = self._address.socket.fileno(), self._address.token
-        settings = PageSettings(str(path.absolute()), several, number, token)
+        settings = PageSettings(str(path.absolute()), several, number, token, self._orders)
         self.tell(msgspec.json.encode(settings))
         return self._address.text()
 

@@ -1,7 +1,8 @@
 """Serves the page: plain files, a few documents, and a stream of updates for each browser.
 
 Everything happens in one thread, and only while a browser asks. A browser takes an update when it
-has room for it; what it has not taken by then is left out. It can ask, but not command.
+has room for it; what it has not taken by then is left out. It can ask, but not command, unless the
+run was started with `--orders`.
 """
 
 from __future__ import annotations
@@ -85,17 +86,20 @@ class _Server(uvicorn.Server):
 
 
 class PageServer:
-    """The server of one run, or of the `several` runs in a folder.
+    """The server of one run, or of the `several` runs in a folder; `orders`: it takes them.
 
     `streams` counts the browsers that look on; `left_at` is when the last one left.
     """
 
-    def __init__(self, path: Path, address: PageAddress, *, several: bool) -> None:
+    def __init__(
+        self, path: Path, address: PageAddress, *, several: bool, orders: bool = False
+    ) -> None:
         self.streams = 0
         self.left_at = float("-inf")
         self._address = address
         self._path = path
         self._several = several
+        self._orders = orders
         self._opened = lru_cache(_OPEN_RUNS)(RunView)
         self._server = _Server(
             uvicorn.Config(
@@ -126,10 +130,15 @@ class PageServer:
             Route("/window", self._window),
             Route("/node", self._node),
             Route("/stream", self._stream),
+            Route("/orders", self._takes_orders),
         ]
         routes: list[BaseRoute] = [Mount("/static", StaticFiles(directory=_STATIC))]
         if not self._several:
             routes += of_run
+            if self._orders:
+                from live_page.orders import order_route  # noqa: PLC0415 - numpy is slow to import
+
+                routes.append(order_route(self._path))
         else:
             routes += [
                 Route("/", self._file("runs.html")),
@@ -175,6 +184,9 @@ class PageServer:
         first, second = (self._recording(request.query_params.get(one, "")) for one in "ab")
         page = await asyncio.to_thread(_comparison, (first, second))
         return HTMLResponse(page, headers={_CONTENT_POLICY: _ONE_FILE_ONLY})
+
+    async def _takes_orders(self, request: Request) -> Response:
+        return _json(self._orders)
 
     async def _plan(self, request: Request) -> Response:
         return _json(self._view(request).plan())

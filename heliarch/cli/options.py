@@ -115,15 +115,20 @@ class PageOptions:
     ----------
     page
         Show the run in a browser while it runs.
+    orders
+        Let the page give orders to the plant of `launch`; whoever has its address may.
     """
 
     page: bool = False
+    orders: bool = False
     page_port: PagePort = None
     page_address: PageAddress = None
 
     def __post_init__(self) -> None:
         if not self.page and (self.page_port is not None or self.page_address is not None):
             raise InputError("--page-address, --page-port: expected --page with it")
+        if self.orders and not self.page:
+            raise InputError("--orders: expected --page with it")
 
 
 @Parameter("*", group=FILES)

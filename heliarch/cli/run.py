@@ -43,7 +43,7 @@ def page_beside(options: PageOptions, console: Console) -> Iterator[PageProcess 
     if not options.page:
         yield None
         return
-    with PageProcess(options.page_address, options.page_port) as page:
+    with PageProcess(options.page_address, options.page_port, orders=options.orders) as page:
         yield page
         page.let_end(partial(say, console))
 

@@ -48,6 +48,19 @@ class Served:
         except urllib.error.HTTPError as error:
             return error.code
 
+    def order(self, body: bytes, method: str = "POST", **headers: str) -> tuple[int, str]:
+        """Send an order as a browser does; return the status and the text of the answer."""
+        origin = self.root.removesuffix("/")
+        cookie = f"heliarch-page={self.address.partition('token=')[2]}"
+        own = {"Origin": origin, "Content-Type": "application/json", "Cookie": cookie} | headers
+        own = {name: value for name, value in own.items() if value}
+        request = urllib.request.Request(self.root + "order", body, own, method=method)
+        try:
+            with urllib.request.urlopen(request, timeout=30) as answer:
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode()
+
     def updates(self, path: str = "stream") -> Iterator[dict[str, Any]]:
         """Yield what a browser is sent."""
         with urllib.request.urlopen(self.root + path, timeout=30) as answer:
@@ -58,11 +71,16 @@ class Served:
 
 @contextmanager
 def served(
-    path: Path, *, several: bool = False, address: str = "127.0.0.1", port: int = 0
+    path: Path,
+    *,
+    several: bool = False,
+    address: str = "127.0.0.1",
+    port: int = 0,
+    orders: bool = False,
 ) -> Iterator[Served]:
     """Serve a run, or several."""
-    where = open_address(address, port)
-    server = PageServer(path, where, several=several)
+    where = open_address(address, port, needs_token=orders)
+    server = PageServer(path, where, several=several, orders=orders)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve()))
     thread.start()
     try:
