@@ -33,7 +33,7 @@ from agents.process.launcher_link import LauncherLink, Packets, packets
 from agents.process.machine import die_with_parent
 from agents.process.session import session_settings
 from agents.team import controller
-from bus_schemas.tree import RECORDER, agent_of
+from bus_schemas.tree import OPERATOR, RECORDER, agent_of
 from launch_scripts.fork_requests import Request, Signal, Start
 from launch_scripts.process import run_process
 from recordings.read.run_file import log_name
@@ -116,7 +116,8 @@ class ForkServer:
             plan = load_plan(Path(request.plan))
             self._run = plan, BeatTable(self._beats, plan.processes)
             # What all of them need is worked out once, before there are many.
-            for process in plan.processes[-1:]:
+            own = [process for process in plan.processes if process != OPERATOR]
+            for process in own[-1:]:
                 for name in plan.wiring.members_of(process):
                     Loop(controller(plan, agent_of(name)), plan)
                 session_settings(plan, process)
