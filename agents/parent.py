@@ -10,15 +10,18 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
+from math import isnan, nan
 from operator import itemgetter
 from typing import Final, NamedTuple
 
 import msgspec
+import numpy as np
 from msgspec.structs import replace
 
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, help_order, total
 from agents.control.correction import Response, corrected, expected_kw, mean_error_kw
+from agents.control.offers import OfferSettings, memory_of, nothing_offered, observe
 from agents.control.share import usable_dispatch_kw
 from agents.dispatch import own_report, own_share_kw
 from agents.plan import Control
@@ -29,11 +32,12 @@ from bus_schemas.messages import (
     Message,
     Meter,
     Notice,
+    Offer,
     Residual,
     Setpoint,
     Takeover,
 )
-from bus_schemas.signals import DISPATCH, IMPP, METER, NOTICE, RESIDUAL, SETPOINT, Port
+from bus_schemas.signals import DISPATCH, IMPP, METER, NOTICE, OFFER, RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT, ControlTree, agent_name, parent_of
 
 _DISPATCH: Final = DISPATCH.of(ROOT)
@@ -187,6 +191,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     meter_cycle: int = 0
     clamped: int = 0
     error_kw: float = 0.0
+    offers: bytes = b""
 
 
 # A standby that takes over says its state in these fields, and `verify` goes on from them.
@@ -197,17 +202,25 @@ class CentralController(Parent):
     """Takes the operator's dispatch and moves power between clusters to meet it."""
 
     def __init__(
-        self, tree: ControlTree, control: Control, cycle_s: float, response: Response
+        self,
+        tree: ControlTree,
+        control: Control,
+        cycle_s: float,
+        response: Response,
+        offers: OfferSettings | None = None,
     ) -> None:
         super().__init__(ROOT, tree, control)
         self._cycle_s = cycle_s
         self._turn_s = cycle_s * control.periods.cycles[0]
         self._response = response
+        self._offers = offers
         self._meter = METER.of(ROOT)
         self._stages = (Stage("solve", (*self._inputs, self._meter)),)
 
     def initial_state(self) -> CentralState:
-        return CentralState()
+        if self._offers is None:
+            return CentralState()
+        return CentralState(offers=nothing_offered(self._offers).tobytes())
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         return self._stages
@@ -215,6 +228,9 @@ class CentralController(Parent):
     def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
         reports = self.reports(turn)
         outputs = self.report_up(turn, reports)
+        if self._offers is not None:
+            state, offered = self._offer(state, turn, self._offers, reports)
+            outputs += offered
         state = self._read_meter(state, turn.get(self._meter))
         dispatch = turn.get(_DISPATCH)
         if dispatch is None:
@@ -235,6 +251,29 @@ class CentralController(Parent):
             target_kw = min(max(aim_kw + state.correction_kw, 0.0), self._rating_kw)
             outputs += self.setpoints(turn, target_kw, reports)
         return state, outputs
+
+    def _offer(
+        self, state: CentralState, turn: Turn, settings: OfferSettings, reports: list[Report]
+    ) -> tuple[CentralState, list[Delivery]]:
+        """Remember the cycle, and offer a share of the clear sky if that is due."""
+        dispatch, meter = turn.get(_DISPATCH), turn.get(self._meter)
+        share = nan
+        if turn.cycle < 0:
+            share = settings.first_share
+        elif dispatch is not None and dispatch.cycle == turn.cycle:
+            is_metered = meter is not None and meter.cycle == turn.cycle > 0
+            values = np.frombuffer(state.offers).copy()
+            share = observe(
+                memory_of(values, settings),
+                settings,
+                turn.cycle,
+                total([report.impp_kw for report in reports]),
+                meter.power_kw if meter is not None and is_metered else nan,
+                dispatch.power_kw,
+                dispatch.clear_sky_kw or 0.0,
+            )
+            state = replace(state, offers=values.tobytes())
+        return state, [] if isnan(share) else [(OFFER.of(ROOT), Offer(*turn.stamp, share=share))]
 
     def _read_meter(self, state: CentralState, meter: Meter | None) -> CentralState:
         """Take up the meter's newest reading, each reading once."""

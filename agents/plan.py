@@ -101,6 +101,20 @@ class Timing(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return self.start_time_ns + cycle * self.cycle_ns
 
 
+class Offers(msgspec.Struct, frozen=True, kw_only=True):
+    """What the plant promises for coming intervals, which begin with the run.
+
+    interval_cycles, lead_cycles: Length of an interval, and how long before it the offer is made.
+    reliability: Share of the intervals that are to be kept.
+    first_share: Share of clear sky that is promised until the first offer.
+    """
+
+    interval_cycles: int
+    lead_cycles: int
+    reliability: float
+    first_share: float
+
+
 class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     """How the controllers decide.
 
@@ -109,6 +123,7 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     correction: Whether the central controller corrects its target by the plant's meter.
     offset_kw, offset_errors: How much more than the dispatch the plant aims at: a power, and so
         many times its own mean error.
+    offers: How the commitment is offered; None: it is given.
     """
 
     period_cycles: tuple[int, ...]
@@ -120,6 +135,7 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     correction: bool = False
     offset_kw: float = 0.0
     offset_errors: float = 0.0
+    offers: Offers | None = None
 
     @cached_property
     def periods(self) -> Periods:

@@ -11,6 +11,7 @@ from bus_schemas.messages import (
     Impp,
     Message,
     Meter,
+    Offer,
     Order,
     Residual,
     Setpoint,
@@ -25,6 +26,10 @@ _ROUNDING: Final = 1.0 + 1e-9
 _ABOVE_ZERO: Final = 5e-324
 LARGEST: Final = 1e30
 """Multiple of the rating up to which an operator may ask for too much: any finite number."""
+
+
+_CLEAR_SKY: Final = 2.0
+"""Highest power under a clear sky: modules may be larger than their inverters."""
 
 
 class Bound(NamedTuple):
@@ -52,6 +57,7 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
         Bound("power_kw", 0.0, _ROUNDING),
         Bound("revert_kw", 0.0, _ROUNDING),
     ),
+    Offer: (Bound("share", 0.0, 2.0),),
     # An operator may ask for more than there is, or for less than nothing.
     Order: (
         Bound("power_kw", -LARGEST, LARGEST),
@@ -63,6 +69,7 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
         Bound("power_kw", -LARGEST, LARGEST),
         # The rating of the plan: one in MW would make every share a thousandth.
         Bound("plant_rating_kw", 1.0 - 1e-6, 1.0 + 1e-6),
+        Bound("clear_sky_kw", 0.0, _CLEAR_SKY),
     ),
 }
 """Bounds by message type; those of powers are multiples of the rating of the message's node.

@@ -27,6 +27,7 @@ LARGEST_PAYLOAD: Final = 1 << 20
 LONGEST_TEXT: Final = 1_000
 MOST_MISSING: Final = 16_384
 LONGEST_MISSING: Final = 256
+LONGEST_RECORD: Final = 1 << 16
 
 _CYCLE: Final = re.compile(r"0|[1-9][0-9]{0,17}")
 
@@ -114,6 +115,8 @@ class Dispatch(Message, kw_only=True):
     `plant_rating_kw`.
 
     The fields of `order_...` say which order is the newest one accepted, and what became of it.
+    `clear_sky_kw` is the power that the plant would have under a clear sky, in runs with offers.
+
     `order_source` gave it: `scenario`, `command`, `page`, `modbus` or `operator`; empty if there
     was none yet. `order_state` is `silent` if its source has not renewed it in time, and `over` if
     its time is over and the schedule returns. `order_cycle` is the first cycle with it, and
@@ -125,6 +128,7 @@ class Dispatch(Message, kw_only=True):
     plant_rating_kw: float
     commitment_kw: float
     regulation_kw: float
+    clear_sky_kw: float | None = None
     order_source: Name = ""
     order_state: OrderState = "none"
     order_cycle: Count = 0
@@ -215,6 +219,16 @@ class Command(Message, kw_only=True):
     revert_kw: float | None = None
 
 
+class Offer(Message, kw_only=True):
+    """What the plant can promise for a coming interval: `share` of its power under a clear sky.
+
+    The interval is that of the scenario which begins `lead_s` after this cycle. The operator
+    accepts every offer: it is the commitment of the interval.
+    """
+
+    share: float
+
+
 class Production(Message, kw_only=True):
     """What really happened in the interval of this cycle. No controller may listen to it.
 
@@ -263,7 +277,8 @@ class Takeover(Message, kw_only=True):
     fields are the state of a central controller at the beginning of this stage, so that `verify`
     can repeat the recording: its correction, what it aimed at in its last turn, the sum of the
     meter's readings since then, their number, the cycle of the last reading, how many dispatches it
-    has clamped, and the mean error of the plant's power.
+    has clamped, the mean error of the plant's power, and what its offers rest on (packed float64,
+    little-endian).
     """
 
     stage: Annotated[str, msgspec.Meta(max_length=20)]
@@ -274,6 +289,7 @@ class Takeover(Message, kw_only=True):
     meter_cycle: Cycle | None = None
     clamped: Count | None = None
     error_kw: float | None = None
+    offers: Annotated[bytes, msgspec.Meta(max_length=LONGEST_RECORD)] | None = None
 
 
 class GivenUp(Message, kw_only=True):

@@ -18,6 +18,7 @@ from agents.plan import (
     Access,
     Control,
     Faults,
+    Offers,
     RunPlan,
     Site,
     Supervision,
@@ -54,7 +55,12 @@ from scenarios.scenario import (
     local_start,
 )
 from scenarios.times import on_day, parse_duration_s, parse_time
-from sim_plant.commitment import commitment_kw, is_hindsight
+from sim_plant.commitment import (
+    CommitmentSettings,
+    OfferedCommitment,
+    commitment_kw,
+    is_hindsight,
+)
 from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw
 from sim_plant.sites import east_north_m
@@ -164,6 +170,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         regulation,
         plan.site.regulation_capacity_kw,
         meter_error=scenario.plant.meter_noise * meter.standard_normal(day.available_kw.shape),
+        clear_sky_kw=day.source.clear_sky_kw(day.times) if plan.control.offers else np.zeros(0),
     )
     return Preparation(plan, profile, scenario_file, options, tuple(remarks))
 
@@ -189,6 +196,28 @@ def _day(
     hours = sorted(set(of_scenario.tolist()).intersection(deviations))
     tree = control_tree(scenario.control, source.sites, deviations, hours or list(deviations))
     return _Day(times, source, available_kw, commitment, deviations, tree)
+
+
+def _offers(commitment: CommitmentSettings, cycle_s: float) -> Offers | None:
+    """Return how the commitment is offered, in cycles."""
+    if not isinstance(commitment, OfferedCommitment):
+        return None
+    interval_cycles = round(commitment.interval_s / cycle_s)
+    lead_cycles = max(round(commitment.lead_s / cycle_s), 1)
+    if abs(interval_cycles * cycle_s - commitment.interval_s) > 1e-9 or interval_cycles == 0:
+        expected = f"whole cycles of {cycle_s:g} s"
+        raise InputError(
+            f"commitment.interval_s: expected {expected}, got {commitment.interval_s:g}"
+        )
+    if lead_cycles > interval_cycles:
+        expected = f"at most interval_s, {commitment.interval_s:g}"
+        raise InputError(f"commitment.lead_s: expected {expected}, got {commitment.lead_s:g}")
+    return Offers(
+        interval_cycles=interval_cycles,
+        lead_cycles=lead_cycles,
+        reliability=commitment.reliability,
+        first_share=commitment.first_share,
+    )
 
 
 def _warnings(day: _Day) -> Iterator[str]:
@@ -267,6 +296,7 @@ def _plan(
             correction=scheme == "predictive" if control.correction is None else control.correction,
             offset_kw=control.offset * day.tree.rating_kw(ROOT),
             offset_errors=control.offset_errors,
+            offers=_offers(scenario.commitment, scenario.time.cycle_s),
         ),
         site=Site(
             seed=seed,

@@ -72,6 +72,24 @@ class BelowAvailable(_Rule, frozen=True, tag="below-available"):
     window_s: Annotated[float, Meta(gt=0.0, le=86400.0)]
 
 
+class OfferedCommitment(_Rule, frozen=True, tag="offered"):
+    """What the central controller offers for each interval, from what it knows before it begins.
+
+    The first interval begins with the run. Within an interval the commitment follows the power
+    under a clear sky.
+
+    interval_s: Length of an interval [s].
+    lead_s: How long before an interval begins its offer is made [s].
+    reliability: Share of the intervals that are to be kept: at most 1 % of their energy is missing.
+    first_share: Share of the clear-sky power that is promised until the first offer.
+    """
+
+    interval_s: Annotated[float, Meta(ge=1.0, le=86400.0)] = 900.0
+    lead_s: Annotated[float, Meta(gt=0.0, le=86400.0)] = 60.0
+    reliability: Annotated[float, Meta(ge=0.5, le=0.999)] = 0.95
+    first_share: Share = 0.3
+
+
 class ScheduledCommitment(_Rule, frozen=True, tag="file"):
     """A schedule in a file.
 
@@ -82,7 +100,12 @@ class ScheduledCommitment(_Rule, frozen=True, tag="file"):
 
 
 CommitmentSettings: TypeAlias = (
-    ConstantCommitment | ShareOfMedian | ShareOfClearSky | BelowAvailable | ScheduledCommitment
+    ConstantCommitment
+    | ShareOfMedian
+    | ShareOfClearSky
+    | BelowAvailable
+    | OfferedCommitment
+    | ScheduledCommitment
 )
 
 
@@ -108,6 +131,8 @@ def commitment_kw(
                 raise InputError("commitment: expected a run with daylight for most of its time")
             return np.full(available_kw.shape, share * median_kw)
         case ShareOfClearSky(share=share):
+            return share * clear_sky_kw(times)
+        case OfferedCommitment(first_share=share):
             return share * clear_sky_kw(times)
         case BelowAvailable(share=share, window_s=window_s):
             # As many values before as after, fewer at the ends.

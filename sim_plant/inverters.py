@@ -19,13 +19,26 @@ from sim_plant.orders import Wanted
 
 
 @dataclass(frozen=True, slots=True)
+class Promise:
+    """Shares of clear sky that the operator accepted: for an interval, and for the next one."""
+
+    interval: int = 0
+    share: float = 0.0
+    coming: float = 0.0
+
+    def at(self, interval: int) -> Promise:
+        """Return what holds in an interval. An offer that did not come repeats the one before."""
+        return self if interval == self.interval else Promise(interval, self.coming, self.coming)
+
+
+@dataclass(frozen=True, slots=True)
 class PlantState:
     """What each inverter obeyed and delivered in the last interval, shape (n,).
 
     `ordered_alpha` and `ordered_kw` are its commands of the last intervals, the newest first, shape
     (1 + longest delay, n). `renewed` is the cycle of the last command, `revert_kw` the limit that
     it goes to when its revert time is over. `cycle` is that of the interval. `wanted` is what the
-    operator wants in it.
+    operator wants in it, and `promise` what was offered for it.
     """
 
     alpha: Floats
@@ -36,6 +49,7 @@ class PlantState:
     renewed: NDArray[np.int64]
     revert_kw: Floats
     wanted: Wanted
+    promise: Promise = Promise()
     cycle: int = -1
 
 

@@ -13,14 +13,16 @@ import numpy as np
 
 from agents.agent import Stage, Turn
 from agents.control.allocation import total
+from agents.control.offers import is_due
 from agents.faults import Trip, trips
 from agents.plan import RunPlan
+from agents.team import offer_settings
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
-from bus_schemas.signals import COMMAND, DISPATCH, METER, ORDER, PRODUCTION, TELEMETRY
+from bus_schemas.signals import COMMAND, DISPATCH, METER, OFFER, ORDER, PRODUCTION, TELEMETRY
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant import Floats
-from sim_plant.inverters import Inverters, PlantState
+from sim_plant.inverters import Inverters, PlantState, Promise
 from sim_plant.orders import Orders
 from sim_plant.profile import Profile
 
@@ -48,16 +50,23 @@ class Plant:
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in plan.tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
         self._orders = Orders(plan.orders, self._cycle_s, self._plant_rating_kw)
+        self._offers = offer_settings(plan)
         sense = Stage("sense", (), (ORDER.of(ROOT),), timed=True)
         self._stages = (sense, Stage("apply", self._commands))
+        self._with_offer = (sense, Stage("apply", (*self._commands, OFFER.of(ROOT))))
 
     def initial_state(self) -> PlantState:
         profile = self._profile
         dispatch_kw = float(profile.commitment_kw[0] + profile.regulation_kw[0])
-        return self._inverters.uncurtailed(profile.mpp_kw[0], dispatch_kw)
+        state = self._inverters.uncurtailed(profile.mpp_kw[0], dispatch_kw)
+        if self._offers is None:
+            return state
+        first_share = self._offers.first_share
+        return replace(state, promise=Promise(0, first_share, first_share))
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
-        return self._stages
+        has_offer = self._offers is not None and is_due(self._offers, cycle)
+        return self._with_offer if has_offer else self._stages
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         if turn.stage == "sense":
@@ -68,6 +77,11 @@ class Plant:
         cycle = max(turn.cycle, 0)
         commitment_kw = float(self._profile.commitment_kw[cycle])
         regulation_kw = float(self._profile.regulation_kw[cycle])
+        promise, clear_sky_kw = state.promise, None
+        if self._offers is not None:
+            promise = promise.at(cycle // self._offers.interval_cycles)
+            clear_sky_kw = float(self._profile.clear_sky_kw[cycle])
+            commitment_kw = promise.share * clear_sky_kw
         order, scheduled_kw = turn.get(ORDER.of(ROOT)), commitment_kw + regulation_kw
         wanted = self._orders.next(state.wanted, order, scheduled_kw, turn.cycle)
         dispatch = Dispatch(
@@ -76,6 +90,7 @@ class Plant:
             plant_rating_kw=self._plant_rating_kw,
             commitment_kw=commitment_kw,
             regulation_kw=regulation_kw if wanted.is_scheduled else 0.0,
+            clear_sky_kw=clear_sky_kw,
             **(wanted.order.stated() if wanted.order is not None else {}),
         )
         meter = Meter(*turn.stamp, power_kw=total(state.power_kw.tolist()))
@@ -92,7 +107,7 @@ class Plant:
                 available_kw=available_kw[position],
             )
             outputs.append((port, telemetry))
-        return replace(state, wanted=wanted), outputs
+        return replace(state, wanted=wanted, promise=promise), outputs
 
     def _available_kw(self, cycle: int) -> list[float | None]:
         """Return what each inverter states that it could have given in the last interval."""
@@ -114,6 +129,10 @@ class Plant:
         mpp_kw = self._mpp_kw(cycle)
         state = self._inverters.obey(state, map(turn.get, self._commands), turn.cycle)
         power_kw = self._inverters.power_kw(state, mpp_kw)
+        if turn.cycle >= 0 and self._offers is not None and is_due(self._offers, turn.cycle):
+            offer = turn.get(OFFER.of(ROOT))
+            if offer is not None and offer.cycle == turn.cycle:
+                state = replace(state, promise=replace(state.promise, coming=offer.share))
         production = Production(
             *turn.stamp,
             dispatch_kw=state.wanted.power_kw,

@@ -20,7 +20,9 @@ class Profile:
     `mpp_kw` [cycles, inverters] is clipped at the rating. The operator wants the commitment, and
     regulation of either sign on top of it [cycles]; the capacity is what a regulation signal of +1
     stands for. Row k of `meter_error` [cycles, inverters] is the relative error of the power in the
-    telemetry sent in cycle k. By default there is no regulation, and the meters are exact.
+    telemetry sent in cycle k. `clear_sky_kw` is the plant's power under a clear sky [cycles], if
+    the commitment is offered as a share of that. By default there is no regulation, the meters are
+    exact, and the commitment is given.
     """
 
     mpp_kw: Floats
@@ -28,6 +30,7 @@ class Profile:
     regulation_kw: Floats = field(default_factory=lambda: np.zeros(0))
     regulation_capacity_kw: float = 0.0
     meter_error: Floats = field(default_factory=lambda: np.zeros(0))
+    clear_sky_kw: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         if not self.regulation_kw.size:
