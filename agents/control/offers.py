@@ -81,6 +81,9 @@ class OfferSettings(NamedTuple):
     is_seen: bool
 
 
+NO_OFFERS: Final = OfferSettings(0, 0, 1, 1, 0.0, 0.0, False)
+
+
 class OfferMemory(NamedTuple):
     """What the central controller remembers for its offers. `observe` changes it in place.
 

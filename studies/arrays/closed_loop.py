@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from math import isnan, nan
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agents.control.allocation import allocate, total
@@ -24,9 +26,18 @@ from agents.control.impp import (
     estimate_impp,
     is_lost,
 )
+from agents.control.offers import (
+    NO_OFFERS,
+    OfferMemory,
+    OfferSettings,
+    memory_of,
+    nothing_offered,
+    observe,
+)
 from agents.control.share import share_kw, usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
+from agents.team import offer_settings
 from bus_schemas.errors import InputError
 from sim_plant.orders import planned
 from sim_plant.profile import Profile
@@ -54,9 +65,26 @@ class LoopSettings(NamedTuple):
     offset_errors: float
 
 
-class LoopResult(NamedTuple):
-    """Power, estimates and commands of the inverters, each of shape (cycles, n)."""
+class Schedule(NamedTuple):
+    """What the operator wants, shape (cycles,). Offers change commitment and dispatch in place.
 
+    clear_sky_kw: What the plant would have under a clear sky; 0 without offers.
+    offers, memory: How the commitment is offered, see `agents.control.offers`.
+    """
+
+    dispatch_kw: Floats
+    commitment_kw: Floats
+    regulation_kw: Floats
+    clear_sky_kw: Floats
+    offers: OfferSettings
+    memory: OfferMemory
+
+
+class LoopResult(NamedTuple):
+    """What was wanted, of shape (cycles,); power, estimates and commands of shape (cycles, n)."""
+
+    dispatch_kw: Floats
+    commitment_kw: Floats
     power_kw: Floats
     impp_kw: Floats
     residual_kw: Floats
@@ -70,14 +98,14 @@ def run_loop(plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Actuator
 
 @cache
 def _compiled_loop() -> Callable[
-    [ControlArrays, LoopSettings, Floats, Floats, Floats, Floats], LoopResult
+    [ControlArrays, LoopSettings, Floats, Schedule, Floats, Floats], LoopResult
 ]:
     return compiled(closed_loop)
 
 
 def loop_inputs(
     plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Actuator
-) -> tuple[ControlArrays, LoopSettings, Floats, Floats, Floats, Floats]:
+) -> tuple[ControlArrays, LoopSettings, Floats, Schedule, Floats, Floats]:
     """Return the arguments of `closed_loop`; InputError where its inverters do not suffice."""
     if any(plan.site.follows_within_s(leaf) for leaf in plan.tree.leaves):
         raise InputError(
@@ -99,9 +127,24 @@ def loop_inputs(
         control_arrays(plan, profile.cycles),
         settings,
         profile.mpp_kw,
-        planned(plan, profile).dispatch_kw,
+        _schedule(replace(plan, control=replace(plan.control, actuator=actuator)), profile),
         profile.meter_error,
         _available_kw(plan, profile),
+    )
+
+
+def _schedule(plan: RunPlan, profile: Profile) -> Schedule:
+    offers = offer_settings(plan)
+    if offers is not None and plan.orders:
+        raise InputError("orders: expected none in a study over arrays with offers")
+    settings = NO_OFFERS if offers is None else offers
+    return Schedule(
+        planned(plan, profile).dispatch_kw.copy(),
+        profile.commitment_kw.copy(),
+        profile.regulation_kw,
+        np.zeros(profile.cycles) if offers is None else profile.clear_sky_kw,
+        settings,
+        memory_of(nothing_offered(settings), settings),
     )
 
 
@@ -119,11 +162,12 @@ def closed_loop(
     tree: ControlArrays,
     settings: LoopSettings,
     mpp_kw: Floats,
-    dispatch_kw: Floats,
+    schedule: Schedule,
     meter_error: Floats,
     available_kw: Floats,
 ) -> LoopResult:
     cycles, inverters = mpp_kw.shape
+    shares = np.full(2, schedule.offers.first_share)
     power_kw = np.empty((cycles, inverters))
     impp_kw = np.empty((cycles, inverters))
     residuals_kw = np.empty((cycles, inverters))
@@ -141,20 +185,22 @@ def closed_loop(
     wanted_kw, correction_kw, error_kw, metered_kw, metered_cycles = 0.0, 0.0, 0.0, 0.0, 0
     for cycle in range(cycles):
         for i in range(inverters):
-            node = tree.inverters[i]
             estimates[i] = estimate(
                 settings,
                 last_kw[i] * (1.0 + meter_error[cycle, i]),
                 level[i],
                 available_kw[cycle, i],
                 limit_kw[i],
-                tree.rating_kw[node],
+                rating_kw[i],
                 estimates[i],
             )
             is_gone = is_lost(estimates[i], settings.hold_cycles)
-            node_impp_kw[node] = 0.0 if is_gone else estimates[i].power_kw
+            node_impp_kw[tree.inverters[i]] = 0.0 if is_gone else estimates[i].power_kw
         report_up(tree, node_impp_kw)
-        heard_kw = usable_dispatch_kw(dispatch_kw[cycle], plant_rating_kw)
+        if schedule.offers.interval_cycles > 0:
+            metered_now_kw = total(last_kw) if cycle > 0 else nan
+            follow_offers(schedule, shares, cycle, node_impp_kw[0], metered_now_kw)
+        heard_kw = usable_dispatch_kw(schedule.dispatch_kw[cycle], plant_rating_kw)
         if cycle > 0:
             metered_kw += total(last_kw)
             metered_cycles += 1
@@ -181,12 +227,36 @@ def closed_loop(
             level[i] = curtailment_level(wanted_kw_now, known_kw, settings.alpha_min)
             alpha[cycle, i] = share = level[i]
             if settings.is_limited:
-                limit_kw[i] = own_kw if is_gone else share * known_kw
-                if share >= 1.0 and not is_gone:
-                    limit_kw[i] = free_kw(settings, target_kw[node], rating_kw[i], estimates[i])
-                share = 1.0
+                held_at_kw = commanded_kw(
+                    settings, share, target_kw[node], rating_kw[i], estimates[i]
+                )
+                limit_kw[i], share = own_kw if is_gone else held_at_kw, 1.0
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
-    return LoopResult(power_kw, impp_kw, residuals_kw, alpha)
+    return LoopResult(
+        schedule.dispatch_kw, schedule.commitment_kw, power_kw, impp_kw, residuals_kw, alpha
+    )
+
+
+def follow_offers(
+    schedule: Schedule, shares: Floats, cycle: int, impp_kw: float, metered_kw: float
+) -> None:
+    """Work out what is wanted; `shares` are those of this interval and of the coming one."""
+    clear_sky_kw = schedule.clear_sky_kw[cycle]
+    if cycle % schedule.offers.interval_cycles == 0:
+        shares[0] = shares[1]
+    schedule.commitment_kw[cycle] = shares[0] * clear_sky_kw
+    schedule.dispatch_kw[cycle] = schedule.commitment_kw[cycle] + schedule.regulation_kw[cycle]
+    offered = observe(
+        schedule.memory,
+        schedule.offers,
+        cycle,
+        impp_kw,
+        metered_kw,
+        schedule.dispatch_kw[cycle],
+        clear_sky_kw,
+    )
+    if not isnan(offered):
+        shares[1] = offered
 
 
 def estimate(
@@ -205,8 +275,12 @@ def estimate(
     return forecast_impp(power_kw, share, available_kw, limit_kw, rating_kw, settings.cycle_s, last)
 
 
-def free_kw(settings: LoopSettings, target_kw: float, rating_kw: float, last: Estimate) -> float:
-    """Limit an inverter that is asked for all it has."""
+def commanded_kw(
+    settings: LoopSettings, share: float, target_kw: float, rating_kw: float, last: Estimate
+) -> float:
+    """Return the power limit of an inverter that is asked for a share of its maximum."""
+    if share < 1.0:
+        return share * last.power_kw
     return held_kw(target_kw, rating_kw, last) if settings.is_forecast else rating_kw
 
 

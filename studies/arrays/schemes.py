@@ -66,6 +66,7 @@ def run_scheme(
     if name in get_args(Scheme):
         results = [run_loop(plan, profile, cast(Scheme, name), actuator)._asdict()]
     else:
+        profile = _as_offered(plan, profile, actuator)
         powers_kw = _powers_kw(name, plan, profile, actuator, groups)
         results = [{"power_kw": kw, "alpha": _share(kw, profile.mpp_kw)} for kw in powers_kw]
     of_plant = {
@@ -73,11 +74,19 @@ def run_scheme(
         **planned(plan, profile)._asdict(),
         "mpp_kw": profile.mpp_kw,
     }
-    series = [RunSeries.of(plan, name, **of_plant, **result) for result in results]
+    series = [RunSeries.of(plan, name, **{**of_plant, **result}) for result in results]
     # Every message arrives here.
     return [
         dataclasses.replace(one, of_agents={"missed-inputs": 0, "reverted": 0.0}) for one in series
     ]
+
+
+def _as_offered(plan: RunPlan, profile: Profile, actuator: Actuator) -> Profile:
+    """Return a profile with the commitment that the plan's own scheme offers, if it offers one."""
+    if plan.control.offers is None:
+        return profile
+    run = run_loop(plan, profile, plan.control.scheme, actuator)
+    return dataclasses.replace(profile, commitment_kw=run.dispatch_kw - profile.regulation_kw)
 
 
 def _powers_kw(

@@ -15,6 +15,7 @@ from agents.settings import Actuator, Scheme
 from recordings.read.series import RunSeries
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
+from scenarios.settings import with_settings
 from studies.arrays.closed_loop import LoopResult, closed_loop, loop_inputs, run_loop
 from studies.arrays.compiled import compiled
 from studies.arrays.schemes import run_scheme
@@ -113,6 +114,14 @@ def test_loop_and_agents_give_the_same_at_night_with_absurd_inputs_and_into_the_
 def test_loop_and_agents_give_the_same_over_a_whole_hour_behind_limits() -> None:
     # Where an inverter is held or let free by a hair's breadth, a rounding error would show.
     hour = prepare(load_scenario("oahu"), RunOptions(actuator="limit"), "loop")
+    assert_equal(hour, "predictive")
+
+
+@pytest.mark.parametrize("actuator", get_args(Actuator))
+def test_loop_and_agents_give_the_same_where_the_commitment_is_offered(actuator: Actuator) -> None:
+    commitment = {"kind": "offered", "interval_s": 120, "lead_s": 20}
+    scenario = with_settings(load_scenario("oahu"), [("commitment", commitment)])
+    hour = prepare(scenario, RunOptions(actuator=actuator), "loop")
     assert_equal(hour, "predictive")
 
 
