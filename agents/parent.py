@@ -191,7 +191,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     meter_cycle: int = 0
     clamped: int = 0
     error_kw: float = 0.0
-    offers: bytes = b""
+    offers: tuple[float, ...] = ()
 
 
 # A standby that takes over says its state in these fields, and `verify` goes on from them.
@@ -220,7 +220,7 @@ class CentralController(Parent):
     def initial_state(self) -> CentralState:
         if self._offers is None:
             return CentralState()
-        return CentralState(offers=nothing_offered(self._offers).tobytes())
+        return CentralState(offers=tuple(nothing_offered(self._offers).tolist()))
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         return self._stages
@@ -262,7 +262,7 @@ class CentralController(Parent):
             share = settings.first_share
         elif dispatch is not None and dispatch.cycle == turn.cycle:
             is_metered = meter is not None and meter.cycle == turn.cycle > 0
-            values = np.frombuffer(state.offers).copy()
+            values = np.array(state.offers)
             share = observe(
                 memory_of(values, settings),
                 settings,
@@ -272,7 +272,7 @@ class CentralController(Parent):
                 dispatch.power_kw,
                 dispatch.clear_sky_kw or 0.0,
             )
-            state = replace(state, offers=values.tobytes())
+            state = replace(state, offers=tuple(values.tolist()))
         return state, [] if isnan(share) else [(OFFER.of(ROOT), Offer(*turn.stamp, share=share))]
 
     def _read_meter(self, state: CentralState, meter: Meter | None) -> CentralState:

@@ -27,7 +27,6 @@ LARGEST_PAYLOAD: Final = 1 << 20
 LONGEST_TEXT: Final = 1_000
 MOST_MISSING: Final = 16_384
 LONGEST_MISSING: Final = 256
-LONGEST_RECORD: Final = 1 << 16
 
 _CYCLE: Final = re.compile(r"0|[1-9][0-9]{0,17}")
 
@@ -277,8 +276,7 @@ class Takeover(Message, kw_only=True):
     fields are the state of a central controller at the beginning of this stage, so that `verify`
     can repeat the recording: its correction, what it aimed at in its last turn, the sum of the
     meter's readings since then, their number, the cycle of the last reading, how many dispatches it
-    has clamped, the mean error of the plant's power, and what its offers rest on (packed float64,
-    little-endian).
+    has clamped, the mean error of the plant's power, and what its offers rest on.
     """
 
     stage: Annotated[str, msgspec.Meta(max_length=20)]
@@ -289,7 +287,7 @@ class Takeover(Message, kw_only=True):
     meter_cycle: Cycle | None = None
     clamped: Count | None = None
     error_kw: float | None = None
-    offers: Annotated[bytes, msgspec.Meta(max_length=LONGEST_RECORD)] | None = None
+    offers: Powers | None = None
 
 
 class GivenUp(Message, kw_only=True):

@@ -84,8 +84,8 @@ class OfferedCommitment(_Rule, frozen=True, tag="offered"):
     first_share: Share of the clear-sky power that is promised until the first offer.
     """
 
-    interval_s: Annotated[float, Meta(ge=1.0, le=86400.0)] = 900.0
-    lead_s: Annotated[float, Meta(gt=0.0, le=86400.0)] = 60.0
+    interval_s: Annotated[float, Meta(ge=1.0, le=14400.0)] = 900.0
+    lead_s: Annotated[float, Meta(gt=0.0, le=14400.0)] = 60.0
     reliability: Annotated[float, Meta(ge=0.5, le=0.999)] = 0.95
     first_share: Share = 0.3
 

@@ -33,7 +33,7 @@ RECENT_S: Final = 300.0
 ALIKE: Final = 40
 """How many past intervals an offer rests on."""
 
-MOST_PAST: Final = 500
+MOST_PAST: Final = 300
 """How many past intervals are kept in mind; a new one then replaces the oldest."""
 
 MISSED_SHARE: Final = 0.01

@@ -69,7 +69,8 @@ def own_columns(signal: Signal[Message]) -> Columns:
 
 def _column_type(kind: inspect.Type) -> type:
     if isinstance(kind, inspect.UnionType):
-        return float
+        has_list = any(isinstance(one, inspect.VarTupleType) for one in kind.types)
+        return tuple if has_list else float
     return _TYPES.get(type(kind), str)
 
 
