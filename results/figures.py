@@ -13,6 +13,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from agents.control.offers import MISSED_SHARE, firm_share
 from recordings.read.series import RunSeries
 from results.regulation import regulation_figures
 from results.tables import Cell, Column, Number, Table, key_column
@@ -106,6 +107,10 @@ FIGURES: Final = {
         ("outside-help-able", "Help from outside, plant able", "%", 1, _AC),
         ("missed-inputs", "Inputs missed", "", 0, _AC),
         ("reverted", "Reverted", "%", 2, _AC),
+        ("intervals", "Intervals offered", "", 0, _R),
+        ("kept-intervals", "Intervals with enough power", "%", 1, _SRC | _MORE),
+        ("firm-energy", "Firm energy", "kWh", 1, _R),
+        ("promised", "Promised of firm energy", "%", 1, _SRC | _MORE),
         ("capacity", "Regulation capacity", "kW", 0, _G),
         ("offered", "Regulation offered", "h", 2, _G),
         ("signal-mileage", "Mileage of the signal", "1/h", 2, _G),
@@ -201,6 +206,7 @@ def run_figures(series: RunSeries) -> Figures:
             series.plant.ramp_limit_percent_per_min,
         ),
         **help_figures(series.residual_kw, series.inverters),
+        **offer_figures(series),
         **series.of_agents,
         **regulation_figures(series),
     }
@@ -242,6 +248,39 @@ def energy_figures(
         figures |= {name: 100.0 * kwh[name] / dispatched_kwh for name in missed_kw}
         figures["satisfied"] = 100.0 - 100.0 * kwh["shortfall"] / dispatched_kwh
     return figures
+
+
+def offer_figures(series: RunSeries) -> Figures:
+    """Compute how often there was enough power for what was offered, and what could have been.
+
+    An interval has enough if at most `MISSED_SHARE` of its commitment was more than was available.
+    Firm energy is the most that could have been promised so, of the same shape, in hindsight. An
+    interval that is not known as a whole, or in which nothing is promised, is left out, and so is
+    the first: nobody has offered it.
+    """
+    length = series.plant.interval_cycles
+    if not length:
+        return {}
+    intervals = kept = 0
+    promised_kw = firm_kw = 0.0
+    for begin in range(length, series.cycles - length + 1, length):
+        cycles = slice(begin, begin + length)
+        commitment_kw, available_kw = series.commitment_kw[cycles], series.available_kw[cycles]
+        if not series.known[cycles].all() or not (commitment_kw > 0.0).all():
+            continue
+        intervals += 1
+        missing_kw = np.maximum(commitment_kw - available_kw, 0.0).sum()
+        kept += bool(missing_kw <= MISSED_SHARE * commitment_kw.sum())
+        promised_kw += commitment_kw.sum()
+        firm_kw += commitment_kw.sum() * firm_share(available_kw / commitment_kw)
+    if not intervals:
+        return {}
+    return {
+        "intervals": intervals,
+        "kept-intervals": 100.0 * kept / intervals,
+        "firm-energy": firm_kw * series.cycle_s / 3600.0,
+        "promised": _share(promised_kw, firm_kw),
+    }
 
 
 def ramp_figures(

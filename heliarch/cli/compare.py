@@ -29,6 +29,7 @@ from scenarios.run_options import FAULTS, RunOptions, TimeOptions, check_names
 
 if TYPE_CHECKING:
     from studies.compare.cases import Case
+    from studies.compare.frontier import Turned
     from studies.compare.study import Row
 
 _SETTINGS: Final = (
@@ -48,7 +49,7 @@ def compare(
     schemes: Annotated[str | None, Parameter(metavar="NAMES")] = None,
     actuator: Annotated[str | None, Parameter(metavar="NAMES")] = None,
     show: Annotated[str | None, Parameter(metavar="FIGURES")] = None,
-    frontier: Literal["offset", "offset_errors"] | None = None,
+    frontier: Literal["offset", "offset_errors", "promise"] | None = None,
     workers: Workers = 1,
     settings: Annotated[Settings, Parameter(metavar="FIELD=VALUES", help=_SETTINGS)] = None,
     span: TimeOptions = TimeOptions(),
@@ -89,9 +90,10 @@ def compare(
         offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy,
         delay, precision, score. Default: control-caused,over-delivered.
     frontier
-        Turn this offset of the plant's target (`control.offset`: a share of the rating;
+        Turn an offset of the plant's target (`control.offset`: a share of the rating;
         `control.offset_errors`: times its own mean error), and show what each scheme misses and
-        over-delivers: means over all other cases.
+        over-delivers; or turn the reliability of what the plant promises, and show what it misses
+        and curtails. Means over all other cases.
     faults
         A rule as for `simulate`, several that act together (delay=1s;loss=5%), or none. May be
         given several times: each is a case.
@@ -107,20 +109,24 @@ def compare(
         raise InputError(f"{scenario}: expected two runs, or one scenario")
     from results.figures import FIGURES
     from scenarios.scenario import load_scenario
-    from scenarios.settings import Setting, parse_setting
+    from scenarios.settings import Setting, parse_setting, with_settings
+    from sim_plant.commitment import OfferedCommitment
     from studies.arrays.schemes import SCHEMES
     from studies.compare.cases import cases, parse_days, parse_seeds
-    from studies.compare.frontier import OFFSETS
+    from studies.compare.frontier import TURNED
     from studies.compare.study import run_case
 
     shown = _names("--show", show or _SHOWN, FIGURES)
     names = tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES)
     actuators = cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator)))
     chosen = [parse_setting(text) for text in settings or ()]
-    if frontier is not None:
-        chosen.append(Setting(f"control.{frontier}", OFFSETS[frontier]))
+    file, knob = load_scenario(scenario, files.data), TURNED.get(frontier or "")
+    if knob is not None:
+        chosen.append(Setting(knob.field, knob.values))
+    if frontier == "promise" and not isinstance(file.scenario.commitment, OfferedCommitment):
+        file = with_settings(file, [("commitment", {"kind": "offered"})])
     found = cases(
-        load_scenario(scenario, files.data),
+        file,
         RunOptions.of(span),
         chosen,
         faults or (),
@@ -135,7 +141,7 @@ def compare(
             many = f"{len(found):,}; see --csv and --json"
             raise InputError(f"--report: expected one case, got {many}")
         results = shared(partial(run_case, names, actuators), found, workers, "cases")
-        result = _many_cases(results, shown) if frontier is None else _frontier(frontier, results)
+        result = _many_cases(results, shown) if knob is None else _frontier(knob, results)
     do_all(
         partial(_write_summary, results, csv),
         partial(publish, result, files, "compare.html"),
@@ -183,16 +189,16 @@ def _many_cases(results: Sequence[Sequence[Row]], shown: Sequence[str]) -> Resul
     return Result(title, cases_tables(shown, results), _json(results), lines=list(remarks))
 
 
-def _frontier(field: str, results: Sequence[Sequence[Row]]) -> Result:
-    """Show what each scheme misses and over-delivers while an offset is turned."""
+def _frontier(knob: Turned, results: Sequence[Sequence[Row]]) -> Result:
+    """Show what each scheme does while a knob is turned."""
     from studies.compare.frontier import frontier, frontier_table, turned
 
-    rows = turned(field, results)
+    rows = turned(knob, results)
     return replace(
         _many_cases(results, _SHOWN.split(",")),
-        title=f"control.{field} turned",
-        tables=[frontier_table(field, rows)],
-        figures=lambda: [frontier(rows, field)],
+        title=f"{knob.field} turned",
+        tables=[frontier_table(knob, rows)],
+        figures=lambda: [frontier(rows, knob)],
     )
 
 

@@ -54,6 +54,7 @@ class SeriesPlant:
         regulation.
     ramp_limit_percent_per_min: Ramp limit in % of the plant's rating per minute, if a grid code
         sets one.
+    interval_cycles: Length of an interval for which the commitment is offered; 0: it is given.
     planned_cycles: How many cycles the run was to have; 0: as many as the series has.
     noun: What the n columns are: in a large plant clusters may stand for their inverters.
     """
@@ -65,6 +66,7 @@ class SeriesPlant:
     cycle_s: float
     regulation_capacity_kw: float = 0.0
     ramp_limit_percent_per_min: float | None = None
+    interval_cycles: int = 0
     planned_cycles: int = 0
     noun: Literal["inverter", "cluster"] = "inverter"
 
@@ -79,6 +81,7 @@ class SeriesPlant:
             cycle_s=plan.timing.cycle_ns / 1e9,
             regulation_capacity_kw=plan.site.regulation_capacity_kw,
             ramp_limit_percent_per_min=plan.site.ramp_limit_percent_per_min,
+            interval_cycles=plan.control.offers.interval_cycles if plan.control.offers else 0,
             planned_cycles=plan.timing.cycles,
             noun="cluster" if clusters else "inverter",
         )

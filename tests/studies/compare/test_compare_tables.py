@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from results.figures import FIGURES, energy_figures
-from studies.compare.frontier import frontier, frontier_table, turned
+from studies.compare.frontier import TURNED, frontier, frontier_table, turned
 from studies.compare.results import case_tables, cases_tables, summaries
 from studies.compare.study import Row
 
@@ -73,16 +73,32 @@ def test_an_offset_that_is_turned_makes_each_scheme_a_curve_of_means() -> None:
         return {"control.offset": offset, **result("paper", "limit", missed, beyond)}
 
     rows = turned(
-        "offset",
+        TURNED["offset"],
         [[turned_by(0.0, 1.0, 0.2)], [turned_by(0.0, 3.0, 0.4)], [turned_by(0.01, 0.5, 2.0)]],
     )
-    assert [cells[:5] for cells in frontier_table("offset", rows).texts()] == [
+    assert [cells[:5] for cells in frontier_table(TURNED["offset"], rows).texts()] == [
         ("paper", "limit", "0", "2.000", "0.300"),
         ("paper", "limit", "0.01", "0.500", "2.000"),
     ]
     *_, curve = frontier(rows).figure.data
     points = [(round(x, 3), round(y, 3)) for x, y in zip(curve.x, curve.y, strict=True)]
     assert points == [(0.3, 2.0), (2.0, 0.5)]
+
+
+def test_a_promise_that_is_turned_trades_shortfall_for_curtailed_energy() -> None:
+    def promised(reliability: float, missed: float, curtailed: float) -> Row:
+        row = result("paper", "limit", missed, 0.0)
+        figures = {"shortfall": missed, "curtailed": curtailed}
+        return {"commitment.reliability": reliability, **row, **figures}
+
+    promise = TURNED["promise"]
+    rows = turned(promise, [[promised(0.5, 2.0, 10.0)], [promised(0.9, 0.5, 40.0)]])
+    assert [cells[2:5] for cells in frontier_table(promise, rows).texts()] == [
+        ("0.5", "2.000", "10.0"),
+        ("0.9", "0.500", "40.0"),
+    ]
+    *_, curve = frontier(rows, promise).figure.data
+    assert list(zip(curve.x, curve.y, strict=True)) == [(10.0, 2.0), (40.0, 0.5)]
 
 
 # Many cases ---------------------------------------------------------------------------------------
