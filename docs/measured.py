@@ -20,8 +20,15 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from agents.control.offers import MISSED_SHARE, firm_share, nothing_offered
+from agents.plan import Offers, changed
+from agents.team import offer_settings
 from heliarch import compare, load_scenario
+from scenarios.preparation import Preparation, prepare
+from scenarios.run_options import RunOptions
 from scenarios.scenario import ScenarioFile
+from scenarios.settings import with_settings
+from studies.arrays.closed_loop import run_loop
 
 DOCUMENTS: Final = Path(__file__).parent
 WORKERS: Final = 2
@@ -211,6 +218,73 @@ def stated(data: Path) -> Lines:
         yield row([title, f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}"])
 
 
+# docs/offers.md
+
+
+def offers() -> Lines:
+    """Write how often promises were kept in 30 days of one plant, and how much they promised."""
+    yield from header(
+        [
+            *("interval [s]", "reliability", "actuator", "intervals", "kept %", "promised %"),
+            *("firm, hindsight %", "fixed share of clear sky", "promised so %"),
+        ]
+    )
+    for interval_s, reliability in ((300, 0.95), (900, 0.95), (3600, 0.95), (900, 0.9)):
+        offered = Offers(
+            interval_cycles=interval_s, lead_cycles=60, reliability=reliability, first_share=0.3
+        )
+        for actuator in BOTH:
+            figures = promise_figures(*promised_days(offered, actuator), interval_s)
+            yield row([interval_s, reliability, actuator, *figures])
+
+
+@cache
+def day_of_clouds(seed: int) -> Preparation:
+    """Prepare ten hours, 7:00 to 17:00, by second."""
+    scenario = with_settings(load_scenario("oahu-day"), [("commitment", {"kind": "offered"})])
+    return prepare(scenario, RunOptions(start="07:00", duration="10h", seed=seed), "offers")
+
+
+def promised_days(offered: Offers, actuator: Any) -> list[Any]:
+    """Return commitment, available power and clear-sky power of 30 days, by second."""
+    days, record = [], None
+    for seed in range(1, 31):
+        day = day_of_clouds(seed)
+        plan = changed(day.plan, control={"offers": offered, "actuator": actuator})
+        settings = offer_settings(plan)
+        assert settings is not None
+        record = nothing_offered(settings) if record is None else record
+        run = run_loop(plan, day.profile, "predictive", actuator, record)
+        available_kw = day.profile.mpp_kw.sum(axis=1)
+        days.append((run.commitment_kw, available_kw, day.profile.clear_sky_kw))
+    return [np.concatenate(one) for one in zip(*days, strict=True)]
+
+
+def promise_figures(
+    commitment_kw: Any, available_kw: Any, clear_sky_kw: Any, interval_s: int
+) -> Iterator[str]:
+    """Yield the figures of a row: intervals, kept, promised, firm, and those of a fixed share."""
+    promised, available, clear = (
+        kw.reshape(-1, interval_s) for kw in (commitment_kw, available_kw, clear_sky_kw)
+    )
+
+    def kept(wanted: Any) -> Any:
+        missing = np.maximum(wanted - available, 0.0).sum(axis=1)
+        return missing <= MISSED_SHARE * wanted.sum(axis=1)
+
+    coverage = kept(promised).mean()
+    shares = np.arange(0.05, 1.0, 0.005)
+    fixed = max(share for share in shares if kept(share * clear).mean() >= coverage)
+    firm = [firm_share(index) for index in available / clear]
+    most = available.sum()
+    yield f"{len(promised):,}"
+    yield f"{100 * coverage:.1f}"
+    yield f"{100 * promised.sum() / most:.1f}"
+    yield f"{100 * (np.array(firm) * clear.sum(axis=1)).sum() / most:.1f}"
+    yield f"{fixed:.3f}"
+    yield f"{100 * fixed * clear.sum() / most:.1f}"
+
+
 # docs/clusters.md
 
 
@@ -306,6 +380,7 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "skies": skies,
         "cycles": cycle_lengths,
     },
+    "offers.md": {"offers": offers},
     "clusters.md": {
         "oahu": lambda: clusters({"oahu": ("oahu", {})}),
     },
@@ -356,7 +431,7 @@ def main() -> None:
     pages = [word for word in sys.argv[1:] if word.endswith(".md")] or list(SYNTHETIC)
     data = next((Path(word) for word in sys.argv[1:] if word not in pages), None)
     for page in pages:
-        tables = SYNTHETIC[page] | (measured(data)[page] if data and page != "delays.md" else {})
+        tables = SYNTHETIC[page] | (measured(data).get(page, {}) if data else {})
         for name, write in tables.items():
             began = time.monotonic()
             write_table(page, name, write())

@@ -91,9 +91,18 @@ class LoopResult(NamedTuple):
     alpha: Floats
 
 
-def run_loop(plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Actuator) -> LoopResult:
-    """Run a plan's hierarchy on a profile with this scheme and actuator in place of its own."""
-    return _compiled_loop()(*loop_inputs(plan, profile, scheme, actuator))
+def run_loop(
+    plan: RunPlan,
+    profile: Profile,
+    scheme: Scheme,
+    actuator: Actuator,
+    record: Floats | None = None,
+) -> LoopResult:
+    """Run a plan's hierarchy on a profile with this scheme and actuator in place of its own.
+
+    `record` is what the offers of earlier runs left; this run adds to it, in place.
+    """
+    return _compiled_loop()(*loop_inputs(plan, profile, scheme, actuator, record))
 
 
 @cache
@@ -104,7 +113,11 @@ def _compiled_loop() -> Callable[
 
 
 def loop_inputs(
-    plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Actuator
+    plan: RunPlan,
+    profile: Profile,
+    scheme: Scheme,
+    actuator: Actuator,
+    record: Floats | None = None,
 ) -> tuple[ControlArrays, LoopSettings, Floats, Schedule, Floats, Floats]:
     """Return the arguments of `closed_loop`; InputError where its inverters do not suffice."""
     if any(plan.site.follows_within_s(leaf) for leaf in plan.tree.leaves):
@@ -127,13 +140,13 @@ def loop_inputs(
         control_arrays(plan, profile.cycles),
         settings,
         profile.mpp_kw,
-        _schedule(replace(plan, control=replace(plan.control, actuator=actuator)), profile),
+        _schedule(replace(plan, control=replace(plan.control, actuator=actuator)), profile, record),
         profile.meter_error,
         _available_kw(plan, profile),
     )
 
 
-def _schedule(plan: RunPlan, profile: Profile) -> Schedule:
+def _schedule(plan: RunPlan, profile: Profile, record: Floats | None) -> Schedule:
     offers = offer_settings(plan)
     if offers is not None and plan.orders:
         raise InputError("orders: expected none in a study over arrays with offers")
@@ -144,7 +157,7 @@ def _schedule(plan: RunPlan, profile: Profile) -> Schedule:
         profile.regulation_kw,
         np.zeros(profile.cycles) if offers is None else profile.clear_sky_kw,
         settings,
-        memory_of(nothing_offered(settings), settings),
+        memory_of(nothing_offered(settings) if record is None else record, settings),
     )
 
 
