@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
@@ -81,13 +82,15 @@ def delivered_and_shortfall(series: Sequence[RunSeries]) -> style.ReportFigure:
         deviation = _deviation_line(one, look, showlegend=False)
         figure.add_traces([missed, sky, deviation], rows=2 * number + 2, cols=1)
     style.dress(figure, 110 + 2 * _PANEL_PX * count)
+    powers_kw = [kw for one in series for kw in (one.delivered_kw, one.dispatch_kw)]
+    deviations_kw = [one.delivered_kw - one.dispatch_kw for one in series]
     for number in range(count):
         row = 2 * number + 1
         figure.update_yaxes(title_text="power [kW]", rangemode="tozero", row=row, col=1)
         figure.update_yaxes(title_text=_DEVIATION, row=row + 1, col=1)
-        if number:
-            figure.update_yaxes(matches="y", row=row, col=1)
-            figure.update_yaxes(matches="y2", row=row + 1, col=1)
+        if count > 1:  # The panels are to be compared.
+            figure.update_yaxes(range=_range(powers_kw, from_zero=True), row=row, col=1)
+            figure.update_yaxes(range=_range(deviations_kw), row=row + 1, col=1)
     if count > 1:  # The legend stands above the title of the first panel.
         figure.update_layout(legend_y=1.0 + 24.0 / (2 * _PANEL_PX * count), margin_t=70)
     style.label_time_axis(figure, series[0], rows=2 * count)
@@ -103,6 +106,14 @@ def delivered_and_shortfall(series: Sequence[RunSeries]) -> style.ReportFigure:
         f"Energy of the shortfall: {energies}.",
         figure,
     )
+
+
+def _range(values_kw: Sequence[NDArray[np.float64]], *, from_zero: bool = False) -> list[float]:
+    """Return an axis that holds all values, with some room."""
+    low, high = (float(find(np.concatenate(values_kw))) for find in (np.nanmin, np.nanmax))
+    low = min(low, 0.0) if from_zero else low
+    room = 0.05 * (high - low or 1.0)
+    return [low if from_zero and low == 0.0 else low - room, high + room]
 
 
 def _deviation_line(one: RunSeries, line: Mapping[str, object], **look: object) -> go.Scatter:

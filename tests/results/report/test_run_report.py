@@ -171,7 +171,10 @@ def test_each_scheme_has_its_panel_its_column_and_one_colour() -> None:
     figures = figures_of(*runs)
     layout = figures["shortfall"].layout
     assert [note.text for note in layout.annotations] == ["hierarchical", "no help"]
-    assert (layout.yaxis3.matches, layout.yaxis4.matches) == ("y", "y2"), "axes are the same"
+    axes = layout.yaxis, layout.yaxis2, layout.yaxis3, layout.yaxis4
+    (power, deviation), others = (axes[:2], axes[2:])
+    assert (power.range, deviation.range) == tuple(axis.range for axis in others), "they are alike"
+    assert power.range[1] >= run.delivered_kw.max()
     names = {"available-power": "delivered", "shortfall": "delivered", "regulation": "given"}
     colours = {trace(figures[at], f"{of}, no help").line.color for at, of in names.items()}
     assert len(colours) == 1
