@@ -21,6 +21,7 @@ from msgspec.structs import replace
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, help_order, total
 from agents.control.correction import Response, corrected, expected_kw, mean_error_kw
+from agents.control.grid import GridLaw, desired_kw, net_kw, ramped_kw, response_kw
 from agents.control.offers import OfferSettings, memory_of, nothing_offered, observe
 from agents.control.share import usable_dispatch_kw
 from agents.dispatch import own_report, own_share_kw
@@ -192,6 +193,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     clamped: int = 0
     error_kw: float = 0.0
     offers: tuple[float, ...] = ()
+    reference_kw: float | None = None
 
 
 # A standby that takes over says its state in these fields, and `verify` goes on from them.
@@ -207,6 +209,7 @@ class CentralController(Parent):
         control: Control,
         cycle_s: float,
         response: Response,
+        grid: GridLaw,
         offers: OfferSettings | None = None,
     ) -> None:
         super().__init__(ROOT, tree, control)
@@ -214,6 +217,7 @@ class CentralController(Parent):
         self._turn_s = cycle_s * control.periods.cycles[0]
         self._response = response
         self._offers = offers
+        self._grid = grid
         self._meter = METER.of(ROOT)
         self._stages = (Stage("solve", (*self._inputs, self._meter)),)
 
@@ -228,10 +232,11 @@ class CentralController(Parent):
     def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
         reports = self.reports(turn)
         outputs = self.report_up(turn, reports)
+        meter = turn.get(self._meter)
         if self._offers is not None:
             state, offered = self._offer(state, turn, self._offers, reports)
             outputs += offered
-        state = self._read_meter(state, turn.get(self._meter))
+        state = self._read_meter(state, meter)
         dispatch = turn.get(_DISPATCH)
         if dispatch is None:
             return state, outputs
@@ -242,12 +247,18 @@ class CentralController(Parent):
             text = f"dispatch of {dispatch.power_kw:.10g} kW clamped to {what}"
             state = replace(state, clamped=state.clamped + 1)
             outputs.append((NOTICE.of(ROOT), Notice(*turn.stamp, text=text, count=state.clamped)))
+        last_kw = nan if state.reference_kw is None else state.reference_kw
+        reference_kw = ramped_kw(last_kw, usable_kw, self._grid)
+        state = replace(state, reference_kw=reference_kw)
         if self._control.periods.is_turn(ROOT, turn.cycle):
-            impp_kw = total([report.impp_kw for report in reports])
+            possible_kw = net_kw(total([report.impp_kw for report in reports]), self._grid)
+            frequency_hz = None if meter is None else meter.frequency_hz
+            asked_kw = response_kw(nan if frequency_hz is None else frequency_hz, self._grid)
+            wanted_kw = desired_kw(reference_kw, asked_kw, possible_kw, self._grid)
             # The way down to the inverters is taken to be as long as that of their reports up.
             delay = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
-            state = self._correct(state, usable_kw, impp_kw, delay * self._cycle_s)
-            aim_kw = self._aim_kw(usable_kw, state)
+            state = self._correct(state, wanted_kw, possible_kw, delay * self._cycle_s)
+            aim_kw = self._aim_kw(wanted_kw, state)
             target_kw = min(max(aim_kw + state.correction_kw, 0.0), self._rating_kw)
             outputs += self.setpoints(turn, target_kw, reports)
         return state, outputs
@@ -267,7 +278,7 @@ class CentralController(Parent):
                 memory_of(values, settings),
                 settings,
                 turn.cycle,
-                total([report.impp_kw for report in reports]),
+                net_kw(total([report.impp_kw for report in reports]), self._grid),
                 meter.power_kw if meter is not None and is_metered else nan,
                 dispatch.power_kw,
                 dispatch.clear_sky_kw or 0.0,
@@ -287,13 +298,13 @@ class CentralController(Parent):
         )
 
     def _correct(
-        self, state: CentralState, dispatch_kw: float, impp_kw: float, delay_s: float
+        self, state: CentralState, desired_kw: float, possible_kw: float, delay_s: float
     ) -> CentralState:
         """Correct by the mean of the readings since the last turn."""
         control, correction_kw, error_kw = self._control, state.correction_kw, state.error_kw
         if state.readings:
             metered_kw = state.metered_kw / state.readings
-            is_free, cycle_s = dispatch_kw >= impp_kw, state.readings * self._cycle_s
+            is_free, cycle_s = desired_kw >= possible_kw, state.readings * self._cycle_s
             error_kw = mean_error_kw(error_kw, state.wanted_kw, metered_kw, is_free, cycle_s)
             if control.correction:
                 correction_kw = corrected(
@@ -308,11 +319,11 @@ class CentralController(Parent):
         state = replace(
             state, correction_kw=correction_kw, metered_kw=0.0, readings=0, error_kw=error_kw
         )
-        wanted_kw = aim_kw = self._aim_kw(dispatch_kw, state)
+        wanted_kw = aim_kw = self._aim_kw(desired_kw, state)
         if state.meter_cycle > 0:
             wanted_kw = expected_kw(state.wanted_kw, aim_kw, self._turn_s, self._response)
         return replace(state, wanted_kw=wanted_kw)
 
-    def _aim_kw(self, dispatch_kw: float, state: CentralState) -> float:
+    def _aim_kw(self, desired_kw: float, state: CentralState) -> float:
         control = self._control
-        return dispatch_kw + control.offset_kw + control.offset_errors * state.error_kw
+        return desired_kw + control.offset_kw + control.offset_errors * state.error_kw

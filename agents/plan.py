@@ -15,11 +15,19 @@ from msgspec.structs import asdict, replace
 
 from agents.control.correction import Response
 from agents.control.forecast import HIDDEN_ALPHA_MIN
+from agents.control.grid import GridLaw
 from agents.cycle import Deadlines, Periods
 from agents.device_faults import DeviceFault
 from agents.faults import Fault, ProcessFault, check_fault
 from agents.process.machine import MachineSettings
-from agents.settings import Actuator, InverterSettings, RestartPolicy, Revert, Scheme
+from agents.settings import (
+    Actuator,
+    GridSettings,
+    InverterSettings,
+    RestartPolicy,
+    Revert,
+    Scheme,
+)
 from bus_schemas.errors import InputError, listed
 from bus_schemas.faults import Second
 from bus_schemas.messages import PROTOCOL, Message, Run
@@ -301,6 +309,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     """What the agents of a run share: see the table in docs/wire.md.
 
     inverters: Path and AC rating [kW] of each inverter.
+    grid: What the grid asks of the plant; by default nothing.
     orders: Orders of the scenario, in the order of time.
     """
 
@@ -314,11 +323,16 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     access: Access = Access()
     faults: Faults = Faults()
     supervision: Supervision = Supervision()
+    grid: GridSettings = GridSettings()
     orders: tuple[PlannedOrder, ...] = ()
 
     @cached_property
     def tree(self) -> ControlTree:
         return ControlTree(self.inverters)
+
+    @cached_property
+    def grid_law(self) -> GridLaw:
+        return self.grid.law(self.tree.rating_kw(ROOT), self.timing.cycle_s)
 
     @cached_property
     def wiring(self) -> Wiring:

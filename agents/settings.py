@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import inf
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
+
+from agents.control.grid import GridLaw
 
 Scheme: TypeAlias = Literal["paper", "predictive"]
 """`paper`: the IMPP is the last cycle's (eq. 1). `predictive`: it is a forecast of this cycle's."""
@@ -72,3 +75,80 @@ class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     revert: Revert | None = None
     ramp_percent_per_s: Ramp | None = None
     delay_s: Delay | None = None
+
+
+_Limit: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e12)]
+_Percent: TypeAlias = Annotated[float, Meta(ge=0.0, le=20.0)]
+_PerUnit: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
+_Gain: TypeAlias = Annotated[float, Meta(ge=0.0, le=1000.0)]
+
+
+class Droop(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Frequency response by droop, with the names and the units of WECC's REPC_A.
+
+    fdbd1: End of the deadband above the nominal frequency, per unit; of 60 Hz -36 mHz.
+    fdbd2: End of the deadband below it, per unit.
+    ddn: Reciprocal of the droop above it, on the plant's rating; 20 is a droop of 5 %.
+    dup: Reciprocal of the droop below it.
+    reserve_percent: Headroom kept for the response upwards, in % of the plant's rating.
+    """
+
+    fdbd1: Annotated[float, Meta(ge=-0.1, le=0.0)] = -0.0006
+    fdbd2: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.0006
+    ddn: _Gain = 20.0
+    dup: _Gain = 20.0
+    reserve_percent: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.0
+
+
+class GridSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the grid asks of the plant, and what is lost on the way to its meter.
+
+    ramp_up_kw_per_min: Fastest rise of the plant's target [kW/min]. Default: any.
+    ramp_down_kw_per_min: Fastest fall of the plant's target [kW/min]. Default: any.
+    nominal_hz: Nominal frequency [Hz].
+    droop: Frequency response. Default: none.
+    pmin: Lowest power of the plant, per unit of its rating.
+    pmax: Highest power of the plant, per unit of its rating.
+    loss_constant_percent: Losses at any power, in % of the plant's rating.
+    loss_quadratic_percent: Losses that grow with the square of the power, at the rating, in % of
+        it.
+    meter_error_percent: Error of the plant's meter, in % of its reading.
+    """
+
+    ramp_up_kw_per_min: _Limit | None = None
+    ramp_down_kw_per_min: _Limit | None = None
+    nominal_hz: Annotated[float, Meta(ge=16.0, le=100.0)] = 60.0
+    droop: Droop | None = None
+    pmin: _PerUnit = 0.0
+    pmax: Annotated[float, Meta(gt=0.0, le=1.0)] = 1.0
+    loss_constant_percent: Annotated[float, Meta(ge=0.0, le=4.0)] = 0.0
+    loss_quadratic_percent: _Percent = 0.0
+    meter_error_percent: Annotated[float, Meta(ge=-4.0, le=4.0)] = 0.0
+
+    def __post_init__(self) -> None:
+        if self.pmin > self.pmax:
+            raise ValueError(f"expected pmin up to pmax, got {self.pmin} and {self.pmax}")
+
+    @property
+    def moves_target(self) -> bool:
+        """Whether the plant is to give anything else than its dispatch."""
+        ramps = self.ramp_up_kw_per_min, self.ramp_down_kw_per_min
+        return (*ramps, self.droop) != (None, None, None) or (self.pmin, self.pmax) != (0.0, 1.0)
+
+    def law(self, rating_kw: float, cycle_s: float) -> GridLaw:
+        """Return what is asked of a plant of a rating and a cycle."""
+        droop = self.droop or Droop(ddn=0.0, dup=0.0)
+        return GridLaw(
+            ramp_up_kw=(self.ramp_up_kw_per_min or inf) * cycle_s / 60.0,
+            ramp_down_kw=(self.ramp_down_kw_per_min or inf) * cycle_s / 60.0,
+            nominal_hz=self.nominal_hz,
+            fdbd1=droop.fdbd1,
+            fdbd2=droop.fdbd2,
+            ddn_kw=droop.ddn * rating_kw,
+            dup_kw=droop.dup * rating_kw,
+            reserve_kw=droop.reserve_percent / 100.0 * rating_kw,
+            pmin_kw=self.pmin * rating_kw,
+            pmax_kw=self.pmax * rating_kw,
+            loss_kw=self.loss_constant_percent / 100.0 * rating_kw,
+            loss_per_kw=self.loss_quadratic_percent / 100.0 / rating_kw,
+        )

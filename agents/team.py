@@ -22,7 +22,7 @@ def controller(plan: RunPlan, name: str) -> Controller:
     tree, control, cycle_s = plan.tree, plan.control, plan.timing.cycle_s
     if name == CENTRAL:
         response, offers = plan.site.response(tree), offer_settings(plan)
-        return CentralController(tree, control, cycle_s, response, offers)
+        return CentralController(tree, control, cycle_s, response, plan.grid_law, offers)
     if kind_of(name, tree) == "supervisor":
         return Supervisor(name, tree, control)
     return direct_controller(plan, name)

@@ -51,7 +51,10 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
     Residual: (Bound("power_kw", -_ROUNDING, _ROUNDING),),
     Help: (Bound("missing_kw", 0.0, _ROUNDING),),
     Setpoint: (Bound("power_kw", 0.0, _ROUNDING),),
-    Meter: (Bound("power_kw", -METER_TOLERANCE, 1.0 + METER_TOLERANCE),),
+    Meter: (
+        Bound("power_kw", -METER_TOLERANCE, 1.0 + METER_TOLERANCE),
+        Bound("frequency_hz", 10.0, 110.0),
+    ),
     Command: (
         Bound("alpha", _ABOVE_ZERO, 1.0),
         Bound("power_kw", 0.0, _ROUNDING),

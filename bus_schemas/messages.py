@@ -155,9 +155,13 @@ class Order(Message, kw_only=True):
 
 
 class Meter(Message, kw_only=True):
-    """What the plant fed in during the interval that just ended, metered at its connection."""
+    """What the plant fed in during the interval that just ended, metered at its connection.
+
+    `frequency_hz` is the grid's frequency there and now, where the meter measures it.
+    """
 
     power_kw: float
+    frequency_hz: float | None = None
 
 
 class Impp(Message, kw_only=True):
@@ -276,7 +280,8 @@ class Takeover(Message, kw_only=True):
     fields are the state of a central controller at the beginning of this stage, so that `verify`
     can repeat the recording: its correction, what it aimed at in its last turn, the sum of the
     meter's readings since then, their number, the cycle of the last reading, how many dispatches it
-    has clamped, the mean error of the plant's power, and what its offers rest on.
+    has clamped, the mean error of the plant's power, what its offers rest on, and the dispatch
+    within the ramp limits.
     """
 
     stage: Annotated[str, msgspec.Meta(max_length=20)]
@@ -288,6 +293,7 @@ class Takeover(Message, kw_only=True):
     clamped: Count | None = None
     error_kw: float | None = None
     offers: Powers | None = None
+    reference_kw: float | None = None
 
 
 class GivenUp(Message, kw_only=True):

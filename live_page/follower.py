@@ -18,8 +18,8 @@ import msgspec
 import numpy as np
 
 from bus_schemas.codec import decode, decode_head
-from bus_schemas.messages import Dispatch, Head, Message, Notice, Production, Run
-from bus_schemas.signals import DISPATCH, NOTICE, PRODUCTION, RUN, Port
+from bus_schemas.messages import Dispatch, Head, Message, Meter, Notice, Production, Run
+from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT, parent_of
 from live_page.run_events import RunEvents
 from recordings.inspect.agent_states import AgentStates
@@ -110,9 +110,9 @@ class RunFollower:
             return {"cycle": []}
         begin, end = max(cycles.start, 0), min(cycles.stop, self.cycles)
         part = self._powers.series(self.plan.run_id).between(begin, end)
-        unavoidable = np.maximum(part.dispatch_kw - part.available_kw, 0.0)
+        unavoidable = np.maximum(part.desired_kw - part.available_kw, 0.0)
         columns = {
-            "dispatch": part.dispatch_kw,
+            "dispatch": part.desired_kw,
             "available": part.available_kw,
             "delivered": part.delivered_kw,
             "unavoidable": unavoidable,
@@ -172,6 +172,8 @@ class RunFollower:
             case Production() if 0 <= cycle < self.plan.timing.cycles:
                 self._powers.see(port, message)
                 self.cycles = max(self.cycles, cycle + 1)
+            case Meter():
+                self._powers.see(port, message)
             case Notice():
                 self.events.add("notice", cycle, message.source, message.text)
             case Run(state="start"):
@@ -200,5 +202,5 @@ class RunFollower:
             self.events.add("failure", self.cycles, "launcher", text)
 
 
-_FOLLOWED: Final = frozenset({DISPATCH, PRODUCTION, NOTICE, RUN})
+_FOLLOWED: Final = frozenset({DISPATCH, METER, PRODUCTION, NOTICE, RUN})
 """Signals of which each message is read."""

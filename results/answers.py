@@ -1,4 +1,4 @@
-"""How well a plant answered: to each order, to each step of its schedule, and to an AGC signal.
+"""How well a plant answered: to orders, steps of its schedule, AGC signals and the frequency.
 
 A cycle's power holds for the whole cycle, so the shortest time of an answer is one cycle. Cycles in
 which the sun gives less than the dispatch say nothing about the plant's control, and do not count.
@@ -24,6 +24,9 @@ from sim_plant.orders import OrderInForce
 TOLERANCE_PERCENT: Final = 1.0
 """Of the plant's rating: within it a power has settled. A step of the schedule is larger."""
 
+_LEAST: Final = ("score", "response_percent")
+"""Of these more is better."""
+
 _SIGNAL_S: Final = 15.0
 _SIGNAL_ORDERS: Final = 10
 """So many orders of one source, none later than that after the one before, are one AGC signal."""
@@ -48,6 +51,9 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     error_percent: Mean of power less dispatch at rest, in % of the rating.
     ramp_deviation_percent: Mean deviation from the ramp, in % of the rating.
     accuracy, delay, score: Of an AGC signal, as PJM scores a regulation signal.
+    response_percent: Of an event of the grid's frequency (asked by `frequency`): the energy of the
+        response, in % of what the droop asks for; `to_90_s` is then until it came to nine tenths of
+        the largest response asked for.
     orders: How many orders a signal had.
     unable_percent: Share of its cycles in which the sun gave less than the dispatch.
     missed: The figures that did not keep their budgets.
@@ -68,6 +74,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     accuracy: float | None = None
     delay: float | None = None
     score: float | None = None
+    response_percent: float | None = None
     orders: int = 1
     unable_percent: float = 0.0
     missed: tuple[str, ...] = ()
@@ -81,26 +88,29 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
 
 def answers(series: RunSeries) -> tuple[Answer, ...]:
     """Return the plant's answers in a run, in the order of time."""
-    dispatch_kw, known = series.dispatch_kw, series.known
+    # Frequency response is answered on its own: what is asked beside it is what is left.
+    dispatch_kw, known = series.desired_kw - series.response_kw, series.known
+    delivered_kw = series.delivered_kw - series.response_kw
+    available_kw = series.available_kw - series.response_kw
     rating_kw = float(series.plant.rating_kw.sum())
     begins = dict(_begins(series, rating_kw))
     found = []
     for cycle, end in pairwise([*begins, series.cycles]):
         (asked, orders), cycles = begins[cycle], slice(cycle, end)
-        before_kw = float(series.delivered_kw[cycle - 1 if cycle else 0])
+        before_kw = float(delivered_kw[cycle - 1 if cycle else 0])
         if not known[cycles].all() or not np.isfinite(before_kw):
             continue
         step = answer(
             dispatch_kw[cycles],
-            series.delivered_kw[cycles],
-            series.available_kw[cycles],
+            delivered_kw[cycles],
+            available_kw[cycles],
             before_kw,
             series.cycle_s,
             rating_kw,
         )
         step = msgspec.structs.replace(step, asked=asked, cycle=cycle, end_cycle=end, orders=orders)
         found.append(_scored(step, series, cycles) if orders > 1 else step)
-    return tuple(found)
+    return tuple(sorted([*found, *_to_frequency(series)], key=lambda one: one.cycle))
 
 
 def answer(
@@ -164,10 +174,15 @@ def _missed(found: Answer, budgets: AnswerBudgets) -> Iterator[str]:
             continue
         if value is None:
             # A power that had the time and did not settle; without the sun it could not.
-            is_judged = name == "settling_s" and found.orders == 1 and not found.unable_percent
+            is_judged = (
+                name == "settling_s"
+                and found.asked != "frequency"
+                and found.orders == 1
+                and not found.unable_percent
+            )
             if is_judged and found.duration_s - found.ramp_s > limit:
                 yield name
-        elif (value < limit) if name == "score" else (abs(value) > limit):
+        elif (value < limit) if name in _LEAST else (abs(value) > limit):
             yield name
 
 
@@ -185,12 +200,14 @@ def answers_tables(found: Iterable[Answer]) -> list[Table]:
         Column("at rest", "%", 2, name="error_percent"),
         Column("off the ramp", "%", 2, name="ramp_deviation_percent"),
         Column("score", "", 3, name="score"),
+        Column("response", "%", 1, name="response_percent"),
         Column("budgets", name="verdict"),
     )
     rows = attributes(found, columns)
     notes = (
         "90 %: of a step. Settled: from when the dispatch was there until the power stayed within "
         "1 % of the rating. Percentages are of the rating.",
+        "Response: to the frequency, its energy in % of what the droop asks for.",
         "Cycles in which the sun gave less than the dispatch do not count.",
     )
     return [Table("How the plant answered", columns, rows, notes)] if rows else []
@@ -227,7 +244,7 @@ def _is_scheduled(orders: tuple[tuple[int, OrderInForce], ...], cycle: int) -> b
 
 def _scored(step: Answer, series: RunSeries, cycles: slice) -> Answer:
     """Return the answer to an AGC signal: what a single step tells does not apply to it."""
-    dispatch_kw = series.dispatch_kw
+    dispatch_kw = series.desired_kw
     middle_kw = float(dispatch_kw[cycles].max() + dispatch_kw[cycles].min()) / 2.0
     half_kw = max(float(np.ptp(dispatch_kw[cycles])) / 2.0, 1e-9)
     offered = np.zeros(series.cycles, dtype=bool)
@@ -249,3 +266,39 @@ def _scored(step: Answer, series: RunSeries, cycles: slice) -> Answer:
         delay=found.get("delay"),
         score=found.get("score"),
     )
+
+
+def _to_frequency(series: RunSeries) -> Iterator[Answer]:
+    """Yield the answer to each time in which the frequency was outside of the deadband.
+
+    The response is what was delivered beyond what the plant was to give without it.
+    """
+    rating_kw, law = float(series.plant.rating_kw.sum()), series.plant.grid
+    tolerance_kw, ideal_kw = rating_kw * TOLERANCE_PERCENT / 100.0, series.response_kw
+    reference_kw = series.desired_kw - ideal_kw
+    if law.reserve_kw > 0.0:  # What the reserve holds back under clouds is no response.
+        reference_kw = np.minimum(reference_kw, series.available_kw - law.reserve_kw)
+    given_kw = series.delivered_kw - reference_kw
+    able = series.known & (series.available_kw >= series.desired_kw - tolerance_kw)
+    edges = np.flatnonzero(np.diff(ideal_kw != 0.0, prepend=False, append=False))
+    for cycle, end in edges.reshape(-1, 2).tolist():
+        cycles = slice(cycle, end)
+        farthest = int(np.abs(ideal_kw[cycles]).argmax())
+        most_kw = float(ideal_kw[cycles][farthest])
+        if abs(most_kw) <= tolerance_kw:
+            continue
+        covered = np.sign(most_kw) * given_kw[cycles] >= 0.9 * abs(most_kw)
+        asked_kw, judged = ideal_kw[cycles], able[cycles]
+        asked, given = float(asked_kw[judged].sum()), float(given_kw[cycles][judged].sum())
+        yield Answer(
+            asked="frequency",
+            cycle=cycle,
+            end_cycle=end,
+            from_kw=float(reference_kw[cycle]),
+            to_kw=float(reference_kw[cycle] + most_kw),
+            ramp_s=farthest * series.cycle_s,
+            duration_s=(end - cycle) * series.cycle_s,
+            to_90_s=(int(covered.argmax()) + 1) * series.cycle_s if covered.any() else None,
+            response_percent=100.0 * given / asked if asked else None,
+            unable_percent=100.0 * float((~judged).mean()),
+        )

@@ -22,6 +22,7 @@ Figures: TypeAlias = dict[str, float | None]
 """Figures of merit by name, all of `FIGURES`; None where a run does not define one."""
 
 _ROUNDING: Final = 1e-9
+_RAMP_TOLERANCE: Final = 0.01
 
 
 class Shown(Flag):
@@ -103,6 +104,9 @@ FIGURES: Final = {
         ("ramp", "Largest ramp", "kW/min", 0, Shown.SUMMARY),
         ("ramp-limit", "Ramp limit", "kW/min", 0, _R),
         ("above-ramp-limit", "Minutes above the ramp limit", "%", 2, _SR),
+        ("ramp-control", "Minutes beyond the grid's ramps, by control", "%", 2, _SRC),
+        ("ramp-clouds", "Minutes beyond the grid's ramps, by clouds", "%", 2, _SRC),
+        ("loss-energy", "Losses up to the meter", "kWh", 1, _SR),
         ("outside-help", "Help from outside the cluster", "%", 1, _AC),
         ("outside-help-able", "Help from outside, plant able", "%", 1, _AC),
         ("missed-inputs", "Inputs missed", "", 0, _AC),
@@ -181,7 +185,7 @@ def run_figures(series: RunSeries) -> Figures:
     known = series.known
     if not known.any():
         raise ValueError("run: expected a cycle with dispatch and production, got none")
-    dispatch_kw, available_kw = series.dispatch_kw[known], series.available_kw[known]
+    dispatch_kw, available_kw = series.desired_kw[known], series.available_kw[known]
     delivered_kw, shortfall_kw = series.delivered_kw[known], series.shortfall_kw[known]
     hours = series.cycle_s / 3600.0
     error_kw = delivered_kw - dispatch_kw
@@ -205,6 +209,8 @@ def run_figures(series: RunSeries) -> Figures:
             series.cycle_s,
             series.plant.ramp_limit_percent_per_min,
         ),
+        **grid_ramp_figures(series),
+        "loss-energy": float(series.lost_kw[known].sum()) * hours or None,
         **help_figures(series.residual_kw, series.inverters),
         **offer_figures(series),
         **series.of_agents,
@@ -317,6 +323,36 @@ def ramp_figures(
         too_fast = largest_kw_per_min > limit_kw_per_min + _ROUNDING * rating_kw
         figures["above-ramp-limit"] = 100.0 * float(too_fast.mean())
     return figures
+
+
+def grid_ramp_figures(series: RunSeries) -> Figures:
+    """Compute the minutes in which the plant was faster than the grid lets its target be, in %.
+
+    A ramp is the change over a minute, beyond the limit by more than 1 % of the rating. Frequency
+    response is no ramp. What the sky denied of the desired power is added to what was delivered:
+    a ramp that is then within the limits is due to clouds, another one to control.
+    """
+    law, rating_kw = series.plant.grid, float(series.plant.rating_kw.sum())
+    span = max(1, round(60.0 / series.cycle_s))
+    if min(law.ramp_up_kw, law.ramp_down_kw) == np.inf or series.cycles <= span:
+        return {}
+
+    def beyond(power_kw: NDArray[np.float64]) -> NDArray[np.bool_]:
+        ramp_kw = power_kw[span:] - power_kw[:-span]
+        tolerance_kw = _RAMP_TOLERANCE * rating_kw
+        rises = ramp_kw > law.ramp_up_kw * span + tolerance_kw
+        falls = ramp_kw < -law.ramp_down_kw * span - tolerance_kw
+        minute_begins = np.arange(0, len(ramp_kw), span)
+        return np.logical_or.reduceat(rises | falls, minute_begins)
+
+    own_kw = series.delivered_kw - series.response_kw
+    denied_kw = np.maximum(series.desired_kw - series.available_kw, 0.0)
+    by_control = beyond(own_kw + denied_kw)
+    by_clouds = beyond(own_kw) & ~by_control
+    return {
+        "ramp-control": 100.0 * float(by_control.mean()),
+        "ramp-clouds": 100.0 * float(by_clouds.mean()),
+    }
 
 
 def help_figures(residual_kw: NDArray[np.float64], inverters: Sequence[str]) -> Figures:

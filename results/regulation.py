@@ -66,9 +66,9 @@ def regulation_figures(series: RunSeries) -> dict[str, float | None]:
         "offered": offered_h,
         "signal-mileage": float(steps.sum()) / offered_h,
         **requests_fulfilled(
-            (series.delivered_kw - series.dispatch_kw)[offered],
+            (series.delivered_kw - series.desired_kw)[offered],
             (begins_ns // round(REQUEST_S * 1e9))[offered],
-            (series.available_kw >= series.dispatch_kw)[offered],
+            (series.available_kw >= series.desired_kw)[offered],
             float(series.plant.rating_kw.sum()),
         ),
         **(score or {}),

@@ -61,6 +61,7 @@ from sim_plant.commitment import (
     commitment_kw,
     is_hindsight,
 )
+from sim_plant.frequency import ConstantFrequency, frequency_hz
 from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw
 from sim_plant.sites import east_north_m
@@ -155,8 +156,15 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         if offer is not None:
             zone, data_path = scenario.time.timezone, scenario_file.data_path
             regulation = regulation_kw(offer, times, zone, data_path)
+        frequency = _frequency_hz(scenario_file, scenario, len(times))
     plan = _plan(scenario_file, scenario, options, run_id, day, wall_ns, keys_folder)
     remarks = [f"warning: {one}" for one in _warnings(day)] + list(day.source.remarks)
+    hides_maximum = plan.control.actuator == "limit" and plan.site.available_bias is None
+    if plan.grid_law.reserve_kw > 0.0 and hides_maximum:
+        remarks.append(
+            "warning: grid.droop.reserve_percent: expected plant.available_bias with it; behind "
+            "power limits a reserve fades once it holds the plant below its dispatch"
+        )
     if plan.site.revert is not None and plan.site.revert != scenario.plant.revert:
         remarks.append(
             f"inverters revert after {plan.site.revert.after_s:g} s, which is three cycles"
@@ -171,6 +179,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         plan.site.regulation_capacity_kw,
         meter_error=scenario.plant.meter_noise * meter.standard_normal(day.available_kw.shape),
         clear_sky_kw=day.source.clear_sky_kw(day.times) if plan.control.offers else np.zeros(0),
+        frequency_hz=frequency,
     )
     return Preparation(plan, profile, scenario_file, options, tuple(remarks))
 
@@ -217,6 +226,22 @@ def _offers(commitment: CommitmentSettings, cycle_s: float) -> Offers | None:
         lead_cycles=lead_cycles,
         reliability=commitment.reliability,
         first_share=commitment.first_share,
+    )
+
+
+def _frequency_hz(
+    scenario_file: ScenarioFile, scenario: Scenario, cycles: int
+) -> NDArray[np.float64]:
+    """Return the frequency in each cycle; none where nobody asks for it."""
+    nominal_hz, settings = scenario.grid.nominal_hz, scenario.frequency
+    if settings is None and scenario.grid.droop is None:
+        return np.zeros(0)
+    return frequency_hz(
+        settings or ConstantFrequency(hz=nominal_hz),
+        cycles,
+        scenario.time.cycle_s,
+        nominal_hz,
+        scenario_file.data_path,
     )
 
 
@@ -332,6 +357,7 @@ def _plan(
             machine=machine_settings(options.cpus or (), options.priority),
             groups=groups,
         ),
+        grid=scenario.grid,
         orders=scenario.orders,
     )
     with scenario_file.named():

@@ -16,7 +16,16 @@ from msgspec import Meta
 from agents.cycle import KINDS, STAGES
 from agents.faults import Fault
 from agents.plan import PlannedOrder
-from agents.settings import Actuator, Delay, InverterSettings, Ramp, RestartPolicy, Revert, Scheme
+from agents.settings import (
+    Actuator,
+    Delay,
+    GridSettings,
+    InverterSettings,
+    Ramp,
+    RestartPolicy,
+    Revert,
+    Scheme,
+)
 from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import check_name
@@ -33,6 +42,7 @@ from scenarios.run_options import LARGEST_SEED
 from scenarios.times import LONGEST_S
 from sim_plant.clouds import CloudSettings
 from sim_plant.commitment import CommitmentSettings
+from sim_plant.frequency import FrequencySettings
 from sim_plant.pv import PvSettings
 from sim_plant.regulation import RegulationSettings
 from sim_plant.sites import Grid
@@ -274,6 +284,7 @@ class AnswerBudgets(_Table, frozen=True):
     error_percent: Mean error at rest, in % of the rating.
     ramp_deviation_percent: Mean deviation from a ramp, in % of the rating.
     score: Least score of an AGC signal, 0 to 1.
+    response_percent: Least energy of a response to the frequency, in % of the droop's.
     """
 
     to_90_s: Limit | None = None
@@ -282,6 +293,7 @@ class AnswerBudgets(_Table, frozen=True):
     error_percent: Amount | None = None
     ramp_deviation_percent: Amount | None = None
     score: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    response_percent: Annotated[float, Meta(ge=0.0, le=100.0)] | None = None
 
 
 class TimingTable(_Table, frozen=True):
@@ -296,6 +308,8 @@ class Scenario(_Table, frozen=True):
     name: First part of every key on the bus.
     title: Description: the heading of tables and reports.
     regulation: Default: no regulation is offered.
+    grid: What the grid asks of the plant. Default: nothing.
+    frequency: The grid's frequency. Default: the nominal one.
     pace: Simulated seconds per second; 1 is real time, `max` is lockstep.
     faults: Faults of links and processes; `--fault` adds to them.
     faults_seed: Seed of what is drawn for faults.
@@ -318,6 +332,8 @@ class Scenario(_Table, frozen=True):
     neighbours: NeighboursTable
     commitment: CommitmentSettings
     regulation: RegulationSettings | None = None
+    grid: GridSettings = GridSettings()
+    frequency: FrequencySettings | None = None
     pv: PvSettings = PvSettings()
     pace: Annotated[float, Meta(ge=SLOWEST_PACE, le=FASTEST_PACE)] | Literal["max"] = "max"
     faults: tuple[Fault, ...] = ()

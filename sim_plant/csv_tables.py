@@ -18,6 +18,8 @@ from sim_plant import Floats
 _MISSING: Final = ("", "nan", "na", "null")
 """What programs write where a value is missing, in lower case."""
 
+_NS: Final = 1_000_000_000
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CsvTable:
@@ -159,3 +161,32 @@ def read_csv(path: Path, header: tuple[str, ...] = ()) -> CsvTable:
         raise InputError(f"{path}: expected a CSV file in UTF-8, got: {got}") from None
     names = header or tuple(name.strip() for name in fields.iloc[0])
     return CsvTable(path.name, names, fields if header else fields.iloc[1:])
+
+
+def held_values(
+    path: Path,
+    time_ns: NDArray[np.int64],
+    bounds: tuple[float, float],
+    what: str,
+    hint: str = "",
+) -> Floats:
+    """Return the values of a file at some times: each one holds until the next.
+
+    The first column is the time on the file's own clock [s], in constant steps, the second one the
+    value. The last value holds for one step. `what` the file must be, and a hint, are for errors.
+    """
+    table = read_csv(path)
+    if len(table.header) != 2:
+        got = len(table.header)
+        raise InputError(f"{path.name}: line 1: expected two columns, seconds and value, got {got}")
+    clock, value = table.header
+    low, high = bounds
+    values = table.numbers((value,), f"a number from {low:g} to {high:g}", low, high)[:, 0]
+    at_ns = table.seconds_ns(clock)
+    first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
+    begins_ns, ends_ns = int(at_ns[0]), int(2 * at_ns[-1] - at_ns[-2])
+    if first_ns < begins_ns or last_ns >= ends_ns:
+        needs = f"seconds {first_ns / _NS:.15g} to {last_ns / _NS:.15g}"
+        has = f"{begins_ns / _NS:.15g} to {ends_ns / _NS:.15g}"
+        raise InputError(f"{path.name}: expected {what}, {needs}, got {has}{hint}")
+    return values[np.searchsorted(at_ns, time_ns, side="right") - 1]

@@ -13,6 +13,7 @@ import numpy as np
 
 from agents.agent import Stage, Turn
 from agents.control.allocation import total
+from agents.control.grid import net_kw
 from agents.control.offers import is_due
 from agents.faults import Trip, trips
 from agents.plan import RunPlan
@@ -49,6 +50,8 @@ class Plant:
         self._plant_rating_kw = plan.tree.rating_kw(ROOT)
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in plan.tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
+        self._grid = plan.grid_law
+        self._meter_error = plan.grid.meter_error_percent / 100.0
         self._orders = Orders(plan.orders, self._cycle_s, self._plant_rating_kw)
         self._offers = offer_settings(plan)
         sense = Stage("sense", (), (ORDER.of(ROOT),), timed=True)
@@ -93,7 +96,12 @@ class Plant:
             clear_sky_kw=clear_sky_kw,
             **(wanted.order.stated() if wanted.order is not None else {}),
         )
-        meter = Meter(*turn.stamp, power_kw=total(state.power_kw.tolist()))
+        fed_in_kw = net_kw(total(state.power_kw.tolist()), self._grid)
+        meter = Meter(
+            *turn.stamp,
+            power_kw=fed_in_kw * (1.0 + self._meter_error),
+            frequency_hz=self._profile.frequency_at(cycle),
+        )
         outputs: list[Delivery] = [(DISPATCH.of(ROOT), dispatch), (METER.of(ROOT), meter)]
         measured_kw = (state.power_kw * (1.0 + self._profile.meter_error[cycle])).tolist()
         alpha, limit_kw = state.alpha.tolist(), state.limit_kw.tolist()
@@ -136,8 +144,8 @@ class Plant:
         production = Production(
             *turn.stamp,
             dispatch_kw=state.wanted.power_kw,
-            available_kw=float(mpp_kw.sum()),
-            delivered_kw=float(power_kw.sum()),
+            available_kw=net_kw(float(mpp_kw.sum()), self._grid),
+            delivered_kw=net_kw(float(power_kw.sum()), self._grid),
             inverter_mpp_kw=tuple(mpp_kw.tolist()),
             inverter_power_kw=tuple(power_kw.tolist()),
         )

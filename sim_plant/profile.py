@@ -21,8 +21,9 @@ class Profile:
     regulation of either sign on top of it [cycles]; the capacity is what a regulation signal of +1
     stands for. Row k of `meter_error` [cycles, inverters] is the relative error of the power in the
     telemetry sent in cycle k. `clear_sky_kw` is the plant's power under a clear sky [cycles], if
-    the commitment is offered as a share of that. By default there is no regulation, the meters are
-    exact, and the commitment is given.
+    the commitment is offered as a share of that. `frequency_hz` is the grid's at the beginning of
+    each cycle [cycles]. By default there is no regulation, the meters are exact, the commitment is
+    given, and no meter measures the frequency.
     """
 
     mpp_kw: Floats
@@ -31,6 +32,7 @@ class Profile:
     regulation_capacity_kw: float = 0.0
     meter_error: Floats = field(default_factory=lambda: np.zeros(0))
     clear_sky_kw: Floats = field(default_factory=lambda: np.zeros(0))
+    frequency_hz: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         if not self.regulation_kw.size:
@@ -41,6 +43,9 @@ class Profile:
     @property
     def cycles(self) -> int:
         return len(self.mpp_kw)
+
+    def frequency_at(self, cycle: int) -> float | None:
+        return float(self.frequency_hz[cycle]) if self.frequency_hz.size else None
 
     def save(self, path: Path) -> None:
         np.savez_compressed(path, **{one.name: getattr(self, one.name) for one in fields(self)})
@@ -55,7 +60,8 @@ def load_profile(path: Path, cycles: int, inverters: int) -> Profile:
                 raise InputError(
                     f"{path}: expected a profile of {cycles:,} cycles, got a larger one"
                 )
-            found = {one.name: archive[one.name] for one in fields(Profile)}
+            names = [one.name for one in fields(Profile) if one.name in archive]
+            found = {name: archive[name] for name in names}
         capacity_kw = float(found.pop("regulation_capacity_kw"))
         return Profile(**found, regulation_capacity_kw=capacity_kw)
     except InputError:

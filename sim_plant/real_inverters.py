@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 
 from agents.agent import Turn
+from agents.control.grid import net_kw
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Meter, Production, Telemetry
@@ -116,8 +117,9 @@ class PlantWithDevices(Plant):
             mpp_kw[at], power_kw[at] = reading.maximum_kw, reading.power_kw
         production.inverter_mpp_kw = tuple(mpp_kw.tolist())
         production.inverter_power_kw = tuple(power_kw.tolist())
-        production.available_kw = float(mpp_kw.sum())
-        production.delivered_kw, production.unknown_kw = float(power_kw.sum()), assumed_kw
+        production.available_kw = net_kw(float(mpp_kw.sum()), self._grid)
+        production.delivered_kw = net_kw(float(power_kw.sum()), self._grid)
+        production.unknown_kw = assumed_kw
         if METER in fresh:  # It also counts what the lost ones give.
             production.delivered_kw, production.unknown_kw = fresh[METER].power_kw, 0.0
 

@@ -18,9 +18,8 @@ import pandas as pd
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from bus_schemas.errors import InputError
 from sim_plant import Floats
-from sim_plant.csv_tables import read_csv
+from sim_plant.csv_tables import held_values
 from sim_plant.synthetic_regd import SAMPLES, STEP_S, synthetic_regd
 
 _NS: Final = 1_000_000_000
@@ -89,7 +88,10 @@ def regulation_kw(
         signal[offered] = values[clock_ns[offered] // (STEP_S * _NS) % SAMPLES]
     elif offered.any():
         midnight_ns = clock_ns[0] // _DAY_NS * _DAY_NS - round(settings.signal_midnight_s * _NS)
-        signal[offered] = _held(find_file(settings.path), clock_ns[offered] - midnight_ns)
+        path, what = find_file(settings.path), "a signal of the run's regulation"
+        hint = "; regulation.signal_midnight_s shifts the signal"
+        time_ns = clock_ns[offered] - midnight_ns
+        signal[offered] = held_values(path, time_ns, (-1.0, 1.0), what, hint)
     return settings.capacity_kw * signal
 
 
@@ -103,29 +105,3 @@ def _offered(settings: RegulationSettings, clock_ns: NDArray[np.int64]) -> NDArr
 
 def _of_day_ns(clock: time | None) -> int:
     return 0 if clock is None else pd.Timedelta(clock.isoformat()).as_unit("ns").value
-
-
-def _held(path: Path, time_ns: NDArray[np.int64]) -> Floats:
-    """Return the signal of a file at some times: each value holds until the next one.
-
-    The first column is the time on the signal's own clock [s], in constant steps, the second one
-    the signal [per unit]. The last value holds for one step.
-    """
-    table = read_csv(path)
-    if len(table.header) != 2:
-        raise InputError(
-            f"{path.name}: line 1: expected two columns, seconds and signal, got "
-            f"{len(table.header)}"
-        )
-    seconds, signal = table.header
-    value = table.numbers((signal,), "a number from -1 to 1", -1.0, 1.0)[:, 0]
-    sent_ns = table.seconds_ns(seconds)
-    first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
-    begins_ns, ends_ns = int(sent_ns[0]), int(2 * sent_ns[-1] - sent_ns[-2])
-    if first_ns < begins_ns or last_ns >= ends_ns:
-        raise InputError(
-            f"{path.name}: expected a signal of the run's regulation, seconds "
-            f"{first_ns / _NS:.15g} to {last_ns / _NS:.15g}, got {begins_ns / _NS:.15g} to "
-            f"{ends_ns / _NS:.15g}; regulation.signal_midnight_s shifts the signal"
-        )
-    return value[np.searchsorted(sent_ns, time_ns, side="right") - 1]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import isnan, nan
+from math import inf, isnan, nan
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
@@ -17,11 +17,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from agents.control.grid import NO_GRID, GridLaw, desired_kw, net_kw, ramped_kw, response_kw
+from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual
-from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port
-from bus_schemas.tree import parent_of
+from bus_schemas.messages import Command, Dispatch, Impp, Message, Meter, Production, Residual
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, METER, PRODUCTION, RESIDUAL, Port
+from bus_schemas.tree import ROOT, parent_of
 from recordings.read.reader import RunReader
 from sim_plant.orders import OrderInForce
 
@@ -37,7 +39,7 @@ _OF_DISPATCH: Final = {
 }
 """Fields of a `RunSeries`, and those of the dispatch that they come from."""
 
-_OF_PLANT: Final = (*_OF_DISPATCH, "unknown_kw", "unlisted_kw")
+_OF_PLANT: Final = (*_OF_DISPATCH, "unknown_kw", "unlisted_kw", "frequency_hz")
 _OF_INVERTERS: Final = ("mpp_kw", "power_kw", "impp_kw", "residual_kw", "alpha")
 """Fields of a `RunSeries` with a row for each cycle, and those that have columns too."""
 
@@ -55,6 +57,7 @@ class SeriesPlant:
     ramp_limit_percent_per_min: Ramp limit in % of the plant's rating per minute, if a grid code
         sets one.
     interval_cycles: Length of an interval for which the commitment is offered; 0: it is given.
+    grid: What the grid asks of the plant, and what is lost up to its meter.
     planned_cycles: How many cycles the run was to have; 0: as many as the series has.
     noun: What the n columns are: in a large plant clusters may stand for their inverters.
     """
@@ -67,6 +70,7 @@ class SeriesPlant:
     regulation_capacity_kw: float = 0.0
     ramp_limit_percent_per_min: float | None = None
     interval_cycles: int = 0
+    grid: GridLaw = NO_GRID
     planned_cycles: int = 0
     noun: Literal["inverter", "cluster"] = "inverter"
 
@@ -82,6 +86,7 @@ class SeriesPlant:
             regulation_capacity_kw=plan.site.regulation_capacity_kw,
             ramp_limit_percent_per_min=plan.site.ramp_limit_percent_per_min,
             interval_cycles=plan.control.offers.interval_cycles if plan.control.offers else 0,
+            grid=plan.grid_law,
             planned_cycles=plan.timing.cycles,
             noun="cluster" if clusters else "inverter",
         )
@@ -97,6 +102,9 @@ class RunSeries:
     commitment_kw, regulation_kw: What the operator wanted in each cycle, shape (T,): the power
         promised, and the regulation on top of it (0 throughout if there is none).
     dispatch_kw: The paper's P_desired, shape (T,): the sum of both, unless an order is in force.
+    frequency_hz: The grid's frequency at the beginning of each cycle, shape (T,).
+    desired_kw: What the plant was to give, shape (T,): the dispatch within the ramp limits, and
+        `response_kw`, the ideal response of its droop; without either, the dispatch as it is.
     mpp_kw, power_kw, impp_kw, residual_kw, alpha: Of each inverter, shape (T, n): true maximum
         power, power that it delivered, IMPP, IMPP less share, and the curtailment level in [0, 1]
         that it applied.
@@ -118,6 +126,9 @@ class RunSeries:
     alpha: NDArray[np.float64]
     unknown_kw: NDArray[np.float64]
     unlisted_kw: NDArray[np.float64]
+    frequency_hz: NDArray[np.float64]
+    desired_kw: NDArray[np.float64]
+    response_kw: NDArray[np.float64]
     of_agents: Mapping[str, float] = field(default_factory=dict)
     orders: tuple[tuple[int, OrderInForce], ...] = ()
 
@@ -133,7 +144,9 @@ class RunSeries:
         unknown = dict.fromkeys(_OF_INVERTERS, np.broadcast_to(nan, values["mpp_kw"].shape))
         for name in ("unknown_kw", "unlisted_kw"):
             unknown[name] = np.zeros(len(values["mpp_kw"]))
+        unknown["frequency_hz"] = np.full(len(values["mpp_kw"]), nan)
         arrays: dict[str, Any] = unknown | values
+        arrays |= _asked(plan, arrays["dispatch_kw"], arrays["frequency_hz"])
         return cls(label, SeriesPlant.of(plan), **arrays)
 
     @property
@@ -150,18 +163,26 @@ class RunSeries:
 
     @property
     def available_kw(self) -> NDArray[np.float64]:
-        """True maximum power of the plant, shape (T,)."""
-        return np.asarray(self.mpp_kw.sum(axis=1))
+        """True maximum power of the plant at its meter, shape (T,)."""
+        return self._net_kw(self.mpp_kw)
 
     @property
     def delivered_kw(self) -> NDArray[np.float64]:
-        """Power of the plant, shape (T,)."""
-        return np.asarray(self.power_kw.sum(axis=1) + self.unlisted_kw)
+        """Power of the plant at its meter, shape (T,)."""
+        return self._net_kw(self.power_kw) + self.unlisted_kw
+
+    @property
+    def lost_kw(self) -> NDArray[np.float64]:
+        """Losses between inverters and meter, shape (T,)."""
+        return np.asarray(self.power_kw.sum(axis=1)) - self._net_kw(self.power_kw)
+
+    def _net_kw(self, of_inverters_kw: NDArray[np.float64]) -> NDArray[np.float64]:
+        return net_kw(np.asarray(of_inverters_kw.sum(axis=1)), self.plant.grid)
 
     @property
     def shortfall_kw(self) -> NDArray[np.float64]:
-        """Power that others had to give, max(0, P_desired - P), shape (T,)."""
-        return np.maximum(self.dispatch_kw - self.delivered_kw, 0.0)
+        """Power that others had to give, max(0, desired - P), shape (T,)."""
+        return np.maximum(self.desired_kw - self.delivered_kw, 0.0)
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -177,9 +198,27 @@ class RunSeries:
 
     def between(self, first: int, end: int) -> RunSeries:
         """Return the cycles from the first one on to before the end alone."""
-        part = {name: getattr(self, name)[first:end] for name in (*_OF_PLANT, *_OF_INVERTERS)}
+        names = (*_OF_PLANT, *_OF_INVERTERS, "desired_kw", "response_kw")
+        part = {name: getattr(self, name)[first:end] for name in names}
         begin_ns = self.plant.start_time_ns + round(first * self.cycle_s * 1e9)
         return replace(self, plant=replace(self.plant, start_time_ns=begin_ns), **part)
+
+
+def _asked(
+    plan: RunPlan, dispatch_kw: NDArray[np.float64], frequency_hz: NDArray[np.float64]
+) -> dict[str, NDArray[np.float64]]:
+    """Return what the grid asks of a plant in each cycle, whatever its controllers know of it."""
+    grid, rating_kw = plan.grid, plan.tree.rating_kw(ROOT)
+    response = np.zeros(len(dispatch_kw))
+    if not grid.moves_target:
+        return {"desired_kw": dispatch_kw, "response_kw": response}
+    response[:] = [response_kw(hz, plan.grid_law) for hz in frequency_hz.tolist()]
+    desired, reference_kw = np.full(len(dispatch_kw), nan), nan
+    for cycle in np.flatnonzero(np.isfinite(dispatch_kw)).tolist():
+        usable_kw = usable_dispatch_kw(float(dispatch_kw[cycle]), rating_kw)
+        reference_kw = ramped_kw(reference_kw, usable_kw, plan.grid_law)
+        desired[cycle] = desired_kw(reference_kw, float(response[cycle]), inf, plan.grid_law)
+    return {"desired_kw": desired, "response_kw": response}
 
 
 class SeriesCollector:
@@ -220,10 +259,13 @@ class SeriesCollector:
                 self._cycles = max(self._cycles, cycle + 1)
                 made = {"mpp_kw": message.inverter_mpp_kw, "power_kw": message.inverter_power_kw}
                 rows = {name: self._row(listed) for name, listed in made.items()}
-                metered_kw = message.delivered_kw if plan.site.meter else rows["power_kw"].sum()
-                rows["unlisted_kw"] = np.array(metered_kw - rows["power_kw"].sum())
+                listed_kw = net_kw(float(rows["power_kw"].sum()), plan.grid_law)
+                metered_kw = message.delivered_kw if plan.site.meter else listed_kw
+                rows["unlisted_kw"] = np.array(metered_kw - listed_kw)
                 rows["unknown_kw"] = np.array(message.unknown_kw)
                 self._enter_of_plant(port, cycle, rows)
+            case Meter() if message.frequency_hz is not None:
+                self._enter_of_plant(port, cycle, {"frequency_hz": np.array(message.frequency_hz)})
             case Impp() if port.node in self._column:
                 self._enter_of(port, "impp_kw", cycle, message.power_kw)
             case Residual() if port.node in self._column:
@@ -331,7 +373,7 @@ def _read(
     also: Sequence[Listener] = (),
 ) -> RunSeries:
     collector = SeriesCollector(reader.plan, clusters)
-    own = reader.ports(DISPATCH, PRODUCTION) | ports
+    own = reader.ports(DISPATCH, METER, PRODUCTION) | ports
     for port, message in reader.on(own.union(*(one.ports for one in also))):
         if port in own:
             collector.see(port, message)

@@ -28,7 +28,7 @@ def available_power(series: Sequence[RunSeries]) -> style.ReportFigure:
     area = {"fill": "tozeroy", "fillcolor": style.faint(style.SAND, 0.5)}
     lines = [style.time_line(first, first.available_kw, "available", sand, **area)]
     if _asks_regulation(first):
-        lines.append(style.time_line(first, first.dispatch_kw, "dispatch, with regulation", grey))
+        lines.append(style.time_line(first, first.desired_kw, "dispatch, with regulation", grey))
     lines += _delivered_lines(series)
     lines.append(style.time_line(first, first.commitment_kw, "commitment", _DASHED))
     figure = make_subplots(
@@ -42,7 +42,7 @@ def available_power(series: Sequence[RunSeries]) -> style.ReportFigure:
     figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero", row=1, col=1)
     figure.update_yaxes(title_text=_DEVIATION, row=2, col=1)
     style.label_time_axis(figure, first, rows=2)
-    short = 100.0 * np.mean((first.available_kw < first.dispatch_kw)[first.known])
+    short = 100.0 * np.mean((first.available_kw < first.desired_kw)[first.known])
     return style.ReportFigure(
         "available-power",
         "Available, committed and delivered power",
@@ -72,9 +72,9 @@ def delivered_and_shortfall(series: Sequence[RunSeries]) -> style.ReportFigure:
     for number, (one, delivered) in enumerate(zip(series, _delivered_lines(series), strict=True)):
         # One entry in the legend is enough for what all panels have.
         once = {"showlegend": number == 0}
-        dispatch = style.time_line(one, one.dispatch_kw, "dispatch", _DASHED, **once)
+        dispatch = style.time_line(one, one.desired_kw, "dispatch", _DASHED, **once)
         figure.add_traces([delivered, dispatch], rows=2 * number + 1, cols=1)
-        unavoidable_kw = np.maximum(one.dispatch_kw - one.available_kw, 0.0)
+        unavoidable_kw = np.maximum(one.desired_kw - one.available_kw, 0.0)
         missed = style.time_line(one, -one.shortfall_kw, "shortfall", red, **area, **once)
         filled = {"fill": "tozeroy", "fillcolor": style.faint(style.GREY, 0.8)}
         sky = style.time_line(one, -unavoidable_kw, "of it unavoidable", grey, **filled, **once)
@@ -117,7 +117,7 @@ def _range(values_kw: Sequence[NDArray[np.float64]], *, from_zero: bool = False)
 
 
 def _deviation_line(one: RunSeries, line: Mapping[str, object], **look: object) -> go.Scatter:
-    deviation_kw = one.delivered_kw - one.dispatch_kw
+    deviation_kw = one.delivered_kw - one.desired_kw
     # A group of its own would put the other entries of the legend below each other.
     look |= {"legendgroup": None}
     return style.time_line(one, deviation_kw, f"deviation, {one.label}", line, **look)
@@ -188,8 +188,8 @@ def farthest_from_asked(series: Sequence[RunSeries]) -> range:
     """
     first = series[0]
     length = min(max(1, round(_CLOSE_LOOK_S / first.cycle_s)), first.cycles)
-    error_kw = np.mean([np.abs(one.delivered_kw - one.dispatch_kw) for one in series], axis=0)
-    could = first.known & (first.regulation_kw != 0.0) & (first.available_kw >= first.dispatch_kw)
+    error_kw = np.mean([np.abs(one.delivered_kw - one.desired_kw) for one in series], axis=0)
+    could = first.known & (first.regulation_kw != 0.0) & (first.available_kw >= first.desired_kw)
     asked = np.where(could, error_kw, 0.0)
     begin = int(np.convolve(asked, np.ones(length), mode="valid").argmax())
     return range(begin, begin + length)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from agents.control.allocation import allocate, total
 from agents.control.correction import corrected, mean_error_kw
 from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp, held_kw
+from agents.control.grid import GridLaw, net_kw
 from agents.control.impp import (
     NOTHING_KNOWN,
     Estimate,
@@ -52,7 +53,7 @@ class LoopSettings(NamedTuple):
 
     Whether the IMPP is a forecast or that of the last cycle; whether inverters hold a power limit
     or give a fraction of their maximum; whether the target is corrected by the plant's meter; how
-    much more than the dispatch the plant aims at.
+    much more than the dispatch the plant aims at; what is lost up to the meter, and its error.
     """
 
     is_forecast: bool
@@ -63,6 +64,8 @@ class LoopSettings(NamedTuple):
     hold_cycles: int
     offset_kw: float
     offset_errors: float
+    grid: GridLaw
+    meter_error: float
 
 
 class Schedule(NamedTuple):
@@ -135,6 +138,8 @@ def loop_inputs(
         hold_cycles=plan.control.hold_cycles,
         offset_kw=plan.control.offset_kw,
         offset_errors=plan.control.offset_errors,
+        grid=plan.grid_law,
+        meter_error=plan.grid.meter_error_percent / 100.0,
     )
     return (
         control_arrays(plan, profile.cycles),
@@ -210,17 +215,18 @@ def closed_loop(
             is_gone = is_lost(estimates[i], settings.hold_cycles)
             node_impp_kw[tree.inverters[i]] = 0.0 if is_gone else estimates[i].power_kw
         report_up(tree, node_impp_kw)
+        possible_kw = net_kw(node_impp_kw[0], settings.grid)
+        read_kw = net_kw(total(last_kw), settings.grid) * (1.0 + settings.meter_error)
         if schedule.offers.interval_cycles > 0:
-            metered_now_kw = total(last_kw) if cycle > 0 else nan
-            follow_offers(schedule, shares, cycle, node_impp_kw[0], metered_now_kw)
+            follow_offers(schedule, shares, cycle, possible_kw, read_kw if cycle > 0 else nan)
         heard_kw = usable_dispatch_kw(schedule.dispatch_kw[cycle], plant_rating_kw)
         if cycle > 0:
-            metered_kw += total(last_kw)
+            metered_kw += read_kw
             metered_cycles += 1
         if cycle % tree.period[0] == 0:
             if metered_cycles > 0:
                 mean_kw, mean_s = metered_kw / metered_cycles, metered_cycles * settings.cycle_s
-                is_free = heard_kw >= node_impp_kw[0]
+                is_free = heard_kw >= possible_kw
                 error_kw = mean_error_kw(error_kw, wanted_kw, mean_kw, is_free, mean_s)
                 if settings.is_corrected:
                     correction_kw = corrected(

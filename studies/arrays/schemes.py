@@ -9,6 +9,7 @@ from typing import Final, TypeAlias, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.control.grid import gross_kw
 from agents.control.grouping import grouping_levels, grouping_limits_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
@@ -63,6 +64,11 @@ def run_scheme(
 
     By default these are `reference_groups`.
     """
+    if plan.grid.moves_target:
+        raise InputError(
+            "grid: expected losses and meter_error_percent alone, since a study over arrays has no "
+            "ramp limits and no frequency response; use simulate"
+        )
     if name in get_args(Scheme):
         results = [run_loop(plan, profile, cast(Scheme, name), actuator)._asdict()]
     else:
@@ -101,7 +107,8 @@ def _powers_kw(
             yield from _grouping(plan, profile, actuator, groups)
         case "physical-limit":
             available_kw = profile.mpp_kw.sum(axis=1)
-            wanted_kw = np.clip(_dispatch_kw(plan, profile), 0.0, available_kw)
+            gross = [gross_kw(kw, plan.grid_law) for kw in _dispatch_kw(plan, profile).tolist()]
+            wanted_kw = np.clip(gross, 0.0, available_kw)
             yield profile.mpp_kw * _share(wanted_kw, available_kw)[:, None]
 
 

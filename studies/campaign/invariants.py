@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.control.grid import net_kw
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, SETPOINT, TELEMETRY
 from bus_schemas.tree import CENTRAL, ROOT, agent_name
 from studies.campaign.parent_invariants import correction, division, help_lines, reports
@@ -64,7 +65,8 @@ def _under_delivery(run: FaultyRun) -> Breaches:
     mpp_kw = np.array([one.inverter_mpp_kw for one in produced])
     dispatch_kw = np.clip([one.dispatch_kw for one in produced], 0.0, rating_kw.sum())
     alone_kw = np.minimum(mpp_kw, np.outer(dispatch_kw, rating_kw / rating_kw.sum()))
-    return _lasting(run, alone_kw.sum(axis=1) - run.trace.delivered_kw)
+    fed_in_kw = net_kw(alone_kw.sum(axis=1), run.plan.grid_law)
+    return _lasting(run, fed_in_kw - run.trace.delivered_kw)
 
 
 def _lasting(run: FaultyRun, beyond_kw: NDArray[np.float64]) -> Breaches:

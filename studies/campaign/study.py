@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from agents.cycle import kind_of
 from agents.faults import Fault, Freeze, Kill, ProcessFault, Trip, incidents
 from agents.plan import RunPlan, changed
+from bus_schemas.errors import InputError
 from bus_schemas.faults import Blackout, Disturbance, LinkFault, Partition, links
 from bus_schemas.tree import PLANT, agent_name, depth, parent_of
 from launch_scripts.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
@@ -87,6 +88,8 @@ class Campaign:
 
 def campaign(preparation: Preparation) -> Campaign:
     plan, profile = on_the_clock(preparation.plan), preparation.profile
+    if plan.grid.moves_target:
+        raise InputError("grid: expected no ramp limits or droop, which the invariants do not know")
     return Campaign(plan, profile, trace_of(plan, profile, ()).delivered_kw)
 
 

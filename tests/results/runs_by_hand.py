@@ -48,6 +48,9 @@ def run_of(
         alpha=np.ones_like(mpp_kw),
         unknown_kw=np.zeros_like(commitment),
         unlisted_kw=np.zeros_like(commitment),
+        frequency_hz=np.full_like(commitment, np.nan),
+        desired_kw=commitment + regulation,
+        response_kw=np.zeros_like(commitment),
     )
 
 

@@ -72,7 +72,7 @@ def test_each_order_and_each_step_of_the_schedule_has_its_answer() -> None:
     dispatch[20:30] = 200.0
     orders = ((20, order(20, 200.0)), (30, order(20, 200.0, state="over")))
     run = run_of(commitment, 1e4, dispatch, start="2010-04-01T12:00:00")
-    found = answers(replace(run, dispatch_kw=dispatch, orders=orders))
+    found = answers(replace(run, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders))
     assert [(one.asked, one.cycle, one.end_cycle) for one in found] == [
         ("schedule", 10, 20),
         ("command", 20, 30),
@@ -88,7 +88,9 @@ def test_a_run_in_which_nothing_is_asked_has_no_answers() -> None:
 def test_a_step_of_the_schedule_under_an_order_is_none_of_the_plant() -> None:
     commitment = np.array([100.0] * 10 + [300.0] * 10)
     run = run_of(commitment, 1e4, np.full(20, 200.0))
-    ordered = replace(run, dispatch_kw=np.full(20, 200.0), orders=((5, order(5, 200.0)),))
+    asked_kw = np.full(20, 200.0)
+    orders = ((5, order(5, 200.0)),)
+    ordered = replace(run, dispatch_kw=asked_kw, desired_kw=asked_kw, orders=orders)
     assert [one.asked for one in answers(ordered)] == ["command"]
 
 
@@ -100,11 +102,11 @@ def test_orders_that_follow_each_other_are_one_signal_with_a_score() -> None:
         (int(cycle), order(int(cycle), kw)) for cycle, kw in zip(at, powers, strict=True)
     )
     run = run_of(np.full(600, 100.0), 1e4, dispatch)
-    (found,) = answers(replace(run, dispatch_kw=dispatch, orders=orders))
+    (found,) = answers(replace(run, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders))
     assert found.orders == 150
     assert found.score == pytest.approx(1.0)
     still = run_of(np.full(600, 100.0), 1e4, np.full(600, 500.0))
-    (found,) = answers(replace(still, dispatch_kw=dispatch, orders=orders))
+    (found,) = answers(replace(still, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders))
     assert found.score is not None
     assert found.score < 0.4
 

@@ -59,6 +59,9 @@ def cloudy_run(
         alpha=alpha,
         unknown_kw=np.zeros(cycles),
         unlisted_kw=np.zeros(cycles),
+        frequency_hz=np.full(cycles, np.nan),
+        desired_kw=dispatch_kw,
+        response_kw=np.zeros(cycles),
     )
 
 

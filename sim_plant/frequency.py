@@ -1,0 +1,101 @@
+"""The grid's frequency: constant, from a file, or with events of a stated depth and rate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from bus_schemas.faults import Second
+from sim_plant import Floats
+from sim_plant.csv_tables import held_values
+
+_Hz: TypeAlias = Annotated[float, Meta(ge=10.0, le=110.0)]
+
+
+class _Settings(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"
+):
+    pass
+
+
+class ConstantFrequency(_Settings, frozen=True, tag="constant"):
+    """The same frequency throughout.
+
+    hz: Frequency [Hz].
+    """
+
+    hz: _Hz
+
+
+class FrequencyFile(_Settings, frozen=True, tag="file"):
+    """A measured frequency.
+
+    path: CSV of two columns with a header: seconds since cycle 0, frequency [Hz].
+    """
+
+    path: str
+
+
+class FrequencyEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A departure from the nominal frequency, which returns at the same rate.
+
+    at: When it begins, in simulated time since cycle 0 [s].
+    depth_hz: How far it goes: below 0 for an under-frequency [Hz].
+    rate_hz_per_s: How fast [Hz/s].
+    duration_s: Time until the frequency begins to return [s].
+    """
+
+    at: Second
+    depth_hz: Annotated[float, Meta(ge=-5.0, le=5.0)]
+    rate_hz_per_s: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1
+    duration_s: Annotated[float, Meta(gt=0.0, le=1e6)] = 60.0
+
+    def deviation_hz(self, time_s: Floats) -> Floats:
+        """Return the departure at some times [s since cycle 0], shape (T,)."""
+        since_s = np.maximum(time_s - self.at, 0.0)
+        gone_hz = self.rate_hz_per_s * np.minimum(since_s, self.duration_s)
+        back_hz = self.rate_hz_per_s * np.maximum(since_s - self.duration_s, 0.0)
+        reached_hz = min(abs(self.depth_hz), self.rate_hz_per_s * self.duration_s)
+        size_hz = np.maximum(np.minimum(gone_hz, reached_hz) - back_hz, 0.0)
+        return np.asarray(np.sign(self.depth_hz) * size_hz)
+
+
+class FrequencyEvents(_Settings, frozen=True, tag="events"):
+    """The nominal frequency, with events.
+
+    events: The events; where several overlap, their departures add up.
+    """
+
+    events: tuple[FrequencyEvent, ...]
+
+
+FrequencySettings = ConstantFrequency | FrequencyFile | FrequencyEvents
+
+
+def frequency_hz(
+    settings: FrequencySettings,
+    cycles: int,
+    cycle_s: float,
+    nominal_hz: float,
+    find_file: Callable[[str], Path],
+) -> Floats:
+    """Return the frequency at the beginning of each cycle, shape (T,).
+
+    `find_file` returns the path of a file that the settings name.
+    """
+    time_s = np.arange(cycles, dtype=np.float64) * cycle_s
+    match settings:
+        case ConstantFrequency():
+            return np.full(cycles, settings.hz)
+        case FrequencyFile():
+            time_ns = np.rint(time_s * 1e9).astype(np.int64)
+            what = "the frequency of every cycle"
+            return held_values(find_file(settings.path), time_ns, (10.0, 110.0), what)
+        case FrequencyEvents():
+            away_hz = [event.deviation_hz(time_s) for event in settings.events]
+            return np.asarray(sum(away_hz, start=np.full(cycles, nominal_hz)))
