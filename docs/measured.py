@@ -256,7 +256,10 @@ def promised_days(offered: Offers, actuator: Any) -> list[Any]:
         record = nothing_offered(settings) if record is None else record
         run = run_loop(plan, day.profile, "predictive", actuator, record)
         available_kw = day.profile.mpp_kw.sum(axis=1)
-        days.append((run.commitment_kw, available_kw, day.profile.clear_sky_kw))
+        # Nobody has offered the first interval of a day.
+        later = slice(offered.interval_cycles, None)
+        powers_kw = (run.commitment_kw, available_kw, day.profile.clear_sky_kw)
+        days.append([kw[later] for kw in powers_kw])
     return [np.concatenate(one) for one in zip(*days, strict=True)]
 
 

@@ -1,0 +1,61 @@
+"""Draws the pictures of README from runs: `make pictures`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import matplotlib.pyplot as plt
+import pandas as pd
+from matplotlib import dates
+
+from heliarch import load_scenario
+from recordings.read.series import RunSeries
+from scenarios.preparation import prepare
+from scenarios.run_options import RunOptions
+from scenarios.settings import with_settings
+from studies.arrays.schemes import run_scheme
+
+IMAGES: Final = Path(__file__).parent / "images"
+BLUE, ORANGE, GREY, DARK = "#0072b2", "#d55e00", "#d9dee3", "#37474f"
+
+
+def ten_minutes(path: Path) -> None:
+    """Draw the plant's power in ten cloudy minutes, with and without control."""
+    promise = {"kind": "share-of-clear-sky", "share": 0.6}
+    scenario = with_settings(load_scenario("oahu"), [("commitment", promise)])
+    day = prepare(scenario, RunOptions(start="10:23", duration="10m"), "pictures")
+    plan, profile = day.plan, day.profile
+    controlled, capped = (
+        run_scheme(name, plan, profile, "limit")[0] for name in ("predictive", "uniform-cap")
+    )
+    times = pd.date_range(
+        pd.Timestamp(plan.timing.start_time_ns, tz="UTC").tz_convert(plan.timing.timezone),
+        periods=profile.cycles,
+        freq=pd.Timedelta(seconds=plan.timing.cycle_s),
+    ).tz_localize(None)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), sharey=True, layout="constrained")
+    for axes, series, title, colour in (
+        (left, capped, "Each inverter held to its share", ORANGE),
+        (right, controlled, "Inverters in the sun cover for shaded ones", BLUE),
+    ):
+        axes.fill_between(times, series.available_kw / 1e3, color=GREY, lw=0, label="available")
+        axes.plot(times, series.delivered_kw / 1e3, color=colour, lw=1.8, label="delivered")
+        axes.plot(times, series.dispatch_kw / 1e3, color=DARK, lw=1.0, ls="--", label="promised")
+        axes.set_title(f"{title}: {missed_percent(series):.2g} % missed", fontsize=11)
+        axes.xaxis.set_major_locator(dates.MinuteLocator(interval=2))
+        axes.xaxis.set_major_formatter(dates.DateFormatter("%H:%M"))
+        axes.set_ylim(2.5, None)
+        axes.margins(x=0)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(loc="lower left", ncols=3, frameon=False, fontsize=9)
+    left.set_ylabel("power of the plant [MW]")
+    figure.savefig(path, dpi=160)
+
+
+def missed_percent(series: RunSeries) -> float:
+    return float(100.0 * series.shortfall_kw.sum() / series.dispatch_kw.sum())
+
+
+if __name__ == "__main__":
+    ten_minutes(IMAGES / "ten-minutes.png")
