@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test docs results golden check format bench bench-peers bench-study soak clean
+.PHONY: help setup run test docs results pictures golden check format bench bench-peers bench-study soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -67,6 +67,9 @@ $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
 
 results: $(READY) ## every measured table of the documents; DATA=FOLDER for those of measurements, PAGES=delays.md for one page
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/measured.py $(abspath $(DATA)) $(PAGES)
+
+pictures: $(READY) ## the pictures of README that are drawn from runs
+	PYTHONPATH=$(CURDIR) $(BIN)/python docs/pictures.py
 
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py

@@ -47,7 +47,11 @@ _NOTES: Final = (
 def case_tables(title: str, rows: Sequence[Row]) -> list[Table]:
     """Return the paper's tables for one case, a row for each scheme."""
     axes = tuple(FIGURES[name] for name in AXES)
-    others = (one for one in shown_in(Shown.COMPARE, Shown(0)) if one not in axes)
+    others = (
+        one
+        for one in shown_in(Shown.COMPARE, Shown(0))
+        if one not in axes and any(row[one.name] is not None for row in rows)
+    )
     tables = [_scheme_table(title, rows, (*axes, *others))]
     if any(row["capacity"] is not None for row in rows):
         figures = shown_in(Shown.COMPARE, Shown.REGULATION)
