@@ -104,18 +104,19 @@ class Inputs:
         Nothing changes before. `enters`: The message takes the agent into its cycle.
         """
         of, incarnation = message.cycle, message.incarnation
+        is_ahead = of > cycle
         if incarnation < one.incarnation:
             cause, why = "wrong_sender", f"{_JOINED} {incarnation}, since replaced"
-        elif incarnation > max(of, 0):
+        elif 0 < incarnation > of:
             cause, why = "out_of_range", f"{_JOINED} {incarnation}, which is yet to come"
-        elif of >= self._cycles or (of > max(cycle, 0) + self._horizon and not enters):
+        elif of >= self._cycles or (is_ahead and of > max(cycle, 0) + self._horizon and not enters):
             cause, why = "wrong_cycle", f"is too far from {cycle}"
         elif of <= one.newest_cycle:
             cause = "duplicate" if of == one.newest_cycle else "late"
             why = f"came after that of cycle {one.newest_cycle}"
         elif of in one.ahead:
             cause, why = "duplicate", "came twice"
-        elif len(one.ahead) > self._horizon and of > cycle:
+        elif is_ahead and len(one.ahead) > self._horizon:
             cause, why = "wrong_cycle", "is one of too many that are ahead"
         elif of >= 0 and of % one.period:
             cause, why = "wrong_cycle", "is not of a turn of its sender"

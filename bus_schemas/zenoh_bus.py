@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from contextlib import suppress
 from functools import partial
 from heapq import heappop, heappush
 from itertools import count
@@ -132,9 +131,11 @@ class ZenohBus(AgentSessions):
     def _put(self, port: Port[Message], message: Message) -> None:
         payload = encode(message)
         self._newest[port] = payload
-        with suppress(zenoh.ZError):  # The session has been closed, to be opened anew.
+        try:
             for put in self._puts[port]:
                 put(payload)
+        except zenoh.ZError:
+            return  # The session has been closed, to be opened anew.
 
     def change_device_puts(self, change: PutChange) -> None:
         """Change how messages are put on the links with devices."""
@@ -175,7 +176,8 @@ class ZenohBus(AgentSessions):
         return []
 
     def take(self) -> list[Arrival]:
-        return [*self._inside.receive(None), *self._decoded(self.inbox.take())]
+        arrived = self._decoded(self.inbox.take())
+        return [*self._inside.receive(None), *arrived] if self._inside.holds_any else arrived
 
     def want(self, wanted: int) -> bool:
         """Ask to be called once so many messages are there; return whether they are.
@@ -192,19 +194,19 @@ class ZenohBus(AgentSessions):
 
     def _decoded(self, taken: list[tuple[Port[Message], zenoh.ZBytes, int]]) -> list[Arrival]:
         arrivals: list[Arrival] = []
-        for port, payload, time_ns in taken:
+        for port, payload, came_ns in taken:
+            time_ns = came_ns
             try:
                 message = decode(port.signal, payload.to_bytes())
             except msgspec.DecodeError:
                 self.inbox.dropped[str(port), "undecodable"] += 1
             else:
-                came_ns = time_ns
                 if self._clock is not None:
                     if port.publisher == PLANT:
-                        self._clock.hear(message.publish_time_ns, time_ns)
-                    came_ns = self._clock.at(time_ns)
+                        self._clock.hear(message.publish_time_ns, came_ns)
+                    time_ns = self._clock.at(came_ns)
                 for name in self._hearers[port]:
-                    arrivals.append(Arrival(name, port, message, came_ns))
+                    arrivals.append(Arrival(name, port, message, time_ns))
         return arrivals
 
 

@@ -143,7 +143,7 @@ class ForkServer:
             link = LauncherLink(agent, self._control, table, self._starts[agent])
             link.end_on(signal.SIGTERM)
             link.reopen_on(signal.SIGUSR1)
-            link.note_sending(sends=False)
+            table.sends(agent)[0] = False
             status = run_process(
                 agent, plan, link, Path(request.plan).parent, rejoins=request.again
             )

@@ -133,14 +133,14 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
 class _NotingBus:
     """The bus of an agent in lockstep, where it may have to wait until a message can go out."""
 
-    def __init__(self, bus: Bus, link: LauncherLink) -> None:
+    def __init__(self, bus: Bus, sends: memoryview) -> None:
         self._bus = bus
-        self._link = link
+        self._sends = sends
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
-        self._link.note_sending(sends=True)
+        self._sends[0] = True
         self._bus.publish(port, message, now_ns)
-        self._link.note_sending(sends=False)
+        self._sends[0] = False
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
         return self._bus.receive(until_ns, wanted)
@@ -180,7 +180,7 @@ class AgentProcess:
             disturbed = DeviceFaults(plan.faults.device).disturbed
             self._bus.change_device_puts(partial(disturbed, cycle_time_ns=self.loop.times.time_ns))
         if plan.timing.lockstep and link.table is not None:
-            self.driver.bus = _NotingBus(self.driver.bus, link)
+            self.driver.bus = _NotingBus(self.driver.bus, link.table.sends(name))
         self.watch_tokens = self._bus.watch_tokens
         self._tokens = self.watch_tokens() if is_away or link.by_hand else None
         self._plant_gone_at = inf

@@ -55,8 +55,10 @@ class BeatTable:
     def beat(self, name: str, cycle: int = -1) -> None:
         struct.pack_into("qq", self._memory, self._places[name], time.monotonic_ns(), cycle)
 
-    def note_sending(self, name: str, *, sends: bool) -> None:
-        self._memory[self._places[name] + _SENDS] = sends
+    def sends(self, name: str) -> memoryview:
+        """Return the byte in which a process notes whether it is sending."""
+        place = self._places[name] + _SENDS
+        return memoryview(self._memory)[place : place + 1]
 
     def read(self, name: str) -> Beat:
         return Beat._make(_PLACE.unpack_from(self._memory, self._places[name]))

@@ -74,10 +74,6 @@ class LauncherLink:
         if self.table is not None:
             self.table.beat(self._name, cycle)
 
-    def note_sending(self, *, sends: bool) -> None:
-        if self.table is not None:
-            self.table.note_sending(self._name, sends=sends)
-
     def expected_messages(self) -> int | None:
         """Return how many messages of the run were published in all; None: not known yet."""
         return self.table.expected() if self.table is not None else None

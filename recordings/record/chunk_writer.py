@@ -76,16 +76,16 @@ class ChunkWriter:
     def add_message(
         self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int
     ) -> None:
-        length = _FIELDS_SIZE + len(data)
-        self._chunk += MESSAGE_HEAD.pack(
+        chunk, length = self._chunk, _FIELDS_SIZE + len(data)
+        chunk += MESSAGE_HEAD.pack(
             Opcode.MESSAGE, length, channel_id, sequence, log_time, publish_time
         )
-        self._chunk += data
+        chunk += data
         self.recorded[channel_id] += 1
         if self._chunk_begin_ns is None or log_time < self._chunk_begin_ns:
             self._chunk_begin_ns = log_time
         self._end_ns = max(self._end_ns, log_time)
-        if len(self._chunk) > _CHUNK_SIZE:
+        if len(chunk) > _CHUNK_SIZE:
             self._end_chunk()
 
     def flush(self) -> None:

@@ -100,7 +100,7 @@ class SecondSenders:
         if payloads is None:
             return None
         newest = self._newest[port]
-        if incarnation > max(cycle, 0):
+        if 0 < incarnation > cycle:
             self.note_extra(port)
             return CONFLICTING, f"it is of cycle {cycle}, and its process joined in {incarnation}"
         if incarnation < newest:

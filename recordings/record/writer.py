@@ -88,6 +88,7 @@ class RunWriter:
         self._on_end = on_end
         self._cycle = 0
         self._anchor = anchor or ClockAnchor.now()
+        self._to_wall_ns = self._anchor.wall(0)
         self._file = path.open("xb")
         self._writer = ChunkWriter(self._file, "heliarch", f"heliarch {version('heliarch')}")
         self._write_origin(plan, scenario, driver)
@@ -101,13 +102,12 @@ class RunWriter:
         self._cycle = head.cycle
         if self.ended_early:
             return
-        wall_ns, published_ns = (
-            self._anchor.wall(logged_ns),
-            self._anchor.wall(head.publish_time_ns),
-        )
-        channel = self._channels[port]
+        channel, to_wall_ns = self._channels[port], self._to_wall_ns
+        published_ns = head.publish_time_ns + to_wall_ns
         try:
-            self._writer.add_message(channel, wall_ns, payload, published_ns, head.sequence)
+            self._writer.add_message(
+                channel, logged_ns + to_wall_ns, payload, published_ns, head.sequence
+            )
         except _UNWRITABLE as error:
             self._end(error)
 

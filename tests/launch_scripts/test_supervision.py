@@ -163,7 +163,7 @@ def test_the_plant_alone_ends_a_run_and_only_if_it_does_not_beat(watched: Make) 
 
 def test_in_lockstep_who_waits_to_send_is_not_silent(watched: Make) -> None:
     run = watched(cycle_wall_ns=0, standby=())
-    run.table.note_sending("c2", sends=True)
+    run.table.sends("c2")[0] = True
     run.pass_by(60.0, "c2", stuck=["central", "c1"])
     assert run.got(SIGKILL) == []
 
