@@ -12,6 +12,7 @@ import msgspec
 import psutil
 
 from agents.process.interruption import interruptible
+from agents.process.machine_watch import MachineWatch
 from bus_schemas.errors import InputError
 from launch_scripts.launch import check_processes, launch
 from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
@@ -77,14 +78,15 @@ def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor)
     plan, scenario = preparation.plan, preparation.scenario.scenario
     duration_s = plan.timing.cycles * plan.timing.cycle_wall_ns / 1e9
     began_at, load_before = time.monotonic(), psutil.getloadavg()[0]
-    with ForkServerProcess() as server, view_for(plan) as view:
+    with ForkServerProcess() as server, MachineWatch() as watch, view_for(plan) as view:
         view.say(scenario.title)
         view.say(f"{cycles_per_s(1e9 / plan.timing.cycle_wall_ns)} for {round(duration_s, 2):g} s")
         summary = launch(preparation, folder, view, began_at, server)
+        stops = watch.stops()
         with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
             folder.write_summary(summary.as_json())
     try:
-        return report_on(folder.path, summary, (load_before, psutil.getloadavg()[0]))
+        return report_on(folder.path, summary, (load_before, psutil.getloadavg()[0]), stops)
     except InputError as error:  # The disk was full, for instance.
         raise RunFailure(f"{summary.launcher.recording_ended or 'not measured'}: {error}") from None
 

@@ -7,7 +7,7 @@ supervisor within 10 s, central below 60 s). A scenario may replace them with ab
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, nan
 from pathlib import Path
@@ -19,15 +19,17 @@ import pandas as pd
 from agents.cycle import KINDS, STAGES, kind_of
 from agents.plan import RunPlan
 from agents.process.machine import MachineSettings
+from agents.process.machine_watch import LATE_MS, MachineStop
 from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT
 from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
 from results.run_summary import RunSummary
+from results.tables import counted
 from results.timing.cycle_waits import CycleWaits
 from results.timing.run_timing import COUNTS, WHOLE_LOOP, RunTiming, percentiles, run_timing
-from results.timing.stage_times import tier_of
+from results.timing.stage_times import start_ns_of, tier_of
 from scenarios.scenario import BudgetTable, TimingTable
 from sunspec.process import DeviceAccount
 
@@ -111,6 +113,7 @@ class TimingReport:
     host: The machine and the software, in words: the figures mean nothing without them.
     times: Rows of durations: measure, of, count, min_us to max_us.
     tiers: Counts, processor time and memory.
+    stopped_ms: For how long the machine stood still in a cycle, where it did.
     """
 
     run: TimedRun
@@ -122,16 +125,23 @@ class TimingReport:
     loop_ms: pd.Series
     remarks: tuple[str, ...]
     devices: tuple[DeviceAccount, ...]
+    stopped_ms: dict[int, float]
 
     @property
     def passed(self) -> bool:
         """Whether every budget was kept up to the planned end of the run."""
         return self.run.whole and all(budget.passed for budget in self.budgets)
 
+    def in_words(self, one: CycleWaits) -> str:
+        """Say which link made a cycle long, and whether the machine stood still meanwhile."""
+        stopped_ms = self.stopped_ms.get(one.cycle)
+        text = "" if stopped_ms is None else f"; the machine stood still for {stopped_ms:.1f} ms"
+        return one.in_words() + text
+
     def document(self) -> dict[str, object]:
         """Return the content of the JSON."""
         slowest = [
-            {"cycle": one.cycle, "loop_ms": one.length_ms, "text": one.in_words()}
+            {"cycle": one.cycle, "loop_ms": one.length_ms, "text": self.in_words(one)}
             for one in self.slowest
         ]
         return {
@@ -149,18 +159,22 @@ class TimingReport:
 
 
 def report_on(
-    run: Path, summary: RunSummary | None = None, load: tuple[float, float] | None = None
+    run: Path,
+    summary: RunSummary | None = None,
+    load: tuple[float, float] | None = None,
+    stops: Sequence[MachineStop] = (),
 ) -> TimingReport:
     """Work out the timing of a run from its recording.
 
     Without a summary the one in the run's folder is used, if there is one. `load` is the machine's
-    load average before and after the run.
+    load average before and after the run, `stops` are the times in which it stood still.
     """
     with RunReader(run) as reader:
         plan, table = reader.plan, _budgets_in(reader)
         timing = run_timing(reader)
         folder, metadata = reader.path.parent, reader.metadata["run"]
         stop_cycle = reader.stop_cycle
+        stopped_ms = _stopped_ms(reader, stops)
     summary = summary or summary_in(folder, plan, RunSummary)
     wall_s = summary.wall_s if summary else len(timing.loop_ms) * plan.timing.cycle_wall_ns / 1e9
     remarks: tuple[str, ...] = (_NO_SUMMARY,)
@@ -184,7 +198,7 @@ def report_on(
             interrupted=stopped_early or (summary is not None and summary.launcher.interrupted),
             lost_messages=lost,
         ),
-        host=_host(metadata, plan.supervision.machine, load),
+        host=(*_host(metadata, plan.supervision.machine, load), *_stood_still(stops)),
         times=percentiles(timing.durations),
         tiers=tiers,
         budgets=tuple(_judged(plan, table, timing, tiers, lost)),
@@ -192,6 +206,7 @@ def report_on(
         loop_ms=timing.loop_ms,
         remarks=remarks,
         devices=summary.devices if summary else (),
+        stopped_ms=stopped_ms,
     )
 
 
@@ -310,6 +325,31 @@ def _host(
         f"scheduling asked for: {', '.join(asked)}",
         f"Python {known['python']}, heliarch {metadata.get('version heliarch')}, Zenoh {zenoh}",
     )
+
+
+def _stopped_ms(reader: RunReader, stops: Sequence[MachineStop]) -> dict[int, float]:
+    """Return for how long the machine stood still in each cycle in which it did."""
+    if not stops:
+        return {}
+    start_ns, cycle_ns = start_ns_of(reader), reader.plan.timing.cycle_wall_ns
+    found: dict[int, float] = {}
+    for one in stops:
+        first, last = ((at - start_ns) // cycle_ns for at in one)
+        for cycle in range(first, last + 1):
+            begin_ns = start_ns + cycle * cycle_ns
+            within = min(one.ended_ns, begin_ns + cycle_ns) - max(one.began_ns, begin_ns)
+            found[cycle] = found.get(cycle, 0.0) + within / 1e6
+    return found
+
+
+def _stood_still(stops: Sequence[MachineStop]) -> Iterator[str]:
+    """Say how often the machine stood still: a process that only sleeps was woken late."""
+    if stops:
+        longest_ms = max(one.length_ms for one in stops)
+        yield (
+            f"the machine stood still for over {LATE_MS:g} ms {counted(len(stops), 'time')}, for "
+            f"{longest_ms:.1f} ms at most"
+        )
 
 
 def _budgets_in(reader: RunReader) -> BudgetTable:

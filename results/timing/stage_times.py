@@ -125,7 +125,7 @@ class Block(NamedTuple):
 
 def read_blocks(reader: RunReader, graph: RunGraph, block_messages: int) -> Iterator[Block]:
     """Yield the run block by block, up to the last cycle that the plant ended."""
-    start_ns, end = _start_ns(reader), _end_cycle(reader)
+    start_ns, end = start_ns_of(reader), _end_cycle(reader)
     length = max(block_messages // len(graph.ports), 1)
     before: pd.DataFrame | None = None
     for begin in range(0, end, length):
@@ -242,7 +242,7 @@ def _add_inputs(closed: pd.DataFrame, inputs: pd.DataFrame) -> None:
     closed["cause"] = last.set_index("at").input
 
 
-def _start_ns(reader: RunReader) -> int:
+def start_ns_of(reader: RunReader) -> int:
     """Return when cycle 0 was to begin."""
     launched = reader.metadata["run"].get("driver") != "simulate"
     runs = (m for _, m in reader.messages(RUN) if isinstance(m, Run) and m.state == "start")

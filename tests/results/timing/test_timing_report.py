@@ -12,10 +12,11 @@ import pytest
 from msgspec.structs import replace
 from plans_by_hand import with_changes
 from printing import printed
-from reports_by_hand import MISSED, missed, reported, summary_of
-from timed_recordings import PLAN, TIMES_MS, cycle, recorded, without
+from reports_by_hand import LOAD, MISSED, missed, reported, summary_of
+from timed_recordings import PLAN, START_NS, TIMES_MS, cycle, recorded, without
 
 from agents.process.machine import MachineSettings
+from agents.process.machine_watch import MachineStop
 from results.report.page import html_page
 from results.report.result import print_result
 from results.timing.report import TimingReport, p99_limits_ms, report_on
@@ -143,6 +144,20 @@ def test_one_slow_cycle_of_fewer_than_a_hundred_does_not_decide(
     assert (f"{loop} p99" not in failed(report)) == passed
     line = f"not kept: {loop} p99 60.000 ms (at most 50.000 ms)"
     assert (line in text_of(report)) == (not passed)
+
+
+def test_a_slow_cycle_in_which_the_machine_stood_still_says_so(tmp_path: Path) -> None:
+    slow = {**TIMES_MS, "production": (60.0, 60.5)}
+    reported(tmp_path, cycle(0), cycle(1, slow), cycle(2))
+    began_ns = START_NS + 110_000_000
+    stop = MachineStop(began_ns, began_ns + 25_000_000)
+    report = report_on(tmp_path, summary_of(tmp_path), LOAD, [stop])
+    text = text_of(report)
+    assert "slowest cycle 1" in text
+    said = [line for line in text.splitlines() if "the machine stood still" in line]
+    assert len(said) == 2  # Once for the run and once for the cycle.
+    assert all("25.0 ms" in line for line in said)
+    assert "stood still" not in text_of(report_on(tmp_path, summary_of(tmp_path), LOAD))
 
 
 # The verdict --------------------------------------------------------------------------------------
