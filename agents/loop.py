@@ -137,15 +137,6 @@ class Loop(Generic[S]):
             if not self.waiting:
                 self._ready_ns = time_ns
 
-    def _hear_event(self, port: Port[Message], message: Message, time_ns: int) -> None:
-        match message:
-            case Run():
-                self._hear_run(port, message, time_ns)
-            case GivenUp():
-                self.give_up(message.agents, time_ns)
-            case Order():
-                self.inputs.hear_order(port, message, self.cycle)
-
     def _hear_run(self, port: Port[Message], run: Run, time_ns: int) -> None:
         if run.state == "stop":
             if run.cycle <= self.inputs.of[_DISPATCH].newest_cycle:

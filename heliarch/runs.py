@@ -81,6 +81,7 @@ def compare(
     settings: Mapping[str, object] | None = None,
     data: str | Path | None = None,
     workers: int = 1,
+    cluster: str = "",
     **span: Any,
 ) -> pd.DataFrame:
     """Compare control schemes, as `heliarch compare` does.
@@ -104,6 +105,8 @@ def compare(
     workers
         Processes that share the cases. With more than one, call this from a script that guards
         its entry point with `if __name__ == "__main__"`.
+    cluster
+        Address of a Dask scheduler, whose workers share the cases instead.
     span
         `start`, `end` or `duration`, as for `simulate`.
 
@@ -125,7 +128,7 @@ def compare(
         tuple(days),
         tuple(map(int, seeds)),
     )
-    results = share_work(partial(run_case, names, acting), listed, workers)
+    results = share_work(partial(run_case, names, acting), listed, workers, cluster=cluster)
     return pd.DataFrame([row for rows in results for row in rows])
 
 

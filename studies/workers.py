@@ -1,4 +1,4 @@
-"""The pool of processes that share the work of a study."""
+"""Shares the work of a study among processes: of this machine, or of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from multiprocessing.resource_tracker import ensure_running
 from typing import Any, Final, TypeVar
 
 from agents.process.machine import die_with_parent
-from bus_schemas.errors import FailureError
+from bus_schemas.errors import FailureError, InputError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+_ANSWER_S: Final = 10
+"""How long the scheduler of a cluster may take to answer."""
 
 _SIGNALS: Final = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
@@ -30,6 +33,7 @@ def share_work(
     items: Sequence[Item],
     workers: int,
     done: Callable[[], object] = lambda: None,
+    cluster: str = "",
 ) -> list[Result]:
     """Apply a function to each item; return the results in order. Calls `done` after each item.
 
@@ -37,8 +41,12 @@ def share_work(
     picklable. Workers never outlive this process, however it ends: they ignore the signals that
     end it, and this process kills them at its end; if it cannot, the kernel does.
 
+    cluster: Address of a Dask scheduler, whose workers do the work instead.
+
     Raises WorkerLostError: A worker was killed.
     """
+    if cluster:
+        return _share_over_cluster(function, items, cluster, done)
     if workers == 1 or len(items) <= 1:
         found = []
         for item in items:
@@ -64,6 +72,33 @@ def share_work(
         for worker in set(multiprocessing.active_children()) - others:
             worker.kill()
         pool.shutdown(cancel_futures=True)
+
+
+def _share_over_cluster(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    address: str,
+    done: Callable[[], object],
+) -> list[Result]:
+    """Let a cluster do the work; it drops what is left when this process ends."""
+    try:
+        from distributed import Client, KilledWorker, as_completed  # noqa: PLC0415 - optional
+    except ImportError:
+        raise InputError("--cluster: expected Dask: pip install 'heliarch[cluster]'") from None
+    try:
+        client = Client(address, timeout=_ANSWER_S)
+    except (OSError, ValueError):
+        raise InputError(f"--cluster: no Dask scheduler answers at {address}") from None
+    with client:
+        futures = client.map(function, items, pure=False)
+        try:
+            for future in as_completed(futures):
+                future.result()
+                done()
+            results: list[Result] = client.gather(futures)
+        except KilledWorker as error:
+            raise WorkerLostError(f"workers of the cluster died: {error}") from None
+    return results
 
 
 _OF_WORKER: Final[dict[str, Callable[[Any], Any]]] = {}

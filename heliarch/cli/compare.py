@@ -51,6 +51,7 @@ def compare(
     show: Annotated[str | None, Parameter(metavar="FIGURES")] = None,
     frontier: Literal["offset", "offset_errors", "promise"] | None = None,
     workers: Workers = 1,
+    cluster: Annotated[str, Parameter(metavar="ADDRESS")] = "",
     settings: Annotated[Settings, Parameter(metavar="FIELD=VALUES", help=_SETTINGS)] = None,
     span: TimeOptions = TimeOptions(),
     faults: Annotated[list[str] | None, Parameter("--fault", metavar="RULES", group=FAULTS)] = None,
@@ -95,6 +96,8 @@ def compare(
         `control.offset_errors`: times its own mean error), and show what each scheme misses and
         over-delivers; or turn the reliability of what the plant promises, and show what it misses
         and curtails. Means over all other cases.
+    cluster
+        Address of a Dask scheduler, such as tcp://host:8786: its workers share the cases instead.
     faults
         A rule as for `simulate`, several that act together (delay=1s;loss=5%), or none. May be
         given several times: each is a case.
@@ -141,7 +144,8 @@ def compare(
         if files.report is not None and frontier is None:
             many = f"{len(found):,}; see --csv and --json"
             raise InputError(f"--report: expected one case, got {many}")
-        results = shared(partial(run_case, names, actuators), found, workers, "cases")
+        run = partial(run_case, names, actuators)
+        results = shared(run, found, workers, "cases", cluster)
         result = _many_cases(results, shown) if knob is None else _frontier(knob, results)
     do_all(
         partial(_write_summary, results, csv),

@@ -62,8 +62,9 @@ def shared(
     items: Sequence[Item],
     workers: int,
     description: str,
+    cluster: str = "",
 ) -> list[Outcome]:
-    """Apply a function to each item in a pool of processes.
+    """Apply a function to each item in a pool of processes, or in a Dask cluster.
 
     Returns the results in the order of the items; shows in a terminal how many are done.
     """
@@ -71,7 +72,7 @@ def shared(
 
     numbers = count(1)
     with progress_bar(description, len(items)) as progress:
-        return share_work(function, items, workers, lambda: progress(next(numbers)))
+        return share_work(function, items, workers, lambda: progress(next(numbers)), cluster)
 
 
 def publish(result: Result, files: ResultOptions, default: Path | str, *more: str) -> None:
