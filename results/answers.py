@@ -88,14 +88,17 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
 
 def answers(series: RunSeries) -> tuple[Answer, ...]:
     """Return the plant's answers in a run, in the order of time."""
-    # Frequency response is answered on its own: what is asked beside it is what is left.
+    # Frequency response is answered on its own: it ends the answer before it, and what is asked
+    # beside it, and what the sun has for that, is what it and its reserve leave.
     dispatch_kw, known = series.desired_kw - series.response_kw, series.known
     delivered_kw = series.delivered_kw - series.response_kw
-    available_kw = series.available_kw - series.response_kw
+    available_kw = series.available_kw - series.plant.grid.reserve_kw
     rating_kw = float(series.plant.rating_kw.sum())
     begins = dict(_begins(series, rating_kw))
     found = []
-    for cycle, end in pairwise([*begins, series.cycles]):
+    for cycle, after in pairwise([*begins, series.cycles]):
+        responses = np.flatnonzero(series.response_kw[cycle + 1 : after])
+        end = cycle + 1 + int(responses[0]) if len(responses) else after
         (asked, orders), cycles = begins[cycle], slice(cycle, end)
         before_kw = float(delivered_kw[cycle - 1 if cycle else 0])
         if not known[cycles].all() or not np.isfinite(before_kw):

@@ -64,15 +64,30 @@ at = 30
 power_kw = 1500
 """
 
+GRID = """
+[grid]
+ramp_up_kw_per_min = 3000
+ramp_down_kw_per_min = 3000
+loss_constant_percent = 0.5
+loss_quadratic_percent = 2
+
+[grid.droop]
+reserve_percent = 5
+
+[frequency]
+kind = "events"
+events = [{ at = 8, depth_hz = -0.3, duration_s = 8 }, { at = 22, depth_hz = 0.2, duration_s = 5 }]
+"""
+
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Three tiers of which the upper ones act rarely, inverters that need help, and orders."""
+    """Tiers of which the upper ones act rarely, inverters in need, orders, and a grid that asks."""
     tiers = "cluster_sizes = [[1, 1, 2], [2, 1]]\nperiod_cycles = [6, 3, 1]"
     changes = (
         ("cluster_sizes = [[2, 2]]", tiers),
         ("share = 0.5", "share = 1.1"),
-        ('history = "hindsight"', f'history = "hindsight"\n{ORDERS}'),
+        ('history = "hindsight"', f'history = "hindsight"\n{ORDERS}{GRID}'),
     )
     return small_plant(tmp_path_factory.mktemp("plant"), *changes)
 
