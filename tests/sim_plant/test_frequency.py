@@ -17,7 +17,8 @@ from sim_plant.frequency import (
 
 
 def seen(settings: FrequencySettings, cycles: int, cycle_s: float = 1.0) -> list[float]:
-    return frequency_hz(settings, cycles, cycle_s, 50.0, Path).round(9).tolist()
+    found = frequency_hz(settings, cycles, cycle_s, 50.0, Path)
+    return [round(float(hz), 9) for hz in found]
 
 
 def test_a_constant_frequency_need_not_be_the_nominal_one() -> None:
