@@ -2,11 +2,11 @@
 
 Examples
 --------
->>> from heliarch import compare, compare_runs, open_run, simulate
+>>> from heliarch import compare, compare_runs, launch, open_run, simulate
 >>> run = simulate("oahu", duration="10m", out="runs/first")
->>> print(run.summary.figures)
->>> with open_run(run.folder) as recording:
-...     print(recording.plan.inverters)
+>>> run.metrics["control-caused"], run.power.sum(axis=1), run.frame("help_given")
+>>> with open_run("runs/first") as recording:
+...     tables = recording.frames("impp", "setpoint", nodes="c2/*", start="12:01", end="12:02")
 >>> table = compare("oahu", schemes=["paper", "uniform-cap"], seeds=range(1, 6))
 >>> print(compare_runs("runs/first", "runs/second").differences)
 """
@@ -17,21 +17,38 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from heliarch.runs import ComparedRuns, SimulatedRun, compare, compare_runs, simulate
-    from recordings import open_run
+    from heliarch.recorded import Run, open_run
+    from heliarch.runs import (
+        ComparedRuns,
+        compare,
+        compare_runs,
+        export,
+        launch,
+        simulate,
+        timing,
+        verify,
+    )
     from scenarios.scenario import load_scenario
 
 __all__ = [
     "ComparedRuns",
-    "SimulatedRun",
+    "Run",
     "compare",
     "compare_runs",
+    "export",
+    "launch",
     "load_scenario",
     "open_run",
     "simulate",
+    "timing",
+    "verify",
 ]
 
-_ELSEWHERE = {"load_scenario": "scenarios.scenario", "open_run": "recordings"}
+_ELSEWHERE = {
+    "Run": "heliarch.recorded",
+    "load_scenario": "scenarios.scenario",
+    "open_run": "heliarch.recorded",
+}
 """Modules of what is not in `heliarch.runs`."""
 
 

@@ -1,11 +1,12 @@
-"""Simulations and comparisons from Python."""
+"""Runs and comparisons from Python."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import date
 from functools import partial
 from pathlib import Path
@@ -15,10 +16,22 @@ import pandas as pd
 from rich.console import Console
 
 from agents.settings import Actuator
+from bus_schemas.errors import InputWarning
+from bus_schemas.selection import find_signals
+from heliarch.cli.live_view import PlainView
+from heliarch.cli.options import is_run
 from heliarch.cli.run import run
+from heliarch.recorded import Run, open_run
 from launch_scripts.run_folder import RunRequest
-from results.run_summary import RunSummary
+from launch_scripts.supervision import ForkServerProcess
+from recordings.export.exporting import ExportSummary, Form
+from recordings.export.exporting import export as export_run
+from recordings.export.viewer_file import Clock
+from recordings.verify.equality import Equality
+from recordings.verify.verification import Verification
+from recordings.verify.verification import verify as verify_run
 from results.tables import json_rows as table_rows
+from results.timing.report import TimingReport, report_on
 from results.two_runs import read_two_runs, two_runs_tables
 from scenarios.run_options import RunOptions, TimeOptions, check_names
 from scenarios.scenario import ScenarioFile, load_scenario
@@ -26,15 +39,8 @@ from scenarios.settings import Setting, plain, with_settings
 from studies.arrays.schemes import SCHEMES
 from studies.compare.cases import cases
 from studies.compare.study import run_case
+from studies.timing import measured_run, prepare_at, run_length_s
 from studies.workers import share_work
-
-
-@dataclass(frozen=True, slots=True)
-class SimulatedRun:
-    """A run that is over: its figures and counts as in `summary.json`, and a folder to open."""
-
-    summary: RunSummary
-    folder: Path
 
 
 def simulate(
@@ -44,7 +50,7 @@ def simulate(
     data: str | Path | None = None,
     out: str | Path | None = None,
     **options: Any,
-) -> SimulatedRun:
+) -> Run:
     """Simulate a plant in this process and record it, as `heliarch simulate` does.
 
     Parameters
@@ -58,16 +64,81 @@ def simulate(
     out
         Folder of the run; by default a new one in `runs/`.
     options
-        By the names of `RunOptions`, as for the command: `start` and `end` (`"12:30"`), `duration`
-        (`"15m"`), `seed`, `scheme`, `actuator`, `faults` (`["source=c1/*,delay=50ms"]`), `pace`.
+        By the names of `RunOptions`, as for the command: `start` and `end` (`"12:30"`; `end` is no
+        part of the run), `duration` (`"15m"`), `seed`, `scheme`, `actuator`, `faults`
+        (`["source=c1/*,delay=50ms"]`), `pace`.
     """
-    asked = RunOptions(**options)
-    scenario_file = with_settings(_loaded(scenario, data), [*(settings or {}).items()])
-    request = RunRequest(scenario_file, asked, None if out is None else Path(out))
-    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
-        summary, folder = run(request, Console(file=nowhere), time.monotonic())
-    folder.write_summary(summary.as_json())
-    return SimulatedRun(summary, folder.path)
+    return _run(_request(scenario, settings, data, out, options))
+
+
+def launch(
+    scenario: str | ScenarioFile = "oahu",
+    *,
+    settings: Mapping[str, object] | None = None,
+    data: str | Path | None = None,
+    out: str | Path | None = None,
+    **options: Any,
+) -> Run:
+    """Run a plant as a team of processes over Zenoh and record it, as `heliarch launch` does.
+
+    Parameters are those of `simulate`. What failed in the run is a warning, as in the command's
+    last lines.
+    """
+    with ForkServerProcess() as server:
+        return _run(_request(scenario, settings, data, out, options), server)
+
+
+def timing(
+    scenario: str | ScenarioFile = "oahu",
+    *,
+    rate: float = 1.0,
+    settings: Mapping[str, object] | None = None,
+    data: str | Path | None = None,
+    out: str | Path | None = None,
+    **options: Any,
+) -> TimingReport:
+    """Run a plant at so many cycles a second and judge it, as `heliarch timing` does.
+
+    Parameters are those of `simulate`. A recorded run, by the path of its folder or file, is judged
+    without a new one.
+    """
+    if isinstance(scenario, str) and is_run(Path(scenario)):
+        return report_on(Path(scenario))
+    request = _request(scenario, settings, data, out, options)
+    preparation, folder = prepare_at(rate, run_length_s(request, "60s"), request, request.out)
+    with _nowhere() as console:
+        return measured_run(preparation, folder, partial(PlainView, console))
+
+
+def verify(
+    run: str | Path,
+    *,
+    nodes: str | Sequence[str] = (),
+    start: str | None = None,
+    end: str | None = None,
+    tolerance: float = 0.0,
+) -> Verification:
+    """Run the agents of a recording again and compare, as `heliarch verify` does: see `equal`."""
+    return verify_run(Path(run), nodes, Equality(tolerance), start=start, end=end)
+
+
+def export(
+    run: str | Path,
+    form: Form,
+    *,
+    out: str | Path | None = None,
+    signals: str | Sequence[str] = (),
+    nodes: str | Sequence[str] = (),
+    start: str | int | None = None,
+    end: str | int | None = None,
+    clock: Clock | None = None,
+) -> ExportSummary:
+    """Make tables, or a file for viewers, from a recording, as `heliarch export` does."""
+    with open_run(run) as reader:
+        is_whole = start is None and end is None
+        cycles = None if is_whole else reader.clock.span(start, end, ("start", "end"))
+        path = None if out is None else Path(out)
+        return export_run(reader, form, path, find_signals(signals), nodes, cycles, clock)
 
 
 def compare(
@@ -157,6 +228,33 @@ def compare_runs(first: str | Path, second: str | Path) -> ComparedRuns:
         pd.DataFrame(table_rows(table), columns=table.names()) for table in tables
     )
     return ComparedRuns(figures, differences, tuple(notes))
+
+
+def _run(request: RunRequest, server: ForkServerProcess | None = None) -> Run:
+    with _nowhere() as console:
+        summary, folder = run(request, console, time.monotonic(), server)
+    folder.write_summary(summary.as_json())
+    for failure in summary.failures():
+        warnings.warn(failure, InputWarning, stacklevel=3)
+    return open_run(folder.path)
+
+
+def _request(
+    scenario: str | ScenarioFile,
+    settings: Mapping[str, object] | None,
+    data: str | Path | None,
+    out: str | Path | None,
+    options: Mapping[str, Any],
+) -> RunRequest:
+    asked = RunOptions(**options)
+    scenario_file = with_settings(_loaded(scenario, data), [*(settings or {}).items()])
+    return RunRequest(scenario_file, asked, None if out is None else Path(out))
+
+
+@contextmanager
+def _nowhere() -> Iterator[Console]:
+    with Path(os.devnull).open("w", encoding="utf-8") as file:
+        yield Console(file=file)
 
 
 def _loaded(scenario: str | ScenarioFile, data: str | Path | None) -> ScenarioFile:

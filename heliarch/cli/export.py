@@ -7,10 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from bus_schemas.errors import InputError
 from bus_schemas.selection import find_signals
-from bus_schemas.signals import SIGNALS
-from bus_schemas.whole_file import check_new
 from heliarch.cli.options import FILES, End, Json, Nodes, Run, Signals, Start
 from heliarch.cli.output import progress_bar, say, write_json
 from results.tables import Column, Table, console_for, key_column, print_table
@@ -42,20 +39,14 @@ def export(
     out
         The new file, or folder of tables; default beside the recording.
     """
-    from recordings.export.exporting import default_path
     from recordings.export.exporting import export as export_run
     from recordings.read.reader import RunReader
 
-    if clock is not None and form != "json-mcap":
-        raise InputError(f"--clock: expected --format json-mcap with it, got {form}")
+    wanted = find_signals(signals or "")
     with RunReader(run) as reader:
-        path = out or default_path(reader.path, form)
-        check_new(path)
-        wanted = find_signals(signals or "")
-        rows = tuple(row for row in SIGNALS if row.logged and (not wanted or row in wanted))
         cycles = None if start is None and end is None else reader.clock.span(start, end)
         with progress_bar(form) as reader.follow:
-            summary = export_run(reader, form, path, rows, nodes or "", cycles, clock or "wall")
+            summary = export_run(reader, form, out, wanted, nodes or "", cycles, clock)
     columns = key_column("signal or table"), Column("rows")
     cut = "the recording was cut short, or is still written: this is what it holds"
     title = f"{summary.messages:,} messages"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
@@ -10,8 +11,8 @@ import msgspec
 
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import Signal
-from bus_schemas.whole_file import new_path
+from bus_schemas.signals import SIGNALS, Signal
+from bus_schemas.whole_file import check_new, new_path
 from recordings.export.tables import TableFolder
 from recordings.export.viewer_file import Clock, ViewerFile
 from recordings.read.reader import RunReader
@@ -44,13 +45,21 @@ def default_path(recording: Path, form: Form) -> Path:
 def export(
     reader: RunReader,
     form: Form,
-    path: Path,
-    signals: tuple[Signal[Message], ...],
-    nodes: str,
-    cycles: range | None,
-    clock: Clock,
+    path: Path | None = None,
+    signals: Sequence[Signal[Message]] = (),
+    nodes: str | Collection[str] = (),
+    cycles: range | None = None,
+    clock: Clock | None = None,
 ) -> ExportSummary:
-    """Export some signals, nodes and cycles of a recording; no nodes or cycles given means all."""
+    """Export some signals, nodes and cycles of a recording; those that are not given means all.
+
+    The new file, or folder of tables, is by default beside the recording.
+    """
+    if clock is not None and form != "json-mcap":
+        raise InputError(f"--clock: expected --format json-mcap with it, got {form}")
+    path = path or default_path(reader.path, form)
+    check_new(path)
+    signals = [one for one in SIGNALS if one.logged and (not signals or one in signals)]
     counts = Counter({signal.name: 0 for signal in signals})
     first: int | None = None
     last: int | None = None
@@ -58,7 +67,7 @@ def export(
     with new_path(path) as beside:
         out: ViewerFile | TableFolder
         if form == "json-mcap":
-            out = ViewerFile(beside, reader, ports, clock)
+            out = ViewerFile(beside, reader, ports, clock or "wall")
         else:
             anchor = ClockAnchor.of(reader.metadata, reader.path)
             out = TableFolder(beside, reader.plan, signals, anchor, form)

@@ -18,7 +18,7 @@ from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from bus_schemas.messages import GivenUp, Message, Production, Setpoint, parse_missing
-from bus_schemas.signals import GIVEN_UP, PRODUCTION, SETPOINT, Port, Signal
+from bus_schemas.signals import GIVEN_UP, PRODUCTION, SETPOINT, SIGNALS, Port, Signal
 from bus_schemas.tree import agent_name
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ Columns: TypeAlias = tuple[tuple[str, type], ...]
 """Names, with the unit in them, and types: `int`, `float`, `str`, or `tuple` for a list."""
 
 _TYPES: Final = {inspect.FloatType: float, inspect.IntType: int, inspect.VarTupleType: tuple}
+_SIGNALS: Final = {signal.name: signal for signal in SIGNALS}
 _NAMES: Final = frozenset({"node", "inverter", "donor", "needy", "signal", "input", "agent"})
 """Columns of text in which few values repeat."""
 
@@ -98,39 +99,37 @@ def list_rows(
         yield "missing_inputs", (node, port.signal.name, sequence, *parse_missing(entry))
 
 
-def signal_frame(
-    plan: RunPlan, signal: Signal[Message], deliveries: Iterable[Delivery]
-) -> pd.DataFrame:
-    """Return the messages of a signal, one row each, with its own fields."""
-    columns = own_columns(signal)
-    cells = [attrgetter(name) for name, _ in columns]
-    rows = (
-        (message, (agent_name(port.node), *(cell(message) for cell in cells)))
-        for port, message in deliveries
-    )
-    return _frame(plan, (("node", str), *columns), rows)
-
-
-def list_frame(
+def frames(
     plan: RunPlan,
-    table: str,
+    names: Sequence[str],
     deliveries: Iterable[Delivery],
     on_wrong: Callable[[Port[Message], str], object],
-) -> pd.DataFrame:
-    """Return the rows of a table of `LISTS`; `on_wrong` is told of messages that have none."""
+) -> dict[str, pd.DataFrame]:
+    """Return tables by name: of signals, a message in each row, or of `LISTS`.
 
-    def rows() -> Iterator[tuple[Message, tuple[Cell, ...]]]:
-        for port, message in deliveries:
-            try:
-                listed = list(list_rows(port, message, plan.tree.leaves))
-            except InputError as error:
-                on_wrong(port, str(error))
-                continue
-            for name, row in listed:
-                if name == table:
-                    yield message, row
-
-    return _frame(plan, LISTS[table].columns, rows())
+    `on_wrong` is told of messages whose lists cannot be read.
+    """
+    own = {name: own_columns(_SIGNALS[name]) for name in names if name not in LISTS}
+    cells = {name: [attrgetter(field) for field, _ in columns] for name, columns in own.items()}
+    tables = {
+        name: _Rows(LISTS[name].columns if name in LISTS else (("node", str), *own[name]))
+        for name in names
+    }
+    for port, message in deliveries:
+        if (name := port.signal.name) in cells:
+            values = (cell(message) for cell in cells[name])
+            tables[name].add(message, (agent_name(port.node), *values))
+        if len(cells) == len(tables):
+            continue
+        try:
+            listed = list(list_rows(port, message, plan.tree.leaves))
+        except InputError as error:
+            on_wrong(port, str(error))
+            continue
+        for name, row in listed:
+            if name in tables:
+                tables[name].add(message, row)
+    return {name: table.frame(plan) for name, table in tables.items()}
 
 
 class _Names:
@@ -150,26 +149,30 @@ def _column(kind: type) -> array[int] | array[float] | list[object]:
     return array("q") if kind is int else []
 
 
-def _frame(
-    plan: RunPlan, columns: Columns, rows: Iterator[tuple[Message, tuple[Cell, ...]]]
-) -> pd.DataFrame:
-    """Return rows as a table, in little more memory than the table itself takes."""
-    import pandas as pd  # noqa: PLC0415 - it loads slowly
+class _Rows:
+    """Rows of a table, in little more memory than the table itself takes."""
 
-    times, cycles = array("q"), array("q")
-    filled = [_Names() if name in _NAMES else _column(kind) for name, kind in columns]
-    adders: list[Any] = [column.append for column in filled]
-    for message, row in rows:
-        times.append(message.sim_time_ns)
-        cycles.append(message.cycle)
-        for add, cell in zip(adders, row, strict=True):
-            add(nan if cell is None else cell)
-    data: dict[str, object] = {"cycle": np.asarray(cycles)}
-    for (name, _), column in zip(columns, filled, strict=True):
-        if isinstance(column, _Names):
-            names = pd.Index(list(column.code_of), dtype="str")
-            data[name] = pd.Categorical.from_codes(np.asarray(column.codes), names)
-        else:
-            data[name] = np.asarray(column) if isinstance(column, array) else column
-    utc = pd.DatetimeIndex(np.asarray(times).view("M8[ns]"), name="time", tz="UTC")
-    return pd.DataFrame(data, index=utc.tz_convert(plan.timing.timezone), copy=False)
+    def __init__(self, columns: Columns) -> None:
+        self._times, self._cycles = array("q"), array("q")
+        self._columns: dict[str, Any] = {
+            name: _Names() if name in _NAMES else _column(kind) for name, kind in columns
+        }
+
+    def add(self, message: Message, row: Iterable[Cell]) -> None:
+        self._times.append(message.sim_time_ns)
+        self._cycles.append(message.cycle)
+        for column, cell in zip(self._columns.values(), row, strict=True):
+            column.append(nan if cell is None else cell)
+
+    def frame(self, plan: RunPlan) -> pd.DataFrame:
+        import pandas as pd  # noqa: PLC0415 - it loads slowly
+
+        data: dict[str, object] = {"cycle": np.asarray(self._cycles)}
+        for name, column in self._columns.items():
+            if isinstance(column, _Names):
+                names = pd.Index(list(column.code_of), dtype="str")
+                data[name] = pd.Categorical.from_codes(np.asarray(column.codes), names)
+            else:
+                data[name] = np.asarray(column) if isinstance(column, array) else column
+        utc = pd.DatetimeIndex(np.asarray(self._times).view("M8[ns]"), name="time", tz="UTC")
+        return pd.DataFrame(data, index=utc.tz_convert(plan.timing.timezone), copy=False)

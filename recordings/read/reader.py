@@ -19,7 +19,7 @@ from bus_schemas.messages import Head, Message, Run
 from bus_schemas.selection import find_nodes, find_signals
 from bus_schemas.signals import RUN, SIGNALS, Port, Signal
 from bus_schemas.tree import ROOT
-from recordings.read.frames import LISTS, list_frame, signal_frame
+from recordings.read.frames import LISTS, frames
 from recordings.read.mcap_file import (
     Chunk,
     DamagedChunkError,
@@ -221,16 +221,28 @@ class RunReader:
 
         It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
         `node` and the signal's own fields, with units in their names. The lists inside messages
-        have tables too: `help_given`, `production_inverters` and `missing_inputs`.
+        have tables too: `help_given`, `production_inverters`, `given_up_agents`, `missing_inputs`.
         """
-        if isinstance(signal, str) and signal in LISTS:
-            source = LISTS[signal].signal
-            signals = () if source is None else (source,)
-            messages = self.messages(*signals, nodes=nodes, start=start, end=end)
-            return list_frame(self.plan, signal, messages, self.wrong.setdefault)
-        (wanted,) = find_signals([signal])
-        messages = self.messages(wanted, nodes=nodes, start=start, end=end)
-        return signal_frame(self.plan, wanted, messages)
+        (table,) = self.frames(signal, nodes=nodes, start=start, end=end).values()
+        return table
+
+    def frames(
+        self,
+        *tables: Signal[Message] | str,
+        nodes: str | Collection[str] = (),
+        start: str | int | None = None,
+        end: str | int | None = None,
+    ) -> dict[str, pd.DataFrame]:
+        """Return several tables by name, each as `frame` does: the recording is read once."""
+        lists = [name for name in tables if isinstance(name, str) and name in LISTS]
+        signals = find_signals([name for name in tables if name not in lists])
+        of_lists = [LISTS[name].signal for name in lists]
+        about = [one for one in (*signals, *of_lists) if one is not None]
+        if None in of_lists:  # Any message may have such a list.
+            about = []
+        messages = self.messages(*about, nodes=nodes, start=start, end=end)
+        names = [*(signal.name for signal in signals), *lists]
+        return frames(self.plan, names, messages, self.wrong.setdefault)
 
     @cached_property
     def channels(self) -> dict[int, Port[Message]]:

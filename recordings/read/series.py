@@ -350,12 +350,16 @@ def series_of(
 
 
 def read_plant_series(path: Path) -> RunSeries:
+    with RunReader(path) as reader:
+        return plant_series_of(reader)
+
+
+def plant_series_of(reader: RunReader, most_inverters: int | None = _MOST_COLUMNS) -> RunSeries:
     """Read what the figures of merit need of a recording: NaN stands for IMPP, residual, alpha.
 
-    In a plant of more than 100 inverters, clusters stand for them: a day is to fit into memory.
+    In a plant of more inverters, clusters stand for them: a day is to fit into memory.
     """
-    with RunReader(path) as reader:
-        return _read(reader, set(), _clusters(reader.plan, _MOST_COLUMNS))
+    return _read(reader, set(), _clusters(reader.plan, most_inverters))
 
 
 def _clusters(plan: RunPlan, most_inverters: int | None) -> tuple[str, ...]:

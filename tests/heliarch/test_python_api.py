@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pytest
 from command_line import python
 
@@ -35,6 +37,83 @@ def test_a_simulation_returns_its_summary_and_its_recording_and_prints_nothing(
         assert "share = 0.4" in recording.scenario
         assert recording.plan.control.period_cycles == (2, 1)
         assert recording.plan.timing.tier_deadlines_ns[1] == 500_000_000
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> heliarch.Run:
+    """A minute of a plant whose inverters help each other."""
+    out = tmp_path_factory.mktemp("runs") / "run"
+    return heliarch.simulate("oahu", start="12:20", duration="60s", out=out)
+
+
+def test_metrics_and_power_are_those_of_the_recording(run: heliarch.Run) -> None:
+    assert run.summary.figures is not None
+    assert run.metrics.dropna().to_dict() == {
+        name: value for name, value in run.summary.figures.items() if value is not None
+    }
+    made = run.frame("production_inverters").reset_index()
+    assert run.power.shape == (60, len(run.plan.inverters))
+    long = made.assign(inverter=made["inverter"].astype(str)).pivot(
+        index="time", columns="inverter", values="power_kw"
+    )
+    np.testing.assert_array_equal(run.power, long[run.power.columns])
+    assert (run.power.index == long.index).all()
+
+
+def test_every_table_that_export_writes_can_be_read_with_the_same_cells(
+    run: heliarch.Run, tmp_path: Path
+) -> None:
+    summary = heliarch.export(run.folder, "parquet", out=tmp_path / "tables")
+    found = run.frames(*summary.rows)
+    assert {name: len(table) for name, table in found.items()} == summary.rows
+    assert summary.rows["help_given"] > 0
+    for name, table in found.items():
+        written = pd.read_parquet(tmp_path / "tables" / f"{name}.parquet")
+        for column in set(table.columns).intersection(written.columns):
+            wanted = table[column].astype(written[column].dtype).to_numpy()
+            np.testing.assert_array_equal(wanted, written[column].to_numpy())
+
+
+def test_several_tables_are_those_that_are_read_one_by_one(run: heliarch.Run) -> None:
+    names = ("setpoint", "help_given", "missing_inputs")
+    for name, table in run.frames(*names, nodes="c1/*", start=5, end=9).items():
+        pd.testing.assert_frame_equal(table, run.frame(name, nodes="c1/*", start=5, end=9))
+    assert set(run.frame("setpoint", start=5, end=9)["cycle"]) == {5, 6, 7, 8}
+
+
+def test_arrow_parts_add_up_to_the_table(run: heliarch.Run) -> None:
+    parts = list(run.batches("help_given", cycles=7))
+    assert len(parts) > 1
+    whole = pa.concat_tables(parts).to_pandas()
+    table = run.frame("help_given")
+    assert whole.shape == table.shape
+    assert (whole["power_kw"].to_numpy() == table["power_kw"].to_numpy()).all()
+    assert (whole.index == table.index).all()
+
+
+def test_a_recording_is_verified_and_a_part_of_it_exported(
+    run: heliarch.Run, tmp_path: Path
+) -> None:
+    found = heliarch.verify(run.folder, nodes="c1", end="10s")
+    assert found.equal
+    assert list(found.agents) == ["c1"]
+    part = heliarch.export(run.folder, "csv", out=tmp_path / "part", signals="impp", end=3)
+    assert (part.first_cycle, part.last_cycle) == (0, 2)
+
+
+@pytest.mark.processes
+def test_a_plant_is_launched_and_timed_and_can_be_read_in_a_program_without_a_main_guard(
+    plant: str, tmp_path: Path
+) -> None:
+    program = f"""
+import heliarch
+run = heliarch.launch({plant!r}, duration="5s", out={str(tmp_path / "launched")!r})
+print(run.summary.run.driver, run.power.shape[0], heliarch.verify(run.folder).equal)
+place = {str(tmp_path / "timed")!r}
+report = heliarch.timing({plant!r}, rate=10, duration="2s", out=place)
+print(report.run.cycles, heliarch.timing(place).run.cycles)
+"""
+    assert python(program).stdout.split() == ["launch", "5", "True", "20", "20"]
 
 
 def test_a_comparison_is_a_table_with_a_row_for_each_case_scheme_and_actuator(plant: str) -> None:

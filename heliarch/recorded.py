@@ -1,0 +1,88 @@
+"""A recorded run, as scripts and notebooks read it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from recordings.inspect.health import summary_in
+from recordings.read.reader import RunReader
+from recordings.read.series import plant_series_of
+from results.figures import run_figures
+from results.run_summary import RunSummary
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+class Run(RunReader):
+    """A recorded run: its messages, tables, figures of merit and summary.
+
+    As a context manager it names what was damaged in the recording at the end. Without one, as in
+    a notebook, its files are closed when nobody needs it any more.
+    """
+
+    @property
+    def folder(self) -> Path:
+        return self.path.parent
+
+    @property
+    def summary(self) -> RunSummary:
+        """What is in `summary.json`. Raises FileNotFoundError: The run has not ended."""
+        if (found := summary_in(self.folder, self.plan, RunSummary)) is None:
+            raise FileNotFoundError(f"{self.folder}: expected the summary.json of this run")
+        return found
+
+    @cached_property
+    def metrics(self) -> pd.Series:
+        """Figures of merit by name, as docs/metrics.md defines them; NaN: not defined here."""
+        figures = run_figures(plant_series_of(self))
+        return pd.Series(figures, name=self.plan.run_id, dtype=float)
+
+    @cached_property
+    def power(self) -> pd.DataFrame:
+        """Power of each inverter [kW]: a row for each cycle by local time, a column for each."""
+        series = plant_series_of(self, most_inverters=None)
+        return pd.DataFrame(series.power_kw, series.times.rename("time"), list(series.inverters))
+
+    def batches(
+        self,
+        table: str,
+        *,
+        nodes: str | Collection[str] = (),
+        start: str | int | None = None,
+        end: str | int | None = None,
+        cycles: int = 3600,
+    ) -> Iterator[pa.Table]:
+        """Yield a table, as of `frame`, in Arrow parts of so many cycles.
+
+        In this way the table of a long run need not fit into memory.
+        """
+        import pyarrow as pa  # noqa: PLC0415 - it loads slowly
+
+        span = self.clock.span(start, end, ("start", "end"))
+        for first in range(span.start, span.stop, cycles):
+            until = min(first + cycles, span.stop)
+            part = self.frame(table, nodes=nodes, start=first, end=until)
+            if not part.empty:
+                names = part.select_dtypes("category").columns
+                yield pa.Table.from_pandas(part.astype(dict.fromkeys(names, "str")))
+
+    def __del__(self) -> None:
+        for file in getattr(self, "files", ()):  # There are none where it could not be opened.
+            file.close()
+
+
+def open_run(path: Path | str) -> Run:
+    """Open a recording, by its run's folder or its MCAP file.
+
+    Examples
+    --------
+    >>> with open_run("runs/oahu-20261121-120000-4711") as run:
+    ...     impp = run.frame("impp", nodes="c2/inv07", start="12:20", end="12:30")
+    """
+    return Run(Path(path))
