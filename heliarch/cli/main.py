@@ -9,6 +9,8 @@ import sys
 from io import TextIOWrapper
 from pathlib import Path
 
+from heliarch.own_modules import replaced_module
+
 _LEAST_MEMORY_MB = 1200
 
 
@@ -21,6 +23,8 @@ def main() -> None:
         )
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # There is nothing to clean up yet.
+    if complaint := replaced_module():
+        sys.exit(f"heliarch: {complaint}")
     from heliarch.cli.app import run_command
 
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:

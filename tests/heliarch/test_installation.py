@@ -1,0 +1,67 @@
+"""Heliarch as a wheel in another folder: it runs there, and says when a module was replaced."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from running import REPOSITORY
+
+
+def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a program of Python with what is installed in a folder first on its path."""
+    return subprocess.run(
+        [sys.executable, "-m", *words],
+        cwd=folder.parent,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=150,
+    )
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the wheel that the checkout builds."""
+    folder = tmp_path_factory.mktemp("elsewhere") / "packages"
+    # A build leaves files behind, and would take those of an earlier one.
+    left_out = shutil.ignore_patterns(".*", "build", "runs", "tests", "docs", "*.egg-info")
+    checkout = shutil.copytree(REPOSITORY, folder.with_name("checkout"), ignore=left_out)
+    offline = ("--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check")
+    done = run(folder, "pip", "install", *offline, "--target", str(folder), str(checkout))
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.processes
+def test_the_wheel_launches_with_page_and_report(installed: Path) -> None:
+    words = ("launch", "oahu", "--duration", "5", "--page", "--report", "--out", "run")
+    done = run(installed, "heliarch", *words)
+    assert done.returncode == 0, done.stderr
+    assert "page: http" in done.stdout
+    assert (installed.parent / "run" / "report.html").stat().st_size > 1_000_000
+
+
+def test_a_module_that_another_package_has_overwritten_is_named(installed: Path) -> None:
+    module = installed / "agents" / "__init__.py"
+    own = module.read_text(encoding="utf-8")
+    module.write_text("from nowhere import Agent\n", encoding="utf-8")
+    done = run(installed, "heliarch", "scenarios")
+    module.write_text(own, encoding="utf-8")
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 1
+    assert "agents" in line
+    assert "pipx" in line
+    assert run(installed, "heliarch", "scenarios").returncode == 0
+
+
+def test_a_module_that_is_found_before_heliarchs_is_named(tmp_path: Path) -> None:
+    (tmp_path / "first" / "scenarios").mkdir(parents=True)
+    (tmp_path / "first" / "scenarios" / "__init__.py").touch()
+    done = run(tmp_path / "first", "heliarch", "scenarios")
+    assert "the module scenarios is not Heliarch's" in done.stderr
