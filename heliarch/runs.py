@@ -105,7 +105,8 @@ def timing(
     if isinstance(scenario, str) and is_run(Path(scenario)):
         return report_on(Path(scenario))
     request = _request(scenario, settings, data, out, options)
-    preparation, folder = prepare_at(rate, run_length_s(request, "60s"), request, request.out)
+    length_s = run_length_s(request, rate, 60.0)
+    preparation, folder = prepare_at(rate, length_s, request, request.out)
     with _nowhere() as console:
         return measured_run(preparation, folder, partial(PlainView, console))
 
