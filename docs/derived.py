@@ -1,14 +1,15 @@
-"""Fills what documents show of the code: tables and byte examples, between two comments.
+"""Fills what documents show of the code: tables between two comments, and the example messages.
 
     .venv/bin/python docs/derived.py
 
-rewrites `docs/commands.md`, `docs/scenarios.md`, `docs/own-device.md` and `docs/wire.md`. The
-prose is written there by hand; a test compares the parts between `<!-- table: NAME -->` and
-`<!-- end -->` with the code.
+rewrites `docs/commands.md`, `docs/scenarios.md`, `docs/own-device.md`, `docs/wire.md` and
+`docs/wire-vectors.json`. The prose is written there by hand; a test compares the JSON, and the
+parts between `<!-- table: NAME -->` and `<!-- end -->`, with the code.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
@@ -17,7 +18,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Final, cast
 
-import msgpack
+import msgspec
 from cyclopts.argument import Argument
 from msgspec import NODEFAULT, inspect
 
@@ -30,7 +31,16 @@ from bus_schemas.bounds import BOUNDS, LARGEST, Bound
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.messages import Dispatch, Message, Telemetry
-from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SETPOINT, SIGNALS, TELEMETRY, Port
+from bus_schemas.signals import (
+    COMMAND,
+    DISPATCH,
+    HELP,
+    RESIDUAL,
+    SETPOINT,
+    SIGNALS,
+    TELEMETRY,
+    Port,
+)
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from heliarch.cli.app import COMMANDS, app
 from scenarios.fields import members, takes
@@ -39,6 +49,7 @@ from scenarios.scenario import Scenario, load_scenario
 from sim_plant.plant import Plant
 
 DOCUMENTS: Final = ("docs/commands.md", "docs/scenarios.md", "docs/own-device.md", "docs/wire.md")
+VECTORS: Final = "docs/wire-vectors.json"
 INVERTER: Final = "c2/inv07"
 
 _MARKED: Final = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -66,12 +77,8 @@ def _lines(what: str, which: str = "") -> Iterator[str]:
             return _commands(which)
         case "scenario":
             return _scenario_table(which)
-        case "message":
-            return _fields(getattr(messages, which))
-        case "bytes":
-            return _rows(("bytes (hex)", "what they are"), _parts(encode(_EXAMPLES[which])))
     writers: dict[str, Callable[[], Iterator[str]]] = {
-        **{"signals": _signals, "stages": _stages, "bounds": _bounds},
+        **{"signals": _signals, "types": _types, "stages": _stages, "bounds": _bounds},
         **{"options": _options, "vector": _vector},
     }
     return writers[what]()
@@ -197,12 +204,10 @@ def _default(field: inspect.Field) -> str:
 def _signals() -> Iterator[str]:
     tree = _example().plan.tree
     return _rows(
-        ("key", "type", "about", "published by", "heard by", "how often", "recorded"),
+        ("key", "published by", "heard by", "how often", "recorded"),
         (
             (
                 f"`<plant>/{'' if row.nodes(tree) == (ROOT,) else '<path>/'}{row.name}`",
-                row.type.__name__,
-                row.about.value,
                 row.publisher.value,
                 ", ".join(role.value for role in row.listeners) or "the recorder alone",
                 row.occurrence.value,
@@ -213,36 +218,48 @@ def _signals() -> Iterator[str]:
     )
 
 
-def _fields(kind: type[Message]) -> Iterator[str]:
-    """Describe the fields that a type has beside those of every message."""
-    known = () if kind is Message else Message.__struct_fields__
-    units = {"kw": "kW", "ns": "ns", "s": "s", "min": "kW/min"}
-    fields = cast("inspect.StructType", inspect.type_info(kind)).fields
+def _types() -> Iterator[str]:
+    """Say what each type is, with the fields that it has beside those of every message."""
     return _rows(
-        ("field", "msgpack type", "unit"),
+        ("type", "what it is", "fields"),
         (
-            (f"`{name}`", _type_name(field.type), units.get(name.rpartition("_")[2], ""))
-            for field in fields
-            if (name := field.name) not in known
+            (f"`{kind.__name__}`", cleandoc(kind.__doc__ or "").partition("\n")[0], _fields(kind))
+            for kind in (Message, *(row.type for row in SIGNALS))
         ),
     )
 
 
+def _fields(kind: type[Message]) -> str:
+    known = () if kind is Message else Message.__struct_fields__
+    fields = cast("inspect.StructType", inspect.type_info(kind)).fields
+    return ", ".join(_field(field) for field in fields if field.name not in known)
+
+
+def _field(field: inspect.Field) -> str:
+    """Name a field with its type, unit and default; a float without a unit has no remark."""
+    units = {"kw": "kW", "ns": "ns", "s": "s", "min": "kW/min", "hz": "Hz"}
+    remarks = [_type_name(field.type), units.get(field.name.rpartition("_")[2], "")]
+    if not field.required:
+        remarks.append(f"default {'nil' if field.default is None else json.dumps(field.default)}")
+    said = ", ".join(filter(None, remarks))
+    return f"`{field.name}` ({said})" if said else f"`{field.name}`"
+
+
 def _type_name(kind: inspect.Type) -> str:
+    """Name a type; empty for a float, which most fields are."""
     match kind:
         case inspect.UnionType():
             there = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
-            return " or ".join(map(_type_name, there)) + ", nil or left out"
+            return " or ".join(map(_type_name, there))
         case inspect.LiteralType():
-            return "string, one of " + ", ".join(map(str, kind.values))
+            return " or ".join(f"`{value}`" for value in kind.values)
         case inspect.VarTupleType(item_type=inspect.StructType() as entry):
-            inner = ", ".join(f"{field.name}: {_type_name(field.type)}" for field in entry.fields)
-            return f"array of arrays [{inner}]"
+            return f"array of arrays [{', '.join(map(_field, entry.fields))}]"
         case inspect.VarTupleType():
-            return f"array of {_type_name(kind.item_type)}"
+            return f"array of {_type_name(kind.item_type) or 'float'}s"
     names: dict[type[inspect.Type], str] = {
         inspect.IntType: "integer",
-        inspect.FloatType: "float 64",
+        inspect.FloatType: "",
         inspect.StrType: "string",
         inspect.BoolType: "boolean",
     }
@@ -324,7 +341,7 @@ def _bound(bound: Bound, value: float) -> str:
     return {"1": "the rating", "-1": "- the rating"}.get(share, f"{share} times the rating")
 
 
-# Byte by byte
+# Example messages
 
 _TIME_NS: Final = 1_270_159_202_000_000_000
 
@@ -350,36 +367,18 @@ _EXAMPLES: Final[dict[str, Message]] = {
 }
 
 
-def _parts(payload: bytes) -> Iterator[tuple[str, str]]:
-    """Take a message apart: its head, then names, values and entries as they follow each other."""
-    unpacker = msgpack.Unpacker()
-    unpacker.feed(payload)
-    begin, meaning = 0, f"a map of {unpacker.read_map_header()} entries"
-    while begin < len(payload):
-        end = unpacker.tell()
-        yield f"`{payload[begin:end].hex(' ')}`", meaning
-        begin = end
-        if begin < len(payload):
-            meaning = _meaning(unpacker, payload[begin])
-
-
-def _meaning(unpacker: msgpack.Unpacker, first: int) -> str:
-    """Read the value that begins with this byte; say what it is."""
-    if 0x90 <= first < 0xA0:
-        return f"an array of {unpacker.read_array_header()} entries"
-    begin, value = unpacker.tell(), unpacker.unpack()
-    size = unpacker.tell() - begin - 1
-    match value:
-        case None:
-            return "nil"
-        case str():
-            return f'string "{value}"'
-        case float():
-            return f"float 64: {value!r}"
-    if not size:
-        return f"integer {value}"
-    sign, plural = "signed" if value < 0 else "unsigned", "s" if size > 1 else ""
-    return f"{sign} integer of {size} byte{plural}: {value}"
+def vectors() -> str:
+    """Return the example messages as JSON: key, fields, and bytes in hexadecimal digits."""
+    plan = _example().plan
+    found = {
+        port.signal.name: {
+            "key": plan.wiring.key(port),
+            "message": msgspec.to_builtins(_EXAMPLES[port.signal.name]),
+            "bytes": encode(_EXAMPLES[port.signal.name]).hex(),
+        }
+        for port in (*_INPUTS[::2], COMMAND.of(INVERTER))
+    }
+    return json.dumps(found, indent=1) + "\n"
 
 
 # A direct controller at work
@@ -476,6 +475,7 @@ def main() -> None:
     for name in DOCUMENTS:
         path = Path(name)
         path.write_text(filled(path.read_text(encoding="utf-8")), encoding="utf-8")
+    Path(VECTORS).write_text(vectors(), encoding="utf-8")
 
 
 if __name__ == "__main__":
