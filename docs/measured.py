@@ -2,17 +2,20 @@
 
     python docs/measured.py [DATA] [PAGE...]
 
-Each table stands between `<!-- measured: NAME -->` and `<!-- end -->`. DATA holds the measurements
-in folders of their own; without it, tables that rest on them stay as they are. With pages, such as
-clusters.md, only theirs are measured.
+Each table is written whole to `docs/tables/PAGE-NAME.csv`. A page shows it between
+`<!-- measured: NAME -->` and `<!-- end -->`, or only some rows of it:
+`<!-- measured: NAME where COLUMN is VALUE or VALUE -->`. A test compares the pages with these files.
+DATA holds the measurements in folders of their own; without it, tables that rest on them stay as
+they are. With pages, such as clusters.md, only theirs are measured.
 """
 
 from __future__ import annotations
 
+import csv
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -31,11 +34,13 @@ from scenarios.settings import with_settings
 from studies.arrays.closed_loop import run_loop
 
 DOCUMENTS: Final = Path(__file__).parent
+TABLES: Final = DOCUMENTS / "tables"
 WORKERS: Final = 2
 BOTH: Final = ("fraction", "limit")
 HIERARCHICAL: Final = ("paper", "predictive")
 
-Lines = Iterator[str]
+Cells = list[str]
+Lines = Iterator[Cells]
 Columns = Mapping[str, tuple[str, int | None]]
 """Title of each column of a table, and the decimals of its numbers; None for words."""
 
@@ -53,21 +58,16 @@ COMMITMENT: Final[Columns] = {
 ERRORS: Final = ("control-caused %", "over-delivered %")
 
 
-def row(cells: Iterable[object]) -> str:
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-def header(titles: Sequence[str]) -> Lines:
-    yield row(titles)
-    yield "|" + "---|" * len(titles)
+def row(cells: Iterable[object]) -> Cells:
+    return [str(cell) for cell in cells]
 
 
 def table(rows: pd.DataFrame, columns: Columns) -> Lines:
     """Write these columns of a comparison."""
-    yield from header([title for title, _ in columns.values()])
+    yield row([title for title, _ in columns.values()])
     for _, entry in rows.fillna({"actuator": "-"}).iterrows():
         yield row(
-            entry[name] if decimals is None else f"{entry[name]:,.{decimals}f}"
+            entry[name] if decimals is None else f"{entry[name]:.{decimals}f}"
             for name, (_, decimals) in columns.items()
         )
 
@@ -88,7 +88,7 @@ def skies() -> Lines:
     """Write means over a hundred skies."""
     schemes = ("uniform-cap", *HIERARCHICAL)
     rows = compare("oahu", schemes=schemes, actuators=BOTH, seeds=range(1, 101), workers=WORKERS)
-    yield from header(["scheme", "actuator", ERRORS[0], "5 to 95 %", ERRORS[1]])
+    yield row(["scheme", "actuator", ERRORS[0], "5 to 95 %", ERRORS[1]])
     for names, group in rows.groupby(["scheme", "actuator"], sort=False):
         missing, beyond = group["control-caused"], group["over-delivered"]
         spread = f"{missing.quantile(0.05):.3f} to {missing.quantile(0.95):.3f}"
@@ -150,7 +150,7 @@ def measured_skies(data: Path) -> Lines:
     rows = known_skies(data)
     rows = rows[rows["control.offset_errors"] == 0.0]
     shares = sorted(rows["commitment.share"].unique())
-    yield from header(["sky", "actuator", "scheme", *(f"{share:.0%}" for share in shares)])
+    yield row(["sky", "actuator", "scheme", *(f"{share:.0%}" for share in shares)])
     for names, group in rows.groupby(["sky", "actuator", "scheme"], sort=False):
         means = group.groupby("commitment.share")[["control-caused", "over-delivered"]].mean()
         yield row([*names, *(f"{missed:.3f} / {over:.3f}" for missed, over in means.to_numpy())])
@@ -162,7 +162,7 @@ def offsets(data: Path) -> Lines:
     errors, names = ["control-caused", "over-delivered"], ["sky", "commitment.share"]
     cells = rows.set_index([*names, "plant.meter_noise"])
     titles = ["actuator", "scheme", "offset_errors", *ERRORS, "sum %", "at most the paper's"]
-    yield from header(titles)
+    yield row(titles)
     keys = ["actuator", "scheme", "control.offset_errors"]
     for (actuator, scheme, aim), group in cells.groupby(keys, sort=False):
         is_paper = (cells["actuator"] == actuator) & (cells["scheme"] == "paper")
@@ -182,7 +182,7 @@ def intervals(data: Path) -> Lines:
     rows = rows[rows["control.offset_errors"] == 0.0]
     errors = ["control-caused", "over-delivered"]
     means = rows.groupby(["actuator", "scheme", "sky"])[errors].mean()
-    yield from header(["actuator", "skies", *(f"{name}, 95 %" for name in ERRORS)])
+    yield row(["actuator", "skies", *(f"{name}, 95 %" for name in ERRORS)])
     for actuator in BOTH:
         apart = (means.loc[actuator, "predictive"] - means.loc[actuator, "paper"]).to_numpy()
         draws = np.random.default_rng(1).integers(len(apart), size=(10_000, len(apart)))
@@ -195,7 +195,7 @@ def intervals(data: Path) -> Lines:
 def stated(data: Path) -> Lines:
     """Write what it is worth that inverters state their available power, behind limits."""
     titles = ["inverters state", *ERRORS, "sum %"]
-    yield from header(titles)
+    yield row(titles)
     errors = ["control-caused", "over-delivered"]
     for title, bias in {
         "nothing": None,
@@ -223,7 +223,7 @@ def stated(data: Path) -> Lines:
 
 def offers() -> Lines:
     """Write how often promises were kept in 30 days of one plant, and how much they promised."""
-    yield from header(
+    yield row(
         [
             *("interval [s]", "reliability", "actuator", "intervals", "kept %", "promised %"),
             *("firm, hindsight %", "fixed share of clear sky", "promised so %"),
@@ -280,7 +280,7 @@ def promise_figures(
     fixed = max(share for share in shares if kept(share * clear).mean() >= coverage)
     firm = [firm_share(index) for index in available / clear]
     most = available.sum()
-    yield f"{len(promised):,}"
+    yield f"{len(promised)}"
     yield f"{100 * coverage:.1f}"
     yield f"{100 * promised.sum() / most:.1f}"
     yield f"{100 * (np.array(firm) * clear.sum(axis=1)).sum() / most:.1f}"
@@ -311,7 +311,7 @@ def clusters(cases: Mapping[str, tuple[str | ScenarioFile, dict[str, Any]]]) -> 
     tables = [clusterings(name, *case) for name, case in cases.items()]
     periods = list(dict.fromkeys(tables[0]["period"]))
     missed = (f"control-caused %, {period}" for period in periods)
-    yield from header(["", "clusters", "help from outside %", "plant able %", *missed])
+    yield row(["sky", "clusters", "help from outside %", "plant able %", *missed])
     for rows in tables:
         for way, group in rows.groupby("control.clusters", sort=False):
             hows = ("mean", "min", "max") if way == "random" else ("mean",)
@@ -418,15 +418,45 @@ def measured(data: Path) -> dict[str, Tables]:
     }
 
 
+# The tables, and the pages that show them
+
+_SHOWN: Final = re.compile(
+    r"(<!-- measured: (?P<name>[a-z ]+?)(?: where (?P<column>.+?) is (?P<values>.+?))? -->\n)"
+    r".*?(<!-- end -->)",
+    re.DOTALL,
+)
+
+
+def table_file(page: str, name: str) -> Path:
+    return TABLES / f"{page.removesuffix('.md')}-{name.replace(' ', '-')}.csv"
+
+
+def filled(page: str, text: str) -> str:
+    """Return a page with the rows that it shows as the tables have them now."""
+    return _SHOWN.sub(lambda found: f"{found[1]}{_shown(page, found)}{found[5]}", text)
+
+
+def _shown(page: str, found: re.Match[str]) -> str:
+    with table_file(page, found["name"]).open(encoding="utf-8", newline="") as file:
+        titles, *rows = csv.reader(file)
+    if found["column"]:
+        at, values = titles.index(found["column"]), found["values"].split(" or ")
+        rows = [cells for cells in rows if cells[at] in values]
+    lines = [f"| {' | '.join(map(_grouped, cells))} |\n" for cells in (titles, *rows)]
+    return "".join([lines[0], "|" + "---|" * len(titles) + "\n", *lines[1:]])
+
+
+def _grouped(cell: str) -> str:
+    """Write a whole number with commas between its thousands."""
+    return f"{int(cell):,}" if cell.isdecimal() else cell
+
+
 def write_table(page: str, name: str, lines: Lines) -> None:
-    """Write a table into its place in a document."""
-    path, text = DOCUMENTS / page, (DOCUMENTS / page).read_text(encoding="utf-8")
-    marked = rf"(<!-- measured: {re.escape(name)} -->\n).*?(<!-- end -->)"
-    if not re.search(marked, text, re.DOTALL):
-        sys.exit(f"{page}: expected a table {name}, got none")
-    written = "\n".join(lines)
-    # A table has no backslash: it may stand in the replacement.
-    path.write_text(re.sub(marked, rf"\g<1>{written}\n\g<2>", text, flags=re.DOTALL), "utf-8")
+    """Write a table to its file, and what its page shows of it into the page."""
+    with table_file(page, name).open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(lines)
+    path = DOCUMENTS / page
+    path.write_text(filled(page, path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def main() -> None:

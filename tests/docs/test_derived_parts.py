@@ -136,3 +136,13 @@ def test_every_field_of_the_plan_is_in_the_document() -> None:
     opening = WIRE.partition("## Signals")[0]
     named = set(re.findall(r"`([a-z_]+)`", opening))
     assert {field.name for field in msgspec.structs.fields(RunPlan)} <= named
+
+
+# Measured tables ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", SYNTHETIC)
+def test_a_page_shows_the_rows_of_its_measured_tables(page: str) -> None:
+    text = (HOUSE / "docs" / page).read_text(encoding="utf-8")
+    assert text.count("<!-- measured: ") == text.count("| --- |") + len(re.findall(r"-->\n\|", text))
+    assert text == measured.filled(page, text), "PYTHONPATH=. python docs/measured.py"
