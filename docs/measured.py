@@ -4,7 +4,7 @@
 
 Each table is written whole to `docs/tables/PAGE-NAME.csv`. A page shows it between
 `<!-- measured: NAME -->` and `<!-- end -->`, or only some rows of it:
-`<!-- measured: NAME where COLUMN is VALUE or VALUE -->`. A test compares the pages with these files.
+`<!-- measured: NAME where COLUMN is VALUE or VALUE -->`. A test compares the pages with the files.
 DATA holds the measurements in folders of their own; without it, tables that rest on them stay as
 they are. With pages, such as clusters.md, only theirs are measured.
 """
@@ -421,7 +421,7 @@ def measured(data: Path) -> dict[str, Tables]:
 # The tables, and the pages that show them
 
 _SHOWN: Final = re.compile(
-    r"(<!-- measured: (?P<name>[a-z ]+?)(?: where (?P<column>.+?) is (?P<values>.+?))? -->\n)"
+    r"(<!-- measured: (?P<name>[A-Za-z ]+?)(?: where (?P<column>.+?) is (?P<values>.+?))? -->\n)"
     r".*?(<!-- end -->)",
     re.DOTALL,
 )
