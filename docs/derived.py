@@ -204,14 +204,13 @@ def _default(field: inspect.Field) -> str:
 def _signals() -> Iterator[str]:
     tree = _example().plan.tree
     return _rows(
-        ("key", "published by", "heard by", "how often", "recorded"),
+        ("key", "published by", "heard by", "how often"),
         (
             (
                 f"`<plant>/{'' if row.nodes(tree) == (ROOT,) else '<path>/'}{row.name}`",
                 row.publisher.value,
                 ", ".join(role.value for role in row.listeners) or "the recorder alone",
                 row.occurrence.value,
-                "yes" if row.logged else "no",
             )
             for row in SIGNALS
         ),
