@@ -4,7 +4,8 @@
 
 Each table is written whole to `docs/tables/PAGE-NAME.csv`. A page shows it between
 `<!-- measured: NAME -->` and `<!-- end -->`, or only some rows of it:
-`<!-- measured: NAME where COLUMN is VALUE or VALUE -->`. A test compares the pages with the files.
+`<!-- measured: NAME where COLUMN is VALUE or VALUE -->`; a column with one value is left out. A
+test compares the pages with the files.
 DATA holds the measurements in folders of their own; without it, tables that rest on them stay as
 they are. With pages, such as clusters.md, only theirs are measured.
 """
@@ -442,6 +443,8 @@ def _shown(page: str, found: re.Match[str]) -> str:
     if found["column"]:
         at, values = titles.index(found["column"]), found["values"].split(" or ")
         rows = [cells for cells in rows if cells[at] in values]
+        if len(values) == 1:
+            titles, *rows = ([*cells[:at], *cells[at + 1 :]] for cells in (titles, *rows))
     lines = [f"| {' | '.join(map(_grouped, cells))} |\n" for cells in (titles, *rows)]
     return "".join([lines[0], "|" + "---|" * len(titles) + "\n", *lines[1:]])
 
