@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib import dates
 
-from heliarch import load_scenario
+from heliarch import compare, load_scenario
 from recordings.read.series import RunSeries
 from scenarios.preparation import prepare
 from scenarios.run_options import RunOptions
@@ -53,9 +53,45 @@ def ten_minutes(path: Path) -> None:
     figure.savefig(path, dpi=160)
 
 
+def promise(path: Path) -> None:
+    """Draw shortfall against curtailed energy while the reliability of the promise is turned."""
+    offered = {"kind": "offered", "interval_s": 900}
+    rows = compare(
+        with_settings(load_scenario("oahu-day"), [("commitment", offered)]),
+        schemes=["uniform-cap", "predictive"],
+        actuators=["limit"],
+        seeds=[1, 2],
+        start="7:00",
+        end="17:00",
+        settings={"commitment.reliability": [0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99]},
+        workers=2,
+    )
+    keys = ["scheme", "commitment.reliability"]
+    means = rows.groupby(keys)[["shortfall", "curtailed"]].mean()
+    figure, axes = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
+    for scheme, title, colour in (
+        ("uniform-cap", "each inverter held to its share", ORANGE),
+        ("predictive", "inverters help each other", BLUE),
+    ):
+        curve = means.loc[scheme]
+        axes.plot(curve["curtailed"], curve["shortfall"], "o-", color=colour, ms=4, label=title)
+    for reliability, point in means.loc["predictive"].iterrows():
+        where = (point["curtailed"], point["shortfall"])
+        axes.annotate(
+            f"{reliability:g}", where, (-4, -10), textcoords="offset points", ha="right", fontsize=8
+        )
+    axes.set_xlabel("curtailed, % of the available energy")
+    axes.set_ylabel("missed, % of the promise")
+    axes.set_ylim(0, None)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=9)
+    figure.savefig(path, dpi=160)
+
+
 def missed_percent(series: RunSeries) -> float:
     return float(100.0 * series.shortfall_kw.sum() / series.dispatch_kw.sum())
 
 
 if __name__ == "__main__":
     ten_minutes(IMAGES / "ten-minutes.png")
+    promise(IMAGES / "promise.png")

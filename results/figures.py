@@ -277,8 +277,8 @@ def offer_figures(series: RunSeries) -> Figures:
         intervals += 1
         missing_kw = np.maximum(commitment_kw - available_kw, 0.0).sum()
         kept += bool(missing_kw <= MISSED_SHARE * commitment_kw.sum())
-        promised_kw += commitment_kw.sum()
-        firm_kw += commitment_kw.sum() * firm_share(available_kw / commitment_kw)
+        promised_kw += float(commitment_kw.sum())
+        firm_kw += float(commitment_kw.sum()) * firm_share(available_kw / commitment_kw)
     if not intervals:
         return {}
     return {

@@ -224,3 +224,25 @@ def test_the_document_lists_every_figure_with_its_unit() -> None:
         if line.startswith("| `")
     ]
     assert rows == [(one.name, one.title, one.unit) for one in FIGURES.values()]
+
+
+def test_offers_are_kept_where_one_per_cent_is_missing_and_measured_against_firm_energy() -> None:
+    run = run_of(
+        #              not offered    enough        3 % of one cycle
+        commitment_kw=[100.0, 100.0, 100.0, 100.0, 100.0, 100.0],
+        available_kw=[10.0, 10.0, 120.0, 120.0, 100.0, 97.0],
+        delivered_kw=[10.0, 10.0, 100.0, 100.0, 100.0, 97.0],
+        cycle_s=1800.0,
+    )
+    found = run_figures(replace(run, plant=replace(run.plant, interval_cycles=2)))
+    assert (found["intervals"], found["kept-intervals"]) == (2, 50.0)
+    # In hindsight 120 kW / 0.99 of the first, and 97 kW / 0.98 of the second interval.
+    firm_kwh = 120.0 / 0.99 + 97.0 / 0.98
+    assert found["firm-energy"] == pytest.approx(firm_kwh)
+    assert found["promised"] == pytest.approx(100.0 * 200.0 / firm_kwh)
+    assert {type(value) for value in found.values()} <= {int, float, type(None)}
+
+
+def test_a_commitment_that_is_given_has_no_figures_of_offers() -> None:
+    found = run_figures(run_of([100.0] * 4, [120.0] * 4, [100.0] * 4))
+    assert found["kept-intervals"] is None
