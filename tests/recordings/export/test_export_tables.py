@@ -28,7 +28,14 @@ from recordings.record.writer import ClockAnchor
 
 RECORDED = tuple(signal for signal in SIGNALS if signal.logged)
 MAY_BE_NIL = {
-    *("available_kw", "revert_kw", "order_power_kw", "order_ramp_kw_per_min"),
+    *(
+        "available_kw",
+        "clear_sky_kw",
+        "frequency_hz",
+        "revert_kw",
+        "order_power_kw",
+        "order_ramp_kw_per_min",
+    ),
     *("order_hold_s", "order_renew_s"),
 }
 BATCH_ROWS = 5
