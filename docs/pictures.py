@@ -75,7 +75,7 @@ def promise(path: Path) -> None:
     ):
         curve = means.loc[scheme]
         axes.plot(curve["curtailed"], curve["shortfall"], "o-", color=colour, ms=4, label=title)
-    for reliability, point in means.loc["predictive"].iterrows():
+    for reliability, point in means.loc["predictive"].drop(0.98).iterrows():  # There is no room.
         where = (point["curtailed"], point["shortfall"])
         axes.annotate(
             f"{reliability:g}", where, (-4, -10), textcoords="offset points", ha="right", fontsize=8
