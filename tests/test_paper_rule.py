@@ -21,7 +21,8 @@ from studies.arrays.schemes import run_scheme
 
 def hope_hour(folder: Path, share: float) -> tuple[RunPlan, Profile]:
     """The HOPE hour with P = GHI / 1000 x 470 kW x 0.96 in place of the PV model."""
-    plan = prepare(load_scenario("hope-melpitz", folder), RunOptions(scheme="paper"), "hope").plan
+    options = RunOptions(scheme="paper", actuator="fraction")
+    plan = prepare(load_scenario("hope-melpitz", folder), options, "hope").plan
     stations = [leaf.rpartition("/inv")[2] for leaf in plan.tree.leaves]
     with (folder / "ghi_20130908_0915_0955.csv").open(newline="") as file:
         ghi_wm2 = np.array([[float(row[s]) for s in stations] for row in csv.DictReader(file)])

@@ -87,10 +87,10 @@ def compare(
         shortfall-energy, unavoidable-energy, control-caused-energy, over-delivered-energy,
         shortfall, unavoidable, control-caused, over-delivered, rmse, mae, mileage,
         curtailed-energy, curtailed, ancillary-potential, rise, fall, ramp, ramp-limit,
-        above-ramp-limit, outside-help, outside-help-able, missed-inputs, reverted, intervals,
-        kept-intervals, firm-energy, promised, capacity, offered, signal-mileage, regd-strict,
-        regd, regd-feasible-strict, regd-feasible, accuracy, delay, precision, score. Default:
-        control-caused,over-delivered.
+        above-ramp-limit, ramp-control, ramp-clouds, loss-energy, outside-help, outside-help-able,
+        missed-inputs, reverted, intervals, kept-intervals, firm-energy, promised, capacity,
+        offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy,
+        delay, precision, score. Default: control-caused,over-delivered.
     frontier
         Turn an offset of the plant's target (`control.offset`: a share of the rating;
         `control.offset_errors`: times its own mean error), and show what each scheme misses and
