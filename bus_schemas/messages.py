@@ -176,7 +176,7 @@ class Impp(Message, kw_only=True):
 
 
 class Residual(Message, kw_only=True):
-    """IMPP less share (eq. 4). Negative: the node calls for help."""
+    """IMPP less share (eq. 4). Below 0 it is a deficit, above 0 headroom."""
 
     power_kw: float
 
@@ -207,7 +207,7 @@ class Setpoint(Message, kw_only=True):
 
 
 class Command(Message, kw_only=True):
-    """What a direct controller tells its inverter: the curtailment level alpha (eq. 6).
+    """What a direct controller commands its inverter: the curtailment level alpha (eq. 6).
 
     `power_kw` says the same in absolute power, IMPP x alpha; the rating where alpha is 1 and
     nothing is to be held back. A run has one actuator: `fraction` inverters apply alpha to their
@@ -233,7 +233,7 @@ class Offer(Message, kw_only=True):
 
 
 class Production(Message, kw_only=True):
-    """What really happened in the interval of this cycle. No controller may listen to it.
+    """True power in the interval of this cycle. No controller may listen to it.
 
     `inverter_mpp_kw` and `inverter_power_kw` list the inverters in the order of the control tree.
     `unknown_kw` is what lost real inverters may give beside `delivered_kw`; it is not measured.
@@ -267,7 +267,7 @@ class Ready(Message, kw_only=True):
 
 
 class Notice(Message, kw_only=True):
-    """Something that an agent had to refuse or to mend, in words, with how often it did so far."""
+    """What an agent had to refuse or to correct, in words, and how often it did so far."""
 
     text: Text
     count: LongCount
