@@ -286,6 +286,8 @@ class PlannedOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     def __post_init__(self) -> None:
         if self.schedule == (self.power_kw is not None):
             raise ValueError("expected either power_kw or schedule = true")
+        if self.schedule and self.hold_s is not None:
+            raise ValueError("hold_s: expected power_kw with it, got schedule = true")
 
     def cycle(self, cycle_s: float) -> int:
         """Return the first cycle with it: the one under way at its time."""

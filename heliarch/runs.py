@@ -65,8 +65,8 @@ def simulate(
         Folder of the run; by default a new one in `runs/`.
     options
         By the names of `RunOptions`, as for the command: `start` and `end` (`"12:30"`; `end` is no
-        part of the run), `duration` (`"15m"`), `seed`, `scheme`, `actuator`, `faults`
-        (`["source=c1/*,delay=50ms"]`), `pace`.
+        part of the run), `duration` (`"15m"`, or 900 for seconds), `seed`, `scheme`, `actuator`,
+        `faults` (`["source=c1/*,delay=50ms"]`), `pace`.
     """
     return _run(_request(scenario, settings, data, out, options))
 
@@ -135,6 +135,7 @@ def export(
     clock: Clock | None = None,
 ) -> ExportSummary:
     """Make tables, or a file for viewers, from a recording, as `heliarch export` does."""
+    check_names("form", (form,), get_args(Form))
     with open_run(run) as reader:
         is_whole = start is None and end is None
         cycles = None if is_whole else reader.clock.span(start, end, ("start", "end"))

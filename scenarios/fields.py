@@ -68,7 +68,9 @@ def _wrong(kind: object, value: object, path: str) -> Iterator[str]:
         found = list(_wrong_inside(kind, value, path))
         types = _of_tag(members(inspect.type_info(kind)), value)
         if not found and isinstance(value, Mapping) and isinstance(types[0], inspect.StructType):
-            found = [_join(path, str(error))]  # From a `__post_init__`, in its own words.
+            # From a `__post_init__`, in its own words: about the table, or one of its fields.
+            of_table = str(error).startswith("expected")
+            found = [f"{path}: {error}" if of_table else _join(path, str(error))]
         yield from found or [f"{path}: expected {takes(types)}, got {value!r:.60}"]
 
 

@@ -64,7 +64,7 @@ class TimeOptions:
     """
 
     start: Annotated[_Text, Parameter("--from", metavar="TIME")] = None
-    duration: Annotated[_Text, Parameter(metavar="TIME")] = None
+    duration: Annotated[str | float | None, Parameter(metavar="TIME")] = None
     end: Annotated[_Text, Parameter("--to", metavar="TIME")] = None
 
     def __post_init__(self) -> None:

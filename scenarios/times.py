@@ -33,8 +33,9 @@ def duration_s(text: str) -> float | None:
     return sum(float(number) * unit_s for number, unit_s in parts if number)
 
 
-def parse_duration_s(text: str, where: str) -> float:
+def parse_duration_s(given: str | float, where: str) -> float:
     """Return the length of a run [s]: a duration with units, or seconds without."""
+    text = str(given)
     found_s = float(text) if re.fullmatch(_NUMBER, text) else duration_s(text)
     if found_s is None or not 0.0 < found_s <= LONGEST_S:
         raise InputError(

@@ -141,7 +141,9 @@ class CsvTable:
                 for kind, rows in kinds.items()
                 if rows.any()
             ]
-            expected = f"times in one step above 0, here mostly {usual_ns / 1e9:g} s"
+            expected = "times in one step above 0"
+            if usual_ns > 1.0:
+                expected += f", here mostly {usual_ns / 1e9:g} s"
             error = self.error(int(bad[0]) + 1, column, expected)
             raise InputError(f"{error} (all such lines: {'; '.join(told)})")
 

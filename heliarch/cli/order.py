@@ -44,6 +44,8 @@ def order(
     from scenarios.times import parse_duration_s
     from sim_plant.order_desk import GivenOrder, OrderLine
 
+    if power == "schedule" and hold is not None:
+        raise InputError("--hold: expected a power with it, got schedule")
     folder = run if run.is_dir() else run.parent
     if not (folder / "plan.json").exists():
         raise InputError(f"{run}: expected the folder of a run, got none")

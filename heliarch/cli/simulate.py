@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bus_schemas.errors import InputError
 from heliarch.cli.options import FileOptions, PageOptions, Scenario, Settings
 from scenarios.run_options import PlantOptions, RunOptions, SpanOptions
 
@@ -22,5 +23,7 @@ def simulate(
     """
     from heliarch.cli.run import run_and_print, run_request
 
+    if page.orders:
+        raise InputError("--orders: expected none, since only the plant of `launch` takes them")
     options = RunOptions.of(span, plant)
     return run_and_print(run_request(scenario, settings, files, options), files, page)

@@ -99,6 +99,8 @@ def test_a_recording_is_verified_and_a_part_of_it_exported(
     assert list(found.agents) == ["c1"]
     part = heliarch.export(run.folder, "csv", out=tmp_path / "part", signals="impp", end=3)
     assert (part.first_cycle, part.last_cycle) == (0, 2)
+    with pytest.raises(InputError, match=r"form: expected .*parquet"):
+        heliarch.export(run.folder, "xml")  # type: ignore[arg-type]
 
 
 @pytest.mark.processes
@@ -153,6 +155,7 @@ def test_two_recordings_are_compared_with_their_first_difference(
     ("bad", "named"),
     [
         ({"settings": {"no.such": 1}}, "no"),
+        ({"duration": -60}, "duration: expected seconds above 0"),
         ({"settings": {"commitment.share": "much"}}, "share"),
         ({"scheme": "magic"}, "scheme"),
         ({"actuator": "magic"}, "actuator"),

@@ -288,6 +288,12 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
         ),
         ("[control]", "[[faults]]\nloss = 0.5\n[control]", "faults[0].kind: expected"),
         ("[control]", f"{DISTURBANCE}[control]", "faults[0]: expected a delay"),
+        ("[control]", "[[orders]]\nat = 1\n[control]", "orders[0]: expected either power_kw"),
+        (
+            "[control]",
+            "[[orders]]\nat = 1\nschedule = true\nhold_s = 5\n[control]",
+            "orders[0].hold_s: expected power_kw with it",
+        ),
         (
             "[control]",
             f"{SYNTHETIC}capacity_kw = 9\nfrom = '06:00:00+02:00'\n[control]",

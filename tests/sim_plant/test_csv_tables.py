@@ -61,6 +61,13 @@ def test_seconds_keep_one_step(tmp_path: Path, times: list[int], place: str) -> 
     assert complaint_of(table.seconds_ns, "s").startswith(place)
 
 
+def test_the_usual_step_is_named_where_there_is_one(tmp_path: Path) -> None:
+    for times, is_named in (([0, 2, 4, 9], True), ([4, 3, 2, 1], False)):
+        table = read(tmp_path, "\n".join(["s", *map(str, times)]))
+        assert ("here mostly 2 s" in complaint_of(table.seconds_ns, "s")) == is_named
+        assert "e-09" not in complaint_of(table.seconds_ns, "s")
+
+
 def test_all_lines_that_break_the_step_are_named_at_once(tmp_path: Path) -> None:
     table = read(tmp_path, "\n".join(["s", *map(str, [0, 1, 1, 2, 3, 6, 7, 5, 6, 7, 7.5, 8.5])]))
     assert complaint_of(table.seconds_ns, "s").endswith(

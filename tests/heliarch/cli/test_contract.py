@@ -193,6 +193,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     [
         "simulate small.toml --to 13:00 --duration 1h",
         "simulate small.toml --set commitment.share=0.1,0.2",
+        "simulate small.toml --page --orders",
         "simulate oahu --set time.duration_s=2590000 --set time.cycle_s=0.4",
         "launch small.toml --fault loss=1%",
         "launch small.toml --priority 20",

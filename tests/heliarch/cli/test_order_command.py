@@ -49,6 +49,10 @@ def test_a_power_that_cannot_be_is_refused_in_one_line(run: Path, power: str) ->
     assert "400 kW" in refusal("order", run, "--", power)
 
 
+def test_the_schedule_has_no_end_after_which_the_schedule_returns(run: Path) -> None:
+    assert "--hold: expected a power" in refusal("order", run, "schedule", "--hold", "5s")
+
+
 def test_a_run_that_is_over_or_is_none_is_refused_in_one_line(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.mkdir()
