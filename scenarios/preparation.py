@@ -212,7 +212,8 @@ def _offers(commitment: CommitmentSettings, cycle_s: float) -> Offers | None:
     if not isinstance(commitment, OfferedCommitment):
         return None
     interval_cycles = round(commitment.interval_s / cycle_s)
-    lead_cycles = max(round(commitment.lead_s / cycle_s), 1)
+    lead_s = min(60.0, commitment.interval_s) if commitment.lead_s is None else commitment.lead_s
+    lead_cycles = max(round(lead_s / cycle_s), 1)
     if abs(interval_cycles * cycle_s - commitment.interval_s) > 1e-9 or interval_cycles == 0:
         expected = f"whole cycles of {cycle_s:g} s"
         raise InputError(
@@ -220,7 +221,7 @@ def _offers(commitment: CommitmentSettings, cycle_s: float) -> Offers | None:
         )
     if lead_cycles > interval_cycles:
         expected = f"at most interval_s, {commitment.interval_s:g}"
-        raise InputError(f"commitment.lead_s: expected {expected}, got {commitment.lead_s:g}")
+        raise InputError(f"commitment.lead_s: expected {expected}, got {lead_s:g}")
     return Offers(
         interval_cycles=interval_cycles,
         lead_cycles=lead_cycles,
@@ -281,6 +282,7 @@ def _plan(
     with scenario_file.named():
         deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
         groups = process_groups(scenario.processes, day.tree)
+        offers = _offers(scenario.commitment, scenario.time.cycle_s)
     external = external_agents(options.external or (), day.tree)
     if OPERATOR in external and not keys_folder:
         raise InputError(
@@ -321,7 +323,7 @@ def _plan(
             correction=scheme == "predictive" if control.correction is None else control.correction,
             offset_kw=control.offset * day.tree.rating_kw(ROOT),
             offset_errors=control.offset_errors,
-            offers=_offers(scenario.commitment, scenario.time.cycle_s),
+            offers=offers,
         ),
         site=Site(
             seed=seed,

@@ -79,13 +79,14 @@ class OfferedCommitment(_Rule, frozen=True, tag="offered"):
     under a clear sky.
 
     interval_s: Length of an interval [s].
-    lead_s: How long before an interval begins its offer is made [s].
+    lead_s: How long before an interval begins its offer is made [s]. Default: 60 s, or the interval
+        if that is shorter.
     reliability: Share of the intervals that are to be kept: at most 1 % of their energy is missing.
     first_share: Share of the clear-sky power that is promised until the first offer.
     """
 
     interval_s: Annotated[float, Meta(ge=1.0, le=14400.0)] = 900.0
-    lead_s: Annotated[float, Meta(gt=0.0, le=14400.0)] = 60.0
+    lead_s: Annotated[float, Meta(gt=0.0, le=14400.0)] | None = None
     reliability: Annotated[float, Meta(ge=0.5, le=0.999)] = 0.95
     first_share: Share = 0.3
 

@@ -134,11 +134,13 @@ def _show_plant(run: RunReader, cycle: int, console: Console) -> dict[str, Any]:
 
 
 def _plant_text(central: NodeCycle) -> str:
-    """Return dispatch, available and delivered power of the plant as a line."""
+    """Return dispatch, available and delivered power of the plant, and the frequency, as a line."""
     names = ("dispatch_kw", "commitment_kw", "available_kw", "delivered_kw")
     values_kw = (central.values.get(name) for name in names)
     texts = (cell_text(value_kw, Column("power", decimals=1)) for value_kw in values_kw)
-    return "dispatch {} kW (commitment {} kW), available {} kW, delivered {} kW".format(*texts)
+    text = "dispatch {} kW (commitment {} kW), available {} kW, delivered {} kW".format(*texts)
+    frequency_hz = central.values.get("frequency_hz")
+    return text if frequency_hz is None else f"{text}, frequency {frequency_hz:.3f} Hz"
 
 
 # The whole recording -------------------------------------------------------------------------

@@ -25,6 +25,7 @@ _FIELDS: Final[dict[type[Message], dict[str, str]]] = {
     messages.Setpoint: {"power_kw": "setpoint_kw"},
     messages.Command: {"alpha": "alpha"},
     messages.Dispatch: {"power_kw": "dispatch_kw", "commitment_kw": "commitment_kw"},
+    messages.Meter: {"frequency_hz": "frequency_hz"},
     messages.Production: {"available_kw": "available_kw", "delivered_kw": "delivered_kw"},
 }
 """Which field of a message is which value of the `NodeCycle` of its node."""

@@ -94,7 +94,7 @@ class RunReader:
             raise InputError(f"{self.path}: expected a recording, got no regular file")
         try:
             self.files = [self.path.open("rb", buffering=0)]
-        except FileNotFoundError:
+        except (FileNotFoundError, IsADirectoryError):  # The folder may have come just now.
             raise InputError(
                 f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
             ) from None
