@@ -26,7 +26,7 @@ $(READY): pyproject.toml constraints.txt
 run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes; open the page that it prints to watch it
 	$(BIN)/heliarch launch oahu --page --report
 
-test: $(READY) ## all tests, about 5 minutes on 2 cores; three workers, because many tests wait for processes
+test: $(READY) ## all tests, about 7 minutes on 2 cores; three workers, because many tests wait for processes
 	$(BIN)/pytest -n 3 --dist worksteal
 
 docs: $(READY) ## the documents as a site in build/site; read them with `python -m http.server -d build/site`
