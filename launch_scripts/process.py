@@ -41,8 +41,9 @@ def run_process(
             return run_recorder(plan, folder, link)
         case "plant":
             with OrderDesk(folder) as desk:
-                make = lambda: PlantAtDesk(_plant(plan, folder), desk)  # noqa: E731
-                return run_plant(plan, make, link, patience_s)
+                return run_plant(
+                    plan, lambda: PlantAtDesk(_plant(plan, folder), desk), link, patience_s
+                )
         case _:
             return run_controller(plan, agent, link, rejoins=rejoins)
 

@@ -24,7 +24,7 @@ _CELL_PX = 16
 
 @dataclass
 class Need:
-    """What one node lacked: energy, and the largest deficit with its cycle."""
+    """The deficit of one node: its energy, and the largest deficit with its cycle."""
 
     lacking_kwh: float = 0.0
     worst_kw: float = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import inf, nan
+from typing import Any
 
 import pytest
 
@@ -12,8 +13,8 @@ from agents.settings import Droop, GridSettings
 RATING_KW = 8000.0
 
 
-def law_of(cycle_s: float = 1.0, **settings: object) -> GridLaw:
-    return GridSettings(**settings).law(RATING_KW, cycle_s)  # type: ignore[arg-type]
+def law_of(cycle_s: float = 1.0, **settings: Any) -> GridLaw:
+    return GridSettings(**settings).law(RATING_KW, cycle_s)
 
 
 def test_a_grid_that_asks_for_nothing_leaves_every_power_as_it_is() -> None:
