@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test docs results pictures golden check format bench bench-peers bench-study soak clean
+.PHONY: help setup run test docs results figures pictures golden check format bench bench-peers bench-study soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,7 +26,7 @@ $(READY): pyproject.toml constraints.txt
 run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes; open the page that it prints to watch it
 	$(BIN)/heliarch launch oahu --page --report
 
-test: $(READY) ## all tests, about 7 minutes on 2 cores; three workers, because many tests wait for processes
+test: $(READY) ## all tests; three workers, because many tests wait for processes
 	$(BIN)/pytest -n 3 --dist worksteal
 
 docs: $(READY) ## the documents as a site in build/site; read them with `python -m http.server -d build/site`
@@ -67,6 +67,9 @@ $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
 
 results: $(READY) ## every measured table of the documents; DATA=FOLDER for those of measurements, PAGES=delays.md for one page
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/measured.py $(abspath $(DATA)) $(PAGES)
+
+figures: $(READY) $(PEERS_READY) ## every figure of the documents that depends on the machine: a quarter of an hour on a quiet one
+	PYTHONPATH=$(CURDIR) $(BIN)/python docs/machine.py
 
 pictures: $(READY) ## the pictures of README that are drawn from runs
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/pictures.py

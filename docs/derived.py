@@ -14,7 +14,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from inspect import cleandoc
-from itertools import chain
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -79,7 +78,7 @@ def _lines(what: str, which: str = "") -> Iterator[str]:
             return _scenario_table(which)
     writers: dict[str, Callable[[], Iterator[str]]] = {
         **{"signals": _signals, "types": _types, "stages": _stages, "bounds": _bounds},
-        **{"options": _options, "vector": _vector},
+        "vector": _vector,
     }
     return writers[what]()
 
@@ -123,39 +122,25 @@ def _parameters(command: str) -> list[Argument]:
     return [argument for argument in collection if argument.show]
 
 
-def _options() -> Iterator[str]:
-    """Describe the options that several commands have, each text once."""
-    commands: dict[tuple[str, str], list[str]] = {}
-    for command in chain.from_iterable(COMMANDS.values()):
-        for argument in _parameters(command):
-            if argument.name.startswith("--"):
-                shown = f"{argument.name} {argument.parameter.metavar or ''}".rstrip()
-                words = " ".join(str(argument.parameter.help).split())
-                commands.setdefault((shown, words), []).append(command)
-    return _rows(
-        ("option", "what it does", "commands"),
-        (
-            (f"`{option}`", words, ", ".join(having))
-            for (option, words), having in commands.items()
-            if len(having) > 1
-        ),
-    )
-
-
 # Scenarios
 
 
-def scenario_tables() -> dict[str, inspect.StructType]:
-    """Return the tables of a scenario by name; of several kinds of one, `irradiance clouds`."""
-    found: dict[str, inspect.StructType] = {}
+def scenario_tables() -> dict[str, dict[str, inspect.StructType]]:
+    """Return the tables of a scenario by name, each by its kinds; "" where there is one kind.
+
+    A type that stands in two places is shown at the first one.
+    """
+    found: dict[str, dict[str, inspect.StructType]] = {}
+    seen = set()
 
     def add(path: str, kind: inspect.Type) -> None:
         kinds = members(kind)
         for one in kinds:
             if isinstance(one, inspect.VarTupleType):
                 add(path, one.item_type)
-            if isinstance(one, inspect.StructType):
-                found[f"{path} {one.tag}" if len(kinds) > 1 else path] = one
+            if isinstance(one, inspect.StructType) and one.cls not in seen:
+                seen.add(one.cls)
+                found.setdefault(path, {})[str(one.tag) if len(kinds) > 1 else ""] = one
                 for field in one.fields:
                     add(f"{path}.{field.encode_name}".removeprefix("file."), field.type)
 
@@ -164,20 +149,46 @@ def scenario_tables() -> dict[str, inspect.StructType]:
 
 
 def _scenario_table(name: str) -> Iterator[str]:
-    struct = scenario_tables()[name]
-    described = descriptions(struct.cls)
-    return _rows(
-        ("field", "what it takes", "default", "what it is"),
-        (
-            (
-                f"`{field.encode_name}`",
-                takes(members(field.type)),
-                _default(field),
-                described.get(field.name, "A table: see below."),
-            )
-            for field in struct.fields
-        ),
+    """Show the fields of a table; what several kinds, or several fields, share stands once."""
+    kinds: dict[tuple[str, str, str], list[str]] = {}
+    for kind, struct in scenario_tables()[name].items():
+        described = descriptions(struct.cls)
+        for field in struct.fields:
+            if field.name in described:
+                row = (f"`{field.encode_name}`", _values(field), described[field.name])
+                kinds.setdefault(row, []).append(kind)
+    rows: dict[tuple[str, str, str], list[str]] = {}
+    for (field, values, words), of_kinds in kinds.items():
+        rows.setdefault((", ".join(of_kinds), values, words), []).append(field)
+    table = (
+        (kind, ", ".join(fields), values, words) for (kind, values, words), fields in rows.items()
     )
+    header = ("kind", "field", "values (default)", "what it is")
+    start = 1 if "" in scenario_tables()[name] else 0
+    return _rows(header[start:], (row[start:] for row in table))
+
+
+_SHORTER: Final = {
+    r" up to \d{7,}": "",
+    r" such as \S+": "",
+    "true or false": "boolean",
+    "whole number": "integer",
+    r"table from (.*) to (.*)": r"\2 for each of \1",
+    r"list, each: list, each: (\w+)": r"lists of \1s",
+    r"list(?: of \d)?, each: (\w+)": r"\1s",
+    r"list, each: ": "list of ",
+    r"(?<=from |bove )(\S+) up to": r"\1 to",
+    r"\bnumber (?=from|above)": "",
+    r"from (\S+) to": r"\1 to",
+}
+"""How the values of a field are said in a table; bounds of a million and more go unsaid."""
+
+
+def _values(field: inspect.Field) -> str:
+    said = takes(members(field.type))
+    for pattern, short in _SHORTER.items():
+        said = re.sub(pattern, short, said)
+    return f"{said}{_default(field)}"
 
 
 def descriptions(struct: type[Any]) -> dict[str, str]:
@@ -189,13 +200,11 @@ def descriptions(struct: type[Any]) -> dict[str, str]:
 
 def _default(field: inspect.Field) -> str:
     match field.default:
-        case bool():
-            return str(field.default).lower()
-        case str():
-            return f'"{field.default}"'
+        case bool() | str():
+            return f" ({json.dumps(field.default)})"
         case int() | float():
-            return f"{field.default:.10g}"
-    return "required" if field.default is NODEFAULT and field.required else ""
+            return f" ({field.default:.10g})"
+    return ", required" if field.default is NODEFAULT and field.required else ""
 
 
 # On the wire
@@ -235,9 +244,8 @@ def _fields(kind: type[Message]) -> str:
 
 
 def _field(field: inspect.Field) -> str:
-    """Name a field with its type, unit and default; a float without a unit has no remark."""
-    units = {"kw": "kW", "ns": "ns", "s": "s", "min": "kW/min", "hz": "Hz"}
-    remarks = [_type_name(field.type), units.get(field.name.rpartition("_")[2], "")]
+    """Name a field with its type and default; a float without a default has no remark."""
+    remarks = [_type_name(field.type)]
     if not field.required:
         remarks.append(f"default {'nil' if field.default is None else json.dumps(field.default)}")
     said = ", ".join(filter(None, remarks))
@@ -318,14 +326,13 @@ def _published(agent: Agent[Any], stage: Stage) -> Iterator[str]:
 
 
 def _bounds() -> Iterator[str]:
-    return _rows(
-        ("message", "field", "from", "to"),
-        (
-            (kind.__name__, f"`{bound.field}`", _bound(bound, bound.low), _bound(bound, bound.high))
-            for kind, bounds in BOUNDS.items()
-            for bound in bounds
-        ),
-    )
+    fields: dict[tuple[str, str], list[str]] = {}
+    for kind, bounds in BOUNDS.items():
+        for bound in bounds:
+            low, high = (_bound(bound, value) for value in (bound.low, bound.high))
+            fields.setdefault((low, high), []).append(f"`{kind.__name__}.{bound.field}`")
+    rows = ((", ".join(names), low, high) for (low, high), names in fields.items())
+    return _rows(("fields", "from", "to"), rows)
 
 
 def _bound(bound: Bound, value: float) -> str:

@@ -2,18 +2,13 @@
 
     python docs/measured.py [DATA] [PAGE...]
 
-Each table is written whole to `docs/tables/PAGE-NAME.csv`. A page shows it between
-`<!-- measured: NAME -->` and `<!-- end -->`, or only some rows of it:
-`<!-- measured: NAME where COLUMN is VALUE or VALUE -->`; a column with one value is left out. A
-test compares the pages with the files.
-DATA holds the measurements in folders of their own; without it, tables that rest on them stay as
-they are. With pages, such as clusters.md, only theirs are measured.
+Each table is written whole to `docs/tables/PAGE-NAME.csv`, and what pages show of it into the
+pages (see `shown.py`). DATA holds the measurements in folders of their own; without it, tables that
+rest on them stay as they are. With pages, such as clusters.md, only theirs are measured.
 """
 
 from __future__ import annotations
 
-import csv
-import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -27,6 +22,7 @@ import pandas as pd
 from agents.control.offers import MISSED_SHARE, firm_share, nothing_offered
 from agents.plan import Offers, changed
 from agents.team import offer_settings
+from docs.shown import Found, fill, keep, write
 from heliarch import compare, load_scenario
 from scenarios.preparation import Preparation, prepare
 from scenarios.run_options import RunOptions
@@ -34,8 +30,6 @@ from scenarios.scenario import ScenarioFile
 from scenarios.settings import with_settings
 from studies.arrays.closed_loop import run_loop
 
-DOCUMENTS: Final = Path(__file__).parent
-TABLES: Final = DOCUMENTS / "tables"
 WORKERS: Final = 2
 BOTH: Final = ("fraction", "limit")
 HIERARCHICAL: Final = ("paper", "predictive")
@@ -297,7 +291,7 @@ def clusterings(name: str, scenario: str | ScenarioFile, settings: dict[str, Any
     loaded = load_scenario(scenario) if isinstance(scenario, str) else scenario
     cycle_s = loaded.scenario.time.cycle_s
     periods = [round(period_s / cycle_s) for period_s in (1, 10, 60) if period_s >= cycle_s]
-    run = partial(compare, loaded, schemes=["predictive"], actuators=["fraction"], workers=WORKERS)
+    run = partial(compare, loaded, schemes=["predictive"], actuators=["limit"], workers=WORKERS)
     acting = {"control.period_cycles": [[period, 1] for period in periods], **settings}
     ways = run(settings={"control.clusters": ["correlation", "geographic", "most-alike"], **acting})
     seeds = {"control.clusters": "random", "control.clusters_seed": list(range(1, 21))}
@@ -346,8 +340,8 @@ FAULT: Final[Columns] = {"fault": ("fault", None)}
 def under(**changes: Any) -> pd.DataFrame:
     """Run the hour of that page."""
     settings = {"commitment.share": 0.6, **changes.pop("settings", {})}
-    hour_of_clouds = {"start": "12:00", "duration": "1h", "workers": WORKERS}
-    return compare("oahu-day", schemes=HIERARCHICAL, settings=settings, **hour_of_clouds, **changes)
+    days = {"start": "12:00", "duration": "1h", "workers": WORKERS, "actuators": ["limit"]}
+    return compare("oahu-day", schemes=HIERARCHICAL, settings=settings, **days, **changes)
 
 
 def faults(*rules: str) -> Lines:
@@ -419,58 +413,23 @@ def measured(data: Path) -> dict[str, Tables]:
     }
 
 
-# The tables, and the pages that show them
-
-_SHOWN: Final = re.compile(
-    r"(<!-- measured: (?P<name>[A-Za-z ]+?)(?: where (?P<column>.+?) is (?P<values>.+?))? -->\n)"
-    r".*?(<!-- end -->)",
-    re.DOTALL,
-)
-
-
-def table_file(page: str, name: str) -> Path:
-    return TABLES / f"{page.removesuffix('.md')}-{name.replace(' ', '-')}.csv"
-
-
-def filled(page: str, text: str) -> str:
-    """Return a page with the rows that it shows as the tables have them now."""
-    return _SHOWN.sub(lambda found: f"{found[1]}{_shown(page, found)}{found[5]}", text)
-
-
-def _shown(page: str, found: re.Match[str]) -> str:
-    with table_file(page, found["name"]).open(encoding="utf-8", newline="") as file:
-        titles, *rows = csv.reader(file)
-    if found["column"]:
-        at, values = titles.index(found["column"]), found["values"].split(" or ")
-        rows = [cells for cells in rows if cells[at] in values]
-        if len(values) == 1:
-            titles, *rows = ([*cells[:at], *cells[at + 1 :]] for cells in (titles, *rows))
-    lines = [f"| {' | '.join(map(_grouped, cells))} |\n" for cells in (titles, *rows)]
-    return "".join([lines[0], "|" + "---|" * len(titles) + "\n", *lines[1:]])
-
-
-def _grouped(cell: str) -> str:
-    """Write a whole number with commas between its thousands."""
-    return f"{int(cell):,}" if cell.isdecimal() else cell
-
-
-def write_table(page: str, name: str, lines: Lines) -> None:
-    """Write a table to its file, and what its page shows of it into the page."""
-    with table_file(page, name).open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(lines)
-    path = DOCUMENTS / page
-    path.write_text(filled(page, path.read_text(encoding="utf-8")), encoding="utf-8")
+def default_hour() -> Found:
+    (hour,) = compare("oahu", schemes=["predictive"]).to_dict("records")
+    yield "hour curtailed", f"{hour['curtailed']:.1f}", "% of the available energy"
+    yield "hour missed", f"{hour['shortfall']:.3f}", "% of the dispatched energy"
 
 
 def main() -> None:
     """Measure the tables, and write each into its document when it is done."""
     pages = [word for word in sys.argv[1:] if word.endswith(".md")] or list(SYNTHETIC)
     data = next((Path(word) for word in sys.argv[1:] if word not in pages), None)
+    keep("heliarch compare oahu --schemes predictive", default_hour())
     for page in pages:
         tables = SYNTHETIC[page] | (measured(data).get(page, {}) if data else {})
-        for name, write in tables.items():
+        for name, lines in tables.items():
             began = time.monotonic()
-            write_table(page, name, write())
+            write(f"{page.removesuffix('.md')}-{name.replace(' ', '-')}", lines())
+            fill()
             print(f"{page}, {name}: {time.monotonic() - began:.0f} s", flush=True)
 
 

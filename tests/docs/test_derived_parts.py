@@ -24,8 +24,8 @@ from bus_schemas.messages import (
 from bus_schemas.signals import RESIDUAL, SETPOINT, SIGNALS, Signal
 from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 from docs.derived import DOCUMENTS, descriptions, filled, scenario_tables, vectors
-from docs.measured import SYNTHETIC
-from docs.measured import filled as measured_tables
+from docs.shown import PAGES
+from docs.shown import filled as filled_by_figures
 from scenarios.fault_rules import parse_fault
 from scenarios.scenario import load_scenario
 
@@ -67,13 +67,12 @@ def test_every_table_of_a_scenario_is_in_the_document() -> None:
 
 
 def test_every_field_but_a_table_has_a_description() -> None:
-    for name, struct in scenario_tables().items():
-        for field in struct.fields:
-            inside = {f"{name}.{field.encode_name}", field.encode_name}
-            is_table = any(part.split(" ")[0] in inside for part in scenario_tables())
-            assert is_table or field.name in descriptions(struct.cls), (
-                f"{name}: {field.encode_name}"
-            )
+    tables = scenario_tables()
+    for name, kinds in tables.items():
+        for struct in kinds.values():
+            for field in struct.fields:
+                is_table = {f"{name}.{field.encode_name}", field.encode_name} & tables.keys()
+                assert is_table or field.name in descriptions(struct.cls), (name, field.name)
 
 
 def test_the_examples_are_scenarios_that_are_accepted(tmp_path: Path) -> None:
@@ -140,14 +139,19 @@ def test_every_field_of_the_plan_is_in_the_document() -> None:
     assert {field.name for field in msgspec.structs.fields(RunPlan)} <= named
 
 
-# Measured tables ----------------------------------------------------------------------------------
+# Measured tables and figures -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("page", SYNTHETIC)
-def test_a_page_shows_rows_of_its_measured_tables_as_they_are(page: str) -> None:
-    text = (HOUSE / "docs" / page).read_text(encoding="utf-8")
-    marks = re.findall(r"<!-- measured: .* -->\n(.*)\n", text)
-    assert marks
-    assert all(line.startswith("| ") for line in marks)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_shows_measured_tables_and_figures_as_they_are(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
     emptied = re.sub(r"(<!-- measured: .* -->\n)(?:\|.*\n)*(<!-- end -->)", r"\1\2", text)
-    assert measured_tables(page, emptied) == text, "PYTHONPATH=. python docs/measured.py"
+    emptied = re.sub(r"-->[^\n<]*<!--/-->", "--><!--/-->", emptied)
+    assert filled_by_figures(page, emptied) == text, "make results writes them"
+    assert not re.search(r"^<!--\S.*<!--/-->", text, re.MULTILINE), "mkdocs drops such a line"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_no_rate_is_typed_by_hand(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert re.findall(r"[\d.,]+ (?:cycles/s|cycles per second|times real time)\b", text) == []

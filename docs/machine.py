@@ -1,0 +1,123 @@
+"""Takes the figures that depend on the machine: `make figures`, a quarter of an hour.
+
+Run it on a quiet machine. Each figure is a row of `docs/tables/figures.csv`, with its unit, the
+command that gave it and the date; pages show it by its name (see `shown.py`). A figure that this
+program does not take keeps its row.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from docs.shown import Found, keep
+
+REPOSITORY: Final = Path(__file__).parents[1]
+BIN: Final = Path(sys.executable).parent
+
+
+def timing(rate: int, said: Any) -> Found:
+    """Yield what a run in real time came to; `loop` is p50, p99 and the largest."""
+    (loop,) = (row for row in said["times"] if row["of"] == "all commands")
+    times = (f"{loop[name] / 1e3:.1f}" for name in ("p50_us", "p99_us", "max_us"))
+    yield f"loop at {rate}", " / ".join(times), "ms"
+    for name in ("cycles", "late_cycles", "lost_messages"):
+        yield f"{name} at {rate}", str(said["run"][name]), ""
+    for name in ("missed_deadlines", "overruns"):
+        yield f"{name} at {rate}", str(sum(tier[name] or 0 for tier in said["tiers"])), ""
+
+
+def fastest(said: Any) -> Found:
+    yield "clean rate", f"{said['highest_clean_hz']:.0f}", "cycles/s"
+    yield "too fast", f"{said['too_fast_hz']:.0f}", "cycles/s"
+
+
+def launched(name: str, said: Any) -> Found:
+    yield f"{name} rate", f"{said['cycles'] / said['wall_s']:.2g}", "cycles/s"
+    yield f"{name} start", f"{said['startup_s']:.1f}", "s"
+    yield f"{name} messages", str(sum(each["recorded"] for each in said["messages"])), ""
+    yield f"{name} lost", str(said["messages_lost"]), ""
+    for kind in ("plant", "recorder"):
+        (memory,) = (each["resident_mb"] for each in said["processes"] if each["kind"] == kind)
+        yield f"{name} {kind}", f"{memory:.0f}", "MB"
+
+
+def used(name: str, said: Any) -> Found:
+    yield f"{name} time", f"{said['processor_s']:.2g}", "s of processor time"
+    yield f"{name} memory", f"{said['largest_mb']:.0f}", "MB"
+
+
+def benchmark(said: Any) -> Found:
+    """Yield the median rate of each way that a benchmark prints in a line."""
+    for line in said["output"].splitlines():
+        way, _, rest = line.strip().partition("  ")
+        if way.split(" ")[0] in {"launch", "bare", "Heliarch", "mosaik"}:
+            yield f"{way.split(' ')[0]} rate", rest.split()[0], "cycles/s"
+
+
+COMMANDS: Final[dict[str, Callable[[Any], Found] | None]] = {
+    **{
+        f"heliarch timing oahu --rate {rate} --duration 2m --priority 20": partial(timing, rate)
+        for rate in (1, 20, 50)
+    },
+    "heliarch timing oahu --rate 80..320 --duration 10s --priority 20": fastest,
+    "heliarch launch thousand --duration 60": partial(launched, "thousand"),
+    "heliarch launch ten-thousand --duration 20": partial(launched, "ten-thousand"),
+    "heliarch simulate oahu-day --duration 5h --out RUN": None,
+    "heliarch inspect RUN": partial(used, "inspect"),
+    "heliarch inspect RUN --nodes c1/inv01": partial(used, "inspect node"),
+    "heliarch export RUN --format json-mcap": partial(used, "json-mcap"),
+    "heliarch export RUN --format parquet": partial(used, "parquet"),
+    "python benchmarks/cycle_rate.py": benchmark,
+    ".venv-peers/bin/python benchmarks/peers.py": benchmark,
+}
+"""What is taken from each command. RUN stands for one folder."""
+
+
+def run(command: str, folder: Path) -> dict[str, Any]:
+    """Run a command; return the JSON that it wrote, what it printed and what it used."""
+    program, script, *words = command.replace("RUN", str(folder / "RUN")).split()
+    found = folder / "found.json"
+    if program == "heliarch":
+        words += ["--json", str(found)]
+    else:
+        script = str(REPOSITORY / script)
+    with (folder / "output").open("w+", encoding="utf-8") as output:
+        path = REPOSITORY / program if "/" in program else BIN / program
+        process = subprocess.Popen([path, script, *words], stdout=output, cwd=folder)
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        output.seek(0)
+        said = {"output": output.read()}
+    if process.returncode not in {0, 1}:  # 1: a budget was not kept.
+        raise SystemExit(f"{command}: exit status {process.returncode}")
+    said |= {
+        "processor_s": usage.ru_utime + usage.ru_stime,
+        "largest_mb": usage.ru_maxrss / 1024,
+    }
+    return said | (json.loads(found.read_text()) if program == "heliarch" else {})
+
+
+def main() -> None:
+    """Run all commands, or those whose text holds a word that is given."""
+    words = sys.argv[1:] or [""]
+    with tempfile.TemporaryDirectory(prefix="figures-") as folder:
+        for command, figures in COMMANDS.items():
+            if any(word in command for word in words):
+                began = time.monotonic()
+                said = run(command, Path(folder))
+                if figures:
+                    keep(command, figures(said))
+                print(f"{command}: {time.monotonic() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
