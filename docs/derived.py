@@ -1,17 +1,17 @@
 """Fills what documents show of the code: tables between two comments, and the example messages.
 
-    .venv/bin/python docs/derived.py
+    PYTHONPATH=. .venv/bin/python docs/derived.py
 
-rewrites `docs/commands.md`, `docs/scenarios.md`, `docs/own-device.md`, `docs/wire.md` and
-`docs/wire-vectors.json`. The prose is written there by hand; a test compares the JSON, and the
-parts between `<!-- table: NAME -->` and `<!-- end -->`, with the code.
+rewrites `docs/commands.md`, `docs/scenarios.md`, `docs/wire.md`, `docs/wire-vectors.json` and the
+test vector of `docs/own-device.md`. The prose is written there by hand; a test compares the files,
+and the parts between `<!-- table: NAME -->` and `<!-- end -->`, with the code.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from inspect import cleandoc
 from pathlib import Path
@@ -21,34 +21,35 @@ import msgspec
 from cyclopts.argument import Argument
 from msgspec import NODEFAULT, inspect
 
-from agents.agent import Agent, Stage, Turn
+from agents.agent import Agent, Stage
+from agents.cycle import stage_of
 from agents.loop import Loop
 from agents.plan import RunPlan, changed
 from agents.team import controller, controllers
 from bus_schemas import messages
 from bus_schemas.bounds import BOUNDS, LARGEST, Bound
-from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
-from bus_schemas.messages import Dispatch, Message, Telemetry
+from bus_schemas.messages import Message
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
     HELP,
-    RESIDUAL,
     SETPOINT,
     SIGNALS,
     TELEMETRY,
     Port,
 )
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
+from docs.shown import fill, write
 from heliarch.cli.app import COMMANDS, app
 from scenarios.fields import members, takes
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import Scenario, load_scenario
 from sim_plant.plant import Plant
 
-DOCUMENTS: Final = ("docs/commands.md", "docs/scenarios.md", "docs/own-device.md", "docs/wire.md")
+DOCUMENTS: Final = ("docs/commands.md", "docs/scenarios.md", "docs/wire.md")
 VECTORS: Final = "docs/wire-vectors.json"
+VECTOR: Final = "own-device-vector"
 INVERTER: Final = "c2/inv07"
 
 _MARKED: Final = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -67,20 +68,15 @@ def filled(text: str) -> str:
 
 def table(name: str) -> str:
     """Return what stands between the comments of a name, such as `signals` or `scenario time`."""
-    return "".join(f"{line}\n" for line in _lines(*name.split(" ", 1)))
-
-
-def _lines(what: str, which: str = "") -> Iterator[str]:
-    match what:
-        case "commands":
-            return _commands(which)
-        case "scenario":
-            return _scenario_table(which)
-    writers: dict[str, Callable[[], Iterator[str]]] = {
-        **{"signals": _signals, "types": _types, "stages": _stages, "bounds": _bounds},
-        "vector": _vector,
+    what, _, which = name.partition(" ")
+    of_one = {"commands": _commands, "scenario": _scenario_table}
+    of_all = {
+        "signals": _signals,
+        "types": _types,
+        "stages": _stages,
+        "bounds": _bounds,
     }
-    return writers[what]()
+    return "".join(f"{line}\n" for line in (of_one[what](which) if which else of_all[what]()))
 
 
 def _rows(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterator[str]:
@@ -306,23 +302,12 @@ def _team() -> Iterator[tuple[str, Agent[Any]]]:
 
 
 def _published(agent: Agent[Any], stage: Stage) -> Iterator[str]:
-    """Yield the signals that a stage publishes in a cycle in which it hears the plant alone."""
-    dispatch = Dispatch(
-        0, 0, PLANT, (), power_kw=0.0, plant_rating_kw=1.0, commitment_kw=0.0, regulation_kw=0.0
-    )
-    telemetry = Telemetry(0, 0, PLANT, (), power_kw=0.0, alpha=1.0, limit_kw=0.0)
-    state, outputs = agent.initial_state(), list[Delivery]()
-    for done in agent.stages(0):
-        inputs: dict[Any, Any] = dict.fromkeys((*done.awaits, *done.uses))
-        inputs |= {DISPATCH.of(ROOT): dispatch, TELEMETRY.of(INVERTER): telemetry}
-        turn = Turn(done.name, 0, 0, (0, 0, agent.name, (), 0, 0, 0, 0), inputs)
-        state, outputs = agent.step(state, turn)
-        if done.name == stage.name:
-            break
-    for name in dict.fromkeys(port.signal.name for port, _ in outputs if port.signal is not HELP):
-        yield name
-        if name == RESIDUAL.name:
-            yield "`help` if it is negative"
+    tree = _example().plan.tree
+    for row in SIGNALS:
+        ports = [row.of(node) for node in row.nodes(tree)]
+        own = [port for port in ports if port.publisher == agent.name]
+        if row.is_cyclic and own and stage_of(own[0], tree) == stage.name:
+            yield "`help` if it is negative" if row is HELP else row.name
 
 
 def _bounds() -> Iterator[str]:
@@ -454,8 +439,8 @@ def _heard(
             yield port, port.signal.type(*head, **(rest[port.signal.name] | fields))
 
 
-def _vector() -> Iterator[str]:
-    """Show the fields that matter, each number with all its digits."""
+def vector() -> list[list[str]]:
+    """Return the fields that matter in each cycle, each number with all its digits."""
     fields = {
         "telemetry": ("power_kw", "alpha", "available_kw"),
         "dispatch": ("power_kw",),
@@ -464,7 +449,7 @@ def _vector() -> Iterator[str]:
         "residual": ("power_kw",),
         "command": ("alpha", "power_kw"),
     }
-    rows: list[tuple[str, ...]] = []
+    rows = [["cycle", *(f"{name}: {', '.join(of)}" for name, of in fields.items())]]
     for number, cycle in enumerate(_cycles()):
         of_signal = {port.signal.name: message for port, message in cycle}
         row = [str(number)]
@@ -472,8 +457,8 @@ def _vector() -> Iterator[str]:
             message = of_signal.get(signal)
             values = [] if message is None else [getattr(message, name) for name in names]
             row.append(" ".join(repr(value) for value in values if value is not None) or "-")
-        rows.append(tuple(row))
-    return _rows(("cycle", *(f"{name}: {', '.join(of)}" for name, of in fields.items())), rows)
+        rows.append(row)
+    return rows
 
 
 def main() -> None:
@@ -482,6 +467,8 @@ def main() -> None:
         path = Path(name)
         path.write_text(filled(path.read_text(encoding="utf-8")), encoding="utf-8")
     Path(VECTORS).write_text(vectors(), encoding="utf-8")
+    write(VECTOR, vector())
+    fill()
 
 
 if __name__ == "__main__":

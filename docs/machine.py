@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from docs.shown import Found, keep
 
@@ -24,46 +24,54 @@ REPOSITORY: Final = Path(__file__).parents[1]
 BIN: Final = Path(sys.executable).parent
 
 
-def timing(rate: int, said: Any) -> Found:
+class Done(NamedTuple):
+    """What a command wrote as JSON, or else printed, and what it used of the machine."""
+
+    said: Any
+    processor_s: float
+    largest_mb: float
+
+
+def timing(rate: int, done: Done) -> Found:
     """Yield what a run in real time came to; `loop` is p50, p99 and the largest."""
-    (loop,) = (row for row in said["times"] if row["of"] == "all commands")
+    (loop,) = (row for row in done.said["times"] if row["of"] == "all commands")
     times = (f"{loop[name] / 1e3:.1f}" for name in ("p50_us", "p99_us", "max_us"))
     yield f"loop at {rate}", " / ".join(times), "ms"
     for name in ("cycles", "late_cycles", "lost_messages"):
-        yield f"{name} at {rate}", str(said["run"][name]), ""
+        yield f"{name} at {rate}", str(done.said["run"][name]), ""
     for name in ("missed_deadlines", "overruns"):
-        yield f"{name} at {rate}", str(sum(tier[name] or 0 for tier in said["tiers"])), ""
+        yield f"{name} at {rate}", str(sum(tier[name] or 0 for tier in done.said["tiers"])), ""
 
 
-def fastest(said: Any) -> Found:
-    yield "clean rate", f"{said['highest_clean_hz']:.0f}", "cycles/s"
-    yield "too fast", f"{said['too_fast_hz']:.0f}", "cycles/s"
+def fastest(done: Done) -> Found:
+    yield "clean rate", f"{done.said['highest_clean_hz']:.0f}", "cycles/s"
+    yield "too fast", f"{done.said['too_fast_hz']:.0f}", "cycles/s"
 
 
-def launched(name: str, said: Any) -> Found:
-    yield f"{name} rate", f"{said['cycles'] / said['wall_s']:.2g}", "cycles/s"
-    yield f"{name} start", f"{said['startup_s']:.1f}", "s"
-    yield f"{name} messages", str(sum(each["recorded"] for each in said["messages"])), ""
-    yield f"{name} lost", str(said["messages_lost"]), ""
+def launched(name: str, done: Done) -> Found:
+    yield f"{name} rate", f"{done.said['cycles'] / done.said['wall_s']:.2g}", "cycles/s"
+    yield f"{name} start", f"{done.said['startup_s']:.1f}", "s"
+    yield f"{name} messages", str(sum(each["recorded"] for each in done.said["messages"])), ""
+    yield f"{name} lost", str(done.said["messages_lost"]), ""
     for kind in ("plant", "recorder"):
-        (memory,) = (each["resident_mb"] for each in said["processes"] if each["kind"] == kind)
+        (memory,) = (each["resident_mb"] for each in done.said["processes"] if each["kind"] == kind)
         yield f"{name} {kind}", f"{memory:.0f}", "MB"
 
 
-def used(name: str, said: Any) -> Found:
-    yield f"{name} time", f"{said['processor_s']:.2g}", "s of processor time"
-    yield f"{name} memory", f"{said['largest_mb']:.0f}", "MB"
+def used(name: str, done: Done) -> Found:
+    yield f"{name} time", f"{done.processor_s:.2g}", "s of processor time"
+    yield f"{name} memory", f"{done.largest_mb:.0f}", "MB"
 
 
-def benchmark(said: Any) -> Found:
+def benchmark(done: Done) -> Found:
     """Yield the median rate of each way that a benchmark prints in a line."""
-    for line in said["output"].splitlines():
+    for line in done.said.splitlines():
         way, _, rest = line.strip().partition("  ")
         if way.split(" ")[0] in {"launch", "bare", "Heliarch", "mosaik"}:
             yield f"{way.split(' ')[0]} rate", rest.split()[0], "cycles/s"
 
 
-COMMANDS: Final[dict[str, Callable[[Any], Found] | None]] = {
+COMMANDS: Final[dict[str, Callable[[Done], Found] | None]] = {
     **{
         f"heliarch timing oahu --rate {rate} --duration 2m --priority 20": partial(timing, rate)
         for rate in (1, 20, 50)
@@ -82,10 +90,10 @@ COMMANDS: Final[dict[str, Callable[[Any], Found] | None]] = {
 """What is taken from each command. RUN stands for one folder."""
 
 
-def run(command: str, folder: Path) -> dict[str, Any]:
-    """Run a command; return the JSON that it wrote, what it printed and what it used."""
+def run(command: str, folder: Path) -> Done:
     program, script, *words = command.replace("RUN", str(folder / "RUN")).split()
     found = folder / "found.json"
+    found.unlink(missing_ok=True)
     if program == "heliarch":
         words += ["--json", str(found)]
     else:
@@ -96,14 +104,11 @@ def run(command: str, folder: Path) -> dict[str, Any]:
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         output.seek(0)
-        said = {"output": output.read()}
+        printed = output.read()
     if process.returncode not in {0, 1}:  # 1: a budget was not kept.
         raise SystemExit(f"{command}: exit status {process.returncode}")
-    said |= {
-        "processor_s": usage.ru_utime + usage.ru_stime,
-        "largest_mb": usage.ru_maxrss / 1024,
-    }
-    return said | (json.loads(found.read_text()) if program == "heliarch" else {})
+    seconds, largest_mb = usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+    return Done(json.loads(found.read_text()) if found.exists() else printed, seconds, largest_mb)
 
 
 def main() -> None:
@@ -113,9 +118,9 @@ def main() -> None:
         for command, figures in COMMANDS.items():
             if any(word in command for word in words):
                 began = time.monotonic()
-                said = run(command, Path(folder))
+                done = run(command, Path(folder))
                 if figures:
-                    keep(command, figures(said))
+                    keep(command, figures(done))
                 print(f"{command}: {time.monotonic() - began:.0f} s", flush=True)
 
 

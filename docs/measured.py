@@ -340,11 +340,19 @@ FAULT: Final[Columns] = {"fault": ("fault", None)}
 def under(**changes: Any) -> pd.DataFrame:
     """Run the hour of that page."""
     settings = {"commitment.share": 0.6, **changes.pop("settings", {})}
-    days = {"start": "12:00", "duration": "1h", "workers": WORKERS, "actuators": ["limit"]}
-    return compare("oahu-day", schemes=HIERARCHICAL, settings=settings, **days, **changes)
+    cases = {"actuators": ["fraction"], "settings": settings, **changes}
+    hour_of_clouds = {"start": "12:00", "duration": "1h", "workers": WORKERS}
+    return compare("oahu-day", schemes=HIERARCHICAL, **hour_of_clouds, **cases)
 
 
-def faults(*rules: str) -> Lines:
+def delays() -> Lines:
+    rules = ("none", *(f"delay={delay_s:g}s" for delay_s in (0.1, 0.2, 0.5, 1, 2, 5, 10)))
+    both = {**FAULT, **CASE, **NETWORK}
+    return table(under(faults=rules, actuators=BOTH), both)
+
+
+def losses() -> Lines:
+    rules = ("none", *(f"loss={percent}%" for percent in (1, 5, 10, 20)))
     return table(under(faults=rules), {**FAULT, **NETWORK})
 
 
@@ -383,12 +391,8 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "oahu": lambda: clusters({"oahu": ("oahu", {})}),
     },
     "delays.md": {
-        "delay": partial(
-            faults,
-            *("none", "delay=0.1s", "delay=0.2s", "delay=0.5s", "delay=1s", "delay=2s"),
-            *("delay=5s", "delay=10s"),
-        ),
-        "loss": partial(faults, "none", "loss=1%", "loss=5%", "loss=10%", "loss=20%"),
+        "delay": delays,
+        "loss": losses,
         "period": central_periods,
         "longer cycles": longer_cycles,
         "correction": correction,

@@ -1,10 +1,10 @@
 """Puts measured tables and figures into pages, between comments that name them.
 
-`<!-- measured: NAME where COLUMN is VALUE or VALUE -->` ... `<!-- end -->` shows a table, or only
-some of its rows; a column with one value is left out. `<!--TABLE:KEY:KEY:COLUMN-->5.2<!--/-->`
-shows one cell: that of the row which has the keys, and `<!--NAME-->5.2<!--/-->` the figure of a
-name, a row of `figures.csv`. So the text of a page holds no number of its own, and is read as it
-is also where no site is built; a test compares.
+`<!-- measured: NAME where COLUMN is VALUE or VALUE and ... -->` ... `<!-- end -->` shows a table,
+or only some of its rows; a column with one value is left out. `<!--TABLE:KEY:KEY:COLUMN-->5.2<!--/-->`
+shows one cell: that of the row which begins with the keys. `<!--NAME-->5.2<!--/-->` shows a figure,
+a row of `figures.csv`. So no number of a page is its own, and a page is read as it is also where no
+site is built. A test compares.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ TABLES: Final = DOCUMENTS / "tables"
 PAGES: Final = (DOCUMENTS.parent / "README.md", *sorted(DOCUMENTS.rglob("*.md")))
 
 _TABLE: Final = re.compile(
-    r"(<!-- measured: (?P<name>[A-Za-z ]+?)(?: where (?P<column>.+?) is (?P<values>.+?))? -->\n)"
-    r".*?(<!-- end -->)",
+    r"(<!-- measured: (?P<name>[A-Za-z ]+?)(?: where (?P<where>.+?))? -->\n).*?(<!-- end -->)",
     re.DOTALL,
 )
 _CELL: Final = re.compile(r"(<!--(?P<place>[^-\s/][^>]*?)-->).*?(<!--/-->)")
@@ -66,22 +65,23 @@ def write(table: str, rows: Iterable[Iterable[object]]) -> None:
 
 def cell(place: str) -> str:
     """Return a cell: `TABLE:KEY:...:COLUMN`, or the name of a figure."""
-    table, *keys, column = place.split(":") if ":" in place else ("figures", place, "value")
+    table, *keys, column = place.split(":") if ":" in place else ["figures", place, "value"]
     titles, *rows = read(table)
-    (row,) = (cells for cells in rows if all(key in cells for key in keys))
+    (row,) = (cells for cells in rows if cells[: len(keys)] == keys)
     return _grouped(row[titles.index(column)])
 
 
 def _with_rows(page: str, found: re.Match[str]) -> str:
     titles, *rows = read(f"{page}-{found['name'].replace(' ', '-')}")
-    if found["column"]:
-        at, values = titles.index(found["column"]), found["values"].split(" or ")
+    for condition in filter(None, (found["where"] or "").split(" and ")):
+        column, _, among = condition.partition(" is ")
+        at, values = titles.index(column), among.split(" or ")
         rows = [cells for cells in rows if cells[at] in values]
         if len(values) == 1:
             titles, *rows = ([*cells[:at], *cells[at + 1 :]] for cells in (titles, *rows))
     lines = [f"| {' | '.join(map(_grouped, cells))} |\n" for cells in (titles, *rows)]
     shown = "".join([lines[0], "|" + "---|" * len(titles) + "\n", *lines[1:]])
-    return f"{found[1]}{shown}{found[5]}"
+    return f"{found[1]}{shown}{found[4]}"
 
 
 def _grouped(cell: str) -> str:

@@ -1,8 +1,8 @@
 """The documents as tests read them: their code blocks, and the commands in these.
 
 An HTML comment before a block says what a reader does not need to see:
-`<!-- not run: REASON -->` (the block is only parsed) and `<!-- may fail: REASON -->` (its exit
-status depends on the machine).
+`<!-- not run: REASON -->` (the block is only parsed), `<!-- may fail: REASON -->` (its exit status
+depends on the machine) and, before an output, `<!-- varies: REASON -->` (it is not compared).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DOCUMENTS = sorted(
 )
 
 _FENCE = re.compile(
-    r"(?:^<!-- (?P<mark>not run|may fail): (?P<reason>[^\n]+) -->\n\n?)?"
+    r"(?:^<!-- (?P<mark>not run|may fail|varies): (?P<reason>[^\n]+) -->\n\n?)?"
     r"^```(?P<head>[^\n]*)\n(?P<text>.*?)^```$",
     re.MULTILINE | re.DOTALL,
 )
@@ -44,6 +44,14 @@ class Block:
         if self.language == "console":
             return _prompted(self.text)
         return self.text if self.language in {"sh", "python"} else ""
+
+    @property
+    def output(self) -> list[str]:
+        """The lines that its commands print, or that are the output of the block before it."""
+        if self.language not in {"console", "text"} or self.mark == "varies" or self.title:
+            return []
+        lines = [line for line in self.text.splitlines() if line.strip() not in {"", "[...]"}]
+        return [line for line in lines if not line.startswith(("$ ", "    --"))]
 
 
 def blocks_of(document: Path) -> list[Block]:

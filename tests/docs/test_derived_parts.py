@@ -23,8 +23,16 @@ from bus_schemas.messages import (
 )
 from bus_schemas.signals import RESIDUAL, SETPOINT, SIGNALS, Signal
 from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
-from docs.derived import DOCUMENTS, descriptions, filled, scenario_tables, vectors
-from docs.shown import PAGES
+from docs.derived import (
+    DOCUMENTS,
+    VECTOR,
+    descriptions,
+    filled,
+    scenario_tables,
+    vector,
+    vectors,
+)
+from docs.shown import PAGES, read
 from docs.shown import filled as filled_by_figures
 from scenarios.fault_rules import parse_fault
 from scenarios.scenario import load_scenario
@@ -44,6 +52,7 @@ def test_derived_parts_are_what_the_code_writes(name: str) -> None:
 def test_the_example_messages_are_what_the_code_writes() -> None:
     text = (HOUSE / "docs" / "wire-vectors.json").read_text(encoding="utf-8")
     assert text == vectors(), "python docs/derived.py"
+    assert read(VECTOR) == vector(), "python docs/derived.py"
 
 
 def test_each_example_reads_the_plan_of_the_run_above_it_in_a_folder_of_its_own() -> None:
@@ -139,7 +148,7 @@ def test_every_field_of_the_plan_is_in_the_document() -> None:
     assert {field.name for field in msgspec.structs.fields(RunPlan)} <= named
 
 
-# Measured tables and figures -----------------------------------------------------------------------
+# Measured tables and figures ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
