@@ -37,12 +37,13 @@ class Standby:
     """
 
     def __init__(self, plan: RunPlan, agent: str, process: str) -> None:
-        self.silent = process != agent
+        self._is_first = process == agent
+        self.silent = not self._is_first
         self.incarnation = 0
         self.heard = plan.wiring.last_ports.get(agent, ())
         self._agent = agent
         self._deadlines = plan.deadlines
-        self._waits = _STANDBY_WAITS if self.silent else _DEPOSED_WAITS
+        self._waits = _DEPOSED_WAITS if self._is_first else _STANDBY_WAITS
         self._stage_and_period = {
             port: (stage_of(port, plan.tree), plan.control.period(port)) for port in self.heard
         }
@@ -53,8 +54,12 @@ class Standby:
         self.silent = bool(self.heard)
 
     def yield_to(self, message: Message) -> bool:
-        """Fall silent if the other process has taken over; return whether it has."""
-        if message.incarnation <= self.incarnation:
+        """Fall silent if the other process has taken over; return whether it has.
+
+        If both took over in one cycle, the agent's first process goes on.
+        """
+        both = message.incarnation == self.incarnation
+        if message.incarnation < self.incarnation or (both and self._is_first):
             return False
         self.silent = True
         log.info("falls silent: its standby has taken over in cycle %d", message.incarnation)

@@ -49,6 +49,8 @@ LONGEST_LEASE_S: Final = 60.0
 _CONFIRM_S: Final = 5.0
 """How long a token may take to be seen by a session that was opened anew."""
 
+_TRY_AGAIN_S: Final = 1.0
+
 SESSIONS_OF_A_START: Final = 4
 """Ids for the sessions that one process opens, one after the other, before it uses them again."""
 
@@ -162,8 +164,15 @@ def open_session(settings: SessionSettings, number: int = 0) -> zenoh.Session:
 
 
 def open_sessions(settings: SessionSettings, number: int = 0) -> list[zenoh.Session]:
-    """Open an agent's session, and then that with devices if it has one."""
-    return [open_session(each, number) for each in (settings, settings.devices) if each is not None]
+    """Open an agent's session, and then that with devices if it has one; both or none."""
+    sessions = [open_session(settings, number)]
+    if settings.devices is not None:
+        try:
+            sessions.append(open_session(settings.devices, number))
+        except zenoh.ZError:
+            sessions[0].close()
+            raise
+    return sessions
 
 
 def _links() -> Iterator[socket.socket]:
@@ -293,8 +302,14 @@ class AgentSessions(ABC):
         # While it closed, a session may have accepted links, which nobody would ever close.
         _abort_links()
         self._declared = []
-        self._number += 1
-        self._sessions = open_sessions(self._settings, self._number)
+        self._sessions = []
+        while not (self._sessions or self._is_over.is_set()):
+            self._number += 1
+            try:
+                self._sessions = open_sessions(self._settings, self._number)
+            except zenoh.ZError as error:
+                log.warning("its sessions cannot be opened anew, which is tried again: %s", error)
+                self._is_over.wait(_TRY_AGAIN_S)
         self._declare()
         for watch in self._watches:
             watch.listen(self._sessions)

@@ -76,12 +76,14 @@ class _Launch:
         view: View,
         children: Children,
         gateway: GatewayProcess | None,
+        unit: PlantUnitProcess | None,
         interruption: Interruption,
     ) -> None:
         self._account = account
         self._view = view
         self._children = children
         self._gateway = gateway
+        self._unit = unit
         self._interruption = interruption
         plan = account.preparation.plan
         self._watch = Watch(plan, children)
@@ -216,6 +218,12 @@ class _Launch:
                 self._account.takeovers[agent_of(child.agent)] += 1
         if self._gateway is not None:
             self._gateway.look(self._view.say)
+        if self._unit is not None and (status := self._unit.process.poll()) is not None:
+            name = f"the plant's Modbus unit (process {self._unit.process.pid})"
+            self._view.say(f"{name} ended with status {status}; the run goes on without it")
+            cycle = self._children.table.read(PLANT).cycle
+            self._account.given_up["Modbus unit"] = max(cycle, 0)
+            self._unit = None
         self._restarts.look()
         return heard
 
@@ -292,18 +300,25 @@ class _Launch:
 
     def _await(self, some: list[Child], is_done: Callable[[Child], bool] = has_exited) -> None:
         """Wait until processes end. Those that do not are asked to, and at last killed."""
-        for step in (self._ask_to_end, self._restarts.end_by_force, self._give_up):
+        for step in (self._ask_to_end, self._restarts.end_by_force, self._leave):
             if not (left := self._children.await_end(some, _END_S, is_done, self._look)):
                 return
-            (self._give_up if self._watch.server_stands_still else step)(left)
+            if self._watch.server_stands_still:
+                self._leave(left)
+                return
+            step(left)
 
     def _ask_to_end(self, children: Sequence[Child]) -> None:
         """Ask processes that did not hear that the run is over."""
         self._children.ask_to_end([child.agent for child in children])
 
-    def _give_up(self, children: Sequence[Child]) -> None:
-        server = f"the fork server (process {self._children.server.process.pid})"
-        raise RunFailure(f"{server} stands still: {len(children)} processes could not be ended")
+    def _leave(self, children: Sequence[Child]) -> None:
+        """Leave processes to the end of the fork server, which does not say that they ended."""
+        if "fork server" in self._account.given_up:
+            return
+        server = f"fork server (process {self._children.server.process.pid})"
+        self._view.say(f"the {server} did not end {len(children)} processes: it is killed")
+        self._account.given_up["fork server"] = max(self._children.table.read(PLANT).cycle, 0)
 
 
 def check_processes(plan: RunPlan) -> None:
@@ -358,9 +373,9 @@ def launch(
         try:
             with (
                 Children(server, plan, own, folder.logs) as children,
-                PlantUnitProcess(address, folder.path) if address is not None else nullcontext(),
+                PlantUnitProcess(address, folder.path) if address else nullcontext() as unit,
             ):
-                return _Launch(account, view, children, gateway, interruption).run()
+                return _Launch(account, view, children, gateway, unit, interruption).run()
         except FailureError as failure:
             with suppress(OSError):  # The disk may be full: that must not hide the failure.
                 folder.failure.write_text(f"{failure}\n", encoding="utf-8")

@@ -140,8 +140,7 @@ class Restarts:
         """Take in what a process says of itself."""
         if isinstance(event, TookOver):
             self._say(f"{child.agent} took over in cycle {event.cycle}")
-            if not self._faults.take_over(child.agent, event.cycle):
-                self._send(standby_of(agent_of(child.agent)), signal.SIGKILL)
+            self._faults.speakers[agent_of(child.agent)] = child.agent
 
     def mends(self, to_blame: Sequence[str]) -> bool:
         """In lockstep: kill those that a stalled run waits for, or wait for their return."""
@@ -227,8 +226,8 @@ class _FaultRules:
         self._process_of = plan.wiring.process_of
         self._wall_per_s = plan.timing.cycle_wall_ns / plan.timing.cycle_ns
         self._began_at_s: float | None = None
-        # The process that speaks for each agent with a standby, and since which cycle.
-        self._speakers = {agent: (agent, 0) for agent in plan.standbys}
+        # The process that speaks for each agent with a standby.
+        self.speakers: dict[str, str] = {}
 
     @property
     def has_begun(self) -> bool:
@@ -236,18 +235,6 @@ class _FaultRules:
 
     def begin(self, at_s: float) -> None:
         self._began_at_s = at_s
-
-    def take_over(self, name: str, cycle: int) -> bool:
-        """Note that a process speaks for its agent from a cycle on.
-
-        Returns False if both processes of the agent took over at once: neither would yield, and the
-        first one is to speak.
-        """
-        agent = agent_of(name)
-        before, since = self._speakers[agent]
-        are_both = since == cycle and before != name
-        self._speakers[agent] = (agent if are_both else name, cycle)
-        return not are_both
 
     def due(self, now_s: float) -> list[Incident]:
         """Return what is due, with the names of the processes that it happens to."""
@@ -257,7 +244,7 @@ class _FaultRules:
         while self._due and self._due[0].time_s * self._wall_per_s <= now_s - self._began_at_s:
             one = self._due.pop(0)
             # A rule means the process that speaks, or that was frozen.
-            name, _ = self._speakers.get(one.agent, (self._process_of(one.agent), 0))
+            name = self.speakers.get(one.agent, self._process_of(one.agent))
             if one.what == "freeze":
                 self._frozen[one.agent] = name
             elif one.what == "thaw":

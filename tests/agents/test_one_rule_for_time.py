@@ -15,15 +15,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 from plans_by_hand import REAL_TIME, plan_of
-from plants_by_hand import AtWork, at, dispatch, impp, setpoint, telemetry
+from plants_by_hand import AtWork, at, dispatch, head, impp, setpoint, telemetry
 
 from agents.agent import Stage, Turn
 from agents.inputs import log_drop
 from agents.loop import Loop
 from agents.plan import START_WITHIN_NS, RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Notice, parse_missing
-from bus_schemas.signals import DISPATCH, IMPP, NOTICE, RUN, SETPOINT, Port
+from bus_schemas.messages import Message, Notice, Residual, parse_missing
+from bus_schemas.signals import DISPATCH, IMPP, NOTICE, RESIDUAL, RUN, SETPOINT, Port
 from bus_schemas.tree import ROOT
 
 AWAITED: tuple[Port[Message], ...] = (IMPP.of("c1/a"), IMPP.of("c1/b"))
@@ -271,6 +271,22 @@ def test_one_that_has_just_joined_leaves_its_standby_a_cycle_to_speak_first() ->
         loop.close_stage(loop.deadline_ns)
         spoke[cycle] = not loop.standby.silent
     assert spoke == {20: False, 21: False, 22: True}
+
+
+def test_where_both_processes_of_an_agent_took_over_in_one_cycle_the_first_goes_on() -> None:
+    run_plan = plan(cycle_wall_ns=REAL_TIME, standby=("c1",))
+    pair = [Loop(Clerk(), run_plan, process=name) for name in ("c1", "c1+standby")]
+    for loop in pair:
+        loop.hear(*dispatch(20, 1.0, 200.0), 0)
+        for cycle in (20, 21, 22):
+            for port, message in both(cycle):
+                loop.hear(port, message, 0)
+            loop.close_stage(loop.deadline_ns or 0)
+    assert [loop.standby.silent for loop in pair] == [False, False]
+    message = Residual(*head(22, "c1"), power_kw=1.0, incarnation=22)
+    for loop in pair:
+        loop.hear(RESIDUAL.of("c1"), message, 0)
+    assert [loop.standby.silent for loop in pair] == [False, True]
 
 
 def test_whoever_wakes_late_goes_to_the_cycle_under_way() -> None:

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -142,6 +143,29 @@ def test_what_disturbs_the_links_with_devices_outlives_their_sessions() -> None:
             time.sleep(0.01)
         bus.publish(IMPP.of("a"), Impp(0, 0, "a", (), power_kw=1.0, stale_cycles=0), 0)
     assert len(disturbed) == 1
+
+
+def test_sessions_that_cannot_be_opened_anew_at_once_are_opened_later(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    users = tmp_path / "users"
+    users.write_text("plant:secret\n")
+    auth = "transport/auth/usrpwd"
+    known = {f"{auth}/user": "plant", f"{auth}/password": "secret"}
+    asks = {f"{auth}/dictionary_file": str(users)}
+    with ExitStack() as stack:
+        (port,) = stack.enter_context(reserved_ports(["a"])).values()
+        end = f"tcp/127.0.0.1:{port}"
+        settings = SessionSettings("anew", [end], [], further=asks)
+        bus = stack.enter_context(ZenohBus("a", Wiring("pair", TREE), settings, 60))
+        users.unlink()  # Zenoh reads it whenever a session is opened.
+        bus.reopen()
+        while bus.is_reopening and "tried again" not in caplog.text:
+            time.sleep(0.01)
+        assert bus.is_reopening
+        users.write_text("plant:secret\n")
+        plant = stack.enter_context(open_session(SessionSettings("anew", [], [end], further=known)))
+        until_heard(bus, plant.declare_subscriber(Wiring("pair", TREE).key(IMPP.of("a"))))
 
 
 def until_heard(bus: ZenohBus, heard: zenoh.Subscriber[Any]) -> None:

@@ -13,7 +13,7 @@ from plans_by_hand import REAL_TIME, plan_at_noon
 
 from agents.plan import RunPlan
 from agents.process.beats import FORK_SERVER, BeatTable
-from agents.process.events import Exited, Joined, Presence, Started, Status, TookOver
+from agents.process.events import Exited, Joined, Presence, Started, Status
 from agents.settings import RestartPolicy
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.restarts import Restarts
@@ -249,13 +249,6 @@ def test_in_lockstep_a_controller_is_given_up_at_once_and_a_recorder_comes_back(
     assert run.dies("c2")
     assert run.dies(RECORDER)
     assert (run.table.given_up(), run.started) == (("c2",), [RECORDER])
-
-
-def test_where_both_processes_of_an_agent_take_over_the_standby_is_killed(watched: Make) -> None:
-    run = watched()
-    for name in ("c1", "c1+standby"):
-        run.restarts.hear(run[name], TookOver(7))
-    assert run.got(SIGKILL) == ["c1+standby"]
 
 
 def test_at_the_end_nobody_is_started_again_and_nobody_who_dies_fails_the_run(

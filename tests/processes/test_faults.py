@@ -225,7 +225,7 @@ def test_a_recorder_that_stands_still_as_a_short_run_ends_is_named_and_not_who_w
     assert_none_left(run.folder)
 
 
-def test_a_fork_server_that_stands_still_at_the_end_is_named_and_not_its_processes(
+def test_a_fork_server_that_stands_still_at_the_end_is_named_and_the_run_has_its_summary(
     heliarch: Start, plant: str
 ) -> None:
     run = heliarch("launch", plant, "--duration", "100")
@@ -233,7 +233,11 @@ def test_a_fork_server_that_stands_still_at_the_end_is_named_and_not_its_process
     server = run.fork_server()
     server.send_signal(signal.SIGSTOP)
     assert run.wait() == 1
-    assert f"fork server (process {server.pid}) stands still" in run.error_text()
+    assert "fork server" in run.error_text()
+    assert f"fork server (process {server.pid}) stands still" in run.output.read_text()
+    summary = summary_of(run.folder)
+    assert (summary.cycles, summary.lost, [*summary.launcher.given_up]) == (100, 0, ["fork server"])
+    assert_none_left(run.folder)
 
 
 def test_a_run_over_a_bad_network_with_a_supervisor_that_stood_still_verifies_equal(

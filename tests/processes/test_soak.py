@@ -5,18 +5,18 @@ from __future__ import annotations
 import os
 import random
 import re
+import shutil
 import signal
 import time
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
 
 import msgspec
 import psutil
 import pytest
 from cut_network import Network, network_of_its_own
-from running import Heliarch, Start, small_plant
+from running import REPOSITORY, Heliarch, Start, commands_in, small_plant
 from verifying import assert_equal_as_far_as_recorded
 
 from agents.plan import load_plan
@@ -58,45 +58,24 @@ def network() -> Iterator[Network]:
 
 @pytest.mark.timeout(SOAK_S + 900)
 def test_a_kill_or_a_cut_every_five_seconds_leaves_no_orphan_no_leak_and_nothing_unaccounted_for(
-    heliarch: Start, tmp_path: Path, network: Network, capsys: pytest.CaptureFixture[str]
+    network: Network, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    seed = random.randrange(2**32)
-    drawn, cycles = random.Random(seed), SOAK_S * RATE
-    scenario = small_plant(tmp_path / "plant", ("duration_s = 3600", f"duration_s = {cycles}"))
+    seed, cycles = random.randrange(2**32), SOAK_S * RATE
+    folder = REPOSITORY / "build" / f"soak-{seed}"  # It stays if the test fails.
+    folder.mkdir(parents=True)
+    scenario = small_plant(folder, ("duration_s = 3600", f"duration_s = {cycles}"))
     options = ('standby=["central","supervisors"]', "restart.when=always")
     words = [word for option in options for word in ("--set", option)]
-    run = heliarch("launch", scenario, "--pace", str(RATE), *words, network=network.name)
-    run.until_running()
-    processes = load_plan(run.folder / "plan.json").processes
-    victims = [name for name in processes if name not in {PLANT, RECORDER}]
-    lasting = {
-        "launcher": psutil.Process(run.process.pid),
-        "fork server": run.fork_server(),
-        **{name: run.process_of(name) for name in (PLANT, RECORDER)},
-    }
-    kills, cuts = Counter[str](), Counter[str]()
-    uses: dict[str, list[Use]] = {name: [] for name in lasting}
-    for cycle in range(BETWEEN_FAULTS, cycles - 2 * BETWEEN_FAULTS, BETWEEN_FAULTS):
-        until_cycle(run, cycle)
-        for name, process in lasting.items():
-            uses[name].append(use_of(process))
-        if drawn.random() < 0.5:
-            victim = drawn.choice(victims)
-            run.process_of(victim).send_signal(signal.SIGKILL)
-            kills[victim] += 1
-        else:
-            victim = drawn.choice(processes)
-            network.cut_links(run.process_of(victim).pid)
-            time.sleep(drawn.uniform(0.5, LONGEST_CUT_S))
-            network.heal()
-            cuts[victim] += 1
-    run.wait()
+    with commands_in(folder) as start, (folder / "faults.txt").open("w") as faults:
+        run = start("launch", scenario, "--pace", str(RATE), *words, network=network.name)
+        kills, uses = attack(run, network, random.Random(seed), cycles, faults)
+        run.wait()
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
     ended = re.findall(r"^.*(?:: killed|gave up|ended \().*$", run.output.read_text(), re.MULTILINE)
     found_again = verify(run.folder)
     compared, of = found_again.total("compared"), found_again.messages.decided
     with capsys.disabled():
-        print(f"\nseed {seed}: {kills.total()} kills and {cuts.total()} cuts in {cycles:,} cycles")
+        print(f"\n{folder.name}: {kills.total()} kills in {cycles:,} cycles")
         print(
             f"{compared:,} of {of:,} messages compared, {summary['messages_lost']:,} not recorded"
         )
@@ -115,6 +94,44 @@ def test_a_kill_or_a_cut_every_five_seconds_leaves_no_orphan_no_leak_and_nothing
         growth_mb = 8e-3 * SOAK_S if name == RECORDER else 0.0
         assert late[-1].own_mb <= early[-1].own_mb + 2.0 + growth_mb, name
     assert_equal_as_far_as_recorded(run, found_again)
+    shutil.rmtree(folder)
+
+
+def attack(
+    run: Heliarch, network: Network, drawn: random.Random, cycles: int, faults: TextIO
+) -> tuple[Counter[str], dict[str, list[Use]]]:
+    """Kill or cut off a process every five seconds, and write down which.
+
+    Returns how often each was killed, and what the lasting processes took of the machine.
+    """
+    run.until_running()
+    processes = load_plan(run.folder / "plan.json").processes
+    victims = [name for name in processes if name not in {PLANT, RECORDER}]
+    lasting = {
+        "launcher": psutil.Process(run.process.pid),
+        "fork server": run.fork_server(),
+        **{name: run.process_of(name) for name in (PLANT, RECORDER)},
+    }
+    kills = Counter[str]()
+    uses: dict[str, list[Use]] = {name: [] for name in lasting}
+    for cycle in range(BETWEEN_FAULTS, cycles - 2 * BETWEEN_FAULTS, BETWEEN_FAULTS):
+        until_cycle(run, cycle)
+        for name, process in lasting.items():
+            uses[name].append(use_of(process))
+        used = " ".join(f"{found[-1].own_mb:.2f}" for found in uses.values())
+        if drawn.random() < 0.5:
+            victim = drawn.choice(victims)
+            faults.write(f"{cycle} kill {victim}, MB {used}\n")
+            run.process_of(victim).send_signal(signal.SIGKILL)
+            kills[victim] += 1
+        else:
+            victim, length_s = drawn.choice(processes), drawn.uniform(0.5, LONGEST_CUT_S)
+            faults.write(f"{cycle} cut {victim} for {length_s:.1f} s, MB {used}\n")
+            network.cut_links(run.process_of(victim).pid)
+            time.sleep(length_s)
+            network.heal()
+        faults.flush()
+    return kills, uses
 
 
 @pytest.mark.timeout(900)

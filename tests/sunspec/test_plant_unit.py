@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 
+import psutil
 import pytest
 from command_line import refusal
 from running import Start
@@ -85,6 +87,25 @@ def test_a_master_reads_the_plant_orders_a_power_with_a_ramp_and_it_reverts(
     steps = [abs(after - before) for before, after in pairwise(ramp_kw)]
     assert max(steps) <= 0.2 * 1900.0 + 1e-6
     assert verify(run.folder).equal
+
+
+def test_the_end_of_the_units_process_is_named_and_the_run_goes_on(
+    heliarch: Start, plant: str
+) -> None:
+    with reserved_ports(["unit"]) as ports:
+        address = f"modbus://127.0.0.1:{ports['unit']}"
+    run = heliarch("launch", plant, "--pace", "10", "--duration", "60", "--operator", address)
+    run.until_running()
+    (unit,) = [
+        process
+        for process in psutil.Process(run.process.pid).children()
+        if "sunspec.plant_unit" in process.cmdline()
+    ]
+    unit.kill()
+    assert run.wait() == 1
+    assert "Modbus unit" in run.error_text()
+    document = json.loads((run.folder / "summary.json").read_bytes())
+    assert (document["cycles"], [*document["launcher"]["given_up"]]) == (60, ["Modbus unit"])
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:5030", "modbus://127.0.0.1:5030/300", "moon"])
