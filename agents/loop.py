@@ -121,7 +121,7 @@ class Loop(Generic[S]):
         if not inputs.admits(one, message, self.cycle, enters):
             return
         if port in standby.heard and not standby.silent:
-            silences = is_within(message, one.bounds) and standby.yield_to(message)
+            silences = is_within(message, one.bounds) and standby.yield_to(port, message)
             if not silences:
                 return
         if enters and is_within(message, one.bounds):
@@ -256,6 +256,9 @@ class Loop(Generic[S]):
             outputs = [self._takeover(before, turn), *outputs]
         elif standby.silent:
             outputs = []
+        for port, message in outputs if standby.heard else ():
+            if port in standby.heard:
+                standby.sent[port] = message
         self._position += 1
         if self._position < len(self._stages):
             self._open_stage(now_ns)

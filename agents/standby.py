@@ -34,6 +34,7 @@ class Standby:
     incarnation: The cycle in which the process joined the run, or took over: 0, unless it replaces
         another.
     heard: Ports on which the two processes hear each other.
+    sent: The newest message that this process has published on each of them.
     """
 
     def __init__(self, plan: RunPlan, agent: str, process: str) -> None:
@@ -41,6 +42,7 @@ class Standby:
         self.silent = not self._is_first
         self.incarnation = 0
         self.heard = plan.wiring.last_ports.get(agent, ())
+        self.sent: dict[Port[Message], Message] = {}
         self._agent = agent
         self._deadlines = plan.deadlines
         self._waits = _DEPOSED_WAITS if self._is_first else _STANDBY_WAITS
@@ -53,17 +55,20 @@ class Standby:
         log.info("joined the run in cycle %d", cycle)
         self.silent = bool(self.heard)
 
-    def yield_to(self, message: Message) -> bool:
+    def yield_to(self, port: Port[Message], message: Message) -> bool:
         """Fall silent if the other process has taken over; return whether it has.
 
         If both took over in one cycle, the agent's first process goes on.
         """
-        both = message.incarnation == self.incarnation
-        if message.incarnation < self.incarnation or (both and self._is_first):
-            return False
-        self.silent = True
-        log.info("falls silent: its standby has taken over in cycle %d", message.incarnation)
-        return True
+        yields = message.incarnation > self.incarnation
+        if message.incarnation == self.incarnation and not self._is_first:
+            own = self.sent.get(port)  # A process hears its own messages, too.
+            if own is not None and own.cycle == message.cycle:
+                yields = own.publish_time_ns != message.publish_time_ns
+        if yields:
+            self.silent = True
+            log.info("falls silent: the other process took over in cycle %d", message.incarnation)
+        return yields
 
     def awaited(self, stage: str, cycle: int) -> tuple[Port[Message], ...]:
         """Return the last port that the other process publishes on in a stage."""

@@ -43,9 +43,13 @@ _SAMPLE_S: Final = 0.5
 _LARGEST_PACKET: Final = 1 << 18
 _MOST_PACKETS: Final = 500
 
-_ARENAS: Final = "1"
-"""Heaps of glibc in each process. With a heap for each thread, a process grows with the links that
-end: see docs/decisions/0003-zenoh-tuning.md."""
+_HEAP: Final = {
+    "MALLOC_ARENA_MAX": "1",
+    "MALLOC_MMAP_THRESHOLD_": "32768",
+    "MALLOC_TRIM_THRESHOLD_": "131072",
+}
+"""One heap of glibc in each process, and none of the buffers of Zenoh's links in it. Otherwise a
+process grows with the links that end: see docs/decisions/0003-zenoh-tuning.md."""
 
 
 class Memory(NamedTuple):
@@ -91,7 +95,7 @@ class ForkServerProcess(SideProcess):
                 "launch_scripts.fork_server",
                 *(str(theirs.fileno()), str(self.beats)),
                 env={
-                    "MALLOC_ARENA_MAX": _ARENAS,
+                    **_HEAP,
                     **os.environ,
                     "PYTHONUNBUFFERED": "1",
                     # An import must start no thread: this library would.

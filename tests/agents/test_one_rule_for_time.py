@@ -21,6 +21,7 @@ from agents.agent import Stage, Turn
 from agents.inputs import log_drop
 from agents.loop import Loop
 from agents.plan import START_WITHIN_NS, RunPlan
+from agents.team import controller
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Notice, Residual, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, NOTICE, RESIDUAL, RUN, SETPOINT, Port
@@ -65,6 +66,12 @@ class Clerk:
 
 def both(cycle: int) -> tuple[Delivery, Delivery]:
     return impp("c1/a", cycle, 1.0), impp("c1/b", cycle, 2.0)
+
+
+def residuals(cycle: int) -> list[Delivery]:
+    return [
+        (RESIDUAL.of(node), Residual(*head(cycle, node), power_kw=1.0)) for node in ("c1/a", "c1/b")
+    ]
 
 
 def used_and_dropped(script: str, run_plan: RunPlan, bad_kw: float = math.nan) -> tuple[str, str]:
@@ -275,17 +282,22 @@ def test_one_that_has_just_joined_leaves_its_standby_a_cycle_to_speak_first() ->
 
 def test_where_both_processes_of_an_agent_took_over_in_one_cycle_the_first_goes_on() -> None:
     run_plan = plan(cycle_wall_ns=REAL_TIME, standby=("c1",))
-    pair = [Loop(Clerk(), run_plan, process=name) for name in ("c1", "c1+standby")]
+    pair = [Loop(controller(run_plan, "c1"), run_plan, process=n) for n in ("c1", "c1+standby")]
+    sent: list[Delivery] = []
     for loop in pair:
         loop.hear(*dispatch(20, 1.0, 200.0), 0)
         for cycle in (20, 21, 22):
-            for port, message in both(cycle):
+            for port, message in (*both(cycle), *residuals(cycle)):
                 loop.hear(port, message, 0)
-            loop.close_stage(loop.deadline_ns or 0)
-    assert [loop.standby.silent for loop in pair] == [False, False]
-    message = Residual(*head(22, "c1"), power_kw=1.0, incarnation=22)
-    for loop in pair:
-        loop.hear(RESIDUAL.of("c1"), message, 0)
+            while loop.cycle == cycle:
+                sent += loop.close_stage(loop.deadline_ns or 0)
+    residual = [message for port, message in sent if port == RESIDUAL.of("c1")]
+    assert [message.incarnation for message in residual] == [22, 22]
+    for number, message in enumerate(residual):
+        message.publish_time_ns = number
+    for message in residual:  # Each process hears its own messages, too.
+        for loop in pair:
+            loop.hear(RESIDUAL.of("c1"), message, 0)
     assert [loop.standby.silent for loop in pair] == [False, True]
 
 
