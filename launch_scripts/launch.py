@@ -61,7 +61,8 @@ _STOP_S: Final = 5.0
 """How long the plant may take to end the run after Ctrl-C, and two cycles more."""
 
 _GATHER_S: Final = 0.5
-"""After the first event of a stall: time for the others to say what they wait for."""
+"""After the first event of a stall, beside the time that each agent waits before it says so: for
+the others to say what they wait for. Who lives and waits must not be killed."""
 
 _UNKNOWN: Final = 1 << 62
 """More messages than any run has."""
@@ -253,7 +254,8 @@ class _Launch:
             if child.waiting is not None and child.row.cycle > child.waiting.cycle:
                 child.waiting = None  # It has gone on meanwhile.
         self._stalled_at = (self._stalled_at or now) if waiting else None
-        if self._stalled_at is None or now < self._stalled_at + _GATHER_S or not waiting:
+        gather_s = _GATHER_S + self._plan.timing.stall_timeout_s
+        if self._stalled_at is None or now < self._stalled_at + gather_s:
             return
         line, to_blame = stall(children, self._plan)
         # While the recorder stands still, everybody waits for it.
@@ -332,6 +334,10 @@ def check_processes(plan: RunPlan) -> None:
         if getattr(fault, "until", None) is not None or getattr(fault, "zombie", False):
             raise InputError("--fault, faults: until and zombie are for `simulate` alone")
     check_devices(plan)
+    _check_keys(plan)
+
+
+def _check_keys(plan: RunPlan) -> None:
     if plan.access.keys_folder:
         from scenarios.plant_keys import check_keys  # noqa: PLC0415 - optional
 
@@ -377,6 +383,12 @@ def launch(
             ):
                 return _Launch(account, view, children, gateway, unit, interruption).run()
         except FailureError as failure:
+            text = str(failure)
+            if plan.timing.lockstep:
+                try:
+                    _check_keys(plan)
+                except InputError as expired:  # The cause, perhaps: no link can be opened.
+                    text += f"\n{expired}"
             with suppress(OSError):  # The disk may be full: that must not hide the failure.
-                folder.failure.write_text(f"{failure}\n", encoding="utf-8")
-            raise
+                folder.failure.write_text(f"{text}\n", encoding="utf-8")
+            raise RunFailure(text) from failure

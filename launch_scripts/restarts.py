@@ -56,8 +56,17 @@ class Restarts:
         self._start = start
         self._say = say
         self._now_s = now_s
-        self._history = _History()
         self._faults = _FaultRules(plan)
+        self._is_over = False
+        # Processes that this has killed and that have not been started again.
+        self._killed: set[str] = set()
+        # When each process was started again, monotonic [s].
+        self._times: dict[str, list[float]] = {}
+        # Processes that wait to be started: when they are due, and how they have ended.
+        self._start_at: dict[str, tuple[float, Exited | None]] = {}
+        # When the next process may be killed, by the watch's clock.
+        self._kill_at_s = 0.0
+        self._server_stands_still = False
         children.on_death = self.on_death
 
     def begin(self, start_s: float) -> None:
@@ -68,11 +77,11 @@ class Restarts:
 
     def end(self) -> None:
         """Start no more processes: the run is over."""
-        self._history.is_over = True
+        self._is_over = True
         self._children.phase = "at the end of the run"
-        for name, (_, exited) in self._history.start_at.items():  # They do not come back.
+        for name, (_, exited) in self._start_at.items():  # They do not come back.
             self._children[name].exited = exited
-        self._history.start_at.clear()
+        self._start_at.clear()
 
     def end_by_force(self, children: Sequence[Child]) -> None:
         """Kill processes that do not end with the run."""
@@ -85,21 +94,21 @@ class Restarts:
     @property
     def lost_processes(self) -> bool:
         """Whether a process has ended that could not say what it had published."""
-        return bool(self.counts or self._history.killed or self.given_up)
+        return bool(self.counts or self._killed or self.given_up)
 
     def on_death(self, child: Child, why: str) -> bool:
         """Start a process again that has ended, or give it up; return whether the run goes on."""
-        name, now_s, history = child.agent, self._now_s(), self._history
+        name, now_s = child.agent, self._now_s()
         if child.kind == "plant" or (child.failed is not None and not self._faults.has_begun):
             return False
-        was_killed = name in history.killed
-        if history.is_over:
-            history.killed.add(name)
+        was_killed = name in self._killed
+        if self._is_over:
+            self._killed.add(name)
             if not was_killed:
                 self._say(why)
             return True
-        history.killed.discard(name)
-        earlier = history.times.setdefault(name, [])
+        self._killed.discard(name)
+        earlier = self._times.setdefault(name, [])
         policy = self._plan.supervision.restart
         # Before cycle 0, and of the recorder, a new process is as good as the first one.
         may_return = self._plan.restarts or not self._faults.has_begun or name == RECORDER
@@ -110,7 +119,7 @@ class Restarts:
         self.counts[name] += 1
         if not was_killed:
             self._say(f"{why}; it is started again")
-        history.start_at[name] = now_s + wait_s, child.exited
+        self._start_at[name] = now_s + wait_s, child.exited
         child.begin_again()
         self._start_due(now_s)
         return True
@@ -122,12 +131,12 @@ class Restarts:
         """
         now_s = self._now_s()
         self._start_due(now_s)
-        for incident in self._faults.due(now_s) if not self._history.is_over else ():
+        for incident in self._faults.due(now_s) if not self._is_over else ():
             self._say(f"fault: {incident.what} {incident.agent}")
             self._send(incident.agent, _SIGNALS[incident.what])
-        if self._watch.server_stands_still != self._history.server_stands_still:
-            self._history.server_stands_still ^= True
-            does = "stands still" if self._history.server_stands_still else "goes on"
+        if self._watch.server_stands_still != self._server_stands_still:
+            self._server_stands_still ^= True
+            does = "stands still" if self._server_stands_still else "goes on"
             self._say(f"the fork server (process {self._children.server.process.pid}) {does}")
         is_judged = self._plan.restarts or self._plan.timing.lockstep
         for child, why in self._watch.look() if self._faults.has_begun else ():
@@ -145,14 +154,14 @@ class Restarts:
     def mends(self, to_blame: Sequence[str]) -> bool:
         """In lockstep: kill those that a stalled run waits for, or wait for their return."""
         children = [self._children.by_agent.get(name) for name in to_blame]
-        if self._history.is_over or PLANT not in self._children.by_agent:
+        if self._is_over or PLANT not in self._children.by_agent:
             return False
         for child in children:
             if child is None or child.kind in {"plant", "recorder"}:
                 return False
             if child.row.state == "given up":
                 continue
-            if self._now_s() - max(self._history.times.get(child.agent, [0.0])) > _RETURN_S:
+            if self._now_s() - max(self._times.get(child.agent, [0.0])) > _RETURN_S:
                 self._kill(child, "does not go on")
         return True
 
@@ -175,19 +184,18 @@ class Restarts:
         return True
 
     def _start_due(self, now_s: float) -> None:
-        start_at = self._history.start_at
-        for name in [name for name, (at, _) in start_at.items() if at <= now_s]:
-            del start_at[name]
+        for name in [name for name, (at, _) in self._start_at.items() if at <= now_s]:
+            del self._start_at[name]
             self._start(name)
 
     def _kill(self, child: Child, why: str) -> None:
-        history, ran_s = self._history, self._watch.ran_s
-        if not child.pid or child.agent in history.killed:
+        ran_s = self._watch.ran_s
+        if not child.pid or child.agent in self._killed:
             return
         if not child.is_stopped():
-            if ran_s < history.kill_at_s:
+            if ran_s < self._kill_at_s:
                 return
-            history.kill_at_s = ran_s + _KILLS_APART_S
+            self._kill_at_s = ran_s + _KILLS_APART_S
         self._say(f"{child.agent} (process {child.pid}) {why}: killed")
         self._send(child.agent, signal.SIGKILL)
 
@@ -195,26 +203,8 @@ class Restarts:
         child = self._children[name]
         if child.pid and child.exited is None:
             if number == signal.SIGKILL:
-                self._history.killed.add(name)
+                self._killed.add(name)
             self._children.signal([name], number)
-
-
-class _History:
-    """What has happened to the processes of a run.
-
-    killed: Processes that the launcher has killed and that have not been started again.
-    times: When each process was started again, monotonic [s].
-    start_at: Processes that wait to be started: when they are due, and how they have ended.
-    kill_at_s: When the next process may be killed, by the watch's clock.
-    """
-
-    def __init__(self) -> None:
-        self.is_over = False
-        self.killed: set[str] = set()
-        self.times: dict[str, list[float]] = {}
-        self.start_at: dict[str, tuple[float, Exited | None]] = {}
-        self.kill_at_s = 0.0
-        self.server_stands_still = False
 
 
 class _FaultRules:

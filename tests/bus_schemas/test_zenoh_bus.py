@@ -151,8 +151,8 @@ def test_sessions_that_cannot_be_opened_anew_at_once_are_opened_later(
     users = tmp_path / "users"
     users.write_text("plant:secret\n")
     auth = "transport/auth/usrpwd"
-    known = {f"{auth}/user": "plant", f"{auth}/password": "secret"}
-    asks = {f"{auth}/dictionary_file": str(users)}
+    known: dict[str, object] = {f"{auth}/user": "plant", f"{auth}/password": "secret"}
+    asks: dict[str, object] = {f"{auth}/dictionary_file": str(users)}
     with ExitStack() as stack:
         (port,) = stack.enter_context(reserved_ports(["a"])).values()
         end = f"tcp/127.0.0.1:{port}"

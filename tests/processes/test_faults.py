@@ -7,7 +7,6 @@ import io
 import re
 import shutil
 import signal
-import socket
 from pathlib import Path
 
 import psutil
@@ -29,7 +28,6 @@ from launch_scripts.launch import launch
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import Children, ForkServerProcess
 from recordings.read.reader import RunReader
-from recordings.read.run_file import log_name
 from recordings.verify.verification import verify
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
@@ -167,36 +165,6 @@ def test_a_killed_launcher_leaves_no_process_and_a_whole_recording(run: Heliarch
     assert is_whole(run)
 
 
-BEGINS_LATE = """
-import os, time
-from recordings.record import recorder
-
-run_recorder = recorder.run_recorder
-
-def begin_late(*arguments):
-    server = os.getppid()
-    print("begun", flush=True)
-    while os.getppid() == server:
-        time.sleep(0.01)
-    return run_recorder(*arguments)
-
-recorder.run_recorder = begin_late
-"""
-
-
-def test_a_recorder_that_has_hardly_begun_when_its_launcher_is_killed_ends_too(
-    heliarch: Start, plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "sitecustomize.py").write_text(BEGINS_LATE, encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    run = heliarch("launch", plant)
-    log = run.folder / "logs" / log_name(RECORDER)
-    run.until(lambda: log.exists() and "begun" in log.read_text(), "the recorder's beginning")
-    run.process.send_signal(signal.SIGKILL)
-    run.wait()
-    assert_none_left(run.folder)
-
-
 # Frozen -------------------------------------------------------------------------------------------
 
 
@@ -308,22 +276,6 @@ def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path
             while not children[RECORDER].ready:
                 children.events(0.1)
     assert_none_left(folder.path)
-
-
-def test_what_the_launcher_has_not_read_of_its_fork_server_is_no_error(
-    plant: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    preparation = prepare(load_scenario(plant), RunOptions(duration="5"), "unread")
-    folder = RunFolder(tmp_path / "run")
-    with (
-        reserved_ports(preparation.plan.links.listening) as tcp_ports,
-        ForkServerProcess() as server,
-    ):
-        folder.fill(preparation, tcp_ports)
-        server.ask(fork_requests.Start(str(folder.plan), (RECORDER,), str(folder.logs)))
-        server.control.setblocking(True)
-        assert server.control.recv(1, socket.MSG_PEEK)
-    assert "Error" not in capfd.readouterr().err
 
 
 def test_a_folder_in_which_another_run_has_begun_meanwhile_is_refused(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from command_line import done
 from running import Heliarch, Start, small_plant
 from test_launch import decided, decisions, summary_of
 from verifying import assert_equal_as_far_as_recorded
@@ -76,21 +75,6 @@ def test_a_group_that_does_not_come_back_is_given_up_as_a_whole(
     assert ended(run, status=1).launcher.given_up.keys() == {*GROUP}
 
 
-def test_a_frozen_group_goes_on_in_the_cycle_under_way(heliarch: Start, plant: str) -> None:
-    rule = "freeze=c1/inv01,at=20s..50s"
-    run = heliarch("launch", plant, *REAL_TIME, *GROUPED, "--fault", rule)
-    run.until_recorded(100)
-    ended(run)
-    with RunReader(run.folder) as reader:
-        cycles: dict[str, list[int]] = {node: [] for node in ("c1", "c1/inv01", "c1/inv02", "c2")}
-        for port, message in reader.messages(IMPP):
-            cycles.get(port.node, []).append(message.cycle)
-    for node in ("c1", "c1/inv01", "c1/inv02"):
-        assert not {*range(25, 45)}.intersection(cycles[node])
-        assert max(cycles[node]) > 60
-    assert {*range(25, 45)}.intersection(cycles["c2"])
-
-
 def test_faults_act_on_the_links_inside_a_group(heliarch: Start, plant: str) -> None:
     rule = "partition=c1/inv01|c1,at=20s..40s"
     run = heliarch("launch", plant, *REAL_TIME, *GROUPED, "--fault", rule)
@@ -107,17 +91,6 @@ def test_faults_act_on_the_links_inside_a_group(heliarch: Start, plant: str) -> 
     assert during
     assert all(during)
     assert not all(lacks.values())
-
-
-def test_groups_join_an_encrypted_run_with_the_keys_of_their_heads(
-    tall: str, tmp_path: Path
-) -> None:
-    pytest.importorskip("cryptography")
-    done("keys", tall, "--out", tmp_path / "keys")
-    words = (tall, "--duration", "40", *GROUPED)
-    secure = ("--secure", "--keys", str(tmp_path / "keys"))
-    ours = decided(tmp_path / "launched", "launch", *words, *secure)
-    assert ours == decided(tmp_path / "simulated", "simulate", *words)
 
 
 def test_another_host_runs_a_cluster_as_one_process(heliarch: Start, plant: str) -> None:

@@ -7,16 +7,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import psutil
 import pytest
 from command_line import done
 from running import REPOSITORY, Heliarch, Start
-from slow_network import ADDRESSES, HOP_MS, slow_network
 from test_external import our_decisions
 from test_launch import decisions, summary_of
 
@@ -107,56 +103,27 @@ def test_agents_that_are_started_again_after_the_plant_has_gone_end(
     assert "the plant is gone" in other.error_text()
 
 
-# Over a network ----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def hosts() -> Iterator[tuple[str, str]]:
-    """Two namespaces of the network."""
-    if os.geteuid() or not all(map(shutil.which, ("ip", "unshare"))):
-        pytest.skip("namespaces need root, iproute2 and util-linux")
-    names = f"heliarch-{os.getpid()}-1", f"heliarch-{os.getpid()}-2"
-    try:
-        network = slow_network(names)
-        network.__enter__()
-    except (OSError, subprocess.CalledProcessError) as error:
-        pytest.skip(f"no namespaces of the network here: {error}")
-    with ExitStack() as stack:
-        stack.push(network)
-        yield names
-
-
-def in_host(name: str, *words: str | Path) -> subprocess.Popen[bytes]:
-    """Start a command in a namespace of the network."""
-    command = [sys.executable, "-m", "heliarch", *map(str, words)]
-    later = ("unshare", "--time", "--monotonic", "1000000", "--fork", "--kill-child")
-    clock = later if words[0] == "node" else ()
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    return subprocess.Popen(["ip", "netns", "exec", name, *clock, *command], env=environment)
-
-
-def test_hosts_with_keys_a_slow_network_and_another_clock(
-    plant: str, hosts: tuple[str, str], tmp_path: Path
-) -> None:
-    here, there = ADDRESSES
-    keys, keys_there, folder = tmp_path / "keys", tmp_path / "keys-there", tmp_path / "run"
-    done("keys", plant, "--address", here, "--address", there, "--out", keys)
+def test_a_host_with_keys_and_another_clock(heliarch: Start, plant: str, tmp_path: Path) -> None:
+    if os.geteuid() or not shutil.which("unshare"):
+        pytest.skip("another clock needs root and util-linux")
+    pytest.importorskip("cryptography")
+    keys, keys_there = tmp_path / "keys", tmp_path / "keys-there"
+    done("keys", plant, "--address", "127.0.0.1", "--address", SECOND, "--out", keys)
     keys_there.mkdir()
     for path in (keys / "ca.pem", *keys.glob("c2.*")):
         shutil.copy(path, keys_there)
-    paced = ("--duration", "20", "--pace", "4", "--out", folder)
-    secure = ("--secure", "--keys", keys, "--address", here, "--on", f"{there}=c2/*")
-    with in_host(hosts[0], "launch", plant, *paced, *secure) as run:
-        while not (folder / "plan.json").exists():
-            assert run.poll() is None
-            time.sleep(0.05)
-        words = ("--plan", folder / "plan.json", "--host", there, "--keys", keys_there)
-        with in_host(hosts[1], "node", *words, "--out", tmp_path / "node") as other:
-            assert (run.wait(170), other.wait(60)) == (0, 0)
+    words = ("--duration", "20", "--pace", "4", "--secure", "--keys", keys, "--on")
+    run = heliarch("launch", plant, *words, f"{SECOND}=c2/*")
+    run.until((run.folder / "plan.json").exists, "a plan")
+    later = ("unshare", "--time", "--monotonic", "1000000", "--fork", "--kill-child")
+    share = ("--plan", run.folder / "plan.json", "--host", SECOND, "--keys", keys_there)
+    node_words = [sys.executable, "-m", "heliarch", "node", *share, "--out", tmp_path / "node"]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    with subprocess.Popen([*later, *map(str, node_words)], env=environment) as other:
+        assert (run.wait(), other.wait(60)) == (0, 0), run.error_text()
     assert "clock is ahead by 10000" in (tmp_path / "node" / "logs" / "c2.log").read_text()
-    report = report_on(folder)
+    times = report_on(run.folder).times
     # Each host has a clock of its own: no hop between the two is measured, but the loop is.
-    loop = report.times[report.times.measure == "loop"]
-    assert (loop.p50_us / 1e3 > 4 * 0.9 * HOP_MS).any()
-    assert {"command", "setpoint"} - set(report.times.of) == {"command"}
-    assert verify(folder).equal
+    assert "loop" in set(times.measure)
+    assert {"command", "setpoint"} - set(times.of) == {"command"}
+    assert verify(run.folder).equal

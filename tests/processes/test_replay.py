@@ -116,20 +116,6 @@ def test_any_subscriber_hears_the_recorded_bytes_in_their_order_and_where_the_re
     assert clocks[7]["sim_time_ns"] == plan.timing.sim_time_ns(7)
 
 
-def test_ctrl_c_in_the_middle_of_a_live_replay_leaves_what_was_compared_so_far(
-    heliarch: Start, plan: RunPlan, real_time: Path, tmp_path: Path
-) -> None:
-    leaf, _ = some_live(plan)
-    file = tmp_path / "figures.json"
-    replay = heliarch("replay", real_time, "--live", leaf, "--json", file)
-    replay.until(lambda: replay.output.read_text().count("12:00:") > 3, "some cycles")
-    assert replay.interrupt() == 130, replay.error_text()
-    figures = json.loads(file.read_bytes())
-    assert figures["interrupted"]
-    assert 0 < figures["cycles"] < 60
-    assert figures["compared"] >= figures["cycles"]
-
-
 def test_keys_steer_a_replay_and_the_terminal_is_left_as_it_was(recorded: Path) -> None:
     typing, terminal = pty.openpty()
     before = termios.tcgetattr(terminal)
@@ -246,14 +232,16 @@ def test_no_live_agent_outlives_its_replay(heliarch: Start, recorded: Path, plan
     assert_none_left(replay.folder)
 
 
-def test_in_real_time_live_agents_have_the_inputs_and_deadlines_of_the_run(
-    heliarch: Start, plan: RunPlan, real_time: Path
+def test_in_real_time_live_agents_have_the_pace_of_the_run_and_ctrl_c_keeps_what_was_compared(
+    heliarch: Start, plan: RunPlan, real_time: Path, tmp_path: Path
 ) -> None:
     leaf, _ = some_live(plan)
-    replay = heliarch("replay", real_time, "--live", leaf, "--to", "10", "--json", "-")
-    status = replay.wait()
-    figures = json.loads(replay.output.read_text())
-    assert figures["cycles"] == 10, replay.error_text()
-    assert figures["wall_s"] > 0.2 * 9
-    # On a slow machine a deadline may cut off other inputs than recorded: then it is a difference.
-    assert status == bool(figures["differing"])
+    file = tmp_path / "figures.json"
+    replay = heliarch("replay", real_time, "--live", leaf, "--json", file)
+    replay.until(lambda: replay.output.read_text().count("12:00:") > 3, "some cycles")
+    assert replay.interrupt() == 130, replay.error_text()
+    figures = json.loads(file.read_bytes())
+    assert figures["interrupted"]
+    assert 0 < figures["cycles"] < 60
+    assert figures["compared"] >= figures["cycles"]
+    assert figures["wall_s"] > 0.2 * (figures["cycles"] - 1)
