@@ -67,25 +67,16 @@ def stage_of(port: Port[Message], tree: ControlTree) -> str:
 class Deadlines:
     """When, in real time, each stage of a cycle closes at the latest.
 
-    By default `USED_SHARE` of the cycle is divided among the places. A run may instead state when
-    the last message of each tier must be out: the stages up to the central controller's solve then
-    share the time before its deadline, and the plant waits for commands until halfway between the
-    last deadline and its next tick.
+    `USED_SHARE` of the cycle is divided among the places.
 
     cycle_ns: Length of a cycle on the wall clock.
-    tiers_ns: Deadline of each tier's last message, the central controller's first and the direct
-        controllers' last. Empty: the default.
     """
 
     tree: ControlTree
     cycle_ns: int
-    tiers_ns: tuple[int, ...] = ()
 
     def deadline_ns(self, agent: str, stage: str) -> int:
         """Return the deadline of an agent's stage after the beginning of its cycle [ns]."""
-        # A direct controller may hang from any tier: its stated deadline is that of its like.
-        if self.tiers_ns and stage == "actuate":
-            return self.tiers_ns[-1]
         return self._of_place(stage_place(agent, stage, self.tree))
 
     def slice_ns(self, agent: str, stage: str) -> int:
@@ -101,18 +92,11 @@ class Deadlines:
         return self._of_place(place + 1) - self._of_place(place)
 
     def _of_place(self, place: int) -> int:
-        central = stage_place(CENTRAL, "solve", self.tree)
         last = stage_place(PLANT, "apply", self.tree)
-        if not self.tiers_ns:
-            return round(USED_SHARE * self.cycle_ns * parts_up_to(place) / parts_up_to(last))
-        if place <= central:
-            return self.tiers_ns[0] * parts_up_to(place) // parts_up_to(central)
-        if place == last:
-            return (self.tiers_ns[-1] + self.cycle_ns) // 2
-        return self.tiers_ns[place - central]
+        return round(USED_SHARE * self.cycle_ns * _parts_up_to(place) / _parts_up_to(last))
 
 
-def parts_up_to(place: int) -> int:
+def _parts_up_to(place: int) -> int:
     """Return how many parts of the time there are up to the end of a place."""
     return place + FIRST_PARTS - 1 if place else 0
 

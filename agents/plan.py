@@ -79,7 +79,6 @@ class Timing(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     start_time_ns: Simulated time of cycle 0 [ns since 1970-01-01 UTC].
     cycle_wall_ns: Length of a cycle on the wall clock; 0 is lockstep, without deadlines.
-    tier_deadlines_ns: See `agents.cycle.Deadlines`.
     stall_timeout_s: In lockstep: how long an agent waits before it says for what.
     """
 
@@ -89,7 +88,6 @@ class Timing(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     timezone: str
     cycle_wall_ns: int
     stall_timeout_s: float
-    tier_deadlines_ns: tuple[int, ...] = ()
 
     @property
     def lockstep(self) -> bool:
@@ -358,8 +356,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def deadlines(self) -> Deadlines:
-        timing = self.timing
-        return Deadlines(self.tree, timing.cycle_wall_ns, timing.tier_deadlines_ns)
+        return Deadlines(self.tree, self.timing.cycle_wall_ns)
 
     def network_faults(self) -> NetworkFaults:
         """Return the faults of the run's links, not yet at work."""
@@ -495,13 +492,9 @@ def check_plan(plan: RunPlan) -> None:
             known = f"inverters ({listed(leaves)}) or a pattern such as c1/*"
             where = f"plant.settings[{number}].nodes"
             raise InputError(f"{where}: expected {known}, got {entry.nodes!r}")
-    for where, entries, expected in (
-        ("control.period_cycles", plan.control.periods.cycles, {height}),
-        ("tier_deadlines_ns", plan.timing.tier_deadlines_ns, {0, height + 1}),
-    ):
-        if len(entries) not in expected:
-            numbers = " or ".join(map(str, sorted(expected)))
-            raise InputError(f"{where}: expected {numbers} entries, got {len(entries)}")
+    periods = len(plan.control.periods.cycles)
+    if periods != height:
+        raise InputError(f"control.period_cycles: expected {height} entries, got {periods}")
 
 
 def _check_orders(plan: RunPlan) -> None:

@@ -256,8 +256,6 @@ class DirectController(Member):
 def deadlines_s(plan: dict[str, Any], node: str) -> dict[str, float]:
     """Return by when after the tick each stage closes [s]."""
     tiers = 1 + max(path.count("/") for path, _ in plan["inverters"])
-    if stated_ns := plan["timing"]["tier_deadlines_ns"]:
-        return {"estimate": stated_ns[0] * 3 / (tiers + 3) / 1e9, "actuate": stated_ns[-1] / 1e9}
     part_s = 0.9 * plan["timing"]["cycle_wall_ns"] / (2 * tiers + 4) / 1e9
     return {"estimate": 3 * part_s, "actuate": (tiers + node.count("/") + 4) * part_s}
 

@@ -39,7 +39,7 @@ from scenarios.settings import Setting, plain, with_settings
 from studies.arrays.schemes import SCHEMES
 from studies.compare.cases import cases
 from studies.compare.study import run_case
-from studies.timing import measured_run, prepare_at, run_length_s
+from studies.timing import measured_run, prepare_at
 from studies.workers import share_work
 
 
@@ -105,8 +105,7 @@ def timing(
     if isinstance(scenario, str) and is_run(Path(scenario)):
         return report_on(Path(scenario))
     request = _request(scenario, settings, data, out, options)
-    length_s = run_length_s(request, rate, 60.0)
-    preparation, folder = prepare_at(rate, length_s, request, request.out)
+    preparation, folder = prepare_at(rate, 60.0, request, request.out)
     with _nowhere() as console:
         return measured_run(preparation, folder, partial(PlainView, console))
 

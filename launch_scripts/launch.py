@@ -11,6 +11,7 @@ from typing import Final
 
 import msgspec
 
+from agents.cycle import kind_of
 from agents.plan import RunPlan
 from agents.process.events import (
     Armed,
@@ -333,6 +334,10 @@ def check_processes(plan: RunPlan) -> None:
     for fault in plan.faults.rules:
         if getattr(fault, "until", None) is not None or getattr(fault, "zombie", False):
             raise InputError("--fault, faults: until and zombie are for `simulate` alone")
+    kinds = {kind_of(agent, plan.tree) for agent in plan.processes}
+    for kind in plan.supervision.machine.cpus_of.keys() - kinds:
+        expected = "a kind that has processes of its own (see `processes` in the scenario)"
+        raise InputError(f"--cpus {kind}: expected {expected}")
     check_devices(plan)
     _check_keys(plan)
 

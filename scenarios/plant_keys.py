@@ -6,6 +6,7 @@ The common name of a certificate is the agent that it is for, and its organizati
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
@@ -46,29 +47,22 @@ def make_keys(
     hosts = (x509.IPAddress(read_address(address)) for address in ("127.0.0.1", *addresses))
     names = x509.SubjectAlternativeName(hosts)
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    ignored = folder / ".gitignore"
-    if not ignored.exists():  # `git add .` must not publish them.
-        ignored.write_text("*\n", encoding="ascii")
-    there = [name for name in ("ca.key", "ca.pem") if (folder / name).exists()]
-    if len(there) == 1:
-        raise InputError(
-            f"{folder}: expected both ca.key and ca.pem, got {there[0]} alone; bring the other one "
-            "back, or name a new folder with --out"
-        )
-    if not there:
+    # `git add .` must not publish them.
+    (folder / ".gitignore").write_text("*\n", encoding="ascii")
+    is_new = not any((folder / name).exists() for name in ("ca.key", "ca.pem"))
+    if is_new:
         expires = datetime.now(UTC) + timedelta(days=_AUTHORITY_DAYS)
         own = _new_key(folder / "ca.key")
-        _write(folder / "ca.pem", _certificate(plant, plant[:64], own, expires))
+        _write_certificate(folder / "ca.pem", plant, plant[:64], own, expires)
     authority = _authority(folder, plant)
     issuer = authority, _read_key(folder / "ca.key")
     expires = min(datetime.now(UTC) + timedelta(days=days), authority.not_valid_after_utc)
     for agent in agents:
         files = KeyFiles.of(folder, agent)
-        is_new = not there or not files.key.exists()
-        own = _new_key(files.key) if is_new else _read_key(files.key)
-        certificate = _certificate(plant, common_name(agent), own, expires, issuer, names)
-        _write(files.certificate, certificate)
-    return expires, not there
+        own = _new_key(files.key) if is_new or not files.key.exists() else _read_key(files.key)
+        name = common_name(agent)
+        _write_certificate(files.certificate, plant, name, own, expires, issuer, names)
+    return expires, is_new
 
 
 def check_keys(plan: RunPlan, agents: Sequence[str] = ()) -> None:
@@ -91,50 +85,43 @@ def _check(
     files: KeyFiles, agent: str, authority: x509.Certificate, address: str, ends: datetime
 ) -> None:
     """Refuse a certificate with which Zenoh would not open a link, and would not say why."""
-    path = files.certificate
-    certificate = _read(path)
+    found = _read_certificate(files.certificate)
+    first, last = found.not_valid_before_utc, found.not_valid_after_utc
+    names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    for is_right, expected in (
+        (_is_by(authority, found), f"by {files.authority}, got one of another plant"),
+        (_name(found) == common_name(agent), f"for {agent}, got one for {_name(found)}"),
+        (
+            first <= datetime.now(UTC) and ends <= last,
+            f"that is valid up to the end of the run, got {first:%Y-%m-%d %H:%M} to "
+            f"{last:%Y-%m-%d %H:%M} UTC; `heliarch keys` renews it",
+        ),
+        (
+            ip_address(address) in names.get_values_for_type(x509.IPAddress),
+            f"for the address {address}; `heliarch keys --address {address}` makes it",
+        ),
+    ):
+        if not is_right:
+            raise InputError(f"{files.certificate}: expected a certificate {expected}")
+    if _read_key(files.key).public_key() != found.public_key():
+        raise InputError(f"{files.key}: expected the key of {files.certificate}, got another one")
+
+
+def _is_by(authority: x509.Certificate, certificate: x509.Certificate) -> bool:
     try:
         certificate.verify_directly_issued_by(authority)
     except (ValueError, TypeError, InvalidSignature):
-        raise InputError(
-            f"{path}: expected a certificate by {files.authority}, got one of another plant"
-        ) from None
-    if _name(certificate) != common_name(agent):
-        raise InputError(f"{path}: expected a certificate for {agent}, got {_name(certificate)}")
-    is_valid = certificate.not_valid_before_utc <= datetime.now(UTC)
-    if not is_valid or ends > certificate.not_valid_after_utc:
-        raise InputError(
-            f"{path}: expected a certificate that is valid up to the end of the run, got one from "
-            f"{certificate.not_valid_before_utc:%Y-%m-%d %H:%M} to "
-            f"{certificate.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; `heliarch keys` renews it"
-        )
-    names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    if ip_address(address) not in names.get_values_for_type(x509.IPAddress):
-        raise InputError(
-            f"{path}: expected a certificate for the address {address}; `heliarch keys --address "
-            f"{address}` makes one"
-        )
-    if _read_key(files.key).public_key() != certificate.public_key():
-        raise InputError(f"{files.key}: expected the key of {path}, got another one")
-
-
-def _read(path: Path) -> x509.Certificate:
-    try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; `heliarch keys` makes it") from None
-    except ValueError:
-        raise InputError(f"{path}: expected a certificate in PEM") from None
+        return False
+    return True
 
 
 def _authority(folder: Path, plant: str) -> x509.Certificate:
     """Read the certificate of a plant's authority."""
     path = folder / "ca.pem"
-    authority = _read(path)
+    authority = _read_certificate(path)
     if _name(authority) != plant[:64]:
-        raise InputError(
-            f"{path}: expected the certificate authority of {plant}, got that of {_name(authority)}"
-        )
+        expected = f"the certificate authority of {plant}, got that of {_name(authority)}"
+        raise InputError(f"{path}: expected {expected}")
     return authority
 
 
@@ -143,18 +130,28 @@ def _name(certificate: x509.Certificate) -> str:
     return str(found[0].value) if found else ""
 
 
-def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
-    if not path.exists():
-        raise InputError(f"{path}: no such file, expected a private key")
-    if path.stat().st_mode & 0o077:
-        raise InputError(f"{path}: expected a key that its owner alone can read (mode 600)")
+def _read_certificate(path: Path) -> x509.Certificate:
+    content = _read(path)
     try:
-        key = load_pem_private_key(path.read_bytes(), password=None)
+        return x509.load_pem_x509_certificate(content)
     except ValueError:
-        key = None
-    if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise InputError(f"{path}: expected a key that `heliarch keys` has made")
+        raise InputError(f"{path}: expected a certificate in PEM") from None
+
+
+def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    content, key = _read(path), None
+    with suppress(ValueError, TypeError):
+        key = load_pem_private_key(content, password=None)
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or path.stat().st_mode & 0o077:
+        what = "a key that `heliarch keys` has made, and that its owner alone can read (mode 600)"
+        raise InputError(f"{path}: expected {what}")
     return key
+
+
+def _read(path: Path) -> bytes:
+    if not path.exists():
+        raise InputError(f"{path}: no such file; `heliarch keys` makes certificates and keys")
+    return path.read_bytes()
 
 
 def _new_key(path: Path) -> ec.EllipticCurvePrivateKey:
@@ -164,21 +161,19 @@ def _new_key(path: Path) -> ec.EllipticCurvePrivateKey:
     return key
 
 
-def _certificate(
+def _write_certificate(
+    path: Path,
     plant: str,
     name: str,
     key: ec.EllipticCurvePrivateKey,
     expires: datetime,
     issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None = None,
     addresses: x509.SubjectAlternativeName | None = None,
-) -> x509.Certificate:
-    """Return a certificate; without an issuer that of an authority, signed by itself."""
-    subject = x509.Name(
-        [
-            x509.NameAttribute(x509.oid.NameOID.ORGANIZATION_NAME, plant[:64]),
-            x509.NameAttribute(x509.oid.NameOID.COMMON_NAME, name),
-        ]
-    )
+) -> None:
+    """Write a certificate; without an issuer that of an authority, signed by itself."""
+    oid = x509.oid.NameOID
+    words = (oid.ORGANIZATION_NAME, plant[:64]), (oid.COMMON_NAME, name)
+    subject = x509.Name([x509.NameAttribute(*word) for word in words])
     builder = (
         x509.CertificateBuilder()
         .subject_name(subject)
@@ -191,9 +186,6 @@ def _certificate(
     )
     if addresses is not None:
         builder = builder.add_extension(addresses, critical=False)
-    return builder.sign(key if issuer is None else issuer[1], hashes.SHA256())
-
-
-def _write(path: Path, certificate: x509.Certificate) -> None:
+    certificate = builder.sign(key if issuer is None else issuer[1], hashes.SHA256())
     with whole_file(path) as file:
         file.write(certificate.public_bytes(Encoding.PEM))

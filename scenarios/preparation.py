@@ -45,7 +45,6 @@ from scenarios.real_time import (
     machine_settings,
     parse_pace,
     process_groups,
-    tier_deadlines_ns,
 )
 from scenarios.run_options import RunOptions
 from scenarios.scenario import (
@@ -280,7 +279,6 @@ def _plan(
     """Return what all agents of the run agree on."""
     control = scenario.control
     with scenario_file.named():
-        deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
         groups = process_groups(scenario.processes, day.tree)
         offers = _offers(scenario.commitment, scenario.time.cycle_s)
     external = external_agents(options.external or (), day.tree)
@@ -309,7 +307,6 @@ def _plan(
             timezone=scenario.time.timezone,
             cycle_wall_ns=wall_ns,
             stall_timeout_s=control.stall_timeout_s,
-            tier_deadlines_ns=deadlines_ns,
         ),
         control=Control(
             period_cycles=control.period_cycles or (1,) * day.tree.height,
@@ -386,7 +383,7 @@ def _standby(kinds: Sequence[str], tree: ControlTree, external: Sequence[str]) -
 def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
     """Return the folder of the keys; empty: the links are not encrypted."""
     address = read_address(options.address)
-    if not (scenario.secure if options.secure is None else options.secure):
+    if not options.secure:
         if options.keys is not None:
             raise InputError("--keys: expected --secure with it")
         if not address.is_loopback:

@@ -1,23 +1,16 @@
-"""What a run in real time asks of the clock and the machine: cycle, deadlines, processors.
-
-The period of a tier (`control.period_cycles`) says in which cycles it acts, its deadline when its
-last message must be out within such a cycle. So a setpoint that is in time is never older than
-period x cycle + deadline. A controller that needs longer than a cycle to decide has a period of
-several cycles, and its late setpoints are used in the next decision.
-"""
+"""What a run in real time asks of the clock and the machine: cycle, processes, processors."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Final, Literal, TypeAlias, cast
 
-from agents.cycle import KINDS, Kind, parts_up_to, stage_place
+from agents.cycle import KINDS, Kind
 from agents.process.machine import MachineSettings
 from bus_schemas.errors import InputError, not_one_of
-from bus_schemas.tree import CENTRAL, ROOT, ControlTree, parent_of
+from bus_schemas.tree import ROOT, ControlTree, parent_of
 
 Processes: TypeAlias = Literal["agent", "cluster", "zone"] | tuple[str, ...]
 """Agents that share a process, see `Scenario`."""
@@ -26,12 +19,7 @@ SLOWEST_PACE: Final = 1e-3
 FASTEST_PACE: Final = 1e6
 
 SHORTEST_CYCLE_NS: Final = 100_000
-"""A process that waits for a time may wake up this much late. So no cycle can be shorter, and no
-deadline can follow that of the stage before it sooner."""
-
-SHORTEST_DEADLINE_MS: Final = SHORTEST_CYCLE_NS / 1e6
-LONGEST_DEADLINE_MS: Final = 3.6e9
-"""A cycle of an hour at the slowest pace: a scenario may state deadlines and run in lockstep."""
+"""A process that waits for a time may wake up this much late, so no cycle can be shorter."""
 
 
 def parse_pace(pace: str | float | None) -> float | Literal["max"] | None:
@@ -60,35 +48,6 @@ def cycle_wall_ns(cycle_s: float, pace: float | Literal["max"], where: str) -> i
             f"as it may take to wake a process, got {cycle_s:g} s in {length_ns / 1e3:g} us"
         )
     return length_ns
-
-
-def tier_deadlines_ns(
-    deadlines_ms: Sequence[float] | None, tree: ControlTree, cycle_ns: int
-) -> tuple[int, ...]:
-    """Return when the last message of each tier must be out after the beginning of a cycle [ns].
-
-    Empty: each stage gets its share of the cycle. In lockstep `cycle_ns` is 0, and none is used.
-    """
-    if deadlines_ms is None:
-        return ()
-    if len(deadlines_ms) != tree.height + 1:
-        raise InputError(
-            f"control.deadlines_ms: expected {tree.height + 1} entries, one for each tier, the "
-            f"central controller's first, got {len(deadlines_ms)}"
-        )
-    found = tuple(round(deadline_ms * 1e6) for deadline_ms in deadlines_ms)
-    # The stages up to the central controller's solve share the time before its deadline.
-    least_ns = parts_up_to(stage_place(CENTRAL, "solve", tree)) * SHORTEST_CYCLE_NS
-    # The plant applies the commands halfway between the last deadline and its next tick.
-    most_ns = cycle_ns - 2 * SHORTEST_CYCLE_NS if cycle_ns else found[-1]
-    apart_ns = min((later - one for one, later in pairwise(found)), default=SHORTEST_CYCLE_NS)
-    if found[0] < least_ns or apart_ns < SHORTEST_CYCLE_NS or found[-1] > most_ns:
-        longest = f" to {most_ns / 1e6:.10g} ms" if cycle_ns else ""
-        raise InputError(
-            f"control.deadlines_ms: expected {least_ns / 1e6:.10g} ms{longest}, each "
-            f"{SHORTEST_DEADLINE_MS:g} ms or more after the one before, got {list(deadlines_ms)}"
-        )
-    return found
 
 
 def process_groups(processes: Processes, tree: ControlTree) -> tuple[str, ...]:

@@ -174,7 +174,7 @@ class ProcessOptions:
         float, Parameter("--external-timeout", metavar="SECONDS", group=DEVICES)
     ] = 60.0
     base_port: Annotated[Whole | None, Parameter(metavar="PORT", group=DEVICES)] = None
-    secure: Annotated[bool | None, Parameter(group=HOSTS)] = None
+    secure: Annotated[bool, Parameter(group=HOSTS)] = False
     keys: Annotated[Path | None, Parameter(metavar="DIR", group=HOSTS)] = None
     address: Annotated[str, Parameter(metavar="ADDRESS", group=HOSTS)] = "127.0.0.1"
     on: Annotated[_Texts, Parameter(metavar="ADDRESS=AGENTS", group=HOSTS)] = None

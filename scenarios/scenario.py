@@ -31,13 +31,7 @@ from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import check_name
 from scenarios.elsewhere import DeviceTable
 from scenarios.fields import checked, with_line
-from scenarios.real_time import (
-    FASTEST_PACE,
-    LONGEST_DEADLINE_MS,
-    SHORTEST_DEADLINE_MS,
-    SLOWEST_PACE,
-    Processes,
-)
+from scenarios.real_time import FASTEST_PACE, SLOWEST_PACE, Processes
 from scenarios.run_options import LARGEST_SEED
 from scenarios.times import LONGEST_S
 from sim_plant.clouds import CloudSettings
@@ -56,7 +50,6 @@ def _one_of(names: Iterable[str]) -> Meta:
 Seed: TypeAlias = Annotated[int, Meta(ge=0, le=LARGEST_SEED)]
 Positive: TypeAlias = Annotated[int, Meta(ge=1, le=10**6)]
 NotNegative: TypeAlias = Annotated[int, Meta(ge=0)]
-Deadline: TypeAlias = Annotated[float, Meta(ge=SHORTEST_DEADLINE_MS, le=LONGEST_DEADLINE_MS)]
 Limit: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e12)]
 Amount: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
 Tier: TypeAlias = Annotated[str, _one_of(STAGES)]
@@ -215,7 +208,6 @@ class ControlTable(_Table, frozen=True):
     correction: Correct the central target by the plant's meter. Default: by `scheme`.
     offset: How much more than the dispatch the plant aims at, as a share of its rating.
     offset_errors: So many times its own mean error (20 s) the plant aims higher.
-    deadlines_ms: In real time: deadline of each tier in the cycle [ms], central first.
     """
 
     cluster_sizes: tuple[tuple[Positive, ...], ...] | None = None
@@ -230,7 +222,6 @@ class ControlTable(_Table, frozen=True):
     correction: bool | None = None
     offset: Annotated[float, Meta(ge=-1.0, le=1.0)] = 0.0
     offset_errors: Annotated[float, Meta(ge=-10.0, le=10.0)] = 0.0
-    deadlines_ms: tuple[Deadline, ...] | None = None
 
 
 class NeighboursTable(_Table, frozen=True):
@@ -314,7 +305,6 @@ class Scenario(_Table, frozen=True):
     faults: Faults of links and processes; `--fault` adds to them.
     faults_seed: Seed of what is drawn for faults.
     restart: What happens if a process ends before the run.
-    secure: Whether `launch` encrypts every link, as with `--secure`.
     devices: Real inverters; `--device` adds to them.
     standby: Parents that have a standby, in real time.
     processes: What a process holds: one `agent`; a `cluster` or `zone` with all below it; or so
@@ -339,7 +329,6 @@ class Scenario(_Table, frozen=True):
     faults: tuple[Fault, ...] = ()
     faults_seed: Seed = 0
     restart: RestartPolicy = RestartPolicy()
-    secure: bool = False
     devices: tuple[DeviceTable, ...] = ()
     standby: tuple[Literal["central", "supervisors"], ...] = ()
     processes: Processes = "agent"

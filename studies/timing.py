@@ -1,12 +1,13 @@
-"""Plants run in real time and timed: at one rate, or at several to find how fast they can go."""
+"""Plants run in real time and timed: at one rate, or at several to find the highest clean one."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import msgspec
 import psutil
@@ -34,32 +35,27 @@ _CLOSE_ENOUGH: Final = 1.1
 """The search ends where the lowest rate that fails is no further above the highest clean one."""
 
 _EXPECTED: Final = (
-    "cycles a second such as 20, several such as 5,10,20, 1..200 or auto, each from one cycle an "
-    f"hour (0.000278) to {HIGHEST_HZ:g}"
+    "cycles a second such as 20, or a range such as 1..200 or auto, from one cycle an hour "
+    f"(0.000278) to {HIGHEST_HZ:g}"
 )
-
 
 LEAST_CYCLES: Final = 120
 """Of fewer than 100 cycles the p99 would be the longest one."""
 
 
-def run_length_s(request: RunRequest, rate_hz: float, default_s: float) -> float:
-    """Return how long a run lasts: up to `--to`, for `--duration`, or for its default [s].
-
-    By default it has `LEAST_CYCLES` at least.
-    """
-    if request.options.end is None:
-        if request.options.duration is None:
-            return max(default_s, LEAST_CYCLES / rate_hz)
-        return parse_duration_s(request.options.duration, "--duration")
-    plan = prepare_run(request)[0].plan
-    return plan.timing.cycles * plan.timing.cycle_ns / 1e9
-
-
 def prepare_at(
-    rate_hz: float, length_s: float, request: RunRequest, out: Path | None
+    rate_hz: float, default_s: float, request: RunRequest, out: Path | None
 ) -> tuple[Preparation, RunFolder]:
-    """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet."""
+    """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet.
+
+    It lasts up to `--to`, for `--duration`, or for its default, and then `LEAST_CYCLES` at least.
+    """
+    length_s = max(default_s, LEAST_CYCLES / rate_hz)
+    if request.options.end is not None:
+        timing = prepare_run(request)[0].plan.timing
+        length_s = timing.cycles * timing.cycle_s
+    elif request.options.duration is not None:
+        length_s = parse_duration_s(request.options.duration, "--duration")
     if length_s * rate_hz < 1.0:
         raise InputError(
             f"--duration {length_s:g} s: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
@@ -91,7 +87,7 @@ def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor)
         raise RunFailure(f"{summary.launcher.recording_ended or 'not measured'}: {error}") from None
 
 
-# Several rates ------------------------------------------------------------------------------------
+# The highest rate ---------------------------------------------------------------------------------
 
 
 class RateRow(msgspec.Struct, frozen=True):
@@ -122,89 +118,81 @@ class Sweep(msgspec.Struct, frozen=True):
     highest_clean_hz: float | None
     too_fast_hz: float | None
 
+    @classmethod
+    def of(cls, rows: Iterable[RateRow]) -> Sweep:
+        ascending = sorted(rows, key=lambda row: row.rate_hz)
+        clean_hz = max((row.rate_hz for row in ascending if row.outcome == "clean"), default=None)
+        proved = (row.rate_hz for row in ascending if row.outcome in {"failed", "not clean"})
+        too_fast_hz = next((hz for hz in proved if hz > (clean_hz or 0.0)), None)
+        return cls(tuple(ascending), clean_hz, too_fast_hz)
+
     @property
     def interrupted(self) -> bool:
         return any(row.outcome == "interrupted" for row in self.rows)
 
 
-def parse_rates(text: str) -> tuple[tuple[float, ...], bool]:
-    """Read the value of `--rate`: the rates [1/s], and whether they are the ends of a search."""
-    is_range = text == "auto" or ".." in text
-    parts = (_AUTO if text == "auto" else text).split(".." if is_range else ",")
-    try:
-        rates = tuple(map(float, parts))
-        ascending = not is_range or (len(rates) == 2 and rates[0] < rates[1])
-        if not ascending or not all(LOWEST_HZ <= rate <= HIGHEST_HZ for rate in rates):
-            raise ValueError
-    except ValueError:
-        raise InputError(f"--rate: expected {_EXPECTED}, got {text}") from None
-    if len(set(rates)) < len(rates):
-        raise InputError(f"--rate: expected each rate once, got {text}")
-    return rates, is_range
+def parse_rates(text: str) -> tuple[float, float]:
+    """Read the value of `--rate`: the ends of a search [1/s], which are equal for a single rate."""
+    parts = (_AUTO if text == "auto" else text).split("..")
+    with suppress(ValueError):
+        rates = [float(part) for part in parts]
+        is_range = len(rates) <= 2 and rates == sorted(set(rates))
+        if is_range and rates[0] >= LOWEST_HZ and rates[-1] <= HIGHEST_HZ:
+            return rates[0], rates[-1]
+    raise InputError(f"--rate: expected {_EXPECTED}, got {text}")
 
 
-def sweep(
-    rates: tuple[float, ...], is_search: bool, timed: Callable[[float], TimingReport]
-) -> Sweep:
-    """Run at the listed rates; or search for the highest clean one, doubling, then halving steps.
+def sweep(lowest_hz: float, highest_hz: float, timed: Callable[[float], TimingReport]) -> Sweep:
+    """Search for the highest clean rate, doubling, then halving steps.
 
-    A search runs a rate that was not clean once more, and the second run counts: one stall of the
-    machine must not end it. A later rate may be refused because stated deadlines do not fit
-    into its cycle, or its run may fail: that rate has failed, and the others still count. Only if
-    the very first rate is refused, so is the sweep.
+    A rate that was not clean is run once more, and the second run counts: one stall of the machine
+    must not end the search. If the very first rate is refused, so is the sweep.
     """
     rows: dict[float, RateRow] = {}
-    for rate_hz in _search(rates[0], rates[1], rows) if is_search else rates:
-        for _ in range(2 if is_search else 1):
-            try:
-                row = rate_row(timed(rate_hz))
-            except KeyboardInterrupt:
-                row = RateRow(rate_hz, "interrupted")
-            except (RunFailure, InputError) as failure:
-                if not rows and isinstance(failure, InputError):
-                    raise
-                row = RateRow(rate_hz, "failed", str(failure).splitlines()[0])
-            rows[rate_hz] = row
-            if row.outcome != "not clean":
-                break
+    for rate_hz in _rates(lowest_hz, highest_hz, rows):
+        row = _run_at(rate_hz, timed, is_first=not rows)
+        if row.outcome == "not clean":
+            row = _run_at(rate_hz, timed, is_first=False)
+        rows[rate_hz] = row
         if row.outcome == "interrupted":
             break
-    return _swept(rows)
+    return Sweep.of(rows.values())
 
 
-def _swept(rows: dict[float, RateRow]) -> Sweep:
-    clean_hz = max((hz for hz, row in rows.items() if row.outcome == "clean"), default=None)
-    proved = (hz for hz, row in rows.items() if row.outcome in {"failed", "not clean"})
-    too_fast_hz = min((hz for hz in proved if hz > (clean_hz or 0.0)), default=None)
-    return Sweep(tuple(rows[hz] for hz in sorted(rows)), clean_hz, too_fast_hz)
+def _run_at(rate_hz: float, timed: Callable[[float], TimingReport], *, is_first: bool) -> RateRow:
+    try:
+        return rate_row(timed(rate_hz))
+    except KeyboardInterrupt:
+        return RateRow(rate_hz, "interrupted")
+    except (RunFailure, InputError) as failure:
+        if is_first and isinstance(failure, InputError):
+            raise
+        return RateRow(rate_hz, "failed", str(failure).splitlines()[0])
 
 
-def _search(rate_hz: float, highest_hz: float, rows: dict[float, RateRow]) -> Iterator[float]:
+def _rates(rate_hz: float, highest_hz: float, rows: dict[float, RateRow]) -> Iterator[float]:
     """Yield rates to try; each is run, and has its row, before the next one is asked for."""
     yield rate_hz
     while rows[rate_hz].outcome == "clean" and rate_hz < highest_hz:
         rate_hz = min(2.0 * rate_hz, highest_hz)
         yield rate_hz
-    while (done := _swept(rows)).highest_clean_hz is not None and done.too_fast_hz is not None:
-        if done.too_fast_hz <= done.highest_clean_hz * _CLOSE_ENOUGH:
+    while (so_far := Sweep.of(rows.values())).highest_clean_hz and so_far.too_fast_hz:
+        if so_far.too_fast_hz <= so_far.highest_clean_hz * _CLOSE_ENOUGH:
             return
-        rate_hz = float(f"{(done.highest_clean_hz * done.too_fast_hz) ** 0.5:.3g}")
-        yield rate_hz
+        yield float(f"{(so_far.highest_clean_hz * so_far.too_fast_hz) ** 0.5:.3g}")
 
 
 def rate_row(report: TimingReport) -> RateRow:
     run, tiers = report.run, report.tiers
-    counts = ["missed_deadlines", "overruns", "skipped_cycles"]
+    late = tiers[tiers[["missed_deadlines", "overruns", "skipped_cycles"]].any(axis=1)]
     reasons = [
         f"{one.tier}: missed deadlines {one.missed_deadlines}, overruns {one.overruns}, "
         f"skipped cycles {one.skipped_cycles}"
-        for one in tiers[tiers[counts].any(axis=1)].itertuples()
+        for one in late.itertuples()
     ]
     if run.lost_messages:
         reasons.append(f"messages not recorded: {run.lost_messages:,}")
-    loop: Any = next(
-        (one for one in report.times.to_dict("records") if one["of"] == WHOLE_LOOP), {}
-    )
+    loops = report.times[report.times["of"] == WHOLE_LOOP].to_dict("records")
     return RateRow(
         rate_hz=run.rate_hz,
         outcome="interrupted" if run.interrupted else "clean" if run.clean else "not clean",
@@ -213,7 +201,11 @@ def rate_row(report: TimingReport) -> RateRow:
         late_cycles=run.late_cycles,
         lost_messages=run.lost_messages or 0,
         host=report.host,
-        **{f"loop_{name}_ms": loop[f"{name}_us"] / 1e3 for name in ("p50", "p99", "max") if loop},
+        **{
+            f"loop_{name}_ms": loop[f"{name}_us"] / 1e3
+            for loop in loops[:1]
+            for name in ("p50", "p99", "max")
+        },
     )
 
 
@@ -234,24 +226,19 @@ def sweep_result(done: Sweep, scenario: str) -> Result:
         word_column("", "outcome"),
     )
     rows = [(f"{row[0]:.4g}", *row[1:]) for row in attributes(done.rows, columns)]
+    if done.highest_clean_hz is not None:
+        at_least = "at least " if done.too_fast_hz is None else ""
+        verdict = f"PASS: highest clean rate {at_least}{cycles_per_s(done.highest_clean_hz)} "
+        verdict += "(at most 1 % of the cycles late, no message lost)"
+    elif done.interrupted:
+        verdict = "FAIL: interrupted before a rate was found to be clean"
+    else:
+        verdict = f"FAIL: no rate was clean: {len(done.rows)} tried, try lower ones"
     return Result(
         f"{scenario}: loop time against rate",
         [Table("Rates [cycles/s]", columns, rows)],
         done,
         lines=hosts[-1] if hosts else (),
         conclusions=reasons,
-        verdict=(done.highest_clean_hz is not None, _conclusion(done)),
+        verdict=(done.highest_clean_hz is not None, verdict),
     )
-
-
-def _conclusion(done: Sweep) -> str:
-    """Say how fast the plant can go."""
-    if done.highest_clean_hz is not None:
-        at_least = "at least " if done.too_fast_hz is None else ""
-        return (
-            f"PASS: highest clean rate {at_least}{cycles_per_s(done.highest_clean_hz)} (at most "
-            "1 % of the cycles late, no message lost)"
-        )
-    if done.interrupted:
-        return "FAIL: interrupted before a rate was found to be clean"
-    return f"FAIL: no rate was clean: {len(done.rows)} tried, try lower ones"

@@ -328,7 +328,7 @@ static const char *value_of(const char *json, const char *name) {
 }
 
 static void read_deadlines(const char *json, int level) {
-    const char *at = value_of(json, "inverters"), *stated = value_of(json, "tier_deadlines_ns");
+    const char *at = value_of(json, "inverters");
     int tiers = 1; /* Below the central controller: one more than a path has slashes. */
     for (int closed = 0, slashes = 0; *at && closed < 2; at++) {
         closed = *at == '[' ? 0 : closed + (*at == ']');
@@ -337,9 +337,6 @@ static void read_deadlines(const char *json, int level) {
     }
     double part_ns = 0.9 * (double)plan.cycle_wall_ns / (2 * tiers + 4);
     plan.deadline_ns[ESTIMATE] = 3 * part_ns, plan.deadline_ns[ACTUATE] = (tiers + level + 3) * part_ns;
-    if (atof(stated) > 0.0) plan.deadline_ns[ESTIMATE] = atof(stated) * 3 / (tiers + 3);
-    for (; atof(stated) > 0.0; stated += strspn(stated, ", \n")) /* Its own is the last one. */
-        plan.deadline_ns[ACTUATE] = strtod(stated, (char **)&stated);
 }
 
 static void read_plan(const char *json, const char *node, char **endpoints) {

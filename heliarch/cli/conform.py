@@ -9,6 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from agents.settings import Scheme
+from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
 from heliarch.cli.boundary import FAILED, OK
 from heliarch.cli.options import FILES, Json, Scenario, Tolerance
@@ -82,7 +83,10 @@ def conform(
         base_port=base_port,
         faults=[FROZEN] if agent == PLANT else None,
     )
-    preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
+    try:
+        preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
+    except InputError as error:  # The user has not typed the option that says the same.
+        raise InputError(str(error).replace("--external:", "AGENT:")) from None
     with device:
         trials = Conformance(
             preparation, folder, device, Equality(tolerance), partial(say, console)

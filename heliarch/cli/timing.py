@@ -22,7 +22,7 @@ def timing(
     scenario: str = "oahu",
     /,
     *,
-    rate: Annotated[str | None, Parameter(metavar="RATES")] = None,
+    rate: Annotated[str, Parameter(metavar="RATE")] = "1",
     plant: PlantOptions = PlantOptions(),
     settings: Settings = None,
     span: TimeOptions = TimeOptions(),
@@ -47,36 +47,27 @@ def timing(
         A shipped scenario or a TOML file; or the folder or run.mcap of a real-time run, to report
         on it without a new run.
     rate
-        Cycles a second: one rate (20; default 1), several (5,10,20), or a range (1..200, auto) in
-        which to find the highest rate that the plant keeps up with. A run takes 60 s, or 15 s at
-        each of several rates, and 120 cycles at least, unless --to or --duration says otherwise.
+        Cycles a second; or a range (1..200, auto) in which to find the highest rate that the plant
+        keeps up with. A run takes 60 s, or 15 s at each rate of a range, and 120 cycles at least,
+        unless --to or --duration says otherwise.
     """
     from heliarch.cli.live_view import PlainView
     from heliarch.cli.run import page_beside, run_request
     from launch_scripts.run_folder import new_run_id, run_folder
     from results.timing.report import report_on
-    from studies.timing import (
-        measured_run,
-        parse_rates,
-        prepare_at,
-        run_length_s,
-        sweep,
-        sweep_result,
-    )
+    from studies.timing import measured_run, parse_rates, prepare_at, sweep, sweep_result
 
     console = console_for(files.json)
     if is_run(path := Path(scenario)):
         why = f"expected only --report or --json with the recorded run {path}"
         refuse_others(given, {"--report", "--json"}, why)
         return _publish(report_on(path), path, files)
-    rates, is_search = parse_rates(rate or "1")
-    options = RunOptions.of(span, plant, machine)
-    request = run_request(scenario, settings, files, options)
+    lowest_hz, highest_hz = parse_rates(rate)
+    request = run_request(scenario, settings, files, RunOptions.of(span, plant, machine))
     view = partial(PlainView, console)
     with page_beside(page, console) as shown:
-        if len(rates) == 1:
-            length_s = run_length_s(request, rates[0], 60.0)
-            preparation, place = prepare_at(rates[0], length_s, request, request.out)
+        if lowest_hz == highest_hz:
+            preparation, place = prepare_at(lowest_hz, 60.0, request, request.out)
             if shown is not None:
                 say(console, f"page: {shown.show(place.path)}")
             return _publish(measured_run(preparation, place, view), place.path, files)
@@ -86,12 +77,11 @@ def timing(
             name = f"rate-{rate_hz:g}"
             if (folder / name).exists():
                 name = f"{name}-again"
-            length_s = run_length_s(request, rate_hz, 15.0)
-            return measured_run(*prepare_at(rate_hz, length_s, request, folder / name), view)
+            return measured_run(*prepare_at(rate_hz, 15.0, request, folder / name), view)
 
         if shown is not None:
             say(console, f"page: {shown.show(folder, several=True)}")
-        found = sweep(rates, is_search, timed)
+        found = sweep(lowest_hz, highest_hz, timed)
     result = sweep_result(found, request.scenario.scenario.name)
     publish(result, files, folder / "timing.html", f"recordings: {folder}")
     if found.interrupted:

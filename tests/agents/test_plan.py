@@ -52,7 +52,6 @@ def with_field(part: str, name: str, value: object) -> Callable[[bytes], bytes]:
         (with_field("control", "period_cycles", [1]), "period_cycles"),
         (with_field("control", "period_cycles", [10, 5, 1]), "period_cycles"),
         (with_field("control", "period_cycles", [10, 0]), "period_cycles[1]"),
-        (with_field("timing", "tier_deadlines_ns", [1, 2]), "tier_deadlines_ns"),
     ],
 )
 def test_a_plan_that_cannot_be_used_is_refused_and_says_where(

@@ -79,7 +79,7 @@ def spoil(how: str, folder: Path, plant: str) -> None:
         ("expires soon", ("--pace", "1", "--duration", "30m"), "valid up to the end"),
         ("of another plant", SHORT, "another plant"),
         ("of another plant", (*SHORT, "--external", "c1"), "c1.pem"),
-        ("of another agent", SHORT, "a certificate for c1, got c2"),
+        ("of another agent", SHORT, "a certificate for c1, got one for c2"),
         ("for everybody", SHORT, "c1.key"),
         ("of older keys", SHORT, "c1.key: expected the key of"),
         ("gone", SHORT, "c1.pem: no such file"),

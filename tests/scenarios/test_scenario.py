@@ -140,31 +140,6 @@ def test_a_file_may_begin_with_a_byte_order_mark(folder: Folder) -> None:
     assert folder.prepare().plan.plant == "small"
 
 
-@pytest.mark.parametrize(
-    "deadlines_ms",
-    [
-        [100.0, 200.0],
-        [],
-        [100.0, 100.0, 200.0],
-        [100.0, 200.0, 150.0],
-        [0.1, 500.0, 900.0],
-        [100.0, 500.0, 999.81],
-    ],
-)
-def test_deadlines_leave_each_stage_what_it_takes_to_wake_a_process(
-    folder: Folder, deadlines_ms: list[float]
-) -> None:
-    folder.change("[[2, 1]]", f"[[2, 1]]\ndeadlines_ms = {deadlines_ms}")
-    assert "control.deadlines_ms: expected" in folder.complaint(pace=1.0)
-
-
-def test_deadlines_of_a_scenario_are_those_of_the_plan(folder: Folder) -> None:
-    folder.change("[[2, 1]]", "[[2, 1]]\ndeadlines_ms = [0.5, 0.6, 999.8]")
-    assert folder.prepare(pace=1.0).plan.timing.tier_deadlines_ns == (500_000, 600_000, 999_800_000)
-    folder.change("999.8", "5000")
-    assert folder.prepare().plan.timing.lockstep, "there no cycle is too short"
-
-
 def test_a_cycle_too_short_for_any_clock_is_refused(folder: Folder) -> None:
     assert folder.prepare(pace=10_000.0).plan.timing.cycle_wall_ns == 100_000
     complaint = folder.complaint(pace=20_000.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import pytest
@@ -15,25 +16,24 @@ from bus_schemas.errors import InputError
 from launch_scripts.supervision import RunFailure
 from results.report.result import print_result
 from results.timing.report import TimingReport
-from studies.timing import Sweep, parse_rates, rate_row, sweep, sweep_result
+from studies.timing import parse_rates, rate_row, sweep, sweep_result
 
 
 @pytest.mark.parametrize(
     ("text", "rates"),
     [
-        ("20", ((20.0,), False)),
-        ("0.5", ((0.5,), False)),
-        ("5,10,20", ((5.0, 10.0, 20.0), False)),
-        ("1..200", ((1.0, 200.0), True)),
-        ("auto", ((5.0, 1000.0), True)),
+        ("20", (20.0, 20.0)),
+        ("0.5", (0.5, 0.5)),
+        ("1..200", (1.0, 200.0)),
+        ("auto", (5.0, 1000.0)),
     ],
 )
-def test_rates_are_read(text: str, rates: tuple[tuple[float, ...], bool]) -> None:
+def test_rates_are_read(text: str, rates: tuple[float, float]) -> None:
     assert parse_rates(text) == rates
 
 
 @pytest.mark.parametrize(
-    "text", ["0", "-5", "nan", "fast", "5,,10", "1001", "inf", "20..10", "5,5", "10..2000", ""]
+    "text", ["0", "-5", "nan", "fast", "5,10", "1001", "inf", "20..10", "5..5", "10..2000", ""]
 )
 def test_what_is_no_rate_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="--rate: expected"):
@@ -45,56 +45,50 @@ def at(report: TimingReport, **changes: Any) -> TimingReport:
     return dataclasses.replace(report, run=replace(report.run, **changes))
 
 
+Reports = tuple[TimingReport, TimingReport]
+
+
 class Machine:
-    """A machine that keeps up to a rate; it notes what was tried."""
+    """A machine that keeps up to a rate, but for what happens at some; it notes what was tried."""
 
     def __init__(
-        self, clean: TimingReport, late: TimingReport, highest_hz: float, **outcomes: Exception
+        self, reports: Reports, highest_hz: float, at: dict[float, BaseException] | None = None
     ) -> None:
         self.tried: list[float] = []
-        self._reports = clean, late
+        self._reports = reports
         self._highest_hz = highest_hz
-        self._outcomes = {float(rate.lstrip("at_")): why for rate, why in outcomes.items()}
+        self._at = at or {}
 
     def run(self, rate_hz: float) -> TimingReport:
         self.tried.append(rate_hz)
-        if rate_hz in self._outcomes:
-            raise self._outcomes[rate_hz]
+        if rate_hz in self._at:
+            raise self._at[rate_hz]
         return at(self._reports[rate_hz > self._highest_hz], rate_hz=rate_hz)
 
 
 @pytest.fixture(scope="module")
-def reports(tmp_path_factory: pytest.TempPathFactory) -> tuple[TimingReport, TimingReport]:
+def reports(tmp_path_factory: pytest.TempPathFactory) -> Reports:
     """A report on a run that was clean, and on one that was not."""
     folder = tmp_path_factory.mktemp("sweep")
     clean = reported(folder / "clean")
     return clean, reported(folder / "late", cycle(0), missed(1), lost=2)
 
 
-def verdict_of(found: Sweep) -> str:
-    verdict = sweep_result(found, "field").verdict
-    assert verdict is not None
-    return verdict[1]
-
-
-Reports = tuple[TimingReport, TimingReport]
-
-
 @pytest.mark.parametrize("highest_hz", [6.0, 37.0, 74.9, 640.0])
 def test_the_highest_clean_rate_is_found_to_ten_percent(
     highest_hz: float, reports: Reports
 ) -> None:
-    machine = Machine(*reports, highest_hz)
-    found = sweep((5.0, 1000.0), True, machine.run)
+    machine = Machine(reports, highest_hz)
+    found = sweep(5.0, 1000.0, machine.run)
     assert found.highest_clean_hz is not None
     assert highest_hz / 1.11 <= found.highest_clean_hz <= highest_hz
     assert len(set(machine.tried)) <= 13
     assert [row.rate_hz for row in found.rows] == sorted(set(machine.tried))
 
 
-def test_a_search_runs_a_rate_that_was_not_clean_once_more(reports: Reports) -> None:
+def test_a_rate_that_was_not_clean_is_run_once_more(reports: Reports) -> None:
     """One stall of the machine at 10 cycles/s does not end the search."""
-    machine, unlucky = Machine(*reports, 25.0), [10.0]
+    machine, unlucky = Machine(reports, 25.0), [10.0]
 
     def timed(rate_hz: float) -> TimingReport:
         found = machine.run(rate_hz)
@@ -103,56 +97,43 @@ def test_a_search_runs_a_rate_that_was_not_clean_once_more(reports: Reports) -> 
             return at(reports[1], rate_hz=rate_hz)
         return found
 
-    found = sweep((5.0, 1000.0), True, timed)
+    found = sweep(5.0, 1000.0, timed)
     assert found.highest_clean_hz is not None
     assert found.highest_clean_hz > 25.0 / 1.11
-    assert machine.tried.count(10.0) == machine.tried.count(40.0) == 2
-    assert machine.tried.count(20.0) == 1
+    assert [machine.tried.count(rate_hz) for rate_hz in (10.0, 20.0, 40.0)] == [2, 1, 2]
 
 
 def test_the_search_ends_at_the_ends_of_its_range(reports: Reports) -> None:
-    slow, fast = Machine(*reports, 0.5), Machine(*reports, 1e9)
-    none = sweep((5.0, 1000.0), True, slow.run)
-    assert none.highest_clean_hz is None
+    slow, fast = Machine(reports, 0.5), Machine(reports, 1e9)
+    assert sweep(5.0, 1000.0, slow.run).highest_clean_hz is None
     assert slow.tried == [5.0, 5.0]
-    highest = sweep((30.0, 200.0), True, fast.run)
-    assert highest.highest_clean_hz == 200.0
+    highest = sweep(30.0, 200.0, fast.run)
     assert fast.tried == [30.0, 60.0, 120.0, 200.0]
-    assert "at least 200 cycles/s" in verdict_of(highest)
+    verdict = sweep_result(highest, "field").verdict
+    assert verdict is not None
+    assert "at least 200 cycles/s" in verdict[1]
 
 
-def test_a_run_that_fails_costs_no_other(reports: Reports) -> None:
-    died = RunFailure("c1 has died\nits log says so")
-    found = sweep((5.0, 10.0, 20.0), False, Machine(*reports, 1e9, at_10=died).run)
-    assert [row.outcome for row in found.rows] == ["clean", "failed", "clean"]
-    text = printed(lambda console: print_result(console, sweep_result(found, "field")))
-    assert "10 cycles/s failed: c1 has died" in text
-    assert "13.600" in text, "the loop [ms]"
-
-
-def test_a_rate_that_a_search_finds_refused_has_failed_but_the_first_is_refused(
+def test_a_run_that_fails_or_is_refused_ends_the_search_above_it_but_the_first_is_refused(
     reports: Reports,
 ) -> None:
-    refused = InputError("deadlines do not fit")
-    rates = (10.0, 20.0), True
-    found = sweep(*rates, Machine(*reports, 15.5, at_20=refused).run)
-    assert found.highest_clean_hz == 15.4
-    with pytest.raises(InputError, match="do not fit"):
-        sweep(*rates, Machine(*reports, 1e9, at_10=refused).run)
+    for why in (RunFailure("c1 has died\nits log says so"), InputError("c1 has died")):
+        found = sweep(5.0, 20.0, Machine(reports, 1e9, {10.0: why}).run)
+        assert {row.rate_hz: row.outcome for row in found.rows}[10.0] == "failed"
+        assert 10.0 / 1.11 <= (found.highest_clean_hz or 0.0) < 10.0
+        text = printed(partial(print_result, result=sweep_result(found, "field")))
+        assert "10 cycles/s failed: c1 has died" in text
+        assert "13.600" in text, "the loop [ms]"
+    with pytest.raises(InputError, match="c1 has died"):
+        sweep(10.0, 20.0, Machine(reports, 1e9, {10.0: why}).run)
 
 
 def test_an_interrupted_sweep_keeps_what_it_has(reports: Reports) -> None:
-    machine = Machine(*reports, 1e9, at_10=KeyboardInterrupt())  # type: ignore[arg-type]
-    found = sweep((5.0, 10.0, 20.0), False, machine.run)
-    assert [(row.rate_hz, row.outcome) for row in found.rows] == [
-        (5.0, "clean"),
-        (10.0, "interrupted"),
-    ]
+    found = sweep(5.0, 20.0, Machine(reports, 1e9, {10.0: KeyboardInterrupt()}).run)
+    assert [row.outcome for row in found.rows] == ["clean", "interrupted"]
     assert found.interrupted
     cut = at(reports[0], interrupted=True)
-    assert [row.outcome for row in sweep((10.0, 20.0), False, lambda _: cut).rows] == [
-        "interrupted"
-    ]
+    assert [row.outcome for row in sweep(10.0, 20.0, lambda _: cut).rows] == ["interrupted"]
 
 
 @pytest.mark.parametrize(

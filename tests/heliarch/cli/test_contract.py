@@ -197,6 +197,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "simulate oahu --set time.duration_s=2590000 --set time.cycle_s=0.4",
         "launch small.toml --fault loss=1%",
         "launch small.toml --priority 20",
+        "launch small.toml --set processes=cluster --cpus direct=0",
         "launch small.toml --address 10.1.2.3",
         "launch small.toml --keys keys/small",
         "launch small.toml --device c1/inv01=modbus://127.0.0.1/1",
@@ -223,10 +224,9 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "compare small.toml --seeds 1,2 --csv -",
         "compare small.toml --days 2010-04-01 --from 2010-04-01T12:00",
         "timing small.toml --rate 0.1..5 --duration 5s",
-        "timing small.toml --rate 5,10 --out run",
+        "timing small.toml --rate 5..10 --out run",
         "timing timed --seed 3",
         "timing small.toml --rate 10 --duration 0.05",
-        "conform c9 --scenario small.toml",
         "node --plan here.json --host 127.0.0.2",
         "inverters small.toml --base-port 65534 --duration 1",
         "inverters small.toml --port 22000 --base-port 30000",
@@ -259,6 +259,7 @@ def test_options_that_do_not_go_together_are_refused(words: str, folder: Path) -
         ("simulate hope-melpitz", "docs/data.md"),
         ("simulate small.toml --set comitment.share=0.3", "commitment"),
         ("inspect run --nodes c1/aa", "c1/a"),
+        ("conform c9 --scenario small.toml", "AGENT"),
     ],
 )
 def test_a_mistyped_word_is_named_with_what_may_be_meant(

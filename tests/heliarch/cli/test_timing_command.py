@@ -15,7 +15,7 @@ from timed_recordings import PLAN, cycle, recorded
 from launch_scripts.run_folder import RunRequest
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
-from studies.timing import prepare_at, run_length_s
+from studies.timing import prepare_at
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_a_run_is_a_whole_number_of_cycles_long(
 ) -> None:
     options = RunOptions(start="12:00", **length)  # type: ignore[arg-type]
     request = RunRequest(load_scenario("oahu"), options)
-    preparation, _ = prepare_at(rate_hz, run_length_s(request, rate_hz, 3.0), request, tmp_path)
+    preparation, _ = prepare_at(rate_hz, 3.0, request, tmp_path)
     assert preparation.plan.timing.cycles == cycles
     usual = prepare(request.scenario, RunOptions(start="12:00", duration="2s"), "usual").plan
     assert preparation.plan.inverters == usual.inverters, "the rate does not change the clusters"

@@ -23,8 +23,6 @@ from results.timing.report import TimingReport, p99_limits_ms, report_on
 from results.timing.results import timing_result
 from scenarios.scenario import BudgetTable
 
-TIERED = with_changes(PLAN, tier_deadlines_ns=(6_000_000, 50_000_000, 60_000_000))
-
 
 def failed(report: TimingReport) -> set[str]:
     return {budget.line for budget in report.budgets if not budget.passed}
@@ -62,18 +60,11 @@ def test_default_budgets_follow_the_length_of_the_cycle() -> None:
     assert found == pytest.approx(expected_ms)
 
 
-def test_budgets_of_decisions_follow_the_deadlines_of_the_tiers() -> None:
-    # Three stages share the 6 ms up to the central controller's last message, the first has three
-    # parts; cycles last 100 ms.
-    expected_ms = {"direct estimate": 3.6, "central solve": 1.2, "supervisor solve": 44.0}
-    expected_ms |= {"direct actuate": 10.0, "plant apply": 20.0}
-    found = p99_limits_ms(TIERED, BudgetTable())
-    assert {stage: found["decision", stage] for stage in expected_ms} == pytest.approx(expected_ms)
-    stated = p99_limits_ms(TIERED, BudgetTable(decision_p99_ms={"direct": 3.0}))
+def test_a_stated_budget_holds_and_a_device_has_that_of_its_own_stage() -> None:
+    stated = p99_limits_ms(PLAN, BudgetTable(decision_p99_ms={"direct": 3.0}))
     assert stated["decision", "direct estimate"] == 3.0
-    # The response of a device has the budget of its own stage.
-    device = p99_limits_ms(with_changes(TIERED, external=("c2/d",)), BudgetTable())
-    assert device["response", "c2/d estimate"] == pytest.approx(3.6)
+    device = p99_limits_ms(with_changes(PLAN, external=("c2/d",)), BudgetTable())
+    assert device["response", "c2/d estimate"] == pytest.approx(33.75)
 
 
 def test_a_budget_of_the_scenario_takes_the_place_of_the_default(tmp_path: Path) -> None:
