@@ -26,7 +26,7 @@ from rounds import measure, options
 
 from agents.cycle import stage_of
 from agents.team import controllers
-from recordings import open_run
+from recordings.read.reader import RunReader
 from sim_plant.plant import Plant
 from sim_plant.profile import load_profile
 
@@ -39,7 +39,7 @@ def describe(scenario: str, folder: Path) -> Path:
     launch(OURS, scenario, SAMPLE_CYCLES, keep=folder / "run")
     middle = range(SAMPLE_CYCLES // 2, SAMPLE_CYCLES // 2 + 1)
     puts: dict[tuple[str, str], list[bare_graph.Put]] = defaultdict(list)
-    with open_run(folder / "run") as recording:
+    with RunReader(folder / "run") as recording:
         plan = recording.plan
         for record in recording.records(cycles=middle):
             stage = record.port.publisher, stage_of(record.port, plan.tree)

@@ -92,8 +92,8 @@ def answers(series: RunSeries) -> tuple[Answer, ...]:
     # beside it, and what the sun has for that, is what it and its reserve leave.
     dispatch_kw, known = series.desired_kw - series.response_kw, series.known
     delivered_kw = series.delivered_kw - series.response_kw
-    available_kw = series.available_kw - series.plant.grid.reserve_kw
-    rating_kw = float(series.plant.rating_kw.sum())
+    available_kw = series.available_kw - series.plan.grid_law.reserve_kw
+    rating_kw = series.rating_kw
     begins = dict(_begins(series, rating_kw))
     found = []
     for cycle, after in pairwise([*begins, series.cycles]):
@@ -276,7 +276,7 @@ def _to_frequency(series: RunSeries) -> Iterator[Answer]:
 
     The response is what was delivered beyond what the plant was to give without it.
     """
-    rating_kw, law = float(series.plant.rating_kw.sum()), series.plant.grid
+    rating_kw, law = series.rating_kw, series.plan.grid_law
     tolerance_kw, ideal_kw = rating_kw * TOLERANCE_PERCENT / 100.0, series.response_kw
     reference_kw = series.desired_kw - ideal_kw
     if law.reserve_kw > 0.0:  # What the reserve holds back under clouds is no response.

@@ -194,7 +194,7 @@ def run_figures(series: RunSeries) -> Figures:
     return {
         **dict.fromkeys(FIGURES),
         "cycles": int(known.sum()),
-        "planned-cycles": series.plant.planned_cycles or series.cycles,
+        "planned-cycles": series.plan.timing.cycles,
         **energy_figures(dispatch_kw, available_kw, delivered_kw, series.cycle_s),
         "unknown-energy": float(np.nansum(series.unknown_kw[known])) * hours or None,
         "rmse": float(np.sqrt(np.mean(error_kw**2))),
@@ -203,16 +203,11 @@ def run_figures(series: RunSeries) -> Figures:
         "curtailed-energy": float(headroom_kw.sum()) * hours,
         "curtailed": _share(headroom_kw.sum(), available_kw.sum()),
         "ancillary-potential": float(potential_kw.sum()) * hours,
-        **ramp_figures(
-            series.delivered_kw,
-            float(series.plant.rating_kw.sum()),
-            series.cycle_s,
-            series.plant.ramp_limit_percent_per_min,
-        ),
-        **grid_ramp_figures(series),
+        **_ramp_figures(series),
+        **_grid_ramp_figures(series),
         "loss-energy": float(series.lost_kw[known].sum()) * hours or None,
-        **help_figures(series.residual_kw, series.inverters),
-        **offer_figures(series),
+        **_help_figures(series),
+        **_offer_figures(series),
         **series.of_agents,
         **regulation_figures(series),
     }
@@ -256,7 +251,7 @@ def energy_figures(
     return figures
 
 
-def offer_figures(series: RunSeries) -> Figures:
+def _offer_figures(series: RunSeries) -> Figures:
     """Compute how often there was enough power for what was offered, and what could have been.
 
     An interval has enough if at most `MISSED_SHARE` of its commitment was more than was available.
@@ -264,9 +259,9 @@ def offer_figures(series: RunSeries) -> Figures:
     interval that is not known as a whole, or in which nothing is promised, is left out, and so is
     the first: nobody has offered it.
     """
-    length = series.plant.interval_cycles
-    if not length:
+    if series.plan.control.offers is None:
         return {}
+    length = series.plan.control.offers.interval_cycles
     intervals = kept = 0
     promised_kw = firm_kw = 0.0
     for begin in range(length, series.cycles - length + 1, length):
@@ -289,61 +284,58 @@ def offer_figures(series: RunSeries) -> Figures:
     }
 
 
-def ramp_figures(
-    delivered_kw: NDArray[np.float64],
-    rating_kw: float,
-    cycle_s: float,
-    limit_percent_per_min: float | None = None,
-) -> Figures:
-    """Compute the ramps of delivered power, shape (T,), NaN where unknown.
+def _ramp_figures(series: RunSeries) -> Figures:
+    """Compute the ramps of delivered power.
 
     A ramp is the change over a minute, P(t + 60 s) - P(t), from every cycle on. Where 60 s is no
     multiple of the cycle, it is the change over the nearest number of cycles, at least one, as a
     rate per minute. A minute is above the limit, in % of the rating per minute, if a larger ramp
     began in it. A run of a minute or less has no ramp.
     """
-    span = max(1, round(60.0 / cycle_s))
-    if len(delivered_kw) <= span:
-        return {}
-    ramp_kw_per_min = (delivered_kw[span:] - delivered_kw[:-span]) * (60.0 / (span * cycle_s))
+    span = _cycles_of_a_minute(series)
+    ramps_kw = (series.delivered_kw[span:] - series.delivered_kw[:-span]) * (
+        60.0 / (span * series.cycle_s)
+    )
     # By minute the largest ramp; minutes without any known one do not count.
-    minute_begins = np.arange(0, len(ramp_kw_per_min), span)
-    largest_kw_per_min = np.fmax.reduceat(np.abs(ramp_kw_per_min), minute_begins)
-    largest_kw_per_min = largest_kw_per_min[np.isfinite(largest_kw_per_min)]
-    if not len(largest_kw_per_min):
+    largest_kw = np.fmax.reduceat(np.abs(ramps_kw), np.arange(0, len(ramps_kw), span))
+    largest_kw = largest_kw[np.isfinite(largest_kw)]
+    if not len(largest_kw):
         return {}
     figures: Figures = {
-        "rise": max(0.0, float(np.nanmax(ramp_kw_per_min))),
-        "fall": max(0.0, -float(np.nanmin(ramp_kw_per_min))),
-        "ramp": float(largest_kw_per_min.max()),
+        "rise": max(0.0, float(np.nanmax(ramps_kw))),
+        "fall": max(0.0, -float(np.nanmin(ramps_kw))),
+        "ramp": float(largest_kw.max()),
     }
-    if limit_percent_per_min is not None:
-        figures["ramp-limit"] = limit_kw_per_min = rating_kw * limit_percent_per_min / 100.0
+    limit_percent = series.plan.site.ramp_limit_percent_per_min
+    if limit_percent is not None:
+        figures["ramp-limit"] = limit_kw = series.rating_kw * limit_percent / 100.0
         # A plant that ramps exactly as fast as it may is not too fast by a rounding error.
-        too_fast = largest_kw_per_min > limit_kw_per_min + _ROUNDING * rating_kw
+        too_fast = largest_kw > limit_kw + _ROUNDING * series.rating_kw
         figures["above-ramp-limit"] = 100.0 * float(too_fast.mean())
     return figures
 
 
-def grid_ramp_figures(series: RunSeries) -> Figures:
+def _cycles_of_a_minute(series: RunSeries) -> int:
+    return max(1, round(60.0 / series.cycle_s))
+
+
+def _grid_ramp_figures(series: RunSeries) -> Figures:
     """Compute the minutes in which the plant was faster than the grid lets its target be, in %.
 
     A ramp is the change over a minute, beyond the limit by more than 1 % of the rating. Frequency
     response is no ramp. What the sky denied of the desired power is added to what was delivered:
     a ramp that is then within the limits is due to clouds, another one to control.
     """
-    law, rating_kw = series.plant.grid, float(series.plant.rating_kw.sum())
-    span = max(1, round(60.0 / series.cycle_s))
+    law, span = series.plan.grid_law, _cycles_of_a_minute(series)
     if min(law.ramp_up_kw, law.ramp_down_kw) == np.inf or series.cycles <= span:
         return {}
 
     def beyond(power_kw: NDArray[np.float64]) -> NDArray[np.bool_]:
         ramp_kw = power_kw[span:] - power_kw[:-span]
-        tolerance_kw = _RAMP_TOLERANCE * rating_kw
+        tolerance_kw = _RAMP_TOLERANCE * series.rating_kw
         rises = ramp_kw > law.ramp_up_kw * span + tolerance_kw
         falls = ramp_kw < -law.ramp_down_kw * span - tolerance_kw
-        minute_begins = np.arange(0, len(ramp_kw), span)
-        return np.logical_or.reduceat(rises | falls, minute_begins)
+        return np.logical_or.reduceat(rises | falls, np.arange(0, len(ramp_kw), span))
 
     own_kw = series.delivered_kw - series.response_kw
     denied_kw = np.maximum(series.desired_kw - series.available_kw, 0.0)
@@ -355,24 +347,19 @@ def grid_ramp_figures(series: RunSeries) -> Figures:
     }
 
 
-def help_figures(residual_kw: NDArray[np.float64], inverters: Sequence[str]) -> Figures:
+def _help_figures(series: RunSeries) -> Figures:
     """Compute how often inverters in need got help from outside their own cluster, in %.
 
-    `residual_kw` has IMPP less share of each of n inverters in each cycle (paper, eq. 4), shape
-    (T, n); their paths tell the clusters. A cycle is needy if any residual is negative. It is
-    settled outside if the residuals of any cluster add up to less than zero: its supervisor must
-    ask its parent. A cluster is all that is below one child of the central controller: what a tier
-    in between has settled has not reached the top. `able` counts only cycles in which the sum of
-    all residuals is not negative: in the others some cluster must lack power, whatever it is.
+    A cycle is needy if any residual, IMPP less share (paper, eq. 4), is negative. It is settled
+    outside if the residuals of any cluster add up to less than zero: its supervisor must ask its
+    parent. A cluster is all that is below one child of the central controller: what a tier in
+    between has settled has not reached the top. `able` counts only cycles in which the sum of all
+    residuals is not negative: in the others some cluster must lack power, whatever it is.
     """
-    residual_kw = residual_kw[np.isfinite(residual_kw).all(axis=1)]
-    if not len(residual_kw):
-        return {}
-    members: dict[str, list[int]] = {}
-    for column, path in enumerate(inverters):
-        members.setdefault(path.split("/", 1)[0], []).append(column)
+    residual_kw = series.residual_kw[np.isfinite(series.residual_kw).all(axis=1)]
+    cluster_of = np.array([path.partition("/")[0] for path in series.inverters])
+    clusters_kw = [residual_kw[:, cluster_of == name].sum(axis=1) for name in set(cluster_of)]
     needy = (residual_kw < 0.0).any(axis=1)
-    clusters_kw = [residual_kw[:, columns].sum(axis=1) for columns in members.values()]
     outside = needy & (np.min(clusters_kw, axis=0) < 0.0)
     able = residual_kw.sum(axis=1) >= 0.0
     shares = {"outside-help": needy, "outside-help-able": needy & able}

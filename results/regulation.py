@@ -50,7 +50,7 @@ def regulation_figures(series: RunSeries) -> dict[str, float | None]:
     A signal of 1 asks for the capacity on top of the commitment. Its mileage is the sum of
     |S(k+1) - S(k)| over the cycles offered, divided by their hours.
     """
-    capacity_kw = series.plant.regulation_capacity_kw
+    capacity_kw = series.plan.site.regulation_capacity_kw
     offered = offered_cycles(series.regulation_kw, series.cycle_s) & series.known
     if capacity_kw == 0.0 or not offered.any():
         return {}
@@ -59,7 +59,7 @@ def regulation_figures(series: RunSeries) -> dict[str, float | None]:
     offered_h = int(offered.sum()) * series.cycle_s / 3600.0
     steps = np.abs(np.diff(signal))[offered[1:] & offered[:-1]]
     # The number of the 2 s of the clock in which each cycle begins.
-    begins_ns = round(series.cycle_s * 1e9) * np.arange(series.cycles) + series.plant.start_time_ns
+    begins_ns = round(series.cycle_s * 1e9) * np.arange(series.cycles) + series.start_time_ns
     score = performance_score(signal, response, offered, series.times[0], series.cycle_s)
     return {
         "capacity": capacity_kw,
@@ -69,7 +69,7 @@ def regulation_figures(series: RunSeries) -> dict[str, float | None]:
             (series.delivered_kw - series.desired_kw)[offered],
             (begins_ns // round(REQUEST_S * 1e9))[offered],
             (series.available_kw >= series.desired_kw)[offered],
-            float(series.plant.rating_kw.sum()),
+            series.rating_kw,
         ),
         **(score or {}),
     }

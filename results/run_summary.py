@@ -14,7 +14,7 @@ from bus_schemas.errors import listed
 from recordings.inspect.health import Health, RunDocument, WrongMessages, summary_in
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
-from recordings.read.series import read_plant_series
+from recordings.read.series import plant_series_of
 from results.answers import Answer, answers, judged
 from results.figures import Figures, run_figures
 from scenarios.scenario import AnswerBudgets
@@ -177,7 +177,8 @@ def recorded_figures(
     recording: Path, budgets: AnswerBudgets | None = None
 ) -> tuple[Figures, tuple[Answer, ...]]:
     """Read figures of merit and answers. Raises InputError: The recording has none to show."""
-    series = read_plant_series(recording)
+    with RunReader(recording) as run:
+        series = plant_series_of(run)
     return run_figures(series), judged(answers(series), budgets)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bus_schemas.errors import InputError
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECORDING_NAME
-from recordings.read.series import RunSeries, read_series
+from recordings.read.series import RunSeries, series_of
 from results.figures import Shown, run_figures, runs_as_columns, shown_in
 from results.report.result import Result
 from results.report.run_report import run_line, runs_result, when
@@ -60,13 +60,13 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
     for label, path in zip("AB", paths, strict=True):
         with RunReader(path) as reader:
             lines.append(f"{label}: {path}, run {reader.plan.run_id}. {run_line(reader.plan)}")
-        series.append(replace(read_series(path), label=label))
+            series.append(replace(series_of(reader), label=label))
     cycles = min(one.cycles for one in series)
     longest = max(one.cycles for one in series)
     first, second = (one.between(0, cycles) for one in series)
     if first.inverters != second.inverters:
         raise InputError(f"{paths[1]}: expected the inverters of {paths[0]}, got others")
-    if (first.plant.start_time_ns, first.cycle_s) != (second.plant.start_time_ns, second.cycle_s):
+    if (first.start_time_ns, first.cycle_s) != (second.start_time_ns, second.cycle_s):
         raise InputError(f"{paths[1]}: expected {when(first)} as in {paths[0]}, got {when(second)}")
     both = first.known & second.known
     if not both.any():

@@ -16,7 +16,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
 from recordings.read.mcap_file import Chunk
-from recordings.read.reader import open_run
+from recordings.read.reader import RunReader
 from recordings.record.writer import ClockAnchor, RunWriter
 
 PLAN = plan_at_noon(run_id="by-hand-2", plant="field", cycles=1000, period_cycles=(2, 1))
@@ -161,7 +161,7 @@ def cut(recording: Path, to: Path | None = None, share: float = 0.5) -> None:
 
 def zero_chunk(recording: Path, number: int, to: Path | None = None) -> Chunk:
     """Zero the head of a chunk of a recording, by default in its place; return where it is."""
-    with open_run(recording) as run:
+    with RunReader(recording) as run:
         chunk = run.outline.chunks[number]
     content = bytearray(recording.read_bytes())
     content[chunk.offset : chunk.offset + 60] = bytes(60)

@@ -103,7 +103,7 @@ def _show_nodes(
 def _show_plant(run: RunReader, cycle: int, console: Console) -> dict[str, Any]:
     from recordings.inspect.agent_states import states_at
     from recordings.inspect.timeline import timeline
-    from recordings.read.series import read_plant_series
+    from recordings.read.series import plant_series_of
     from results.figures import run_figures
     from results.summary_table import figures_table
     from results.timeline_tables import plant_table, states_table
@@ -121,7 +121,7 @@ def _show_plant(run: RunReader, cycle: int, console: Console) -> dict[str, Any]:
         followed = states_at(run, cycle)
     states = {agent: followed.at(agent, cycle) for agent in followed.agents}
     print_table(console, states_table(states))
-    series = read_plant_series(run.path).between(0, cycle + 1)
+    series = plant_series_of(run).between(0, cycle + 1)
     figures = run_figures(series) if series.known.any() else None
     print_table(console, figures_table("Figures of merit up to this cycle", figures))
     return {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
@@ -11,7 +10,7 @@ import msgspec
 
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import SIGNALS, Signal
+from bus_schemas.signals import SIGNALS, Port, Signal
 from bus_schemas.whole_file import check_new, new_path
 from recordings.export.tables import TableFolder
 from recordings.export.viewer_file import Clock, ViewerFile
@@ -60,9 +59,6 @@ def export(
     path = path or default_path(reader.path, form)
     check_new(path)
     signals = [one for one in SIGNALS if one.logged and (not signals or one in signals)]
-    counts = Counter({signal.name: 0 for signal in signals})
-    first: int | None = None
-    last: int | None = None
     ports = reader.ports(*signals, nodes=nodes)
     with new_path(path) as beside:
         out: ViewerFile | TableFolder
@@ -72,29 +68,37 @@ def export(
             anchor = ClockAnchor.of(reader.metadata, reader.path)
             out = TableFolder(beside, reader.plan, signals, anchor, form)
         with out:
-            for record in reader.records(ports, cycles):
-                message = reader.decoded(record.port, record.sequence, record.payload)
-                if message is None:
-                    continue
-                try:
-                    out.add(record, message)
-                except InputError as error:  # Of another plant: wrong as well.
-                    reader.wrong.setdefault(record.port, str(error))
-                    continue
-                counts[record.port.signal.name] += 1
-                if record.port.signal.is_cyclic:  # The end of a run names the cycle after it.
-                    first = record.cycle if first is None else min(first, record.cycle)
-                    last = record.cycle if last is None else max(last, record.cycle)
-        rows = dict(counts)
-        if isinstance(out, TableFolder):
-            rows = {name: file.rows for name, file in out.files.items()}
+            span, messages = _add_all(out, reader, ports, cycles)
     return ExportSummary(
         run_id=reader.plan.run_id,
         form=form,
         path=str(path),
         whole=reader.whole,
-        first_cycle=first,
-        last_cycle=last,
-        messages=counts.total(),
-        rows=rows,
+        first_cycle=span.start if span else None,
+        last_cycle=span.stop - 1 if span else None,
+        messages=messages,
+        rows={signal.name: 0 for signal in signals} | out.rows,
     )
+
+
+def _add_all(
+    out: ViewerFile | TableFolder,
+    reader: RunReader,
+    ports: Collection[Port[Message]],
+    cycles: range | None,
+) -> tuple[range, int]:
+    """Add all messages on some ports; return the cycles that they are of, and their number."""
+    first, end, messages = 1 << 62, 0, 0
+    for record in reader.records(ports, cycles):
+        message = reader.decoded(record.port, record.sequence, record.payload)
+        if message is None:
+            continue
+        try:
+            out.add(record, message)
+        except InputError as error:  # Of another plant: wrong as well.
+            reader.wrong.setdefault(record.port, str(error))
+            continue
+        messages += 1
+        if record.port.signal.is_cyclic:  # The end of a run names the cycle after it.
+            first, end = min(first, record.cycle), max(end, record.cycle + 1)
+    return range(first, end), messages

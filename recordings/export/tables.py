@@ -123,6 +123,11 @@ class TableFolder:
             for name, columns in tables.items()
         }
 
+    @property
+    def rows(self) -> dict[str, int]:
+        """Rows of each table."""
+        return {name: file.rows for name, file in self.files.items()}
+
     def add(self, record: RecordedMessage, message: Message) -> None:
         """Add the rows of a message to the table of its signal, and to those of its lists."""
         name, files = record.port.signal.name, self.files

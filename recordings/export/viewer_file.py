@@ -8,6 +8,7 @@ to save bytes, such as a line of `help_given`, is an object with named fields.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from importlib.metadata import version
 from inspect import getdoc
@@ -33,7 +34,7 @@ EXPORT_METADATA: Final = "heliarch export"
 
 
 class ViewerFile:
-    """A file for viewers that is being written.
+    """A file for viewers that is being written; `rows` are the messages of each signal in it.
 
     Keys, schema names, attachments and sequence numbers are those of the recording.
     """
@@ -41,6 +42,7 @@ class ViewerFile:
     def __init__(
         self, path: Path, reader: RunReader, ports: Iterable[Port[Message]], clock: Clock
     ) -> None:
+        self.rows = Counter[str]()
         self._sim = clock == "sim"
         self._file = path.open("xb")
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
@@ -50,6 +52,7 @@ class ViewerFile:
         self._channels = declare(self._writer, reader.plan, in_order, object_schema, "json")
 
     def add(self, record: RecordedMessage, message: Message) -> None:
+        self.rows[record.port.signal.name] += 1
         self._writer.add_message(
             channel_id=self._channels[record.port],
             log_time=message.sim_time_ns if self._sim else record.log_time_ns,
@@ -111,7 +114,8 @@ def _is_finite(value: object) -> bool:
 
 
 def _schema(kind: inspect.Type) -> JsonObject:
-    kind = not_nil(kind)
+    if isinstance(kind, inspect.UnionType):  # A field that is nil is left out.
+        (kind,) = (one for one in kind.types if not isinstance(one, inspect.NoneType))
     match kind:
         case inspect.StructType():
             return _struct_schema(kind)
@@ -146,11 +150,3 @@ def _struct_schema(kind: inspect.StructType) -> JsonObject:
 def _may_be_left_out(field: inspect.Field) -> bool:
     kind = field.type.item_type if isinstance(field.type, inspect.VarTupleType) else field.type
     return isinstance(kind, inspect.FloatType | inspect.UnionType)
-
-
-def not_nil(kind: inspect.Type) -> inspect.Type:
-    """Return the type of a field when it is there: one that is nil is left out."""
-    if not isinstance(kind, inspect.UnionType):
-        return kind
-    (member_kind,) = (member for member in kind.types if not isinstance(member, inspect.NoneType))
-    return member_kind

@@ -19,16 +19,21 @@ from recordings.read.reader import RunReader
 
 
 class RecordingCount(NamedTuple):
-    """Messages by port, and what the heads of external agents' messages say."""
+    """Messages by port; what the heads of the plant's and of external agents' messages say."""
 
     messages: Counter[Port[Message]]
-    complete_cycles: int
-    external: dict[Port[Message], PortGaps]
+    gaps: dict[Port[Message], PortGaps]
 
-    def by_signal(self) -> Counter[str]:
+    @property
+    def complete_cycles(self) -> int:
+        return self.gaps[PRODUCTION.of(ROOT)].cycles
+
+    def by_signal(self, publisher: str | None = None) -> Counter[str]:
+        """Return the messages of each signal, of one publisher or of all."""
         counts: Counter[str] = Counter()
         for port, count in self.messages.items():
-            counts[port.signal.name] += count
+            if publisher in {None, port.publisher}:
+                counts[port.signal.name] += count
         return counts
 
 
@@ -39,24 +44,21 @@ def count_messages(recording: Path) -> RecordingCount:
     messages a second. InputError: there is no such file, or it cannot be read.
     """
     with RunReader(recording) as run:
-        production, counts = PortGaps(), Counter[int]()
-        external = {
-            port: PortGaps() for port in run.ports() if port.publisher in run.plan.elsewhere
+        counts = Counter[int]()
+        gaps = {
+            port: PortGaps()
+            for port in run.ports()
+            if port.publisher in run.plan.elsewhere or port == PRODUCTION.of(ROOT)
         }
-        followed = {PRODUCTION.of(ROOT): production} | external
-        gaps_of = {
-            channel: followed[port] for channel, port in run.channels.items() if port in followed
-        }
+        gaps_of = {channel: gaps[port] for channel, port in run.channels.items() if port in gaps}
         for chunk in run.followed_chunks():
             for raw in run.messages_of(chunk, run.channels):
                 channel = raw[0]
                 counts[channel] += 1
                 if channel in gaps_of and (head := run.head(raw)) is not None:
                     gaps_of[channel].see(head.cycle, raw[1], head.incarnation)
-        if PRODUCTION.of(ROOT) in external:
-            production = external[PRODUCTION.of(ROOT)]
         messages = Counter({run.channels[channel]: count for channel, count in counts.items()})
-    return RecordingCount(messages, production.cycles, external)
+    return RecordingCount(messages, gaps)
 
 
 def checked(recording: Path, plan: RunPlan, account: Recorded) -> tuple[Recorded, str]:
@@ -83,14 +85,11 @@ def _completed(
     plan: RunPlan, account: ExternalAccount, cycles: int, count: RecordingCount
 ) -> ExternalAccount:
     """Return the account of an external agent with what its messages tell."""
-    own = {port: gaps for port, gaps in count.external.items() if port.publisher == account.agent}
+    own = {port: gaps for port, gaps in count.gaps.items() if port.publisher == account.agent}
     due = {port: -(-cycles // step) for port in own if (step := due_step(plan, port))}
-    recorded: Counter[str] = Counter()
-    for port in own:
-        recorded[port.signal.name] += count.messages[port]
     return replace(
         account,
-        recorded=dict(+recorded),
+        recorded=dict(count.by_signal(account.agent)),
         lost=sum(gaps.lost for gaps in own.values()),
         expected=sum(due.values()),
         answered=sum(min(own[port].cycles, number) for port, number in due.items()),

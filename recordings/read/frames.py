@@ -33,6 +33,7 @@ Columns: TypeAlias = tuple[tuple[str, type], ...]
 
 _TYPES: Final = {inspect.FloatType: float, inspect.IntType: int, inspect.VarTupleType: tuple}
 _SIGNALS: Final = {signal.name: signal for signal in SIGNALS}
+_CODES: Final = {float: "d", int: "q"}
 _NAMES: Final = frozenset({"node", "inverter", "donor", "needy", "signal", "input", "agent"})
 """Columns of text in which few values repeat."""
 
@@ -132,30 +133,13 @@ def frames(
     return {name: table.frame(plan) for name, table in tables.items()}
 
 
-class _Names:
-    """A column of texts, each kept once: 4 bytes a row."""
-
-    def __init__(self) -> None:
-        self.codes = array("i")
-        self.code_of: dict[str, int] = {}
-
-    def append(self, text: str) -> None:
-        self.codes.append(self.code_of.setdefault(text, len(self.code_of)))
-
-
-def _column(kind: type) -> array[int] | array[float] | list[object]:
-    if kind is float:
-        return array("d")
-    return array("q") if kind is int else []
-
-
 class _Rows:
     """Rows of a table, in little more memory than the table itself takes."""
 
     def __init__(self, columns: Columns) -> None:
         self._times, self._cycles = array("q"), array("q")
         self._columns: dict[str, Any] = {
-            name: _Names() if name in _NAMES else _column(kind) for name, kind in columns
+            name: array(_CODES[kind]) if kind in _CODES else [] for name, kind in columns
         }
 
     def add(self, message: Message, row: Iterable[Cell]) -> None:
@@ -169,10 +153,8 @@ class _Rows:
 
         data: dict[str, object] = {"cycle": np.asarray(self._cycles)}
         for name, column in self._columns.items():
-            if isinstance(column, _Names):
-                names = pd.Index(list(column.code_of), dtype="str")
-                data[name] = pd.Categorical.from_codes(np.asarray(column.codes), names)
-            else:
-                data[name] = np.asarray(column) if isinstance(column, array) else column
+            is_number = isinstance(column, array)
+            texts = pd.Categorical(column) if name in _NAMES else column
+            data[name] = np.asarray(column) if is_number else texts
         utc = pd.DatetimeIndex(np.asarray(self._times).view("M8[ns]"), name="time", tz="UTC")
         return pd.DataFrame(data, index=utc.tz_convert(plan.timing.timezone), copy=False)

@@ -212,22 +212,14 @@ def _ends_well(file: BinaryIO, begin: int, size: int) -> bool:
     return file.read() == checksum.to_bytes(4, "little") + MAGIC
 
 
-def check_codec(file: BinaryIO, chunk: Chunk) -> None:
-    """Refuse a chunk that another tool has packed anew: it is not damaged."""
-    file.seek(chunk.offset + _RECORD_HEAD.size + _CHUNK_HEAD.size)
-    if file.read(4) == b"zstd":
-        raise InputError(f"{file.name}: another tool has packed it anew: expected lz4, got zstd")
-
-
 def unpack_chunk(file: BinaryIO, chunk: Chunk) -> bytes:
     """Return the records in a chunk; DamagedChunkError if it does not hold what was written."""
     file.seek(chunk.offset + _RECORD_HEAD.size)
+    body = file.read(min(chunk.length, _LARGEST_CHUNK))
+    if body[_CHUNK_HEAD.size :][:4] == b"zstd":  # Not damaged, and nothing in it can be read.
+        raise InputError(f"{file.name}: another tool has packed it anew: expected lz4, got zstd")
     try:
-        body = file.read(min(chunk.length, _LARGEST_CHUNK))
         *_, size, checksum, name_length = _CHUNK_HEAD.unpack_from(body)
-        codec = body[_CHUNK_HEAD.size :][:name_length]
-        if codec != b"lz4":
-            raise ValueError(f"expected lz4, got {codec!r}")
         packed = memoryview(body)[_CHUNK_HEAD.size + name_length + _PACKED_LENGTH_SIZE :]
         # A buffer of the most that is allowed would take twice as long.
         most = min(size, _LARGEST_CHUNK)

@@ -24,7 +24,6 @@ from recordings.read.mcap_file import (
     Chunk,
     DamagedChunkError,
     RawMessage,
-    check_codec,
     messages_in,
     read_outline,
     unpack_chunk,
@@ -107,8 +106,6 @@ class RunReader:
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
-            for chunk in self.outline.chunks[:1]:
-                check_codec(self.files[chunk.file], chunk)
         except BaseException:
             self._close_files()
             raise
@@ -236,11 +233,10 @@ class RunReader:
         """Return several tables by name, each as `frame` does: the recording is read once."""
         lists = [name for name in tables if isinstance(name, str) and name in LISTS]
         signals = find_signals([name for name in tables if name not in lists])
-        of_lists = [LISTS[name].signal for name in lists]
-        about = [one for one in (*signals, *of_lists) if one is not None]
-        if None in of_lists:  # Any message may have such a list.
-            about = []
-        messages = self.messages(*about, nodes=nodes, start=start, end=end)
+        about = {*signals, *(LISTS[name].signal for name in lists)}
+        # Any message may have a list of no signal of its own.
+        wanted = () if None in about else [one for one in about if one is not None]
+        messages = self.messages(*wanted, nodes=nodes, start=start, end=end)
         names = [*(signal.name for signal in signals), *lists]
         return frames(self.plan, names, messages, self.wrong.setdefault)
 
@@ -322,11 +318,6 @@ class RunReader:
         what = f"a part of the file is damaged ({listed(parts)}): see heliarch recover"
         return f"{self.path}: {what}" if parts else ""
 
-    def wrong_text(self) -> str:
-        """Name the wrong messages that were skipped, the first one of each key; empty: none."""
-        named = printable(listed(list(self.wrong.values())))
-        return f"{self.path}: wrong messages were skipped: {named}" if self.wrong else ""
-
     def check_chunks(self) -> None:
         """Unpack every chunk, so that `damage` holds all that are damaged."""
         for chunk in self.followed_chunks():
@@ -334,7 +325,8 @@ class RunReader:
 
     def close(self) -> None:
         self._close_files()
-        for text in filter(None, (self.damage_text(), self.wrong_text())):
+        wrong = f"{self.path}: wrong messages were skipped: {listed(list(self.wrong.values()))}"
+        for text in filter(None, (self.damage_text(), printable(wrong) if self.wrong else "")):
             warnings.warn(text, InputWarning, stacklevel=1)
 
     def __enter__(self) -> RunReader:
@@ -355,26 +347,21 @@ class RunReader:
 
     def _chunks_of(self, cycles: range | None) -> Iterator[Chunk]:
         """Yield the chunks that can hold messages of some cycles."""
-        begin = 0 if cycles is None else self._search(cycles.start)
-        for chunk in self.followed_chunks(begin):
-            if cycles is not None:
-                first = self._first_cycle(chunk)
-                if first is not None and first >= cycles.stop + self._slack:
-                    return
-            yield chunk
-
-    def _search(self, cycle: int) -> int:
-        """Return the number of a chunk before which there is no message of a cycle.
-
-        Where a chunk begins more than `_slack` cycles before the cycle, it has not begun.
-        """
-        before = cycle - self._slack
+        if cycles is None:
+            yield from self.followed_chunks()
+            return
+        # Where a chunk begins more than `_slack` cycles before a cycle, that has not begun.
+        before, after = cycles.start - self._slack, cycles.stop + self._slack
 
         def first(chunk: Chunk) -> int:
-            cycle_there = self._first_cycle(chunk)
-            return before if cycle_there is None else cycle_there
+            cycle = self._first_cycle(chunk)
+            return before if cycle is None else cycle
 
-        return max(bisect_left(self.outline.chunks, before, key=first) - 1, 0)
+        begin = bisect_left(self.outline.chunks, before, key=first)
+        for chunk in self.followed_chunks(max(begin - 1, 0)):
+            if first(chunk) >= after:
+                return
+            yield chunk
 
     def _first_cycle(self, chunk: Chunk) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
@@ -386,20 +373,9 @@ class RunReader:
     @cached_property
     def _slack(self) -> int:
         """How many cycles behind the newest one a message can be in the file."""
+        longest, timing = self.plan.control.periods.longest, self.plan.timing
         if self.metadata["run"].get("driver") == "simulate":
-            return self.plan.control.periods.longest + 1
-        longest = self.plan.control.periods.longest
-        if self.plan.timing.lockstep:
+            return longest + 1
+        if timing.lockstep:
             return max(_FURTHEST_CYCLES, longest + 1)
-        return max(round(_LATEST_S * 1e9 / self.plan.timing.cycle_wall_ns), longest) + 1
-
-
-def open_run(path: Path | str) -> RunReader:
-    """Open a recording, by its run's folder or its MCAP file: typed messages, and pandas frames.
-
-    Examples
-    --------
-    >>> with open_run("runs/oahu-20261121-120000-4711") as run:
-    ...     impp = run.frame("impp", nodes="c2/inv07", start="12:20", end="12:30")
-    """
-    return RunReader(Path(path))
+        return max(round(_LATEST_S * 1e9 / timing.cycle_wall_ns), longest) + 1

@@ -62,20 +62,14 @@ class RunClock:
     def local(self, cycle: int) -> datetime:
         """Return the local time at the beginning of a cycle."""
         seconds, rest_ns = divmod(self.plan.timing.sim_time_ns(cycle), _SECOND_NS)
-        try:
-            # Adding to a local time would be ambiguous where clocks are put back.
-            local = datetime.fromtimestamp(seconds, self._zone)
-        except (OverflowError, ValueError, OSError):
-            raise InputError(f"cycle {cycle:,}: expected a time before the year 10000") from None
+        # Adding to a local time would be ambiguous where clocks are put back.
+        local = datetime.fromtimestamp(seconds, self._zone)
         return local.replace(microsecond=rest_ns // 1000)
 
     def text(self, cycle: int) -> str:
         """Return the local time of day of a cycle, as exact as the cycles need."""
-        whole = (
-            self.plan.timing.cycle_ns % _SECOND_NS
-            == 0
-            == self.plan.timing.start_time_ns % _SECOND_NS
-        )
+        timing = self.plan.timing
+        whole = timing.cycle_ns % _SECOND_NS == timing.start_time_ns % _SECOND_NS == 0
         return self.local(cycle).strftime("%H:%M:%S" if whole else "%H:%M:%S.%f")[:12]
 
     def span_text(self, first: int, last: int) -> str:
@@ -94,9 +88,8 @@ class RunClock:
         """Return the cycle of a time that is not a cycle's number."""
         since_start_s = duration_s(text)
         if since_start_s is not None:
-            return (
-                round(min(since_start_s, 2 * LONGEST_S) * _SECOND_NS) // self.plan.timing.cycle_ns
-            )
+            since_start_s = min(since_start_s, 2 * LONGEST_S)
+            return round(since_start_s * _SECOND_NS) // self.plan.timing.cycle_ns
         moment = read_time(text)
         if moment is None:
             raise InputError(_FORMS)

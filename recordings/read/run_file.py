@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Final
-from zoneinfo import ZoneInfo
 
 import msgspec
 
@@ -14,8 +13,6 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port, ports
 from bus_schemas.tree import PLANT, ROOT, agent_name
 from recordings.read.mcap_file import Outline
-from recordings.read.run_clock import RunClock
-from scenarios.times import FIRST_YEAR, LAST_YEAR
 
 RECORDING_NAME: Final = "run.mcap"
 
@@ -75,7 +72,6 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
     try:
         plan = msgspec.json.decode(document, type=RunPlan)
         check_plan(plan)
-        _check_times(plan)
     except (InputError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: plan.json: {error}") from None
     # The scenario may be damaged: nothing depends on it, since the plan describes the run.
@@ -92,20 +88,4 @@ def _check_version(outline: Outline, path: Path) -> None:
         raise InputError(
             f"{path}: recorded with schema version {version}, this Heliarch reads version "
             f"{SCHEMA_VERSION}; read it with the Heliarch that wrote it"
-        )
-
-
-def _check_times(plan: RunPlan) -> None:
-    """Refuse a plan whose cycles have no time."""
-    try:
-        ZoneInfo(plan.timing.timezone)
-    except (KeyError, ValueError, OSError):
-        raise InputError(
-            f"timezone: expected a name such as Pacific/Honolulu, got {plan.timing.timezone[:40]!r}"
-        ) from None
-    years = [RunClock(plan, 0).local(cycle).year for cycle in (0, plan.timing.cycles)]
-    if years[0] < FIRST_YEAR or years[1] > LAST_YEAR:
-        raise InputError(
-            f"start_time_ns: expected a run in the years {FIRST_YEAR} to {LAST_YEAR}, got "
-            f"{years[0]} to {years[1]}"
         )

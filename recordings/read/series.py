@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from math import inf, isnan, nan
-from pathlib import Path
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from agents.control.grid import NO_GRID, GridLaw, desired_kw, net_kw, ramped_kw, response_kw
+from agents.control.grid import desired_kw, net_kw, ramped_kw, response_kw
 from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
@@ -27,69 +26,7 @@ from bus_schemas.tree import ROOT, parent_of
 from recordings.read.reader import RunReader
 from sim_plant.orders import OrderInForce
 
-_MOST_APART: Final = 1000
-"""A series has at least one cycle of so many; the rest would be gaps alone."""
-
 _MOST_COLUMNS: Final = 100
-
-_OF_DISPATCH: Final = {
-    "commitment_kw": "commitment_kw",
-    "regulation_kw": "regulation_kw",
-    "dispatch_kw": "power_kw",
-}
-"""Fields of a `RunSeries`, and those of the dispatch that they come from."""
-
-_OF_PLANT: Final = (*_OF_DISPATCH, "unknown_kw", "unlisted_kw", "frequency_hz")
-_OF_INVERTERS: Final = ("mpp_kw", "power_kw", "impp_kw", "residual_kw", "alpha")
-"""Fields of a `RunSeries` with a row for each cycle, and those that have columns too."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SeriesPlant:
-    """The plant of a series, and the time of its cycles.
-
-    inverters, rating_kw: Paths of the n inverters in the control tree (`c2/inv07`), and their AC
-        ratings, shape (n,).
-    timezone: Local time of the plant, an IANA name.
-    start_time_ns: Simulated time of the first cycle, ns since 1970-01-01 UTC.
-    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0 if there is no
-        regulation.
-    ramp_limit_percent_per_min: Ramp limit in % of the plant's rating per minute, if a grid code
-        sets one.
-    interval_cycles: Length of an interval for which the commitment is offered; 0: it is given.
-    grid: What the grid asks of the plant, and what is lost up to its meter.
-    planned_cycles: How many cycles the run was to have; 0: as many as the series has.
-    noun: What the n columns are: in a large plant clusters may stand for their inverters.
-    """
-
-    inverters: tuple[str, ...]
-    rating_kw: NDArray[np.float64]
-    timezone: str
-    start_time_ns: int
-    cycle_s: float
-    regulation_capacity_kw: float = 0.0
-    ramp_limit_percent_per_min: float | None = None
-    interval_cycles: int = 0
-    grid: GridLaw = NO_GRID
-    planned_cycles: int = 0
-    noun: Literal["inverter", "cluster"] = "inverter"
-
-    @classmethod
-    def of(cls, plan: RunPlan, clusters: Sequence[str] = ()) -> SeriesPlant:
-        columns = tuple(clusters) or plan.tree.leaves
-        return cls(
-            inverters=columns,
-            rating_kw=np.array([plan.tree.rating_kw(node) for node in columns]),
-            timezone=plan.timing.timezone,
-            start_time_ns=plan.timing.start_time_ns,
-            cycle_s=plan.timing.cycle_ns / 1e9,
-            regulation_capacity_kw=plan.site.regulation_capacity_kw,
-            ramp_limit_percent_per_min=plan.site.ramp_limit_percent_per_min,
-            interval_cycles=plan.control.offers.interval_cycles if plan.control.offers else 0,
-            grid=plan.grid_law,
-            planned_cycles=plan.timing.cycles,
-            noun="cluster" if clusters else "inverter",
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +36,8 @@ class RunSeries:
     A row stands for the cycle of its number. What no message says is NaN.
 
     label: What to call it in a table or a legend, for instance the control scheme.
+    inverters: Paths of the n inverters in the control tree (`c2/inv07`); in a large plant those of
+        clusters, which stand for their inverters.
     commitment_kw, regulation_kw: What the operator wanted in each cycle, shape (T,): the power
         promised, and the regulation on top of it (0 throughout if there is none).
     dispatch_kw: The paper's P_desired, shape (T,): the sum of both, unless an order is in force.
@@ -110,12 +49,14 @@ class RunSeries:
         that it applied.
     unknown_kw: What real inverters that do not answer may give beside the delivered power, (T,).
     unlisted_kw: What the plant's own meter reads beyond the sum of its inverters, (T,).
+    first_cycle: Cycle of the run that the first row stands for.
     of_agents: Figures of merit that only a run of agents in a study counts, by name.
     orders: Orders, each with the cycle in which it came into force or in which its state changed.
     """
 
     label: str
-    plant: SeriesPlant
+    plan: RunPlan
+    inverters: tuple[str, ...]
     commitment_kw: NDArray[np.float64]
     regulation_kw: NDArray[np.float64]
     dispatch_kw: NDArray[np.float64]
@@ -129,37 +70,57 @@ class RunSeries:
     frequency_hz: NDArray[np.float64]
     desired_kw: NDArray[np.float64]
     response_kw: NDArray[np.float64]
+    first_cycle: int = 0
     of_agents: Mapping[str, float] = field(default_factory=dict)
     orders: tuple[tuple[int, OrderInForce], ...] = ()
 
     @classmethod
-    def of(cls, plan: RunPlan, label: str, **values: NDArray[np.float64]) -> RunSeries:
+    def of(
+        cls,
+        plan: RunPlan,
+        label: str,
+        values: Mapping[str, NDArray[np.float64]],
+        clusters: tuple[str, ...] = (),
+    ) -> RunSeries:
         """Return the series of a plan's run; `values` are the fields with a row for each cycle.
 
-        Those of inverters that are not given are unknown. Without orders, commitment and regulation
-        give the dispatch.
+        Those that are not given are unknown. Without orders, commitment and regulation give the
+        dispatch.
         """
-        if "dispatch_kw" not in values:
-            values["dispatch_kw"] = values["commitment_kw"] + values["regulation_kw"]
-        unknown = dict.fromkeys(_OF_INVERTERS, np.broadcast_to(nan, values["mpp_kw"].shape))
-        for name in ("unknown_kw", "unlisted_kw"):
-            unknown[name] = np.zeros(len(values["mpp_kw"]))
-        unknown["frequency_hz"] = np.full(len(values["mpp_kw"]), nan)
-        arrays: dict[str, Any] = unknown | values
+        shape = values["mpp_kw"].shape
+        unknown = np.full(shape[0], nan)
+        arrays: dict[str, Any] = {
+            **dict.fromkeys(("impp_kw", "residual_kw", "alpha"), np.broadcast_to(nan, shape)),
+            **dict.fromkeys(("commitment_kw", "regulation_kw", "frequency_hz"), unknown),
+            **dict.fromkeys(("unknown_kw", "unlisted_kw"), np.zeros(shape[0])),
+            **values,
+        }
+        arrays.setdefault("dispatch_kw", arrays["commitment_kw"] + arrays["regulation_kw"])
         arrays |= _asked(plan, arrays["dispatch_kw"], arrays["frequency_hz"])
-        return cls(label, SeriesPlant.of(plan), **arrays)
+        return cls(label, plan, clusters or plan.tree.leaves, **arrays)
 
     @property
-    def inverters(self) -> tuple[str, ...]:
-        return self.plant.inverters
+    def noun(self) -> str:
+        """What the columns stand for."""
+        return "inverter" if self.inverters == self.plan.tree.leaves else "cluster"
+
+    @property
+    def rating_kw(self) -> float:
+        """AC rating of the plant."""
+        return self.plan.tree.rating_kw(ROOT)
 
     @property
     def cycle_s(self) -> float:
-        return self.plant.cycle_s
+        return self.plan.timing.cycle_s
 
     @property
     def cycles(self) -> int:
         return len(self.mpp_kw)
+
+    @property
+    def start_time_ns(self) -> int:
+        """Simulated time of the first row."""
+        return self.plan.timing.sim_time_ns(self.first_cycle)
 
     @property
     def available_kw(self) -> NDArray[np.float64]:
@@ -177,7 +138,7 @@ class RunSeries:
         return np.asarray(self.power_kw.sum(axis=1)) - self._net_kw(self.power_kw)
 
     def _net_kw(self, of_inverters_kw: NDArray[np.float64]) -> NDArray[np.float64]:
-        return net_kw(np.asarray(of_inverters_kw.sum(axis=1)), self.plant.grid)
+        return net_kw(np.asarray(of_inverters_kw.sum(axis=1)), self.plan.grid_law)
 
     @property
     def shortfall_kw(self) -> NDArray[np.float64]:
@@ -193,29 +154,30 @@ class RunSeries:
     @property
     def times(self) -> pd.DatetimeIndex:
         """Local time of the beginning of each cycle, length T."""
-        first = pd.Timestamp(self.plant.start_time_ns, tz="UTC").tz_convert(self.plant.timezone)
-        return pd.date_range(first, periods=self.cycles, freq=pd.Timedelta(seconds=self.cycle_s))
+        timing = self.plan.timing
+        first = pd.Timestamp(self.start_time_ns, tz="UTC").tz_convert(timing.timezone)
+        return pd.date_range(first, periods=self.cycles, freq=pd.Timedelta(timing.cycle_ns))
 
     def between(self, first: int, end: int) -> RunSeries:
-        """Return the cycles from the first one on to before the end alone."""
-        names = (*_OF_PLANT, *_OF_INVERTERS, "desired_kw", "response_kw")
-        part = {name: getattr(self, name)[first:end] for name in names}
-        begin_ns = self.plant.start_time_ns + round(first * self.cycle_s * 1e9)
-        return replace(self, plant=replace(self.plant, start_time_ns=begin_ns), **part)
+        """Return the rows from the first one on to before the end alone."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        part: dict[str, Any] = {
+            name: rows[first:end] for name, rows in values.items() if isinstance(rows, np.ndarray)
+        }
+        return replace(self, first_cycle=self.first_cycle + first, **part)
 
 
 def _asked(
     plan: RunPlan, dispatch_kw: NDArray[np.float64], frequency_hz: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
     """Return what the grid asks of a plant in each cycle, whatever its controllers know of it."""
-    grid, rating_kw = plan.grid, plan.tree.rating_kw(ROOT)
     response = np.zeros(len(dispatch_kw))
-    if not grid.moves_target:
+    if not plan.grid.moves_target:
         return {"desired_kw": dispatch_kw, "response_kw": response}
     response[:] = [response_kw(hz, plan.grid_law) for hz in frequency_hz.tolist()]
     desired, reference_kw = np.full(len(dispatch_kw), nan), nan
     for cycle in np.flatnonzero(np.isfinite(dispatch_kw)).tolist():
-        usable_kw = usable_dispatch_kw(float(dispatch_kw[cycle]), rating_kw)
+        usable_kw = usable_dispatch_kw(float(dispatch_kw[cycle]), plan.tree.rating_kw(ROOT))
         reference_kw = ramped_kw(reference_kw, usable_kw, plan.grid_law)
         desired[cycle] = desired_kw(reference_kw, float(response[cycle]), inf, plan.grid_law)
     return {"desired_kw": desired, "response_kw": response}
@@ -230,54 +192,64 @@ class SeriesCollector:
 
     def __init__(self, plan: RunPlan, clusters: Sequence[str] = ()) -> None:
         """Take the plant's inverters as columns, or clusters that stand for them."""
-        cycles, leaves = plan.timing.cycles, plan.tree.leaves
+        leaves = plan.tree.leaves
         self._plan = plan
-        self._clusters = clusters
+        self._clusters = tuple(clusters)
         self._column = {node: column for column, node in enumerate(clusters or leaves)}
         self._column_of_leaf = [
             self._column[parent_of(leaf) if clusters else leaf] for leaf in leaves
         ]
-        self._of_plant = {name: np.full(cycles, nan) for name in _OF_PLANT}
-        self._of_inverters = defaultdict[str, NDArray[np.float64]](
-            lambda: np.full((cycles, len(self._column)), nan)
+        self._values: dict[str, NDArray[np.float64]] = {}
+        self._heard = defaultdict[Port[Message], NDArray[np.bool_]](
+            lambda: np.zeros(plan.timing.cycles, bool)
         )
-        self._heard = defaultdict[Port[Message], NDArray[np.bool_]](lambda: np.zeros(cycles, bool))
         self._orders: list[tuple[int, OrderInForce]] = []
         self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message; those that the series does not need are ignored."""
-        cycle, plan = message.cycle, self._plan
-        if not 0 <= cycle < plan.timing.cycles:
+        if not 0 <= message.cycle < self._plan.timing.cycles:
             return
         match message:
             case Dispatch():
-                rows = {name: np.array(getattr(message, of)) for name, of in _OF_DISPATCH.items()}
-                self._enter_of_plant(port, cycle, rows)
+                self._enter_of_plant(
+                    port,
+                    message.cycle,
+                    commitment_kw=message.commitment_kw,
+                    regulation_kw=message.regulation_kw,
+                    dispatch_kw=message.power_kw,
+                )
                 self._enter_order(message)
             case Production():
-                self._cycles = max(self._cycles, cycle + 1)
-                made = {"mpp_kw": message.inverter_mpp_kw, "power_kw": message.inverter_power_kw}
-                rows = {name: self._row(listed) for name, listed in made.items()}
-                listed_kw = net_kw(float(rows["power_kw"].sum()), plan.grid_law)
-                metered_kw = message.delivered_kw if plan.site.meter else listed_kw
-                rows["unlisted_kw"] = np.array(metered_kw - listed_kw)
-                rows["unknown_kw"] = np.array(message.unknown_kw)
-                self._enter_of_plant(port, cycle, rows)
+                self._enter_production(port, message)
             case Meter() if message.frequency_hz is not None:
-                self._enter_of_plant(port, cycle, {"frequency_hz": np.array(message.frequency_hz)})
-            case Impp() if port.node in self._column:
-                self._enter_of(port, "impp_kw", cycle, message.power_kw)
-            case Residual() if port.node in self._column:
-                self._enter_of(port, "residual_kw", cycle, message.power_kw)
-            case Command() if port.node in self._column:
-                self._enter_of(port, "alpha", cycle, message.alpha)
+                self._enter_of_plant(port, message.cycle, frequency_hz=message.frequency_hz)
+            case Impp():
+                self._enter_of_node(port, "impp_kw", message.cycle, message.power_kw)
+            case Residual():
+                self._enter_of_node(port, "residual_kw", message.cycle, message.power_kw)
+            case Command():
+                self._enter_of_node(port, "alpha", message.cycle, message.alpha)
 
     def _enter_order(self, dispatch: Dispatch) -> None:
         order = OrderInForce.by(dispatch)
         last = self._orders[-1][1].what if self._orders else None
         if order is not None and order.what != last:
             self._orders.append((dispatch.cycle, order))
+
+    def _enter_production(self, port: Port[Message], message: Production) -> None:
+        self._cycles = max(self._cycles, message.cycle + 1)
+        power_kw = self._row(message.inverter_power_kw)
+        listed_kw = net_kw(float(power_kw.sum()), self._plan.grid_law)
+        metered_kw = message.delivered_kw if self._plan.site.meter else listed_kw
+        self._enter_of_plant(
+            port,
+            message.cycle,
+            mpp_kw=self._row(message.inverter_mpp_kw),
+            power_kw=power_kw,
+            unlisted_kw=metered_kw - listed_kw,
+            unknown_kw=message.unknown_kw,
+        )
 
     def _row(self, listed: Sequence[float]) -> NDArray[np.float64]:
         """Add up what a production lists of each inverter, by column."""
@@ -286,46 +258,43 @@ class SeriesCollector:
         powers_kw[: len(listed)] = listed[: len(leaves)]
         return np.bincount(leaves, powers_kw, len(self._column)).astype(np.float64, copy=False)
 
-    def _enter_of(self, port: Port[Message], name: str, cycle: int, value: float) -> None:
-        """Enter a number, unless an earlier message gave one."""
-        index = cycle, self._column[port.node]
-        if isnan(self._of_inverters[name][index]):
-            self._of_inverters[name][index] = value
+    def _rows_of(self, name: str, *shape: int) -> NDArray[np.float64]:
+        """Return the rows of a field, of all cycles planned."""
+        if name not in self._values:
+            self._values[name] = np.full((self._plan.timing.cycles, *shape), nan)
+        return self._values[name]
+
+    def _enter_of_node(self, port: Port[Message], name: str, cycle: int, value: float) -> None:
+        """Enter a number of an inverter, unless an earlier message gave one."""
+        column = self._column.get(port.node)
+        if column is not None:
+            rows = self._rows_of(name, len(self._column))
+            if isnan(rows[cycle, column]):
+                rows[cycle, column] = value
 
     def _enter_of_plant(
-        self, port: Port[Message], cycle: int, rows: dict[str, NDArray[np.float64]]
+        self, port: Port[Message], cycle: int, **said: float | NDArray[np.float64]
     ) -> None:
         """Enter what the plant says; what contradicts an earlier message makes it unknown."""
         is_new = not self._heard[port][cycle]
         self._heard[port][cycle] = True
-        for name, row in rows.items():
-            values = self._of_plant[name] if name in _OF_PLANT else self._of_inverters[name]
+        for name, value in said.items():
+            rows = self._rows_of(name, *np.shape(value))
             if is_new:
-                values[cycle] = row
-            elif not np.array_equal(values[cycle], row, equal_nan=True):
-                values[cycle] = nan
+                rows[cycle] = value
+            elif not np.array_equal(rows[cycle], value, equal_nan=True):
+                rows[cycle] = nan
 
     def series(self, label: str) -> RunSeries:
         """Return the cycles up to the last one that the plant completed."""
+        nothing = InputError("expected a run with at least one complete cycle, got none")
         if not self._cycles:
-            raise InputError("expected a run with at least one complete cycle, got none")
-        columns = self._of_plant | self._of_inverters
-        values = {name: column[: self._cycles] for name, column in columns.items()}
-        series = RunSeries.of(self._plan, label, **values)
-        plant, orders = SeriesPlant.of(self._plan, self._clusters), tuple(self._orders)
-        series = replace(series, plant=plant, orders=orders)
-        known = int(series.known.sum())
-        if known * _MOST_APART <= series.cycles:
-            raise InputError(
-                f"expected dispatch and production of most of {series.cycles:,} cycles, got those "
-                f"of {known:,}"
-            )
-        return series
-
-
-def read_series(path: Path) -> RunSeries:
-    with RunReader(path) as reader:
-        return series_of(reader)
+            raise nothing
+        values = {name: rows[: self._cycles] for name, rows in self._values.items()}
+        series = RunSeries.of(self._plan, label, values, self._clusters)
+        if not series.known.any():
+            raise nothing
+        return replace(series, orders=tuple(self._orders))
 
 
 class Listener(Protocol):
@@ -341,17 +310,10 @@ def series_of(
     reader: RunReader, most_inverters: int | None = None, also: Sequence[Listener] = ()
 ) -> RunSeries:
     """Read a recording; in a plant of more inverters, clusters stand for them."""
-    nodes, clusters = reader.plan.tree.leaves, _clusters(reader.plan, most_inverters)
+    clusters = _clusters(reader.plan, most_inverters)
     signals = (IMPP, RESIDUAL) if clusters else (IMPP, RESIDUAL, COMMAND)
-    ports: set[Port[Message]] = {
-        signal.of(node) for signal in signals for node in clusters or nodes
-    }
-    return _read(reader, ports, clusters, also)
-
-
-def read_plant_series(path: Path) -> RunSeries:
-    with RunReader(path) as reader:
-        return plant_series_of(reader)
+    nodes = clusters or reader.plan.tree.leaves
+    return _read(reader, reader.ports(*signals, nodes=nodes), clusters, also)
 
 
 def plant_series_of(reader: RunReader, most_inverters: int | None = _MOST_COLUMNS) -> RunSeries:
@@ -359,7 +321,7 @@ def plant_series_of(reader: RunReader, most_inverters: int | None = _MOST_COLUMN
 
     In a plant of more inverters, clusters stand for them: a day is to fit into memory.
     """
-    return _read(reader, set(), _clusters(reader.plan, most_inverters))
+    return _read(reader, frozenset(), _clusters(reader.plan, most_inverters))
 
 
 def _clusters(plan: RunPlan, most_inverters: int | None) -> tuple[str, ...]:
@@ -372,7 +334,7 @@ def _clusters(plan: RunPlan, most_inverters: int | None) -> tuple[str, ...]:
 
 def _read(
     reader: RunReader,
-    ports: set[Port[Message]],
+    ports: frozenset[Port[Message]],
     clusters: tuple[str, ...],
     also: Sequence[Listener] = (),
 ) -> RunSeries:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import select
-import signal
 import sys
 import termios
 import time
@@ -49,11 +48,8 @@ def keyboard() -> Iterator[Keyboard]:
         return os.read(descriptor, 1).decode(errors="replace") if is_typed else ""
 
     before = termios.tcgetattr(descriptor)
-    # After Ctrl-Z the shell restores its own mode; `fg` must set ours again.
-    continued = signal.signal(signal.SIGCONT, lambda *_: tty.setcbreak(descriptor))
     tty.setcbreak(descriptor)
     try:
         yield wait
     finally:
-        signal.signal(signal.SIGCONT, continued)
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -14,7 +14,7 @@ from bus_schemas.signals import Port
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
 from recordings.replay.keyboard import KEYS_IN_WORDS, Keyboard, has_keyboard, keyboard
-from recordings.replay.schedule import PlaybackClock, UpcomingMessages
+from recordings.replay.schedule import PlaybackClock, in_publish_order, positions
 
 _LOOK_S: Final = 0.02
 """How often the keyboard is read."""
@@ -23,13 +23,11 @@ _LOOK_S: Final = 0.02
 class StatusLine(Protocol):
     """Where the user reads how far a replay has come."""
 
-    def is_due(self) -> bool:
-        """Whether the shown text is old enough to be replaced."""
+    def is_due(self) -> bool: ...
 
     def show(self, text: str) -> None: ...
 
-    def end(self) -> None:
-        """Leave the text as it is: the replay is over."""
+    def end(self) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -64,8 +62,7 @@ def replay_recording(
         if has_keyboard():
             say(out, KEYS_IN_WORDS)
         clock = PlaybackClock(options.rate, paused=options.start_paused)
-        upcoming = UpcomingMessages(reader, ports, span)
-        playback = Playback(upcoming, bus, clock, keys, interruption, line)
+        playback = Playback(reader, ports, span, bus, clock, keys, interruption, line)
         if options.wait:
             await_subscriber(bus, interruption, out)
         began_at = time.monotonic()
@@ -89,12 +86,14 @@ def replay_recording(
 
 @dataclass(eq=False)
 class Playback:
-    """Sends messages when they are due. At rate 0 nothing has a due time.
+    """Sends the messages of some cycles when they are due. At rate 0 nothing has a due time.
 
     messages, cycles: How many were sent. latest_us: At most how late [µs]; None: nothing was due.
     """
 
-    upcoming: UpcomingMessages
+    reader: RunReader
+    ports: Collection[Port[Message]]
+    span: range
     bus: ReplayBus
     clock: PlaybackClock
     keyboard: Keyboard
@@ -111,52 +110,56 @@ class Playback:
     def play(self, *, loop: bool = False) -> None:
         """Send all messages; begin again at the end if it is a loop."""
         wake_precisely()
-        self.clock.move_to(self.upcoming.position_ns)  # A wait for subscribers does not count.
-        if self.clock.paused:
-            self._announce()
-        while not self.interruption:
-            record = self.upcoming.next
-            if record is None and not self.clock.paused:
-                if not loop or self._cycle < 0:
-                    break
-                self.upcoming.seek(self.upcoming.span.start)
-                self._cycle = -1
-                self.clock.move_to(self.upcoming.position_ns)
-            elif record is not None and self._is_due():
-                self._send(record)
-                self.upcoming.advance()
-            if self._obey_keys() == "q":
-                break
-        self._show(self._cycle)
+        goes_on = True
+        while goes_on:
+            self._cycle = -1
+            goes_on = self._play_once() and loop and self._cycle >= 0
+        self._show()
         self.line.end()
 
-    def _is_due(self) -> bool:
+    def _play_once(self) -> bool:
+        """Send all messages; return whether the user has let it come to the end."""
+        records = in_publish_order(self.reader, self.ports, self.span)
+        is_first = True
+        for position_ns, record in positions(records, self.reader.plan):
+            if is_first:
+                self.clock.move_to(position_ns)  # A wait for subscribers does not count.
+                if self.clock.paused:
+                    self._announce(record)
+            is_first = False
+            while not self._is_due(position_ns):
+                if not self._goes_on(record):
+                    return False
+            self._send(record, position_ns)
+            if not self._goes_on(record):
+                return False
+        return True
+
+    def _is_due(self, position_ns: int) -> bool:
         """Whether the next message is due; if not, wait a little."""
         if self.clock.paused:
             return False
-        left_s = (self.clock.due_ns(self.upcoming.position_ns) - self.clock.now_ns()) / 1e9
+        left_s = (self.clock.due_ns(position_ns) - self.clock.now_ns()) / 1e9
         if left_s > 0.0:
             self.clock.sleep(min(left_s, _LOOK_S))
         return left_s <= 0.0
 
-    def _send(self, record: RecordedMessage) -> None:
+    def _send(self, record: RecordedMessage, position_ns: int) -> None:
         if record.cycle > self._cycle:
             self._cycle = record.cycle
-            self.cycles += record.cycle <= self.upcoming.reader.last_cycle
-            self._announce()
+            self.cycles += record.cycle <= self.reader.last_cycle
+            self._announce(record)
         was_sent = self.bus.put(record.port, record.payload)
         self.messages += was_sent
         if self.clock.rate and was_sent:
-            late_ns = self.clock.now_ns() - self.clock.due_ns(self.upcoming.position_ns)
+            late_ns = self.clock.now_ns() - self.clock.due_ns(position_ns)
             self.latest_us = max(late_ns / 1e3, self.latest_us or 0.0)
 
-    def _announce(self) -> None:
-        if self.upcoming.next is not None:
-            clock = self.clock
-            self.bus.announce(self.upcoming.next.cycle, rate=clock.rate, paused=clock.paused)
+    def _announce(self, record: RecordedMessage) -> None:
+        self.bus.announce(record.cycle, rate=self.clock.rate, paused=self.clock.paused)
 
-    def _obey_keys(self) -> str:
-        """Read the keyboard if it is time to, and do what a key asks for; return the key."""
+    def _goes_on(self, record: RecordedMessage) -> bool:
+        """Do what a key asks for, if it is time to look; return whether the user lets it go on."""
         clock, key = self.clock, ""
         if clock.paused:
             key = self.keyboard(_LOOK_S)
@@ -164,18 +167,18 @@ class Playback:
             self._look_at_ns = clock.now_ns() + round(_LOOK_S * 1e9)
             key = self.keyboard(0.0)
             if self.line.is_due():
-                self._show(self._cycle)
+                self._show()
         if key == " ":
             clock.toggle_pause()
-            self._announce()
-            self._show(self._cycle)
-        return key
+            self._announce(record)
+            self._show()
+        return key != "q" and not self.interruption
 
-    def _show(self, cycle: int) -> None:
-        if cycle >= 0:
+    def _show(self) -> None:
+        if self._cycle >= 0:
             rate = f"pace {self.clock.rate:g}" if self.clock.rate else "as fast as possible"
             paused = " paused" if self.clock.paused else ""
-            reader = self.upcoming.reader
-            cycle = min(cycle, reader.last_cycle)
-            at = f"{reader.clock.text(cycle)} cycle {cycle} of 0 to {reader.last_cycle}"
+            last_cycle, clock = self.reader.last_cycle, self.reader.clock
+            cycle = min(self._cycle, last_cycle)
+            at = f"{clock.text(cycle)} cycle {cycle} of 0 to {last_cycle}"
             self.line.show(f"{at}, {rate}{paused}")

@@ -1,4 +1,4 @@
-"""Which message of a recording a replay sends next, and when it is due."""
+"""In which order a replay sends the messages of a recording, and when each of them is due."""
 
 from __future__ import annotations
 
@@ -18,32 +18,6 @@ _REORDER_NS: Final = 1_000_000_000
 
 _LATE_CYCLES: Final = 10
 """By how many cycles a message may be published late, in addition to the longest period."""
-
-
-class UpcomingMessages:
-    """The messages of some cycles in the order in which they were published.
-
-    next: The message to be sent next, None at the end.
-    position_ns: Its position on the clock, see `positions`.
-    """
-
-    def __init__(self, reader: RunReader, ports: Collection[Port[Message]], span: range) -> None:
-        self.reader = reader
-        self.span = span
-        self.position_ns = 0
-        self._ports = ports
-        self.seek(span.start)
-
-    def seek(self, cycle: int) -> None:
-        """Let the first message of a cycle be the next one."""
-        records = in_publish_order(self.reader, self._ports, range(cycle, self.span.stop))
-        self._messages = positions(records, self.reader.plan)
-        self.advance()
-
-    def advance(self) -> None:
-        """Turn to the message after the next one."""
-        self.next: RecordedMessage | None
-        self.position_ns, self.next = next(self._messages, (self.position_ns, None))
 
 
 def in_publish_order(

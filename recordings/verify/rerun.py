@@ -19,34 +19,38 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import ceil, inf
 from typing import Any, TypeAlias
 
 import msgspec
+from msgspec.structs import replace as replaced
 
 from agents.agent import Agent, Stage, Turn
-from agents.control.impp import Estimate, is_plausible
+from agents.control.impp import Estimate
 from agents.cycle import stage_of
 from agents.direct import DirectController, DirectState
 from agents.inputs import Inputs
 from agents.plan import RunPlan
-from agents.team import direct_controller
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Impp, Message, Telemetry, parse_missing
-from bus_schemas.signals import DISPATCH, ORDER, TELEMETRY, Port
-from bus_schemas.tree import ROOT
+from bus_schemas.signals import DISPATCH, IMPP, ORDER, Port
+from bus_schemas.tree import PLANT, ROOT
 from recordings.verify.agent_result import AgentResult, Difference
 from recordings.verify.equality import Equality
 from recordings.verify.recorded_cycles import RecordedCycles
 from sim_plant.orders import Wanted, order_given
 
 Messages: TypeAlias = Mapping[Port[Message], Message]
+Outputs: TypeAlias = dict[str, dict[Port[Message], Message]]
+"""What one process published in a cycle, by stage."""
 
 
 class StatedEstimates(DirectController):
-    """The controller of a device, which may estimate its maximum as it likes, see docs/wire.md.
+    """A direct controller that may be told its estimate.
 
-    stated: What it has published of its estimate in this cycle: the rest follows from that.
+    stated: What was published of the estimate in this cycle, where nothing else tells it: the
+        controller's memory is unknown, or it is a device, which may estimate its maximum as it
+        likes, see docs/wire.md.
     """
 
     stated: Impp | None = None
@@ -57,12 +61,6 @@ class StatedEstimates(DirectController):
             return super()._estimate_now(telemetry, last)
         is_lost = stated.stale_cycles > self._control.hold_cycles
         return Estimate(last.power_kw if is_lost else stated.power_kw, stated.stale_cycles)
-
-
-def device_controller(plan: RunPlan, name: str) -> Agent[Any]:
-    """Return the direct controller that a device is compared with."""
-    is_paper = plan.control.scheme == "paper"
-    return direct_controller(plan, name, DirectController if is_paper else StatedEstimates)
 
 
 @dataclass
@@ -92,7 +90,7 @@ class Process:
 class CycleUnderWay:
     """One cycle of one process.
 
-    recorded: What it published, by stage; what has been compared is removed.
+    recorded: What it published; what has been compared is removed.
     is_last: Whether no newer process published anything in this cycle.
     used: The messages that the agent has used so far.
     is_doubtful: Whether it may have used a message other than the recorded one.
@@ -100,30 +98,33 @@ class CycleUnderWay:
     """
 
     cycle: int
-    recorded: dict[str, dict[Port[Message], Message]]
+    recorded: Outputs
     is_last: bool
     used: dict[Port[Message], Message] = field(default_factory=dict)
     is_doubtful: bool = False
     stage: str = ""
 
 
-@dataclass(eq=False)
 class AgentRerun:
-    """Takes one agent, made from the present code, through a recording.
+    """Takes one agent, made from the present code, through a recording, from `from_cycle` on."""
 
-    forgets_after: Cycles of known inputs after which it remembers nothing older; None: never.
-    """
-
-    name: str
-    make: Callable[[], Agent[Any]]
-    plan: RunPlan
-    recorded: RecordedCycles
-    equality: Equality
-    result: AgentResult
-    forgets_after: int | None = None
-
-    def __post_init__(self) -> None:
-        plan, name = self.plan, self.name
+    def __init__(
+        self,
+        name: str,
+        make: Callable[[], Agent[Any]],
+        plan: RunPlan,
+        recorded: RecordedCycles,
+        equality: Equality,
+        from_cycle: int,
+    ) -> None:
+        self.result = AgentResult(from_cycle=from_cycle)
+        self._name = name
+        self._make = make
+        self._plan = plan
+        self._recorded = recorded
+        is_device = name in plan.access.external
+        self._equality = equality.of_device() if is_device else equality
+        self._estimates_as_it_likes = is_device and plan.control.scheme != "paper"
         self._stage_of = {
             port: stage_of(port, plan.tree)
             for port in plan.wiring.published[name]
@@ -150,15 +151,15 @@ class AgentRerun:
             left = (messages for one in outputs.values() for messages in one.values())
             self.result.not_compared += sum(map(len, left))
 
-    def _outputs(self, cycle: int) -> dict[int, dict[str, dict[Port[Message], Message]]]:
-        """Return what each process of the agent published in a cycle, by stage.
+    def _outputs(self, cycle: int) -> dict[int, Outputs]:
+        """Return what each process of the agent published in a cycle.
 
         If none published anything, the newest one is there.
         """
-        outputs: dict[int, dict[str, dict[Port[Message], Message]]] = {}
+        outputs: dict[int, Outputs] = {}
         is_compared = cycle >= self.result.from_cycle
         for port, stage in self._stage_of.items():
-            for message in self.recorded.on(port, cycle):
+            for message in self._recorded.on(port, cycle):
                 self.result.recorded += is_compared
                 messages = outputs.setdefault(message.incarnation, {}).setdefault(stage, {})
                 is_second = messages.setdefault(port, message) is not message
@@ -170,16 +171,16 @@ class AgentRerun:
 
     def _begin(self, incarnation: int) -> Process:
         """Let a process of the agent join the run."""
-        agent, recorded = self.make(), self.recorded
-        inputs = Inputs(self.plan, agent.name, 0, lambda count, why: None)
+        agent = self._make()
+        inputs = Inputs(self._plan, agent.name, 0, lambda count, why: None)
         process = Process(agent, inputs, incarnation, agent.initial_state())
-        takeover = recorded.takeovers.get((self.name, incarnation))
+        takeover = self._recorded.takeovers.get((self._name, incarnation))
         if takeover is not None:
             process.joined_in = incarnation
             if process.state is not None:
                 kind = type(process.state)
                 process.state = msgspec.convert(takeover, kind, from_attributes=True)
-        elif incarnation and recorded.was_away(self.name, incarnation):
+        elif incarnation and self._recorded.was_away(self._name, incarnation):
             process.lose_track(incarnation)  # The recorder may have missed a takeover.
         return process
 
@@ -188,11 +189,11 @@ class AgentRerun:
         if incarnation not in self._processes:
             self._processes[incarnation] = self._begin(incarnation)
         process = self._processes[incarnation]
-        if not self.plan.timing.lockstep:
+        if not self._plan.timing.lockstep:
             self._find_lost_outputs(process, now)
         stages = list(process.agent.stages(now.cycle))
         unknown = now.recorded.keys() - {stage.name for stage in stages}
-        if not (self.plan.timing.lockstep and now.is_last):
+        if not (self._plan.timing.lockstep and now.is_last):
             while stages and stages[-1].name not in now.recorded:
                 stages.pop()
         if now.cycle == process.joined_in:  # Before it took over, a standby published nothing.
@@ -204,31 +205,31 @@ class AgentRerun:
             self._compare(process, now, {})
 
     def _run_stage(self, process: Process, now: CycleUnderWay, stage: Stage) -> None:
-        now.stage, cycle = stage.name, now.cycle
+        now.stage, cycle, agent = stage.name, now.cycle, process.agent
         recorded = now.recorded.get(stage.name, {})
         is_certain = self._take_inputs(process, now, stage)
+        if isinstance(agent, StatedEstimates) and stage.name == "estimate":
+            is_told = self._estimates_as_it_likes or process.unknown_since is not None
+            said = recorded.get(IMPP.of(self._name))
+            agent.stated = said if is_told and isinstance(said, Impp) else None
         is_known = self._is_known(process, now)
         used, missing = process.inputs.used(stage, cycle)
         dispatch = recorded.get(DISPATCH.of(ROOT))
         if isinstance(dispatch, Dispatch):
             used[ORDER.of(ROOT)] = order_given(dispatch)
-        sim_time_ns = self.plan.timing.sim_time_ns(cycle)
-        stamp = (cycle, sim_time_ns, process.agent.name, missing, 0, 0, 0, process.incarnation)
+        sim_time_ns = self._plan.timing.sim_time_ns(cycle)
+        stamp = (cycle, sim_time_ns, agent.name, missing, 0, 0, 0, process.incarnation)
         turn = Turn(stage.name, cycle, sim_time_ns, stamp, used)
-        if isinstance(process.agent, StatedEstimates) and stage.name == "estimate":
-            stated = (message for message in recorded.values() if isinstance(message, Impp))
-            process.agent.stated = next(stated, None)
         before = process.state
-        process.state, outputs = process.agent.step(before, turn)
-        if process.unknown_since is not None and isinstance(dispatch, Dispatch):
-            process.state = replace(process.state, wanted=Wanted.by(dispatch))
+        process.state, outputs = agent.step(before, turn)
+        if process.unknown_since is not None:
+            is_known &= self._is_same_whatever_it_remembers(agent, before, turn, outputs)
+            self._learn(process, now, dispatch)
         new = dict(outputs)
-        if process.unknown_since is not None and isinstance(before, DirectState):
-            is_known &= self._is_same_whatever_it_remembers(process.agent, before, turn, outputs)
         if not is_certain or (process.unknown_since is not None and missing):
             process.lose_track(cycle)
-        elif not recorded and not self.plan.timing.lockstep:
-            if is_known and not self.recorded.was_away(self.name, cycle):
+        elif not recorded and not self._plan.timing.lockstep:
+            if is_known and not self._recorded.was_away(self._name, cycle):
                 self.result.add(Difference("not recorded", cycle, stage.name))
             process.lose_track(cycle)
         elif now.is_doubtful and not self._are_equal(recorded, new):
@@ -239,58 +240,42 @@ class AgentRerun:
     def _is_known(self, process: Process, now: CycleUnderWay) -> bool:
         """Whether a stage's outputs follow from recorded messages.
 
-        The plant forgets what it was commanded long ago. A direct controller commands by the IMPP
-        that it has just published. By the paper's rule its IMPP rests on the telemetry of this
-        cycle alone; a forecast rests on older measurements.
+        The plant forgets what it was commanded before its slowest inverter has followed. A direct
+        controller commands by the IMPP that it has just published.
         """
-        since, plan = process.unknown_since, self.plan
-        if since is not None and self.forgets_after is not None:
-            if now.cycle - since > self.forgets_after:
+        since, agent = process.unknown_since, process.agent
+        if since is not None and self._name == PLANT:
+            timing, site = self._plan.timing, self._plan.site
+            slowest_s = max(map(site.follows_within_s, self._plan.tree.leaves))
+            if now.cycle - since > ceil(slowest_s / timing.cycle_s) + 2:
                 process.unknown_since = None
-        elif since is not None and isinstance(process.state, DirectState):
-            if (
-                now.stage == "estimate"
-                and plan.control.scheme == "paper"
-                and self._is_measured(now)
-            ):
-                process.unknown_since = None
-            for impp in now.recorded.get("estimate", {}).values():
-                if now.stage == "actuate" and isinstance(impp, Impp):
-                    if impp.stale_cycles > plan.control.hold_cycles:
-                        return False  # It says 0 kW, and remembers what it was.
-                    estimate = process.state.estimate._replace(
-                        power_kw=impp.power_kw, stale_cycles=impp.stale_cycles
-                    )
-                    process.state = DirectState(estimate, now.cycle)
-                    return True
+        elif since is not None and isinstance(agent, StatedEstimates) and now.stage == "actuate":
+            # Of an inverter that is lost it says 0 kW, and remembers what it was.
+            stated, hold = agent.stated, self._plan.control.hold_cycles
+            return stated is not None and stated.stale_cycles <= hold
         return process.unknown_since is None
 
-    def _is_measured(self, now: CycleUnderWay) -> bool:
-        """Whether a direct controller used a measurement of this cycle."""
-        rating_kw = self.plan.tree.rating_kw(self.name)
-        telemetry = now.used.get(TELEMETRY.of(self.name))
-        return (
-            isinstance(telemetry, Telemetry)
-            and telemetry.cycle == now.cycle
-            and is_plausible(telemetry.power_kw, telemetry.alpha, rating_kw)
-        )
-
     def _is_same_whatever_it_remembers(
-        self, agent: Agent[Any], state: DirectState, turn: Turn, outputs: Sequence[Delivery]
+        self, agent: Agent[Any], state: object, turn: Turn, outputs: Sequence[Delivery]
     ) -> bool:
         """Whether a command does not depend on the mean forecast error, which is not published."""
-        extremes = (
-            DirectState(state.estimate._replace(spread_kw=kw), state.telemetry_cycle)
+        return not (isinstance(state, DirectState) and turn.stage == "actuate") or all(
+            agent.step(replaced(state, estimate=state.estimate._replace(spread_kw=kw)), turn)[1]
+            == outputs
             for kw in (0.0, inf)
         )
-        return turn.stage != "actuate" or all(
-            agent.step(one, turn)[1] == outputs for one in extremes
-        )
+
+    def _learn(self, process: Process, now: CycleUnderWay, dispatch: Message | None) -> None:
+        """Take from what was published what a process of unknown memory remembers since then."""
+        if isinstance(dispatch, Dispatch):
+            process.state = replace(process.state, wanted=Wanted.by(dispatch))
+        elif isinstance(process.state, DirectState):
+            process.state = replaced(process.state, telemetry_cycle=now.cycle)
 
     def _take_inputs(self, process: Process, now: CycleUnderWay, stage: Stage) -> bool:
         """Take in the messages that a stage used; return whether all of them are recorded."""
         outputs = now.recorded.get(stage.name, {})
-        if not outputs and not self.plan.timing.lockstep:
+        if not outputs and not self._plan.timing.lockstep:
             return True  # It is unknown what it used.
         used_of = dict(map(parse_missing, next(iter(outputs.values())).missing if outputs else ()))
         are_recorded = True
@@ -301,9 +286,9 @@ class AgentRerun:
             used = used_of.get(str(port), now.cycle - now.cycle % one.period)
             if used is None or used <= one.newest_cycle:
                 continue
-            messages = self.recorded.on(port, used)
+            messages = self._recorded.on(port, used)
             if not messages:
-                if not self.recorded.may_lack(port.publisher, used):
+                if not self._recorded.may_lack(port.publisher, used):
                     lost = Difference("input not recorded", now.cycle, stage.name, str(port))
                     self.result.add(lost)
                 are_recorded = False
@@ -322,12 +307,12 @@ class AgentRerun:
         """
         first, *others = messages
         joined = 0 < first.cycle == first.incarnation
-        may_overlap = self.plan.timing.lockstep or port.publisher in self.plan.standbys
+        may_overlap = self._plan.timing.lockstep or port.publisher in self._plan.standbys
         return bool(others) or (joined and may_overlap)
 
     def _are_equal(self, recorded: Messages, new: Messages) -> bool:
         return recorded.keys() == new.keys() and not any(
-            self.equality.differences(port, recorded[port], new[port]) for port in new
+            self._equality.differences(port, recorded[port], new[port]) for port in new
         )
 
     def _compare(self, process: Process, now: CycleUnderWay, outputs: Messages) -> None:
@@ -338,11 +323,11 @@ class AgentRerun:
             if old is None:  # If the recording lost it, its number is known to be missing.
                 sequence, cycle = process.sequences.get(port, (0, process.incarnation))
                 process.sequences[port] = sequence + 1, cycle
-                if self.recorded.may_lack(self.name, new.cycle):
+                if self._recorded.may_lack(self._name, new.cycle):
                     continue
-            self.result.compare(self.equality, port, old, new, now.stage, now.used)
+            self.result.compare(self._equality, port, old, new, now.stage, now.used)
         for port, old in recorded.items():
-            self.result.compare(self.equality, port, old, None, now.stage, now.used)
+            self.result.compare(self._equality, port, old, None, now.stage, now.used)
         recorded.clear()
 
     def _find_lost_outputs(self, process: Process, now: CycleUnderWay) -> None:
@@ -352,7 +337,7 @@ class AgentRerun:
             expected, since = process.sequences.get(port, (0, message.incarnation))
             if message.sequence > expected:
                 was_known = process.unknown_since is None
-                if was_known and not self.recorded.was_away(self.name, since, now.cycle):
+                if was_known and not self._recorded.was_away(self._name, since, now.cycle):
                     lost = Difference("not recorded", now.cycle, stage, str(port), content=message)
                     self.result.add(lost)
                 process.lose_track(now.cycle)

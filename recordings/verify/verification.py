@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import ceil
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from agents.agent import Agent
 from agents.cycle import stage_place
 from agents.plan import RunPlan
-from agents.team import controller
+from agents.team import controller, direct_controller
 from bus_schemas.errors import InputError
 from bus_schemas.selection import find_agents
 from bus_schemas.signals import PRODUCTION
@@ -22,7 +21,7 @@ from recordings.read.reader import RunReader
 from recordings.verify.agent_result import AgentResult, Difference
 from recordings.verify.equality import BIT_FOR_BIT, Equality
 from recordings.verify.recorded_cycles import MessageCounts, RecordedCycles
-from recordings.verify.rerun import AgentRerun, device_controller
+from recordings.verify.rerun import AgentRerun, StatedEstimates
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile, load_profile
 
@@ -98,24 +97,15 @@ def verify(
         team, left_out = _team(plan, nodes, reader.path)
         absences = list(unrecorded_spans(reader))
         recorded = RecordedCycles(reader.messages(), plan, stop_cycle, absences)
-        results = {name: AgentResult(from_cycle=wanted.start) for name in team}
-        reruns = [
-            AgentRerun(
-                name,
-                make,
-                plan,
-                recorded,
-                equality.of_device() if name in plan.access.external else equality,
-                results[name],
-                _forgets_after(plan, name),
-            )
+        reruns = {
+            name: AgentRerun(name, make, plan, recorded, equality, wanted.start)
             for name, make in team.items()
-        ]
+        }
         cycles = unrecorded = 0
         for cycle, messages in recorded:
             if cycle >= wanted.stop:
                 break
-            for rerun in reruns:
+            for rerun in reruns.values():
                 rerun.take(cycle)
             if cycle >= wanted.start:
                 cycles += bool(messages)
@@ -128,20 +118,12 @@ def verify(
         cycles,
         recorded.counts,
         unrecorded if absences else None,
-        results,
+        {name: rerun.result for name, rerun in reruns.items()},
         left_out,
     )
     if not verification.total("recorded") and not verification.differences:
         raise InputError(f"{reader.path}: expected messages of {', '.join(team)}, got none")
     return verification
-
-
-def _forgets_after(plan: RunPlan, agent: str) -> int | None:
-    """Return the cycles after which the plant has done all that it was commanded before them."""
-    if agent != PLANT:
-        return None
-    slowest_s = max(map(plan.site.follows_within_s, plan.tree.leaves))
-    return ceil(slowest_s / plan.timing.cycle_s) + 2
 
 
 def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
@@ -172,11 +154,12 @@ def _team(
     for name in (PLANT, *map(agent_name, plan.tree.nodes)):
         if wanted and name not in wanted:
             continue
-        is_device, is_direct = name in plan.access.external, name in plan.tree.leaves
-        if is_device and not nodes and (plan.faults.device or not is_direct):
+        is_direct = name in plan.tree.leaves
+        is_free = name in plan.access.external and (plan.faults.device or not is_direct)
+        if is_free and not nodes:
             left_out[name] = "it is external"
-        elif is_device and is_direct:
-            team[name] = partial(device_controller, plan, name)
+        elif is_direct:
+            team[name] = partial(direct_controller, plan, name, StatedEstimates)
         elif name != PLANT:
             team[name] = partial(controller, plan, name)
         elif plan.site.devices:

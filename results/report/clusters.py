@@ -19,9 +19,7 @@ def clusters_table(series: RunSeries, plan: RunPlan, found: HelpBetween) -> Tabl
     """Return a line for each cluster: its energies, and the help that it got and gave."""
     hours = series.cycle_s / 3600.0
     known = series.known
-    of_column = [
-        name if series.plant.noun == "cluster" else parent_of(name) for name in series.inverters
-    ]
+    of_column = [name if series.noun == "cluster" else parent_of(name) for name in series.inverters]
     rows: list[tuple[Cell, ...]] = []
     for cluster in dict.fromkeys(of_column):
         columns = [at for at, name in enumerate(of_column) if name == cluster]

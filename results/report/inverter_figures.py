@@ -54,7 +54,7 @@ def residuals(series: RunSeries) -> style.ReportFigure:
     figure.update_layout(hovermode="closest")
     worst_kw = np.fmin.reduce(series.residual_kw, axis=1)
     needy = 100.0 * np.mean(worst_kw[np.isfinite(worst_kw)] < 0.0)
-    noun = series.plant.noun
+    noun = series.noun
     return style.ReportFigure(
         "residuals",
         f"Residuals of the {noun}s",
@@ -113,7 +113,7 @@ def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
         margin={"b": 20, "t": 40},
         coloraxis={"colorbar": style.colour_bar("", _MATRIX_PX - 30)},
     )
-    noun = series.plant.noun
+    noun = series.noun
     return style.ReportFigure(
         "correlation",
         f"Correlation of the {noun}s, hour by hour",

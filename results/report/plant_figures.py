@@ -163,7 +163,7 @@ def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
         figure.add_trace(asked, row, 1)
     style.dress(figure, 580)
     figure.update_layout(legend_y=1.05, margin_t=70)
-    capacity_kw = first.plant.regulation_capacity_kw
+    capacity_kw = first.plan.site.regulation_capacity_kw
     # A plant that lacks power falls far below: the signal would be a thin line above that.
     figure.update_yaxes(title_text="regulation [kW]", range=[-3.0 * capacity_kw, 2.0 * capacity_kw])
     style.label_time_axis(figure, first, rows=2)

@@ -170,9 +170,9 @@ def run_line(plan: RunPlan) -> str:
 def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
     """Say which time the runs cover, and whether cycles of them are missing."""
     first = series[0]
-    lines = [f"{first.plant.rating_kw.sum():,.0f} kW AC rating. {when(first)}, local time."]
+    lines = [f"{first.rating_kw:,.0f} kW AC rating. {when(first)}, local time."]
     for one in series:
-        known, planned = int(one.known.sum()), one.plant.planned_cycles or one.cycles
+        known, planned = int(one.known.sum()), one.plan.timing.cycles
         if known < planned:
             lines.append(
                 f"{one.label}: {known:,} of {planned:,} cycles have dispatch and production in the "

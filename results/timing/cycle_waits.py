@@ -25,11 +25,13 @@ class CycleWaits(NamedTuple):
     `waits` has a row for each stage that published: agent, name (of the stage), cause (a key;
     empty: the clock closed it), began_ms and ended_ms after the tick, and text, a phrase such as
     `c2/inv09 took 18.4 ms (estimate)`. `chain` has those that made the cycle so long, in order.
+    The machine stood still for `stopped_ms` meanwhile.
     """
 
     cycle: int
     chain: pd.DataFrame
     waits: pd.DataFrame
+    stopped_ms: float = 0.0
 
     @property
     def length_ms(self) -> float:
@@ -38,7 +40,9 @@ class CycleWaits(NamedTuple):
     def in_words(self) -> str:
         """Say which link made the cycle long."""
         slowest = (self.chain.ended_ms - self.chain.began_ms).to_numpy().argmax()
-        return f"cycle {self.cycle:,}: {self.length_ms:.1f} ms, {self.chain.text.iloc[slowest]}"
+        text = f"cycle {self.cycle:,}: {self.length_ms:.1f} ms, {self.chain.text.iloc[slowest]}"
+        stopped = f"; the machine stood still for {self.stopped_ms:.1f} ms"
+        return text + stopped if self.stopped_ms else text
 
 
 def cycle_waits(graph: RunGraph, block: Block, cycle: int) -> CycleWaits:
@@ -67,9 +71,8 @@ def cycle_waits(graph: RunGraph, block: Block, cycle: int) -> CycleWaits:
             break
         port = int(cause[stage])
     without = block.late[block.late.cycle == cycle].groupby("stage").input.agg(list)
-    return CycleWaits(
-        cycle, *(_with_texts(graph, table, without) for table in (pd.DataFrame(chain), waits))
-    )
+    chain_table = _with_texts(graph, pd.DataFrame(chain), without)
+    return CycleWaits(cycle, chain_table, _with_texts(graph, waits, without))
 
 
 def _with_texts(graph: RunGraph, waits: pd.DataFrame, without: pd.Series) -> pd.DataFrame:

@@ -29,7 +29,7 @@ from results.run_summary import RunSummary
 from results.tables import counted
 from results.timing.cycle_waits import CycleWaits
 from results.timing.run_timing import COUNTS, WHOLE_LOOP, RunTiming, percentiles, run_timing
-from results.timing.stage_times import start_ns_of, tier_of
+from results.timing.stage_times import tier_of
 from scenarios.scenario import BudgetTable, TimingTable
 from sunspec.process import DeviceAccount
 
@@ -55,9 +55,6 @@ _NO_SUMMARY: Final = (
     "no summary.json of this run beside the recording: processor time, memory, dropped and lost "
     "messages are not known"
 )
-
-Limits = dict[tuple[str, str], float]
-"""Limits of the p99 [ms] by measure and row."""
 
 
 class Budget(NamedTuple):
@@ -113,7 +110,6 @@ class TimingReport:
     host: The machine and the software, in words: the figures mean nothing without them.
     times: Rows of durations: measure, of, count, min_us to max_us.
     tiers: Counts, processor time and memory.
-    stopped_ms: For how long the machine stood still in a cycle, where it did.
     """
 
     run: TimedRun
@@ -125,25 +121,14 @@ class TimingReport:
     loop_ms: pd.Series
     remarks: tuple[str, ...]
     devices: tuple[DeviceAccount, ...]
-    stopped_ms: dict[int, float]
 
     @property
     def passed(self) -> bool:
         """Whether every budget was kept up to the planned end of the run."""
         return self.run.whole and all(budget.passed for budget in self.budgets)
 
-    def in_words(self, one: CycleWaits) -> str:
-        """Say which link made a cycle long, and whether the machine stood still meanwhile."""
-        stopped_ms = self.stopped_ms.get(one.cycle)
-        text = "" if stopped_ms is None else f"; the machine stood still for {stopped_ms:.1f} ms"
-        return one.in_words() + text
-
     def document(self) -> dict[str, object]:
         """Return the content of the JSON."""
-        slowest = [
-            {"cycle": one.cycle, "loop_ms": one.length_ms, "text": self.in_words(one)}
-            for one in self.slowest
-        ]
         return {
             "passed": self.passed,
             "clean": self.run.clean,
@@ -152,7 +137,10 @@ class TimingReport:
             "times": self.times.to_dict("records"),
             "tiers": self.tiers.to_dict("records"),
             "budgets": [budget._asdict() for budget in self.budgets],
-            "slowest_cycles": slowest,
+            "slowest_cycles": [
+                {"cycle": one.cycle, "loop_ms": one.length_ms, "text": one.in_words()}
+                for one in self.slowest
+            ],
             "remarks": self.remarks,
             "devices": self.devices,
         }
@@ -171,19 +159,17 @@ def report_on(
     """
     with RunReader(run) as reader:
         plan, table = reader.plan, _budgets_in(reader)
-        timing = run_timing(reader)
-        folder, metadata = reader.path.parent, reader.metadata["run"]
-        stop_cycle = reader.stop_cycle
-        stopped_ms = _stopped_ms(reader, stops)
+        timing = run_timing(reader, stops)
+        folder, metadata, stop_cycle = reader.path.parent, reader.metadata["run"], reader.stop_cycle
     summary = summary or summary_in(folder, plan, RunSummary)
-    wall_s = summary.wall_s if summary else len(timing.loop_ms) * plan.timing.cycle_wall_ns / 1e9
-    remarks: tuple[str, ...] = (_NO_SUMMARY,)
-    lost = None
+    wall_s = len(timing.loop_ms) * plan.timing.cycle_wall_ns / 1e9
+    interrupted = stop_cycle is not None and stop_cycle < plan.timing.cycles
+    lost, remarks = None, [_NO_SUMMARY]
     if summary is not None:
-        ended_early = summary.launcher.recording_ended
-        remarks, lost = (*summary.run.remarks, *filter(None, [ended_early])), summary.lost
+        wall_s, lost = summary.wall_s, summary.lost
+        interrupted |= summary.launcher.interrupted
+        remarks = [*summary.run.remarks, *filter(None, [summary.launcher.recording_ended])]
     tiers = _tiers(timing.processes, summary, wall_s, plan)
-    stopped_early = stop_cycle is not None and stop_cycle < plan.timing.cycles
     return TimingReport(
         run=TimedRun(
             scenario=plan.plant,
@@ -195,30 +181,29 @@ def report_on(
             late_cycles=timing.late_cycles,
             wall_s=wall_s,
             ended=stop_cycle is not None,
-            interrupted=stopped_early or (summary is not None and summary.launcher.interrupted),
+            interrupted=interrupted,
             lost_messages=lost,
         ),
-        host=(*_host(metadata, plan.supervision.machine, load), *_stood_still(stops)),
+        host=tuple(_host(metadata, plan.supervision.machine, load, stops)),
         times=percentiles(timing.durations),
         tiers=tiers,
         budgets=tuple(_judged(plan, table, timing, tiers, lost)),
         slowest=timing.slowest,
         loop_ms=timing.loop_ms,
-        remarks=remarks,
+        remarks=tuple(remarks),
         devices=summary.devices if summary else (),
-        stopped_ms=stopped_ms,
     )
 
 
-def p99_limits_ms(plan: RunPlan, table: BudgetTable) -> Limits:
-    """Return the budgets of durations: the scenario's, and defaults that follow the cycle."""
+def p99_limits_ms(plan: RunPlan, table: BudgetTable) -> dict[tuple[str, str], float]:
+    """Return the limits of the p99 [ms] by measure and row of durations.
+
+    They are the scenario's, and defaults that follow the cycle.
+    """
     cycle_ms = plan.timing.cycle_wall_ns / 1e6
     limits = {("loop", WHOLE_LOOP): table.loop_p99_ms or _LOOP_SHARE * cycle_ms}
     lateness = {PLANT: max(_LATENESS_SHARE * cycle_ms, _LEAST_LATENESS_MS), **table.lateness_p99_ms}
-    by_kind: Mapping[str, Mapping[Any, float]] = {
-        "lateness": lateness,
-        "age": table.age_p99_ms,
-    }
+    stated: dict[str, Mapping[Any, float]] = {"lateness": lateness, "age": table.age_p99_ms}
     for agent in plan.tree.agents():
         kind = kind_of(agent, plan.tree)
         for stage in STAGES.get(kind, ()):
@@ -229,14 +214,12 @@ def p99_limits_ms(plan: RunPlan, table: BudgetTable) -> Limits:
                 limits["response", f"{agent} {stage}"] = limit_ms
             else:  # Of a tier's processes the shortest limit counts.
                 limits["decision", row] = min(limit_ms, limits.get(("decision", row), limit_ms))
-            for measure, stated in by_kind.items():
-                if kind in stated:
-                    limits[measure, row] = stated[kind]
+            limits |= {(name, row): by[kind] for name, by in stated.items() if kind in by}
     for signal in SIGNALS:
         limit = table.hop_p99_ms.get(signal.name, signal.hop_p99_ms)
         if limit is not None:
-            for row in (signal.name, *(f"{signal.name} of {one}" for one in plan.access.external)):
-                limits["hop", row] = limit
+            for of in ("", *(f" of {one}" for one in plan.access.external)):
+                limits["hop", signal.name + of] = limit
     return limits
 
 
@@ -311,40 +294,22 @@ def _tiers(
 
 
 def _host(
-    metadata: Mapping[str, str], machine: MachineSettings, load: tuple[float, float] | None
-) -> tuple[str, ...]:
+    metadata: Mapping[str, str],
+    machine: MachineSettings,
+    load: tuple[float, float] | None,
+    stops: Sequence[MachineStop],
+) -> Iterator[str]:
     """Say what ran, on what, and what was asked of the machine; remarks say what it refused."""
     asked = [f"SCHED_FIFO {machine.priority}" if machine.priority else "normal"]
     bound = [*machine.cpus_of.items(), ("others" if machine.cpus_of else "all", machine.cpus)]
     asked += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound if cpus]
-    known = {name: metadata.get(name, "unknown") for name in ("kernel", "cpu_count", "python")}
+    names = ("kernel", "cpu_count", "python", "version heliarch", "version eclipse-zenoh")
+    kernel, cpus, python, heliarch, zenoh = (metadata.get(name, "unknown") for name in names)
     loads = f"; load average {load[0]:.2f} before, {load[1]:.2f} after" if load else ""
-    zenoh = metadata.get("version eclipse-zenoh", "unknown")
-    return (
-        f"kernel {known['kernel']}, {known['cpu_count']} CPUs{loads}",
-        f"scheduling asked for: {', '.join(asked)}",
-        f"Python {known['python']}, heliarch {metadata.get('version heliarch')}, Zenoh {zenoh}",
-    )
-
-
-def _stopped_ms(reader: RunReader, stops: Sequence[MachineStop]) -> dict[int, float]:
-    """Return for how long the machine stood still in each cycle in which it did."""
-    if not stops:
-        return {}
-    start_ns, cycle_ns = start_ns_of(reader), reader.plan.timing.cycle_wall_ns
-    found: dict[int, float] = {}
-    for one in stops:
-        first, last = ((at - start_ns) // cycle_ns for at in one)
-        for cycle in range(first, last + 1):
-            begin_ns = start_ns + cycle * cycle_ns
-            within = min(one.ended_ns, begin_ns + cycle_ns) - max(one.began_ns, begin_ns)
-            found[cycle] = found.get(cycle, 0.0) + within / 1e6
-    return found
-
-
-def _stood_still(stops: Sequence[MachineStop]) -> Iterator[str]:
-    """Say how often the machine stood still: a process that only sleeps was woken late."""
-    if stops:
+    yield f"kernel {kernel}, {cpus} CPUs{loads}"
+    yield f"scheduling asked for: {', '.join(asked)}"
+    yield f"Python {python}, heliarch {heliarch}, Zenoh {zenoh}"
+    if stops:  # A process that only sleeps was woken late.
         longest_ms = max(one.length_ms for one in stops)
         yield (
             f"the machine stood still for over {LATE_MS:g} ms {counted(len(stops), 'time')}, for "

@@ -56,7 +56,7 @@ def timing_result(report: TimingReport) -> Result:
     """Return the timing of a run: what was run, how long it took, and whether it was in time."""
     run = report.run
     slowest = [
-        f"{'next' if number else 'slowest'} {report.in_words(one)}"
+        f"{'next' if number else 'slowest'} {one.in_words()}"
         for number, one in enumerate(report.slowest)
     ]
     unkept = [one for one in report.budgets if not one.passed]

@@ -5,17 +5,18 @@ docs/timing.md defines each measure.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from agents.process.machine_watch import MachineStop
 from bus_schemas.signals import COMMAND, PRODUCTION, SIGNALS
 from bus_schemas.tree import PLANT
 from recordings.read.reader import RunReader
 from results.timing.cycle_waits import CycleWaits, cycle_waits
-from results.timing.stage_times import BLOCK_MESSAGES, Block, RunGraph, read_blocks
+from results.timing.stage_times import BLOCK_MESSAGES, Block, RunGraph, read_blocks, start_ns_of
 
 WHOLE_LOOP: Final = "all commands"
 _EVERY_COMMAND: Final = "each command"
@@ -50,8 +51,13 @@ class RunTiming(NamedTuple):
     loop_ms: pd.Series
 
 
-def run_timing(reader: RunReader, *, block_messages: int = BLOCK_MESSAGES) -> RunTiming:
-    """Work out the timing of a run, in memory that does not grow with its length."""
+def run_timing(
+    reader: RunReader, stops: Sequence[MachineStop] = (), *, block_messages: int = BLOCK_MESSAGES
+) -> RunTiming:
+    """Work out the timing of a run, in memory that does not grow with its length.
+
+    `stops` are the times in which the machine stood still.
+    """
     graph = RunGraph(reader.plan)
     production = graph.messages.index(PRODUCTION.of(""))
     loop_from = "publish_ns" if PLANT in graph.plan.access.external else "ready_ns"
@@ -77,17 +83,24 @@ def run_timing(reader: RunReader, *, block_messages: int = BLOCK_MESSAGES) -> Ru
         late_cycles += _count(processes, block)
     durations["measure"] = np.array(MEASURES)[durations.measure]
     durations["of"] = names[durations.of]
-    return RunTiming(
-        durations, processes.reset_index(), tuple(slowest), late_cycles, pd.concat(loops_ms)
+    start_ns, cycle_ns = start_ns_of(reader), graph.plan.timing.cycle_wall_ns
+    waits = tuple(
+        one._replace(stopped_ms=_stopped_ms(stops, start_ns + one.cycle * cycle_ns, cycle_ns))
+        for one in slowest
     )
+    return RunTiming(durations, processes.reset_index(), waits, late_cycles, pd.concat(loops_ms))
+
+
+def _stopped_ms(stops: Sequence[MachineStop], begin_ns: int, length_ns: int) -> float:
+    """Return for how long the machine stood still in a time."""
+    parts = (min(one.ended_ns, begin_ns + length_ns) - max(one.began_ns, begin_ns) for one in stops)
+    return sum(part for part in parts if part > 0) / 1e6
 
 
 def row_names(graph: RunGraph) -> list[str]:
     """Return what can be measured, in the order in which it is reported."""
-    stages, signals = (
-        graph.stages.sort_values("order", kind="stable"),
-        [one.name for one in SIGNALS],
-    )
+    stages = graph.stages.sort_values("order", kind="stable")
+    signals = [one.name for one in SIGNALS]
     devices = graph.plan.access.external
     own = stages[stages.device]
     names = [WHOLE_LOOP, _EVERY_COMMAND, *stages.row.unique().tolist(), *signals]

@@ -223,10 +223,8 @@ def _inputs(
 def _add_inputs(closed: pd.DataFrame, inputs: pd.DataFrame) -> None:
     """Add to closed stages what follows from their inputs."""
     awaited = inputs[inputs.awaited]
-    late, in_time = (
-        awaited[awaited.late],
-        awaited[~awaited.late & (awaited.came_ns < awaited.last_ns)],
-    )
+    late = awaited[awaited.late]
+    in_time = awaited[~awaited.late & (awaited.came_ns < awaited.last_ns)]
     closed["awaits"] = closed.index.isin(awaited["at"])
     closed["lacking"] = closed.index.isin(late["at"])
     closed["overran"] = ~closed.lacking & (

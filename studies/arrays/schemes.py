@@ -80,7 +80,7 @@ def run_scheme(
         **planned(plan, profile)._asdict(),
         "mpp_kw": profile.mpp_kw,
     }
-    series = [RunSeries.of(plan, name, **{**of_plant, **result}) for result in results]
+    series = [RunSeries.of(plan, name, of_plant | result) for result in results]
     # Every message arrives here.
     return [
         dataclasses.replace(one, of_agents={"missed-inputs": 0, "reverted": 0.0}) for one in series

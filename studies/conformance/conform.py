@@ -31,7 +31,7 @@ from scenarios.preparation import Preparation
 from sim_plant import Floats
 from sim_plant.profile import Profile
 from studies.conformance.device import Device
-from studies.conformance.judge import Finding, Recorded, judge
+from studies.conformance.judge import DeviceRun, WrongAnswer, judge
 from studies.conformance.requirements import OF_PLANT, REQUIREMENTS, Findings
 from studies.conformance.situations import AWAY, Script, in_lockstep, in_real_time, restart
 
@@ -191,7 +191,7 @@ class Conformance:
         away: range = range(0),
     ) -> None:
         """Judge a launch by its recording; raise its failure if it did not come to cycle 0."""
-        recorded = Recorded.of(folder.path, self._agent)
+        recorded = DeviceRun.of(folder.path, self._agent)
         failure = "" if isinstance(ended, RunSummary) else str(ended).splitlines()[0]
         if not recorded.cycles:
             of = "token" if "no sign of" in failure else "arming"
@@ -203,7 +203,7 @@ class Conformance:
         found = judge(recorded, self.equality, away.stop if away else None)
         last = recorded.cycles - 1
         if failure and all(one.cycle < last for one in found):
-            found.append(Finding(last, "links", ("", "failure"), f"cycle {last}: {failure}"))
+            found.append(WrongAnswer(last, "links", ("", "failure"), f"cycle {last}: {failure}"))
         for finding in found:
             shows = shown[min(finding.cycle, recorded.cycles)]
             if shows != AWAY:
@@ -213,7 +213,7 @@ class Conformance:
                 of = "bounds" if wrong.cause == UNDECODABLE else "decisions"
                 self.findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
 
-    def _note(self, finding: Finding, requirement: str, slow_cycle: int | None) -> None:
+    def _note(self, finding: WrongAnswer, requirement: str, slow_cycle: int | None) -> None:
         """Note a finding, unless our own messages were too late, or it is one of old."""
         if slow_cycle is not None and finding.cycle >= slow_cycle:
             text = f"the machine was too slow to judge from cycle {slow_cycle} on: lower --pace"

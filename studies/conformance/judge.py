@@ -36,7 +36,7 @@ _ON_ITS_WAY_NS: Final = 150_000_000
 """A message that was heard longer after its publish time was held up by its sender."""
 
 
-class Finding(NamedTuple):
+class WrongAnswer(NamedTuple):
     """What is wrong in a cycle.
 
     requirement: What it fails; empty: what the cycle shows.
@@ -57,7 +57,7 @@ class Answer(NamedTuple):
 
 
 @dataclass
-class Recorded:
+class DeviceRun:
     """What was recorded of a launch with a device.
 
     cycles: How many took place; of a launch that failed, the last one may be incomplete.
@@ -74,7 +74,7 @@ class Recorded:
     slow_cycle: int | None = None
 
     @classmethod
-    def of(cls, folder: Path, agent: str) -> Recorded:
+    def of(cls, folder: Path, agent: str) -> DeviceRun:
         with RunReader(folder) as reader:
             found = cls(reader.plan, agent)
             heard, faults = found.plan.wiring.heard[agent], found.plan.faults.device
@@ -137,7 +137,7 @@ class Recorded:
 class _Ours:
     """Our own agent, which joins in a cycle: its bus, and what it publishes."""
 
-    def __init__(self, recorded: Recorded, joins_in: int) -> None:
+    def __init__(self, recorded: DeviceRun, joins_in: int) -> None:
         self.sent: dict[tuple[Port[Message], int], Answer] = {}
         self._now_ns = recorded.start_ns
         self._left = deque(one for one in recorded.inputs if one.message.cycle >= joins_in)
@@ -160,14 +160,16 @@ class _Ours:
         return ()
 
 
-def judge(recorded: Recorded, equality: Equality, rejoins_in: int | None = None) -> list[Finding]:
+def judge(
+    recorded: DeviceRun, equality: Equality, rejoins_in: int | None = None
+) -> list[WrongAnswer]:
     """Return what is wrong with the answers of a device; in `rejoins_in` a new process joins."""
-    found: list[Finding] = []
+    found: list[WrongAnswer] = []
     ours, not_judged = _Ours(recorded, 0).sent, range(0)
     if rejoins_in is not None:
         joined = min((cycle for _, cycle in recorded.answers if cycle >= rejoins_in), default=None)
         if joined is None:
-            found.append(Finding(rejoins_in, "restart", ("", ""), "no answer of a new process"))
+            found.append(WrongAnswer(rejoins_in, "restart", ("", ""), "no answer of a new process"))
             joined = recorded.cycles
         # It may have joined before all its links were open.
         not_judged = range(rejoins_in, joined + 2 * (joined > rejoins_in))
@@ -180,17 +182,17 @@ def judge(recorded: Recorded, equality: Equality, rejoins_in: int | None = None)
             process, number = (port, answer.message.incarnation), answer.message.sequence
             if number != (due := sequences.get(process, 0)):
                 text = f"{where}, sequence: expected {due}, got {number}"
-                found.append(Finding(cycle, "head", (port.signal.name, "sequence"), text))
+                found.append(WrongAnswer(cycle, "head", (port.signal.name, "sequence"), text))
             sequences[process] = number + 1
         if port.signal.is_cyclic and cycle not in not_judged:
             mine = ours.get((port, cycle))
             for of, what, text in _wrong(recorded, equality, port, cycle, mine, answers):
-                found.append(Finding(cycle, of, (port.signal.name, what), f"{where}, {text}"))
+                found.append(WrongAnswer(cycle, of, (port.signal.name, what), f"{where}, {text}"))
     return found
 
 
 def _wrong(
-    recorded: Recorded,
+    recorded: DeviceRun,
     equality: Equality,
     port: Port[Message],
     cycle: int,

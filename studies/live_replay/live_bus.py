@@ -8,6 +8,7 @@ goes out at its recorded time, and the live controllers have their deadlines.
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from itertools import count
 from typing import Final
@@ -30,7 +31,7 @@ from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus
 from recordings.verify.agent_result import AgentResult
-from recordings.verify.equality import BIT_FOR_BIT
+from recordings.verify.equality import Equality
 from sim_plant.plant_run import FIRST_ROUND, longest_round_s
 
 _ARMING_S: Final = 30.0
@@ -42,17 +43,27 @@ _END_S: Final = 5.0
 """How long the live controllers may take to end after the run."""
 
 
+_EQUAL: Final = Equality(ignored=frozenset({"incarnation"}))
+"""A live controller is not started again, and no standby takes it over."""
+
+
 class MessagePairs:
-    """The recorded and the new messages of some agents, and the result of each agent."""
+    """The recorded and the new messages of some agents, and the result of each agent.
+
+    replaced: In which cycles another process of an agent joined the recorded run.
+    """
 
     def __init__(self, tree: ControlTree, agents: Iterable[str]) -> None:
         self.results = {agent: AgentResult() for agent in agents}
+        self.replaced = defaultdict[str, set[int]](set)
         self._tree = tree
         self._waiting: dict[tuple[Port[Message], int, bool], Message] = {}
 
     def take(self, port: Port[Message], message: Message, *, is_recorded: bool) -> None:
         """Compare a message with its counterpart, now or when that comes."""
         self.results[port.publisher].recorded += is_recorded
+        if is_recorded and message.incarnation:
+            self.replaced[port.publisher].add(message.incarnation)
         other = self._waiting.pop((port, message.cycle, not is_recorded), None)
         if other is None:
             self._waiting[port, message.cycle, is_recorded] = message
@@ -70,7 +81,7 @@ class MessagePairs:
     ) -> None:
         recorded, new = (one, other) if is_recorded else (other, one)
         stage = stage_of(port, self._tree)
-        self.results[port.publisher].compare(BIT_FOR_BIT, port, recorded, new, stage)
+        self.results[port.publisher].compare(_EQUAL, port, recorded, new, stage)
 
 
 class LiveBus(ReplayBus):

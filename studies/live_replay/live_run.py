@@ -16,7 +16,7 @@ import msgspec
 from agents.plan import RunPlan, changed, load_plan
 from agents.process.interruption import interruptible
 from agents.process.machine import MachineSettings
-from bus_schemas.errors import InputError
+from bus_schemas.errors import InputError, listed
 from bus_schemas.selection import find_nodes
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import agent_name
@@ -27,7 +27,7 @@ from recordings.read.run_clock import RunClock
 from recordings.replay.bus import await_subscriber, replay_bus, say, selected_ports
 from recordings.replay.keyboard import no_keyboard
 from recordings.replay.playback import Playback, StatusLine
-from recordings.replay.schedule import PlaybackClock, UpcomingMessages
+from recordings.replay.schedule import PlaybackClock
 from recordings.verify.report import agents_data, difference_lines
 from studies.live_replay.live_bus import LiveBus
 
@@ -73,9 +73,11 @@ def replay_live(
         ):
             say(out, f"live: {', '.join(live)}; all others as recorded")
             server.ask(Start(str(path), tuple(live), str(folder)))
-            upcoming = UpcomingMessages(reader, reader.ports(), range(plan.timing.cycles))
             clock = PlaybackClock(0.0 if plan.timing.lockstep else 1.0, sleep=bus.listen)
-            playback = Playback(upcoming, bus, clock, no_keyboard, interruption, line)
+            span = range(plan.timing.cycles)
+            playback = Playback(
+                reader, reader.ports(), span, bus, clock, no_keyboard, interruption, line
+            )
             bus.arm(reader)
             if wait:
                 await_subscriber(observers, interruption, out)
@@ -86,8 +88,13 @@ def replay_live(
     compared = sum(result.compared for result in results.values())
     differing = {name: one.differences.total() for name, one in results.items() if one.first}
     say(out, f"compared {compared:,} messages over {bus.cycles:,} cycles in {wall_s:.1f} s")
-    for text in difference_lines(results, RunClock(plan, bus.cycles - 1)):
+    of_run = RunClock(plan, bus.cycles - 1)
+    for text in difference_lines(results, of_run):
         say(out, text)
+    replaced = {agent: sorted(cycles) for agent, cycles in bus.pairs.replaced.items()}
+    for agent, cycles in replaced.items():
+        when = listed([of_run.span_text(cycle, cycle) for cycle in cycles], 3)
+        say(out, f"{agent}: in the run a new process replaced it {when}; the live one went on")
     say(out, f"differences: {sum(differing.values()):,}")
     return {
         "run_id": plan.run_id,
@@ -97,6 +104,7 @@ def replay_live(
         "wall_s": wall_s,
         "compared": compared,
         "differing": differing,
+        "replaced": replaced,
         "agents": agents_data(results),
         "interrupted": bool(interruption),
     }

@@ -26,7 +26,8 @@ from bus_schemas.signals import IMPP, NOTICE, PRODUCTION, RUN, TELEMETRY
 from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from live_page.plant_state import PlantState
-from recordings.read.series import read_plant_series
+from recordings.read.reader import RunReader
+from recordings.read.series import plant_series_of
 from results.figures import run_figures
 
 
@@ -63,7 +64,8 @@ def test_a_recording_is_followed_while_it_is_written(tmp_path: Path) -> None:
 def test_figures_so_far_are_those_of_the_metrics(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_run(path, whole_run(90))
-    found, expected = followed(path).metrics(90), run_figures(read_plant_series(path))
+    with RunReader(path) as reader:
+        found, expected = followed(path).metrics(90), run_figures(plant_series_of(reader))
     assert found is not None
     assert found["shortfall-energy"] == pytest.approx(expected["shortfall-energy"])
     assert found["rmse"] == expected["rmse"]

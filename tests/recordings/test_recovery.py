@@ -10,7 +10,6 @@ from mcap.records import Message
 from recordings_by_hand import whole_run, write_run
 
 from bus_schemas.bus import Delivery
-from recordings import open_run
 from recordings.read.reader import RunReader
 from recordings.recover import RECOVERY_METADATA, Recovery, is_sound, recover_run
 
@@ -56,7 +55,7 @@ def test_a_file_that_lost_its_index_is_whole_again(
     recording: Recording, tmp_path: Path, closed: bool
 ) -> None:
     path, _ = recording
-    with open_run(path) as run:
+    with RunReader(path) as run:
         end = run.outline.readable_end
     out, recovery = recovered(path.read_bytes()[: end - 13 * (not closed)], tmp_path)
     assert all_of(out) == all_of(path)
@@ -70,7 +69,7 @@ def test_all_whole_chunks_up_to_the_cut_are_kept_with_times_numbers_and_origin(
 ) -> None:
     path, _ = recording
     content = path.read_bytes()
-    with open_run(path) as run:
+    with RunReader(path) as run:
         chunks = run.outline.chunks
     cut_at = int(share * (chunks[-1].offset + chunks[-1].length))
     out, recovery = recovered(content[:cut_at], tmp_path)
@@ -82,7 +81,7 @@ def test_all_whole_chunks_up_to_the_cut_are_kept_with_times_numbers_and_origin(
     assert kept == messages[: 1000 * whole_chunks]
     assert len(kept) == recovery.messages
     assert not recovery.lossless
-    with open_run(out) as run:
+    with RunReader(out) as run:
         assert run.whole
         assert run.metadata[RECOVERY_METADATA] == {
             "recovered_from": "run.mcap",
@@ -108,7 +107,7 @@ def test_a_damaged_chunk_is_left_out_and_named(
         assert not is_sound(run)
     assert f"chunk at byte {place.offset:,}" in recovery.damage
     assert not recovery.lossless
-    with open_run(out) as run:
+    with RunReader(out) as run:
         assert is_sound(run)
         assert list(run.messages()) == written[: 1000 * number] + written[1000 * (number + 1) :]
 
@@ -120,6 +119,6 @@ def test_a_damaged_attachment_is_named_in_the_copy(recording: Recording, tmp_pat
     out, recovery = recovered(bytes(content), tmp_path)
     assert "attachment scenario.toml" in recovery.damage
     assert (recovery.messages, recovery.lossless) == (len(written), False)
-    with open_run(out) as run:
+    with RunReader(out) as run:
         assert run.metadata[RECOVERY_METADATA]["damage"] == recovery.damage
         assert list(run.messages()) == written

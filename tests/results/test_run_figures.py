@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
+from plans_by_hand import plan_of
 from runs_by_hand import RATING_KW, run_of, sine_of_an_hour
 
+from agents.plan import Offers
 from recordings.read.series import RunSeries
 from results.figures import (
     FIGURES,
     Shown,
     energy_figures,
-    help_figures,
-    ramp_figures,
     run_figures,
     runs_as_columns,
     shown_in,
@@ -29,9 +30,10 @@ def test_a_run_of_four_half_hours_by_hand() -> None:
         available_kw=[150.0, 120.0, 30.0, 80.0],
         delivered_kw=[100.0, 90.0, 20.0, 70.0],
         cycle_s=1800.0,
+        cycles=6,
+        ramp_limit_percent_per_min=0.2,
     )
-    limited = replace(run.plant, ramp_limit_percent_per_min=0.2, planned_cycles=6)
-    found = run_figures(replace(run, plant=limited))
+    found = run_figures(run)
     assert {name: value for name, value in found.items() if value is not None} == pytest.approx(
         {
             "cycles": 4,
@@ -69,44 +71,33 @@ def test_power_that_nobody_measures_is_a_figure_of_its_own() -> None:
     assert (found["delivered-energy"], found["unknown-energy"]) == (100.0, 20.0)
 
 
-def test_a_ramp_is_the_change_over_a_minute_from_every_cycle_on() -> None:
-    # Cycles of 20 s, so a minute is three: 150 - 100, 130 - 100, 10 - 120, 40 - 150, 40 - 130
-    delivered_kw = np.array([100.0, 100.0, 120.0, 150.0, 130.0, 10.0, 40.0, 40.0])
-    found = ramp_figures(delivered_kw, RATING_KW, 20.0, limit_percent_per_min=10.0)
-    # Minutes of ramps that begin in cycles 0 to 2, and in 3 and 4.
-    assert [*found.values()] == [50.0, 110.0, 110.0, 100.0, 100.0]
+RAMPS = ("rise", "fall", "ramp", "ramp-limit", "above-ramp-limit")
+NONE = (None,) * 5
 
 
 @pytest.mark.parametrize(
-    ("delivered_kw", "percent"),
+    ("delivered_kw", "cycle_s", "expected"),
     [
+        # Cycles of 20 s, so a minute is three: 150 - 100, 130 - 100, 10 - 120, 40 - 150, 40 - 130;
+        # minutes of ramps that begin in cycles 0 to 2, and in 3 and 4.
+        ([100, 100, 120, 150, 130, 10, 40, 40], 20.0, (50.0, 110.0, 110.0, 100.0, 100.0)),
         # 240 ramps in 4 minutes. Those of cycles 140 to 199 end after the fall of 200 kW.
-        (np.repeat([500.0, 300.0], [200, 100]), 50.0),
+        (np.repeat([500.0, 300.0], [200, 100]), 1.0, (0.0, 200.0, 200.0, 100.0, 50.0)),
         # A ramp exactly at the limit is allowed.
-        (0.1 * RATING_KW / 60.0 * np.arange(300.0), 0.0),
+        (0.1 * RATING_KW / 60.0 * np.arange(300.0), 1.0, (100.0, 0.0, 100.0, 100.0, 0.0)),
+        # The nearest to 60 s is two cycles: 20 kW in 50 s.
+        ([0.0, 5.0, 20.0], 25.0, (24.0, 0.0, 24.0, 100.0, 0.0)),
+        ([0.0, 20.0], 120.0, (10.0, 0.0, 10.0, 100.0, 0.0)),
+        ([0.0] * 60, 1.0, NONE),  # A minute or less has no ramp.
     ],
 )
-def test_only_the_minutes_with_a_ramp_above_the_limit_count(
-    delivered_kw: np.ndarray, percent: float
+def test_a_ramp_is_the_change_over_a_minute_from_every_cycle_on(
+    delivered_kw: ArrayLike, cycle_s: float, expected: tuple[float | None, ...]
 ) -> None:
-    found = ramp_figures(delivered_kw, RATING_KW, 1.0, limit_percent_per_min=10.0)
-    assert found["above-ramp-limit"] == percent
-
-
-@pytest.mark.parametrize(
-    ("delivered_kw", "cycle_s", "largest"),
-    [
-        ([0.0, 5.0, 20.0], 25.0, 24.0),  # The nearest to 60 s is two cycles: 20 kW in 50 s.
-        ([0.0, 20.0], 120.0, 10.0),
-        ([0.0] * 60 + [7.0], 1.0, 7.0),
-        ([0.0] * 60, 1.0, None),  # A minute or less has no ramp.
-    ],
-)
-def test_a_ramp_is_a_rate_per_minute(
-    delivered_kw: list[float], cycle_s: float, largest: float | None
-) -> None:
-    found = ramp_figures(np.array(delivered_kw), RATING_KW, cycle_s, limit_percent_per_min=10.0)
-    assert found.get("rise") == pytest.approx(largest)
+    power_kw = np.asarray(delivered_kw)
+    run = run_of(power_kw, 900.0, power_kw, cycle_s=cycle_s, ramp_limit_percent_per_min=10.0)
+    found = run_figures(run)
+    assert [found[name] for name in RAMPS] == pytest.approx(list(expected))
 
 
 def test_regulation_is_desired_but_no_part_of_the_ancillary_potential() -> None:
@@ -190,15 +181,21 @@ RESIDUAL_KW = np.array(
         (RESIDUAL_KW[3:4], ("z1/c1/a", "z1/c1/b", "z2/c2/c", "z2/c2/d"), [100.0, 100.0]),
         # An inverter right below the central controller is a cluster of its own.
         (RESIDUAL_KW[3:4], ("a", "b", "c", "d"), [100.0, 100.0]),
-        (RESIDUAL_KW[6:7], INVERTERS, [100.0]),  # Never was the plant able.
-        (RESIDUAL_KW[:1], INVERTERS, []),
-        (RESIDUAL_KW[7:], INVERTERS, []),
+        (RESIDUAL_KW[6:7], INVERTERS, [100.0, None]),  # Never was the plant able.
+        (RESIDUAL_KW[:1], INVERTERS, [None, None]),
+        (RESIDUAL_KW[7:], INVERTERS, [None, None]),
     ],
 )
 def test_help_from_outside_is_a_share_of_the_needy_cycles(
-    residual_kw: np.ndarray, inverters: tuple[str, ...], expected: list[float]
+    residual_kw: np.ndarray, inverters: tuple[str, ...], expected: list[float | None]
 ) -> None:
-    assert [*help_figures(residual_kw, inverters).values()] == pytest.approx(expected)
+    shape = np.ones(residual_kw.shape)
+    values = {"commitment_kw": shape[:, 0], "regulation_kw": 0.0 * shape[:, 0]}
+    values |= {"mpp_kw": shape, "power_kw": shape, "residual_kw": residual_kw}
+    plan = plan_of(dict.fromkeys(inverters, 100.0), cycles=len(shape))
+    found = run_figures(RunSeries.of(plan, "by hand", values))
+    names = ("outside-help", "outside-help-able")
+    assert [found[name] for name in names] == pytest.approx(expected)
 
 
 # The list -----------------------------------------------------------------------------------------
@@ -233,8 +230,9 @@ def test_offers_are_kept_where_one_per_cent_is_missing_and_measured_against_firm
         available_kw=[10.0, 10.0, 120.0, 120.0, 100.0, 97.0],
         delivered_kw=[10.0, 10.0, 100.0, 100.0, 100.0, 97.0],
         cycle_s=1800.0,
+        offers=Offers(interval_cycles=2, lead_cycles=1, reliability=0.9, first_share=0.3),
     )
-    found = run_figures(replace(run, plant=replace(run.plant, interval_cycles=2)))
+    found = run_figures(run)
     assert (found["intervals"], found["kept-intervals"]) == (2, 50.0)
     # In hindsight 120 kW / 0.99 of the first, and 97 kW / 0.98 of the second interval.
     firm_kwh = 120.0 / 0.99 + 97.0 / 0.98

@@ -19,7 +19,6 @@ from plans_by_hand import with_changes
 from recordings_by_hand import (
     PLAN,
     SCENARIO,
-    cycle_of_the_plant,
     whole_run,
     write_messages,
     write_run,
@@ -77,10 +76,8 @@ def nested(depth: int) -> bytes:
 @pytest.mark.parametrize(
     ("make", "named"),
     [
-        (with_plan(timezone="../../etc/passwd"), "timezone: expected a name"),
         (with_plan(cycle_ns=2**62), "cycle_ns: expected above 0, up to"),
         (with_plan(cycles=10**15), "cycles: expected up to"),
-        (with_plan(start_time_ns=-(2**63)), "start_time_ns: expected"),
         (with_plan(period_cycles=(1,)), "period_cycles"),
         (with_plan(faults=(Freeze("c1", (2.0, 1.0)),)), "faults[0]: at: expected"),
         (packed_anew, "expected lz4, got zstd"),
@@ -119,16 +116,6 @@ def test_a_scenario_that_is_nested_deep_breaks_nothing(command: str, tmp_path: P
     write_messages(tmp_path / "run.mcap", whole_run(3), scenario="a = " + "[" * 300_000)
     done = heliarch(command, tmp_path)
     assert len(done.stderr.splitlines()) <= 1
-
-
-def test_a_cycle_far_from_all_others_is_refused(tmp_path: Path) -> None:
-    far = tmp_path / "far.mcap"
-    with_payload(encode(replace(HEAD, cycle=2**39)))(far)
-    assert "before the year 10000" in refusal("inspect", far)
-    plan = with_changes(PLAN, cycles=1_000_000)
-    last = [(port, replace(message, cycle=999_999)) for port, message in cycle_of_the_plant(3)]
-    write_run(tmp_path / "run.mcap", [*whole_run(3), *last], plan=plan)
-    assert "production of most of 1,000,000 cycles" in refusal("report", tmp_path)
 
 
 PEAK_TOLD = """

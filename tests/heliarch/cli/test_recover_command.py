@@ -10,8 +10,8 @@ import pytest
 from command_line import heliarch, refusal
 from recordings_by_hand import numbered, whole_run, write_messages, write_run
 
-from recordings import open_run
 from recordings.read.mcap_file import Outline
+from recordings.read.reader import RunReader
 
 Spoil = Callable[[bytes, Outline], bytes]
 
@@ -23,7 +23,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, Outline]:
     """A recording of 100 cycles, and where its parts are."""
     path = tmp_path_factory.mktemp("recover") / "run.mcap"
     write_run(path, whole_run(100), messages_per_chunk=PER_CHUNK)
-    with open_run(path) as run:
+    with RunReader(path) as run:
         return path.read_bytes(), run.outline
 
 
@@ -70,7 +70,7 @@ def test_the_exit_status_says_what_became_of_a_recording(
     assert said in text
     if out.exists():
         assert json.loads((tmp_path / "x.json").read_text())["lossless"] == (status == 0)
-        with open_run(out) as run:
+        with RunReader(out) as run:
             assert run.whole
             kept = sum(1 for _ in run.records())
             assert f"kept: {kept:,} messages" in text
@@ -89,7 +89,7 @@ def test_a_recording_with_a_cut_file_among_others_is_not_whole(tmp_path: Path) -
     ):
         kept = [pair for pair in numbered(whole_run(100)) if pair[1].cycle in cycles]
         write_messages(tmp_path / name, kept, close=close)
-    with open_run(tmp_path) as run:
+    with RunReader(tmp_path) as run:
         assert (len(run.files), run.whole) == (3, False)
         count = sum(1 for _ in run.records())
     assert "cut" in heliarch("inspect", tmp_path).stdout
@@ -98,5 +98,5 @@ def test_a_recording_with_a_cut_file_among_others_is_not_whole(tmp_path: Path) -
     found = json.loads(result.stdout)
     assert found["messages"] == count
     assert found["lost"] > 0
-    with open_run(tmp_path / "run.recovered.mcap") as run:
+    with RunReader(tmp_path / "run.recovered.mcap") as run:
         assert (len(run.files), run.whole) == (1, True)

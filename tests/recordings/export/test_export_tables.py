@@ -63,7 +63,7 @@ def write_tables(run: Path, folder: Path, form: TableForm, plan: RunPlan = PLAN)
         with TableFolder(folder, plan, RECORDED, anchor, form, BATCH_ROWS) as tables:
             for record in reader.records():
                 tables.add(record, record.message())
-    return {name: file.rows for name, file in tables.files.items()}
+    return tables.rows
 
 
 def rebuilt(frames: Frames) -> Iterator[tuple[str, str, Message]]:

@@ -14,7 +14,7 @@ from bus_schemas.signals import GIVEN_UP
 from bus_schemas.tree import ROOT
 from recordings.inspect.agent_states import AgentStates, states_at
 from recordings.inspect.overview import read_overview
-from recordings.read.reader import open_run
+from recordings.read.reader import RunReader
 
 CYCLES = 60
 FAULTS = (
@@ -40,7 +40,7 @@ def words(states: AgentStates, agent: str, *cycles: int) -> list[tuple[str, int]
 
 
 def test_a_kill_a_freeze_and_a_cut_show_from_their_first_cycle(run: Path) -> None:
-    with open_run(run) as reader:
+    with RunReader(run) as reader:
         states = states_at(reader, CYCLES - 1)
     killed = [("fine", 0), ("killed", 1), ("killed", 2), ("killed", 2), ("restarted", 0)]
     assert words(states, "c1/inv01", 9, 10, 11, 15, 16) == killed
@@ -52,7 +52,7 @@ def test_a_kill_a_freeze_and_a_cut_show_from_their_first_cycle(run: Path) -> Non
 
 
 def test_a_state_uses_nothing_that_was_recorded_later(run: Path) -> None:
-    with open_run(run) as reader:
+    with RunReader(run) as reader:
         whole, records = states_at(reader, CYCLES), list(reader.records())
         so_far = AgentStates(reader.plan)
         for record in records:
@@ -63,7 +63,7 @@ def test_a_state_uses_nothing_that_was_recorded_later(run: Path) -> None:
 
 
 def test_missed_inputs_add_up_to_those_of_the_recording(run: Path) -> None:
-    with open_run(run) as reader:
+    with RunReader(run) as reader:
         for end in range(5, CYCLES, 9):
             states = states_at(reader, end - 1)
             missed = sum(states.at(agent, end - 1).missed_inputs for agent in states.agents)
@@ -80,7 +80,7 @@ def test_an_agent_that_is_given_up_stays_so(tmp_path: Path) -> None:
         deliveries,
         is_kept=lambda one: one[1].source != "c2/d" or one[1].cycle < 5,
     )
-    with open_run(tmp_path / "run.mcap") as reader:
+    with RunReader(tmp_path / "run.mcap") as reader:
         states = states_at(reader, 19)
     assert words(states, "c2/d", 4, 5, 8, 9, 19) == [
         *(("fine", 0), ("not heard", 1), ("not heard", 2)),
@@ -95,7 +95,7 @@ def test_a_successor_of_an_agent_with_a_standby_is_that_standby(tmp_path: Path) 
             message.incarnation = 9
     plan = with_changes(PLAN, cycle_wall_ns=1_000_000_000, standby=("c1",))
     write_run(tmp_path / "run.mcap", deliveries, plan=plan)
-    with open_run(tmp_path / "run.mcap") as reader:
+    with RunReader(tmp_path / "run.mcap") as reader:
         states = states_at(reader, 19)
     assert words(states, "c1", 8, 9, 19) == [
         *(("fine", 0), ("standby in charge", 0), ("standby in charge", 0)),
@@ -104,7 +104,7 @@ def test_a_successor_of_an_agent_with_a_standby_is_that_standby(tmp_path: Path) 
 
 def test_cycles_in_which_nobody_was_recorded_are_no_silence(tmp_path: Path) -> None:
     write_run(tmp_path / "run.mcap", whole_run(20), is_kept=lambda one: not 5 <= one[1].cycle < 9)
-    with open_run(tmp_path / "run.mcap") as reader:
+    with RunReader(tmp_path / "run.mcap") as reader:
         states = states_at(reader, 19)
     assert {states.at(agent, 7).word for agent in states.agents} == {"not recorded"}
     assert {states.at(agent, 9).word for agent in states.agents} == {"fine"}

@@ -16,11 +16,11 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Takeover
 from bus_schemas.signals import HELP, TAKEOVER, TELEMETRY
 from bus_schemas.tree import ROOT
-from recordings import open_run
 from recordings.inspect.absences import Absence, How
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME, Health, health_lines
 from recordings.inspect.overview import read_overview
 from recordings.read.gaps import MissedInputs
+from recordings.read.reader import RunReader
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
 
@@ -29,7 +29,7 @@ DEVICE = "c2/c"
 
 
 def health_of(folder: Path) -> tuple[Health, str]:
-    with open_run(folder) as run:
+    with RunReader(folder) as run:
         health = read_overview(run).health
         return health, "\n".join(
             f"{name}: {text}" for name, text in health_lines(health, run.clock)

@@ -10,9 +10,9 @@ import pytest
 from recordings_by_hand import whole_run, write_run
 
 from bus_schemas.bus import Delivery
-from recordings import open_run
 from recordings.inspect.overview import Overview, SignalCount, read_overview
 from recordings.read.gaps import PortGaps
+from recordings.read.reader import RunReader
 
 CYCLES = 60
 END = CYCLES - 1
@@ -31,7 +31,7 @@ def look(tmp_path: Path) -> Look:
     ) -> Overview:
         path = tmp_path / "run.mcap"
         write_run(path, filter(is_published, whole_run(CYCLES)), is_kept=is_kept)
-        with open_run(path) as run:
+        with RunReader(path) as run:
             return read_overview(run, cycles)
 
     return write_and_look

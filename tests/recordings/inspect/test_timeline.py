@@ -13,13 +13,13 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import Notice
 from bus_schemas.signals import IMPP, NOTICE, TELEMETRY
 from bus_schemas.tree import ROOT
-from recordings import open_run
 from recordings.inspect.timeline import NodeCycle, timeline
+from recordings.read.reader import RunReader
 from results.timeline_tables import node_table, plant_table
 
 
 def rows_of(path: Path, node: str, cycles: range) -> list[NodeCycle]:
-    with open_run(path) as run:
+    with RunReader(path) as run:
         return [row for rows in timeline(run, [node], cycles) for row in rows]
 
 
@@ -107,7 +107,7 @@ def test_missing_inputs_and_notices_of_a_node_are_in_its_row(tmp_path: Path) -> 
 
 
 def test_the_plant_in_one_cycle_is_a_tree_of_all_its_nodes(recording: Path) -> None:
-    with open_run(recording) as run:
+    with RunReader(recording) as run:
         (rows,) = timeline(run, PLAN.tree.nodes, range(10, 11))
     names, *_, remarks = zip(*plant_table(PLAN.tree, "", rows).texts(), strict=True)
     assert names == ("central", "├─ c1", "│  ├─ a", "│  └─ b", "└─ c2", "   ├─ c", "   └─ d")

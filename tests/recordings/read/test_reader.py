@@ -7,7 +7,6 @@ import warnings
 from io import BytesIO
 from pathlib import Path
 
-import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,7 +16,6 @@ from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError, InputWarning
 from bus_schemas.signals import PRODUCTION, RUN, SIGNALS, TELEMETRY
 from bus_schemas.tree import ROOT
-from recordings import open_run
 from recordings.read.mcap_file import Chunk, read_outline
 from recordings.read.reader import RunReader
 
@@ -35,7 +33,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 @pytest.fixture
 def run(recording: Recording) -> RunReader:
-    return open_run(recording[0])
+    return RunReader(recording[0])
 
 
 names = [signal.name for signal in SIGNALS if signal.logged]
@@ -52,7 +50,7 @@ def test_signals_nodes_and_cycles_choose_from_all_messages(
 ) -> None:
     path, written = recording
     start, end = sorted(bounds)
-    with open_run(path) as run:
+    with RunReader(path) as run:
         found = run.messages(*signals, nodes=nodes, start=start, end=end)
         paths = {"" if node == "central" else node for node in nodes}
         assert list(found) == [
@@ -86,13 +84,13 @@ def test_the_last_cycle_is_that_of_the_last_message(run: RunReader, tmp_path: Pa
     assert (run.last_cycle, run.stop_cycle) == (CYCLES - 1, CYCLES)
     path = tmp_path / "run.mcap"
     write_run(path, [(RUN.of(ROOT), PLAN.run_message("start", 0, 1))])
-    with open_run(path) as empty:
+    with RunReader(path) as empty:
         assert (empty.last_cycle, empty.stop_cycle) == (-1, None)
         assert len(list(empty.messages())) == 1
     start, *cycles, stop = whole_run(5)
     forged = [(RUN.of(ROOT), PLAN.run_message("stop", cycle, 1)) for cycle in (4, 90, 2)]
     write_run(tmp_path / "forged.mcap", [start, *forged, *cycles, stop])
-    with open_run(tmp_path / "forged.mcap") as contradicted:
+    with RunReader(tmp_path / "forged.mcap") as contradicted:
         assert contradicted.stop_cycle == 5
 
 
@@ -107,7 +105,7 @@ def test_messages_that_come_late_are_found_by_their_cycle(tmp_path: Path) -> Non
         (delivery for cycle in order for delivery in cycle_of_the_plant(cycle)),
         messages_per_chunk=20,
     )
-    with open_run(path) as run:
+    with RunReader(path) as run:
         for cycle in range(100):
             found = run.messages(PRODUCTION, start=cycle, end=cycle + 1)
             assert [message.cycle for _, message in found] == [cycle]
@@ -119,7 +117,7 @@ def test_a_cut_recording_is_read_up_to_the_cut(
 ) -> None:
     path, written = recording
     cut(path, tmp_path / "run.mcap", share)
-    with open_run(tmp_path) as run:
+    with RunReader(tmp_path) as run:
         found = list(run.messages())
         assert not run.whole
         assert found == written[: len(found)]
@@ -127,16 +125,6 @@ def test_a_cut_recording_is_read_up_to_the_cut(
         last = found[-1][1].cycle
         ends = [pair for pair in found if pair[1].cycle == last]
         assert list(run.messages(start=last)) == ends
-
-
-def test_zeros_behind_a_cut_are_no_records(recording: Recording, tmp_path: Path) -> None:
-    path, written = recording
-    with open_run(path) as run:
-        end = run.outline.chunks[2].offset
-    (tmp_path / "run.mcap").write_bytes(path.read_bytes()[:end] + bytes(5000))
-    with open_run(tmp_path) as run:
-        assert (run.whole, run.outline.readable_end) == (False, end)
-        assert list(run.messages()) == written[:400]
 
 
 def test_a_damaged_summary_is_not_believed(recording: Recording) -> None:
@@ -171,7 +159,7 @@ def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one
     write_run(tmp_path / "run.mcap", whole_run(10), is_kept=lambda pair: pair[1].cycle < 5)
     (tmp_path / "run-2.mcap").touch()
     write_run(tmp_path / "run-3.mcap", whole_run(10), is_kept=lambda pair: pair[1].cycle >= 7)
-    with open_run(tmp_path) as run:
+    with RunReader(tmp_path) as run:
         cycles = [message.cycle for _, message in run.messages(PRODUCTION)]
         assert cycles == [*range(5), *range(7, 10)]
         assert not run.whole
@@ -186,30 +174,6 @@ def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> No
     assert dict(frame.groupby("node")["power_kw"].mean()) == {"c1/a": 40.0, "c1/b": 80.0}
     given = frame[["node", "help_given"]].explode("help_given").dropna()
     assert [(row.needy, row.power_kw) for row in given["help_given"]] == [("c1/a", 20.0)] * 3
-
-
-@pytest.mark.parametrize(
-    ("table", "columns", "last"),
-    [
-        ("help_given", ["donor", "needy", "power_kw", "sequence"], ["c1/b", "c1/a", 20.0, 12]),
-        (
-            "production_inverters",
-            ["inverter", "mpp_kw", "power_kw", "sequence"],
-            ["c2/d", 75.0, 59.0, 12],
-        ),
-        ("missing_inputs", ["node", "signal", "sequence", "input", "used_cycle"], None),
-    ],
-)
-def test_lists_inside_messages_have_frames_too(
-    run: RunReader, table: str, columns: list[str], last: list[object] | None
-) -> None:
-    frame = run.frame(table, start=10, end=13)
-    assert list(frame.columns) == ["cycle", *columns]
-    assert isinstance(frame.index, pd.DatetimeIndex)
-    if last is None:
-        assert frame.empty
-    else:
-        assert list(frame.iloc[-1]) == [12, *last]
 
 
 # Bad input ----------------------------------------------------------------------------------------
@@ -240,16 +204,19 @@ def test_a_damaged_chunk_is_skipped_and_named_where_it_would_have_been_read(
     path = tmp_path / "run.mcap"
     chunk = zero_chunk(recording[0], 20, path)
     _, written = recording
-    with pytest.warns(InputWarning, match=f"chunk at byte {chunk.offset:,}"), open_run(path) as run:
+    with (
+        pytest.warns(InputWarning, match=f"chunk at byte {chunk.offset:,}"),
+        RunReader(path) as run,
+    ):
         assert list(run.messages()) == written[:4000] + written[4200:]
-    with warnings.catch_warnings(action="error"), open_run(path) as run:
+    with warnings.catch_warnings(action="error"), RunReader(path) as run:
         assert list(run.messages(end=50)) == [pair for pair in written if pair[1].cycle < 50]
 
 
 @pytest.mark.parametrize("table", ["impp", "production_inverters"])
 def test_a_frame_takes_little_more_memory_than_its_columns(tmp_path: Path, table: str) -> None:
     write_run(tmp_path / "run.mcap", whole_run(1000))
-    with open_run(tmp_path) as run:
+    with RunReader(tmp_path) as run:
         run.frame(table, end=10)  # What is imported and kept once.
         tracemalloc.start()
         try:

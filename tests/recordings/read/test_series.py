@@ -15,21 +15,21 @@ from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Dispatch, Production
 from recordings.read.reader import RunReader
-from recordings.read.series import RunSeries, SeriesCollector, read_plant_series, read_series
-from recordings.read.series import series_of as by_nodes
+from recordings.read.series import RunSeries, SeriesCollector, plant_series_of, series_of
 from results.figures import run_figures
 
 CYCLES = 30
 
 
-def series_of(path: Path, is_kept: Callable[[Delivery], bool]) -> RunSeries:
+def recorded(path: Path, is_kept: Callable[[Delivery], bool] = lambda pair: True) -> RunSeries:
     write_run(path / "run.mcap", whole_run(CYCLES), is_kept=is_kept)
-    return read_series(path)
+    with RunReader(path) as reader:
+        return series_of(reader)
 
 
 @pytest.mark.parametrize("lacking", ["production", "dispatch"])
 def test_a_missing_message_leaves_its_row_empty(tmp_path: Path, lacking: str) -> None:
-    series = series_of(tmp_path, lambda pair: (pair[0].signal.name, pair[1].cycle) != (lacking, 7))
+    series = recorded(tmp_path, lambda pair: (pair[0].signal.name, pair[1].cycle) != (lacking, 7))
     assert series.cycles == CYCLES
     assert list(np.flatnonzero(~series.known)) == [7]
     assert series.times[7].second == 7
@@ -41,7 +41,7 @@ def test_a_missing_message_leaves_its_row_empty(tmp_path: Path, lacking: str) ->
 
 
 def test_a_series_ends_with_the_last_completed_cycle(tmp_path: Path) -> None:
-    series = series_of(
+    series = recorded(
         tmp_path, lambda pair: pair[0].signal.name != "production" or pair[1].cycle < 20
     )
     assert series.cycles == 20
@@ -51,7 +51,7 @@ def test_a_series_ends_with_the_last_completed_cycle(tmp_path: Path) -> None:
 @pytest.mark.parametrize("lacking", ["production", "dispatch"])
 def test_without_a_completed_cycle_there_is_no_series(tmp_path: Path, lacking: str) -> None:
     with pytest.raises(InputError, match=str(tmp_path)):
-        series_of(tmp_path, lambda pair: pair[0].signal.name != lacking)
+        recorded(tmp_path, lambda pair: pair[0].signal.name != lacking)
 
 
 def test_of_several_messages_in_a_cycle_the_first_one_counts() -> None:
@@ -79,12 +79,11 @@ def test_a_cycle_in_which_dispatches_contradict_each_other_does_not_count() -> N
 
 
 def test_in_a_large_plant_clusters_stand_for_their_inverters(tmp_path: Path) -> None:
-    whole = series_of(tmp_path, lambda pair: True)
+    whole = recorded(tmp_path)
     with RunReader(tmp_path) as reader:
-        found = by_nodes(reader, 3)
-        assert by_nodes(reader, 4).inverters == whole.inverters
-    assert (found.inverters, found.plant.noun) == (("c1", "c2"), "cluster")
-    assert list(found.plant.rating_kw) == [PLAN.tree.rating_kw(node) for node in ("c1", "c2")]
+        found = series_of(reader, 3)
+        assert series_of(reader, 4).inverters == whole.inverters
+    assert (found.inverters, found.noun) == (("c1", "c2"), "cluster")
     assert np.array_equal(found.delivered_kw, whole.delivered_kw)
     assert set(found.residual_kw[:, 0]) == {15.0}, "of the supervisor c1"
 
@@ -106,6 +105,7 @@ def test_what_the_plant_says_of_meter_and_lost_inverters_counts(
 def test_figures_of_merit_of_the_plant_are_the_same_without_the_controllers_messages(
     tmp_path: Path,
 ) -> None:
-    whole = run_figures(series_of(tmp_path, lambda pair: True))
+    whole = run_figures(recorded(tmp_path))
     no_help = {name: None for name in whole if name.startswith("outside-help")}
-    assert run_figures(read_plant_series(tmp_path)) == whole | no_help
+    with RunReader(tmp_path) as reader:
+        assert run_figures(plant_series_of(reader)) == whole | no_help

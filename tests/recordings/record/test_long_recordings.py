@@ -10,8 +10,8 @@ from recordings_by_hand import PLAN, SCENARIO, whole_run, write_messages
 
 from agents.process.events import Recorded
 from bus_schemas.codec import encode
-from recordings import open_run
 from recordings.read.counting import checked, count_messages
+from recordings.read.reader import RunReader
 from recordings.record.recorder import next_file
 from recordings.record.writer import ClockAnchor, RunWriter
 
@@ -29,7 +29,7 @@ def long_cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("long") / "run.mcap"
     anchor = ClockAnchor(5, 1_700_000_000_000_000_000)
     write_messages(path, whole_run(1), anchor=anchor, messages_per_chunk=10, close=False)
-    with open_run(path) as run:
+    with RunReader(path) as run:
         begin = run.outline.chunks[-1].offset
     content = path.read_bytes()
     path.write_bytes(content[:begin] + content[begin:] * CHUNKS + content[begin:-3])
@@ -45,7 +45,7 @@ def test_the_next_recorder_reads_the_beginning_of_a_long_recording_alone(long_cu
 
 
 def test_a_long_cut_recording_is_read_up_to_the_cut(long_cut: Path) -> None:
-    with open_run(long_cut) as run:
+    with RunReader(long_cut) as run:
         assert len(run.outline.chunks) > CHUNKS
         assert run.last_cycle == 0
 

@@ -22,7 +22,7 @@ from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus
 from recordings.replay.keyboard import Keyboard
 from recordings.replay.playback import Playback
-from recordings.replay.schedule import PlaybackClock, UpcomingMessages, positions
+from recordings.replay.schedule import PlaybackClock, positions
 
 SAID = run_in_memory()
 IN_REAL_TIME = changed(PLAN, timing={"cycle_wall_ns": CYCLE_NS})
@@ -91,7 +91,9 @@ def play(
     with RunReader(recorded) as reader:
         ports = [port for port in PLAN.wiring.ports if port.signal.logged]
         playback = Playback(
-            UpcomingMessages(reader, ports, span),
+            reader,
+            ports,
+            span,
             heard,
             PlaybackClock(rate, paused=paused, now_ns=heard.clock, sleep=heard.clock.sleep),
             keyboard,

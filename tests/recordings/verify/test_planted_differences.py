@@ -5,7 +5,6 @@ The recordings are of a small plant under fast clouds, in lockstep; every agent 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from plans_by_hand import with_changes
 from recorded_runs import AGENTS, cloudy_profile, of_publisher, plan_of, published, record
 
 from agents.direct import DirectController
 from agents.parent import Supervisor
-from agents.plan import Offers
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Help, Impp, Message
 from bus_schemas.signals import (
@@ -99,20 +96,6 @@ def test_a_changed_field_of_any_signal_is_found(signal: Signal[Message], verifie
     assert (first.kind, first.cycle, first.message) == ("differs", message.cycle, str(port))
     assert first.fields == (FieldDifference(field, value + 1, value),)
     assert found.agents[port.publisher].differences == {"differs": 1}
-
-
-def test_a_changed_offer_is_found(tmp_path: Path) -> None:
-    offers = Offers(interval_cycles=10, lead_cycles=2, reliability=0.9, first_share=0.3)
-    plan = with_changes(PLAN, offers=offers)
-    profile = dataclasses.replace(PROFILE, clear_sky_kw=2.0 * PROFILE.commitment_kw)
-    said = published(plan, profile)
-    place = next(place for place, (port, _) in enumerate(said) if port.signal is OFFER)
-    port, message = said[place]
-    said[place] = port, replace(message, share=0.5)
-    found = verify(record(tmp_path / "run", plan, said, profile))
-    first = first_of(found, port.publisher)
-    assert (first.kind, first.cycle, first.message) == ("differs", 8, "offer")
-    assert [field.field for field in first.fields] == ["share"]
 
 
 Change = Callable[[Port[Message], Message], list[Delivery]]

@@ -222,19 +222,6 @@ def test_what_was_sent_while_the_recorder_was_away_is_no_difference(
     assert found.agents["c2"].compared > 0.8 * found.agents["c2"].recorded, "it remembers nothing"
 
 
-def test_the_paper_s_estimate_is_compared_again_from_the_first_measurement_after_a_gap(
-    tmp_path: Path,
-) -> None:
-    plan = plan_of(cycles=40, scheme="paper", correction=False)
-    messages = published(plan, cloudy_profile(plan))
-    cycles = [message.cycle for _, message in messages]
-    folder = record(tmp_path / "run", plan, messages[: cycles.index(12)], cloudy_profile(plan))
-    record_on(folder, plan, messages[cycles.index(20) :])
-    found = verify(folder, "c1/a")
-    assert found.equal
-    assert found.agents["c1/a"].not_compared == 0
-
-
 def test_the_state_after_a_takeover_that_was_not_recorded_is_unknown(tmp_path: Path) -> None:
     plan = faulty_plan(Kill("central", 12.2), standby=("central",))
     messages = published(plan, cloudy_profile(plan))

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from plans_by_hand import plan_of
 
-from recordings.read.series import RunSeries, SeriesPlant
+from recordings.read.series import RunSeries
 
 INVERTERS = ("c1/inv01", "c2/inv02", "c1/inv03", "c2/inv04", "c1/inv05")
 RATING_KW = 100.0
@@ -39,30 +40,24 @@ def cloudy_run(
     missing_kw = (dispatch_kw - met_kw.sum(axis=1))[:, None]
     share = np.minimum(missing_kw / np.maximum(room_kw.sum(axis=1)[:, None], 1e-9), 1.0)
     alpha = (met_kw + share * room_kw) / impp_kw
-    return RunSeries(
-        label=label,
-        plant=SeriesPlant(
-            inverters=inverters,
-            rating_kw=np.full(n, RATING_KW),
-            timezone="Pacific/Honolulu",
-            start_time_ns=TEN_O_CLOCK_HST_NS,
-            cycle_s=cycle_s,
-            regulation_capacity_kw=capacity_kw,
-        ),
-        commitment_kw=commitment_kw,
-        regulation_kw=capacity_kw * signal,
-        dispatch_kw=dispatch_kw,
-        mpp_kw=mpp_kw,
-        power_kw=alpha * mpp_kw,
-        impp_kw=impp_kw,
-        residual_kw=impp_kw - share_kw,
-        alpha=alpha,
-        unknown_kw=np.zeros(cycles),
-        unlisted_kw=np.zeros(cycles),
-        frequency_hz=np.full(cycles, np.nan),
-        desired_kw=dispatch_kw,
-        response_kw=np.zeros(cycles),
+    plan = plan_of(
+        dict.fromkeys(inverters, RATING_KW),
+        start_time_ns=TEN_O_CLOCK_HST_NS,
+        timezone="Pacific/Honolulu",
+        cycle_ns=round(cycle_s * 1e9),
+        cycles=cycles,
+        regulation_capacity_kw=capacity_kw,
     )
+    values = {
+        "commitment_kw": commitment_kw,
+        "regulation_kw": capacity_kw * signal,
+        "mpp_kw": mpp_kw,
+        "power_kw": alpha * mpp_kw,
+        "impp_kw": impp_kw,
+        "residual_kw": impp_kw - share_kw,
+        "alpha": alpha,
+    }
+    return RunSeries.of(plan, label, values)
 
 
 def without_estimates(run: RunSeries, label: str) -> RunSeries:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from plans_by_hand import with_changes
 from synthetic_runs import cloudy_run
 
 from results.report.inverter_figures import correlation_by_hour
@@ -34,7 +35,7 @@ def test_the_clock_does_not_go_back_where_summer_time_ends() -> None:
     # Berlin, 2026-10-25: 03:00 CEST is 02:00 CET.
     run = cloudy_run(cycles=4, cycle_s=3600.0)
     begin_ns = 1_792_886_400_000_000_000
-    plant = replace(run.plant, timezone="Europe/Berlin", start_time_ns=begin_ns)
-    run = replace(run, plant=plant)
+    plan = with_changes(run.plan, timezone="Europe/Berlin", start_time_ns=begin_ns)
+    run = replace(run, plan=plan)
     assert run.times[0].utcoffset() != run.times[-1].utcoffset()
     assert np.diff(clock_ms(run)).tolist() == [3_600_000.0] * 3

@@ -9,8 +9,8 @@ from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, whole_run, write_run
 
 from recordings.inspect.overview import read_overview
-from recordings.read.reader import RunReader, open_run
-from recordings.read.series import read_series, series_of
+from recordings.read.reader import RunReader
+from recordings.read.series import series_of
 from results.report.clusters import clusters_table
 from results.report.help import HelpBetween, help_figure, help_table
 from results.report.marks import Mark, run_marks
@@ -42,7 +42,7 @@ def helped(reader: RunReader) -> HelpBetween:
 
 
 def test_the_needy_are_ranked_with_their_helpers(run: Path) -> None:
-    with open_run(run) as reader:
+    with RunReader(run) as reader:
         found = helped(reader)
         table = help_table(found, reader.clock)
     assert found.most_needy == ["c1/a"]
@@ -58,21 +58,22 @@ def test_the_needy_are_ranked_with_their_helpers(run: Path) -> None:
 
 
 def test_clusters_have_their_energies(run: Path) -> None:
-    with open_run(run) as reader:
+    with RunReader(run) as reader:
         found = helped(reader)
-        table = clusters_table(read_series(run), reader.plan, found)
+        table = clusters_table(series_of(reader), reader.plan, found)
     names, inverters, *_ = zip(*table.rows, strict=True)
     assert (names, inverters) == (("c1", "c2"), (2, 2))
     assert table.rows[0][3] == pytest.approx((40.0 + 90.0) * HOURS)
 
 
 def test_faults_and_absences_are_marked_in_every_figure_over_time(run: Path) -> None:
-    with open_run(run) as reader:
+    with RunReader(run) as reader:
+        series = series_of(reader)
         marks = run_marks(
             reader, read_overview(reader).health, [Mark(70, "operator: 100 kW", "#000000")]
         )
     assert [one.cycle for one in marks] == [20, 20, 30, 30, 50, 70]
-    result = runs_result("A run", [read_series(run)], (), (), marks=marks)
+    result = runs_result("A run", [series], (), (), marks=marks)
     for figure in result.figures():
         texts = [note.hovertext for note in figure.figure.layout.annotations if note.hovertext]
         assert len(texts) == len(marks) * (figure.anchor != "correlation"), figure.anchor

@@ -12,7 +12,7 @@ from running import small_plant
 from bus_schemas.signals import COMMAND, IMPP, RESIDUAL
 from recordings.verify.equality import BIT_FOR_BIT
 from studies.conformance.device import Device
-from studies.conformance.judge import Answer, Recorded, judge
+from studies.conformance.judge import Answer, DeviceRun, judge
 
 NODE = "c1/inv01"
 CYCLE = 4
@@ -30,20 +30,20 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def recorded(run: Path) -> Recorded:
-    return Recorded.of(run, NODE)
+def recorded(run: Path) -> DeviceRun:
+    return DeviceRun.of(run, NODE)
 
 
-def found(recorded: Recorded) -> list[tuple[str, tuple[str, str]]]:
+def found(recorded: DeviceRun) -> list[tuple[str, tuple[str, str]]]:
     return [(one.requirement, one.what) for one in judge(recorded, BIT_FOR_BIT)]
 
 
-def test_our_own_agent_answers_as_it_should(recorded: Recorded) -> None:
+def test_our_own_agent_answers_as_it_should(recorded: DeviceRun) -> None:
     assert len(recorded.answers) >= 30
     assert judge(recorded, BIT_FOR_BIT) == []
 
 
-def test_a_late_answer_is_called_late_by_how_much(recorded: Recorded) -> None:
+def test_a_late_answer_is_called_late_by_how_much(recorded: DeviceRun) -> None:
     (answer,) = recorded.answers[IMPP.of(NODE), CYCLE]
     late_ns = 500_000_000
     message = replace(answer.message, publish_time_ns=answer.message.publish_time_ns + late_ns)
@@ -65,7 +65,7 @@ def test_a_late_answer_is_called_late_by_how_much(recorded: Recorded) -> None:
     ],
 )
 def test_a_wrong_field_fails_one_requirement(
-    recorded: Recorded, changes: dict[str, float], expected: tuple[str, tuple[str, str]]
+    recorded: DeviceRun, changes: dict[str, float], expected: tuple[str, tuple[str, str]]
 ) -> None:
     ((message, heard_ns),) = recorded.answers[RESIDUAL.of(NODE), CYCLE]
     recorded.answers[RESIDUAL.of(NODE), CYCLE] = [Answer(replace(message, **changes), heard_ns)]
@@ -73,7 +73,7 @@ def test_a_wrong_field_fails_one_requirement(
     assert others == [expected]
 
 
-def test_a_message_that_is_missing_or_comes_twice_is_named(recorded: Recorded) -> None:
+def test_a_message_that_is_missing_or_comes_twice_is_named(recorded: DeviceRun) -> None:
     command = COMMAND.of(NODE)
     recorded.answers[command, CYCLE] *= 2
     del recorded.answers[command, CYCLE + 2]
@@ -84,7 +84,7 @@ def test_a_message_that_is_missing_or_comes_twice_is_named(recorded: Recorded) -
     ]
 
 
-def test_what_comes_after_the_end_fails_stop(recorded: Recorded) -> None:
+def test_what_comes_after_the_end_fails_stop(recorded: DeviceRun) -> None:
     recorded.cycles -= 1
     assert {of for of, _ in found(recorded)} == {"stop"}
 

@@ -14,9 +14,10 @@ from studies.live_replay.live_bus import MessagePairs
 PORT = IMPP.of("c1/a")
 
 
-def impp(cycle: int, power_kw: float = 50.0) -> Impp:
+def impp(cycle: int, power_kw: float = 50.0, incarnation: int = 0) -> Impp:
     """What an inverter's controller publishes in a cycle."""
-    return Impp(cycle, 0, "c1/a", (), power_kw=power_kw, stale_cycles=0)
+    stamp = (cycle, 0, "c1/a", (), 0, 0, 0, incarnation)
+    return Impp(*stamp, power_kw=power_kw, stale_cycles=0)
 
 
 @pytest.mark.parametrize("new_first", [False, True])
@@ -40,3 +41,13 @@ def test_a_message_without_counterpart_is_a_difference_up_to_the_end() -> None:
     pairs.take(PORT, impp(3), is_recorded=False)  # Sent twice: one too many.
     pairs.finish(10)
     assert pairs.results["c1/a"].differences == {"only recorded": 1, "only new": 2}
+
+
+def test_a_restart_in_the_recorded_run_is_named_and_is_no_difference_of_its_own() -> None:
+    pairs = MessagePairs(PLAN.tree, ["c1/a"])
+    for cycle, incarnation in ((4, 0), (7, 7), (8, 7)):
+        pairs.take(PORT, impp(cycle, incarnation=incarnation), is_recorded=True)
+        pairs.take(PORT, impp(cycle), is_recorded=False)
+    pairs.finish(10)
+    assert pairs.replaced == {"c1/a": {7}}
+    assert not pairs.results["c1/a"].differences
