@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 import msgspec
+import pandas as pd
 
 from agents.plan import RunPlan
 from recordings.read.reader import RunReader
@@ -27,7 +28,7 @@ def scenario_differences(first: RunReader, second: RunReader) -> Table:
     A scenario's own words come where the plan does not say the same: weather, commitment, data.
     """
     rows = [*_fault_rows(first.plan, second.plan)]
-    rows += _rows(_flat(_builtins(first.plan)), _flat(_builtins(second.plan)))
+    rows += _rows(*(_flat(msgspec.to_builtins(reader.plan)) for reader in (first, second)))
     known = {(str(row[1]), str(row[2])) for row in rows}
     tables = (_flat(reader.scenario_table()) for reader in (first, second))
     rows += [row for row in _rows(*tables) if (row[1], row[2]) not in known]
@@ -52,18 +53,10 @@ def _rows(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[tuple
             yield name, *(texts if max(map(len, texts)) <= _LONGEST else ("given", "differs"))
 
 
-def _builtins(plan: RunPlan) -> dict[str, Any]:
-    document: dict[str, Any] = msgspec.to_builtins(plan)
-    return document
-
-
-def _flat(value: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flat(tables: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of nested tables by their path, such as `control.scheme`."""
-    flat: dict[str, Any] = {}
-    for name, entry in value.items():
-        inner = _flat(entry, f"{prefix}{name}.") if isinstance(entry, Mapping) else None
-        flat |= {f"{prefix}{name}": entry} if inner is None else inner
-    return flat
+    (flat,) = pd.json_normalize(dict(tables)).to_dict("records")
+    return {str(name): value for name, value in flat.items()}
 
 
 def _text(value: object) -> str:

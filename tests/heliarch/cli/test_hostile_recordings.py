@@ -106,8 +106,10 @@ def test_a_wrong_message_is_skipped_and_named_by_every_command(
         command, *options = words
         done = heliarch(command, tmp_path, *options)
         assert done.exit_code == 0, words
-        assert done.stderr
-        assert all("c1/a/impp" in line for line in done.stderr.splitlines())
+        # On a slow machine it also says how long it has been reading.
+        said = [line for line in done.stderr.splitlines() if not line.endswith("so far")]
+        assert said
+        assert all("c1/a/impp" in line for line in said)
     assert "it is whole" in heliarch("recover", tmp_path).output
 
 
