@@ -98,29 +98,22 @@ class Table:
 
     def parts(self, width: int) -> list[Table]:
         """Split a table into as many as it takes for each to fit; all have the key columns."""
-        groups = self._groups(width)
-        if len(groups) == 1:
-            return [self]
-        return [
-            replace(
-                self,
-                columns=[self.columns[at] for at in group],
-                rows=[[row[at] for at in group] for row in self.rows],
-            )
-            for group in groups
-        ]
-
-    def _groups(self, width: int) -> list[list[int]]:
         widths = [least + _GAP for least in self.widths()]
         keys = [at for at, column in enumerate(self.columns) if column.key]
         groups: list[list[int]] = [[]]
-        for at in range(len(self.columns)):
-            if at in keys:
+        for at, column in enumerate(self.columns):
+            if column.key:
                 continue
             if groups[-1] and sum(widths[one] for one in (*keys, *groups[-1], at)) > width + _GAP:
                 groups.append([])
             groups[-1].append(at)
-        return [sorted(keys + group) for group in groups]
+        return [self._only(sorted(keys + group)) for group in groups]
+
+    def _only(self, places: list[int]) -> Table:
+        columns = [self.columns[at] for at in places]
+        return replace(
+            self, columns=columns, rows=[[row[at] for at in places] for row in self.rows]
+        )
 
     def widths(self) -> list[int]:
         """Return the least width of each column."""

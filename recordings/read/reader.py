@@ -101,6 +101,7 @@ class RunReader:
         self.wrong: dict[Port[Message], str] = {}
         self.follow: Callable[[float], None] = lambda share: None
         self._first_cycles: dict[Chunk, int | None] = {}
+        self._unpacked: tuple[Chunk | None, bytes] = None, b""
         try:
             self.outline = read_outline(self.files[0])
             self.metadata = self.outline.metadata
@@ -288,7 +289,9 @@ class RunReader:
             yield chunk
 
     def unpack(self, chunk: Chunk) -> bytes:
-        return unpack_chunk(self.files[chunk.file], chunk)
+        if self._unpacked[0] != chunk:  # A search by cycles looks into a chunk before it is read.
+            self._unpacked = chunk, unpack_chunk(self.files[chunk.file], chunk)
+        return self._unpacked[1]
 
     def messages_of(self, chunk: Chunk, channels: Container[int]) -> Iterator[RawMessage]:
         """Return the messages of some channels in a chunk, none if it is damaged."""
