@@ -58,24 +58,25 @@ def test_a_span_ends_before_its_end() -> None:
     assert CLOCK.span("12:16:38", None) == CLOCK.span(998, "12:16:40") == range(998, 1000)
 
 
-@pytest.mark.parametrize("moment", ["11:59:59", "12:16:40", "1000", -1, "2h", "2010-04-02T12:00"])
-def test_a_moment_outside_the_run_is_refused_with_its_extent(moment: str | int) -> None:
+OUTSIDE = "a time of the run, which goes from 2010-04-01 12:00:00 to 2010-04-01 12:16:39 HST (cycle"
+NO_TIME = "a local time"
+
+
+@pytest.mark.parametrize(
+    ("moment", "expected"),
+    [
+        *((one, OUTSIDE) for one in ("11:59:59", "12:16:40", "1000", -1, "2h", "9" * 300 + "h")),
+        *((one, NO_TIME) for one in ("", "noon", "25:00", "12:61", "1.5", "--", "90 s")),
+    ],
+)
+def test_a_moment_that_is_none_of_the_run_is_refused(moment: str | int, expected: str) -> None:
     with pytest.raises(InputError) as caught:
         CLOCK.cycle(moment, "--from")
-    assert str(caught.value).startswith("--from: expected a time of the run, ")
-    assert str(caught.value).endswith(f", got {moment}")
-    assert "2010-04-01 12:00:00 to 2010-04-01 12:16:39 HST (cycles 0 to 999)" in str(caught.value)
+    assert str(caught.value).startswith(f"--from: expected {expected}")
+    assert str(caught.value).endswith(f", got {str(moment)[:40]}")
 
 
-@pytest.mark.parametrize("moment", ["", "noon", "25:00", "12:61", "1.5", "--", "90 s"])
-def test_what_is_no_moment_is_refused(moment: str) -> None:
-    with pytest.raises(InputError, match="expected a local time"):
-        CLOCK.cycle(moment, "--from")
-
-
-def test_a_time_beyond_all_bounds_and_a_span_that_is_none_are_refused() -> None:
-    with pytest.raises(InputError, match="expected a time of the run"):
-        CLOCK.cycle("9" * 300 + "h", "--from")
+def test_a_span_that_is_none_is_refused() -> None:
     for end in ("11s", "12s"):
         with pytest.raises(InputError, match=f"--to: expected a time after 12:00:12, got {end}"):
             CLOCK.span("12:00:12", end)
