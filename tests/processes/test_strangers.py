@@ -125,7 +125,7 @@ def test_a_run_in_lockstep_that_outlives_its_certificates_says_so(
 ) -> None:
     pytest.importorskip("cryptography")
     plant = small_plant(tmp_path / "plant", ("stall_timeout_s = 60", "stall_timeout_s = 5"))
-    done("keys", plant, "--out", tmp_path / "keys", "--days", str(20 / 86_400))
+    done("keys", plant, "--out", tmp_path / "keys", "--days", str(60 / 86_400))
     words = ("--duration", LONG, "--secure", "--keys", str(tmp_path / "keys"))
     run = heliarch("launch", plant, *words)
     assert run.wait() == 1
