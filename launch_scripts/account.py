@@ -69,7 +69,8 @@ class RunAccount:
                 child.agent,
                 child.kind,
                 _by_cause(finished.dropped),
-                *child.memory,
+                child.exited.resident_mb if child.exited else 0.0,
+                (child.recorded or finished).own_mb,
                 skipped_cycles=finished.skipped_cycles,
                 cpu_s=None if before_s is None or cpu_s is None else cpu_s - before_s,
             )

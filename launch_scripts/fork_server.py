@@ -28,13 +28,12 @@ import msgspec
 from agents.loop import Loop
 from agents.plan import RunPlan, load_plan
 from agents.process.beats import BEAT_S, FORK_SERVER, BeatTable
-from agents.process.events import Event, Exited, Failed, Started
+from agents.process.events import Event, Exited, Failed, Request, Signal, Start, Started
 from agents.process.launcher_link import LauncherLink, Packets, packets
 from agents.process.machine import die_with_parent
 from agents.process.session import session_settings
 from agents.team import controller
 from bus_schemas.tree import OPERATOR, RECORDER, agent_of
-from launch_scripts.fork_requests import Request, Signal, Start
 from launch_scripts.process import run_process
 from recordings.read.run_file import log_name
 
@@ -179,7 +178,8 @@ class ForkServer:
             pid, status, usage = os.wait4(-1, os.WNOHANG)
             if pid == 0:
                 return
-            exited = Exited(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime)
+            cpu_s, resident_mb = usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1.024e-3
+            exited = Exited(os.waitstatus_to_exitcode(status), cpu_s, resident_mb)
             self._tell(self._pids.pop(pid), exited)
 
     def _tell(self, agent: str, event: Event) -> None:

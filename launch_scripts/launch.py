@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -21,6 +22,7 @@ from agents.process.events import (
     Over,
     Recorded,
     RecordingEnded,
+    Start,
     Status,
     TookOver,
 )
@@ -30,8 +32,6 @@ from bus_schemas.errors import FailureError, InputError, listed
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER, agent_of
 from launch_scripts.account import RunAccount
-from launch_scripts.directions import directions
-from launch_scripts.fork_requests import Start
 from launch_scripts.restarts import Restarts
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import (
@@ -113,7 +113,7 @@ class _Launch:
             f"starting {len(children.by_agent)} processes, logs in {account.folder.logs}"
         )
         external_s = account.preparation.options.external_timeout_s
-        for line in directions(plan, account.folder.plan, external_s):
+        for line in _directions(plan, account.folder.plan, external_s):
             self._view.say(line)
         self._start(tuple(children.by_agent))
         try:
@@ -322,6 +322,30 @@ class _Launch:
         server = f"fork server (process {self._children.server.process.pid})"
         self._view.say(f"the {server} did not end {len(children)} processes: it is killed")
         self._account.given_up["fork server"] = max(self._children.table.read(PLANT).cycle, 0)
+
+
+def _directions(plan: RunPlan, plan_path: Path, timeout_s: float) -> Iterator[str]:
+    """Say what is waited for, and how agents that the launcher does not start can join the run."""
+    if not plan.elsewhere:
+        return
+    yield f"waiting up to {timeout_s:g} s for {', '.join(plan.elsewhere)}, plan: {plan_path}"
+    for agent in plan.access.external:
+        yield f"  {agent}: {_links(plan, agent)}"
+    for host in dict.fromkeys(plan.access.addresses.values()):
+        command = f"heliarch node --plan plan.json --host {host}"
+        yield f"  on {host}, with a copy of the plan: {command}"
+
+
+def _links(plan: RunPlan, agent: str) -> str:
+    listeners = {
+        f"{plan.access.host_of(name)}:{port}": name for name, port in plan.access.tcp_ports.items()
+    }
+    listens, connects = plan.links.endpoints(agent, plan.access.tcp_ports, plan.access.host_of)
+    targets = ", ".join(f"{end} ({listeners[end]})" for end in connects)
+    parts = [f"listens on {', '.join(listens)}"] if listens else []
+    parts += [f"connects to {targets}"] if targets else []
+    token = plan.wiring.alive_key(agent)
+    return f"{', '.join(parts)}, namespace {plan.bus_namespace}, liveliness token {token}"
 
 
 def check_processes(plan: RunPlan) -> None:

@@ -6,10 +6,9 @@ import time
 from collections.abc import Callable, Sequence
 
 from agents.plan import RunPlan, changed
-from agents.process.events import Failed
+from agents.process.events import Failed, Start
 from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
-from launch_scripts.fork_requests import Start
 from launch_scripts.restarts import Restarts
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import Children, ForkServerProcess, RunFailure

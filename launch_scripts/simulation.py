@@ -6,11 +6,11 @@ They run in lockstep; where the network is to be imperfect, on a virtual clock w
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from heapq import heapify, heappop, heappush
 from math import isfinite
+from resource import RUSAGE_SELF, getrusage
 from typing import Any, Final
 
 from agents.agent import Agent
@@ -20,6 +20,7 @@ from agents.loop import Loop
 from agents.plan import RunPlan, changed
 from agents.process.events import Recorded, Waiting
 from agents.process.interruption import interruptible
+from agents.process.machine import own_memory_mb
 from agents.team import controller
 from bus_schemas.bus import Arrival
 from bus_schemas.codec import encode
@@ -29,7 +30,7 @@ from bus_schemas.signals import RUN, TAKEOVER, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, agent_of, standby_of
 from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import RunFailure, memory_of, who_waits
+from launch_scripts.supervision import RunFailure, who_waits
 from launch_scripts.view import View
 from recordings.record.monitor import RunMonitor
 from recordings.record.writer import ClockAnchor, RunWriter
@@ -259,8 +260,8 @@ def simulate(
     account.published.update(run.bus.outbox.published)
     account.restarts.update(run.restarts)
     account.given_up = run.given_up
-    memory = memory_of(os.getpid())
-    account.processes.append(ProcessAccount("simulation", "simulation", {}, *memory))
+    memory_mb = getrusage(RUSAGE_SELF).ru_maxrss * 1.024e-3, own_memory_mb()
+    account.processes.append(ProcessAccount("simulation", "simulation", {}, *memory_mb))
     for loop in run.loops.values():
         account.dropped += [(*of, number) for of, number in loop.inputs.dropped.items()]
     recorded = Recorded(dict(writer.recorded), 0, monitor.cycles, writer.ended_early)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import msgspec
 import psutil
@@ -26,6 +26,8 @@ from agents.process.events import (
     Finished,
     Joined,
     Recorded,
+    Request,
+    Signal,
     Started,
     Waiting,
 )
@@ -33,13 +35,9 @@ from agents.process.launcher_link import Packets, decode_event, packets
 from agents.process.side_process import SideProcess
 from bus_schemas.errors import FailureError, listed
 from bus_schemas.tree import RECORDER, agent_of
-from launch_scripts.fork_requests import Request, Signal
 from recordings.read.run_file import log_name
 
 _LOG_LINES: Final = 5
-_SAMPLE_S: Final = 0.5
-"""Time between two looks at the memory of a process, once all have been looked at."""
-
 _LARGEST_PACKET: Final = 1 << 18
 _MOST_PACKETS: Final = 500
 
@@ -52,15 +50,6 @@ _HEAP: Final = {
 process grows with the links that end: see docs/decisions/0003-zenoh-tuning.md."""
 
 
-class Memory(NamedTuple):
-    """Memory of a process [MB]: resident in all, and its own, which it shares with no other."""
-
-    resident_mb: float
-    own_mb: float
-
-
-NOTHING_SEEN: Final = Memory(0.0, 0.0)
-
 State: TypeAlias = Literal["awaited", "started", "present", "ended", "given up"]
 
 _STATES: Final[dict[type[Event], State]] = {
@@ -68,11 +57,6 @@ _STATES: Final[dict[type[Event], State]] = {
     Joined: "present",
     Exited: "ended",
 }
-
-
-def memory_of(pid: int) -> Memory:
-    info = psutil.Process(pid).memory_full_info()
-    return Memory(info.rss / 1e6, info.uss / 1e6)
 
 
 class RunFailure(FailureError):  # noqa: N818 - what failed is the run, not the program
@@ -160,7 +144,6 @@ class Child:
     waiting: Waiting | None = None
     failed: Failed | None = None
     exited: Exited | None = None
-    memory: Memory = NOTHING_SEEN
     cpu_at_start_s: float | None = None
 
     @property
@@ -230,8 +213,6 @@ class Children:
         self._reader = Packets()
         self._asked_to_end: set[str] = set()
         self._server_failure = ""
-        self._samples = 0
-        self._sample_at = 0.0
 
     def __enter__(self) -> Children:
         return self
@@ -261,7 +242,6 @@ class Children:
                 heard.append((self[agent], event))
             elif isinstance(event, Failed):
                 self._server_failure = event.text
-        self._sample_memory()
         if is_server_gone:
             server = f"the fork server (process {self.server.process.pid})"
             why = self._server_failure or "it was killed or ended by itself"
@@ -333,21 +313,6 @@ class Children:
             if time.monotonic() > until:
                 break
         return left
-
-    def _sample_memory(self) -> None:
-        """Look at the memory of one process after another.
-
-        That process may have to wait for a millisecond: once all have been seen, look rarely.
-        """
-        children = [child for child in self if child.ready and child.exited is None]
-        now = time.monotonic()
-        if not children or now < self._sample_at:
-            return
-        child = children[self._samples % len(children)]
-        self._samples += 1
-        self._sample_at = now + (_SAMPLE_S if self._samples >= len(children) else 0.0)
-        with suppress(psutil.Error):
-            child.memory = max(child.memory, memory_of(child.pid))
 
     def _why_ended_early(self, child: Child) -> str:
         """Say how a process that has ended did so before its time; empty if it was in time."""

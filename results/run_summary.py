@@ -41,8 +41,8 @@ class ProcessAccount(msgspec.Struct, frozen=True):
     """What a process reported at its end, and the resources it used.
 
     dropped: Messages that it could not use, by cause.
-    resident_mb, own_mb: Its memory, and the part of it that it shares with no other process; 0 in a
-        short run, which is over before all were looked at.
+    resident_mb: Its largest memory; 0 of one that did not end.
+    own_mb: What it shared with no other process at its end; 0 of one that was killed.
     skipped_cycles: Cycles that were over before it came to them.
     cpu_s: Processor time from cycle 0 on [s].
     """

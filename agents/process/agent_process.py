@@ -21,7 +21,7 @@ from agents.plan import RunPlan
 from agents.process.beats import BEAT_S
 from agents.process.events import Failed, Finished, Joined, TookOver, Waiting
 from agents.process.launcher_link import LauncherLink
-from agents.process.machine import take_machine
+from agents.process.machine import own_memory_mb, take_machine
 from agents.process.session import session_settings
 from agents.team import controller
 from bus_schemas.bus import Arrival, Bus
@@ -286,6 +286,7 @@ class AgentProcess:
                 dropped=[(port, cause, number) for (port, cause), number in dropped],
                 skipped_cycles=sum(loop.times.skipped_cycles for loop in loops),
                 dismissed=self.link.dismissed and self.loop.cycle < self.plan.timing.cycles,
+                own_mb=own_memory_mb(),
             )
         )
         if not self.driver.finished:  # It was dismissed in the middle of the run.

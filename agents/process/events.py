@@ -1,6 +1,8 @@
-"""What the processes of a run tell their launcher."""
+"""What the processes of a run tell their launcher, and what it asks of their fork server."""
 
 from __future__ import annotations
+
+from typing import TypeAlias
 
 import msgspec
 
@@ -56,13 +58,15 @@ class TookOver(Event, frozen=True):
 class Finished(Event, frozen=True):
     """The agent has come to the end of the run, or was dismissed by SIGTERM.
 
-    `published` counts its messages by signal; `dropped` are port, cause and number.
+    `published` counts its messages by signal; `dropped` are port, cause and number. `own_mb` is the
+    memory that it shares with no other process.
     """
 
     published: dict[str, int]
     dropped: list[tuple[str, str, int]]
     skipped_cycles: int = 0
     dismissed: bool = False
+    own_mb: float = 0.0
 
 
 class Started(Event, frozen=True):
@@ -72,10 +76,11 @@ class Started(Event, frozen=True):
 
 
 class Exited(Event, frozen=True):
-    """A process has ended: its exit status (below 0: the signal), and its total processor time."""
+    """A process has ended: its status (below 0: the signal), processor time, largest memory."""
 
     status: int
     cpu_s: float
+    resident_mb: float = 0.0
 
 
 class Presence(Event, frozen=True):
@@ -144,6 +149,7 @@ class Recorded(Event, frozen=True):
     external: tuple[ExternalAccount, ...] = ()
     complaints: tuple[Complaint, ...] = ()
     extra: dict[str, int] = {}
+    own_mb: float = 0.0
 
 
 class RecordingEnded(Event, frozen=True):
@@ -156,3 +162,25 @@ class Failed(Event, frozen=True):
     """The process gives up, and why, in one line."""
 
     text: str
+
+
+class Start(msgspec.Struct, frozen=True, tag=True):
+    """Start the processes of these agents, those first that the others connect to.
+
+    `plan` is a path, `logs` a folder. `again`: they join a run that is under way.
+    """
+
+    plan: str
+    agents: tuple[str, ...]
+    logs: str
+    again: bool = False
+
+
+class Signal(msgspec.Struct, frozen=True, tag=True):
+    """Send a signal to the processes of these agents that have not ended."""
+
+    agents: tuple[str, ...]
+    number: int
+
+
+Request: TypeAlias = Start | Signal

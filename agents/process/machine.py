@@ -6,6 +6,7 @@ import ctypes
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -75,6 +76,12 @@ def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
 def wake_precisely() -> None:
     """Ask the kernel to wake this thread on time: by default Linux adds up to 50 µs."""
     ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, 1)
+
+
+def own_memory_mb() -> float:
+    """Return the memory of this process that it shares with no other [MB]."""
+    lines = Path("/proc/self/smaps_rollup").read_text(encoding="ascii").splitlines()
+    return 1.024e-3 * sum(int(line.split()[1]) for line in lines if line.startswith("Private_"))
 
 
 def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:

@@ -19,7 +19,7 @@ from agents.plan import RunPlan
 from agents.process.agent_process import run_guarded, set_up_process
 from agents.process.events import Joined, Over, Recorded, RecordingEnded
 from agents.process.launcher_link import LauncherLink
-from agents.process.machine import stand_back
+from agents.process.machine import own_memory_mb, stand_back
 from agents.process.session import session_settings
 from bus_schemas.signals import READY
 from bus_schemas.tree import RECORDER, ROOT
@@ -180,4 +180,5 @@ class Recorder:
             external=listener.external.accounts(),
             complaints=listener.complaints.all(),
             extra=dict(listener.senders.extra),
+            own_mb=own_memory_mb(),
         )

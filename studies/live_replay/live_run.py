@@ -14,13 +14,13 @@ from typing import Any, Final, TextIO
 import msgspec
 
 from agents.plan import RunPlan, changed, load_plan
+from agents.process.events import Start
 from agents.process.interruption import interruptible
 from agents.process.machine import MachineSettings
 from bus_schemas.errors import InputError, listed
 from bus_schemas.selection import find_nodes
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import agent_name
-from launch_scripts.fork_requests import Start
 from launch_scripts.supervision import Children, ForkServerProcess, RunFailure
 from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock

@@ -17,13 +17,13 @@ from running import Heliarch, Start, assert_none_left
 from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded
 
+from agents.process import events
 from bus_schemas.errors import InputError
 from bus_schemas.messages import GivenUp
 from bus_schemas.signals import GIVEN_UP, IMPP
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import RECORDER
 from heliarch.cli.live_view import PlainView
-from launch_scripts import fork_requests
 from launch_scripts.launch import launch
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import Children, ForkServerProcess
@@ -270,8 +270,8 @@ def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path
             children.events(0.0)
             server.process.send_signal(signal.SIGSTOP)
             for _ in range(2000):  # More than the socket between them takes.
-                server.ask(fork_requests.Signal(agents, signal.SIGCONT))
-            server.ask(fork_requests.Start(str(folder.plan), agents, str(folder.logs)))
+                server.ask(events.Signal(agents, signal.SIGCONT))
+            server.ask(events.Start(str(folder.plan), agents, str(folder.logs)))
             server.process.send_signal(signal.SIGCONT)
             while not children[RECORDER].ready:
                 children.events(0.1)
