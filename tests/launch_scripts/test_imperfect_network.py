@@ -81,8 +81,7 @@ def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
 # Controllers that are slow, or never answer -------------------------------------------------------
 
 
-@pytest.mark.parametrize("silent", ["central", "z1/c1"])
-@pytest.mark.parametrize("periods", [(1, 1, 1), (60, 10, 1)])
+@pytest.mark.parametrize(("silent", "periods"), [("central", (1, 1, 1)), ("z1/c1", (60, 10, 1))])
 def test_everybody_goes_on_without_a_controller_that_never_answers(
     valley: Preparation, silent: str, periods: tuple[int, ...]
 ) -> None:

@@ -173,13 +173,12 @@ def test_a_device_that_does_everything_wrong_is_named_and_contained(
     assert_none_left(folder)
 
 
-@pytest.mark.parametrize("scheme", ["paper", "predictive"])
 def test_a_device_that_states_a_wrong_residual_ends_the_run_with_status_1(
-    device: Device, plant: str, tmp_path: Path, scheme: str
+    device: Device, plant: str, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
     device(WRONG, "residual", folder / "plan.json", NODE)
-    words = ("--duration", "25", "--scheme", scheme, "--external", NODE, "--out", folder)
+    words = ("--duration", "25", "--external", NODE, "--out", folder)
     result = command_line.heliarch("launch", plant, *words)
     assert result.exit_code == 1
     assert f"{NODE}: 25 messages differ" in result.stderr
