@@ -1,13 +1,14 @@
-"""The state of each agent in each cycle, by what was recorded up to the end of that cycle.
+"""The state of each agent in each cycle, by what was recorded up to its end, and its absences.
 
-The live page and `heliarch inspect --cycle` show it. A cycle ends where the next one begins in the
+The live page and `heliarch inspect` show them. A cycle ends where the next one begins in the
 recording: a message that comes later does not change what was known before.
 """
 
 from __future__ import annotations
 
+from array import array
 from bisect import bisect_right
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Iterator
 from typing import Final, Literal, NamedTuple, TypeAlias
 
@@ -15,12 +16,13 @@ import msgspec
 
 from agents.faults import Fault, Kill, incidents
 from agents.plan import RunPlan
-from agents.team import stages_of_agents
 from bus_schemas.errors import InputError
 from bus_schemas.messages import GivenUp, Message
 from bus_schemas.signals import GIVEN_UP, IMPP, TELEMETRY, Port
-from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
-from recordings.read.gaps import MissedInputs, PortGaps
+from bus_schemas.tree import PLANT, RECORDER, agent_name
+from recordings.inspect.absences import Absence, How
+from recordings.inspect.cut_off import Listeners
+from recordings.read.gaps import MissedInputs, gaps_of_ports
 from recordings.read.reader import RecordedMessage, RunReader
 from scenarios.fault_rules import fault_text
 
@@ -39,12 +41,14 @@ Word: TypeAlias = Literal[
 _UNHEARD: Final = 2
 """After so many missed cycles in a row an agent is worth an event."""
 
+_CAUSES: Final[dict[str, Word]] = {"kill": "killed", "freeze": "frozen"}
+"""What is said of a silent agent to which a fault rule did this."""
+
 
 class AgentState(msgspec.Struct, frozen=True):
     """How an agent was in a cycle.
 
-    missed_cycles: For how many cycles up to this one nothing of it came, or its parent or half of
-        those who await its messages missed them.
+    missed_cycles: For how many cycles up to this one nothing of it came, or it was cut off.
     missed_inputs: Inputs that it missed at its deadlines, so far and in this cycle.
     restarts: How often another process had taken its place by then.
     """
@@ -79,139 +83,253 @@ class Change(NamedTuple):
     times: int = 1
 
 
+class _Spans:
+    """Spans of cycles that follow each other; those that adjoin become one."""
+
+    def __init__(self) -> None:
+        self._starts, self._stops = array("q"), array("q")
+
+    def add(self, span: range) -> None:
+        if self._stops and span.start <= self._stops[-1]:
+            self._stops[-1] = max(span.stop, self._stops[-1])
+        else:
+            self._starts.append(span.start)
+            self._stops.append(span.stop)
+
+    def length(self, cycle: int) -> int:
+        """Return how long the span that a cycle is in had lasted by then, 0 if it is in none."""
+        number = bisect_right(self._starts, cycle) - 1
+        is_in = number >= 0 and cycle < self._stops[number]
+        return cycle - self._starts[number] + 1 if is_in else 0
+
+    def __iter__(self) -> Iterator[range]:
+        return map(range, self._starts, self._stops)
+
+
+class _Agent:
+    """What is known of one agent.
+
+    heard_in: The newest cycle of the run when it was last heard. In real time a message can come
+        after its own cycle: `newest` is the newest cycle that the agent itself named.
+    silent, cut_off: Cycles in which nothing of it came, and in which it was cut off.
+    missed_in, missed: Cycles in which it missed inputs, and how many it had missed by then.
+    """
+
+    def __init__(self, first_cycle: int) -> None:
+        self.heard_in = self.newest = first_cycle - 1
+        self.incarnation = 0
+        self.silent, self.cut_off = _Spans(), _Spans()
+        self.restarts, self.missed_in, self.missed = array("q"), array("q"), array("q")
+        self.given_up: int | None = None
+        self.causes: list[tuple[int, Word]] = []
+
+    def miss(self, cycle: int, inputs: int) -> None:
+        self.missed_in.append(cycle)
+        self.missed.append(inputs + self.missed_up_to(cycle))
+
+    def missed_up_to(self, cycle: int) -> int:
+        number = bisect_right(self.missed_in, cycle, hi=len(self.missed))
+        return self.missed[number - 1] if number else 0
+
+    def silent_cycles(self, cycle: int) -> int:
+        """Return for how many cycles up to one nothing of it came."""
+        if cycle > self.heard_in:
+            return cycle - self.heard_in
+        return self.silent.length(cycle)
+
+    def cause(self, since: int, cycle: int) -> Word | Literal[""]:
+        """Return what a fault rule did to it after it was last heard, in cycle `since`."""
+        return next((word for at, word in reversed(self.causes) if since <= at <= cycle), "")
+
+
 class AgentStates:
-    """Follows a recording from its beginning.
+    """Follows a recording from its beginning, or counts a part of it from `first_cycle` on.
 
     `newest` is the newest cycle of the run's own agents. `changes` are what happened; whoever shows
     them takes them out. A real inverter is an agent too, `device c2/inv07`, heard by its telemetry.
     """
 
-    def __init__(self, plan: RunPlan) -> None:
-        self.newest = -1
+    def __init__(self, plan: RunPlan, first_cycle: int = 0) -> None:
+        self.newest = first_cycle - 1
         self.changes = deque[Change]()
-        self.agents = (PLANT, *map(agent_name, plan.tree.nodes))
+        self.gaps = gaps_of_ports(plan, first_cycle)
+        self.missed = MissedInputs(plan)
         self._plan = plan
-        self._device: dict[Port[Message], str] = {
+        self._first_cycle = first_cycle
+        self._devices: dict[Port[Message], str] = {
             TELEMETRY.of(node): f"device {node}" for node, _ in plan.site.devices
         }
-        self._last = dict.fromkeys((*self.agents, *self._device.values()), -1)
-        self._silent: dict[str, list[range]] = {agent: [] for agent in self._last}
+        names = (PLANT, *map(agent_name, plan.tree.nodes), *self._devices.values())
+        self._agents = {name: _Agent(first_cycle) for name in names}
+        self._listeners = Listeners(plan)
         self._nobody: list[range] = []
-        self._restarts = defaultdict[str, list[int]](list)
-        self._incarnation: dict[str, int] = {}
-        self._given_up: dict[str, int] = {}
-        self._gaps = defaultdict[Port[Message], PortGaps](PortGaps)
-        self._missed = MissedInputs(plan)
-        self._missed_in = defaultdict[str, _Counts](_Counts)
-        self._unheard = _Unheard(plan)
-        self._faults = list(fault_changes(plan))
-        self._causes = defaultdict[str, list[tuple[int, Word]]](list)
+        self._absences: list[Absence] = []
+        self._faults = deque(fault_changes(plan))
         for begin_s, agent, what, *_ in incidents(plan.faults.rules, plan.tree, plan.wiring):
-            word = _CAUSES.get(what)
-            if word is not None:
-                self._causes[agent].append((_cycle_at(plan, begin_s), word))
+            if what in _CAUSES and agent in self._agents:
+                self._agents[agent].causes.append((_cycle_at(plan, begin_s), _CAUSES[what]))
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """The plant and the controllers, in the order of the tree."""
+        return (PLANT, *map(agent_name, self._plan.tree.nodes))
 
     def see(self, record: RecordedMessage) -> None:
         """Take in a message, in the order of the recording."""
-        port, cycle, agent = record.port, record.cycle, record.port.publisher
-        if agent not in self._last or not 0 <= cycle < self._plan.timing.cycles:
-            return
-        if cycle > self.newest and agent not in self._plan.access.external:
-            self._begin(cycle)
-        gaps = self._gaps[port]
+        port, cycle, name = record.port, record.cycle, record.port.publisher
+        gaps, agent = self.gaps[port], self._agents.get(name)
         lost, restarts = gaps.lost, gaps.restarts
         gaps.see(cycle, record.sequence, record.incarnation)
+        if agent is None or not 0 <= cycle < self._plan.timing.cycles:
+            return
+        if cycle > self.newest and name not in self._plan.access.external:
+            self._begin(cycle)
         if gaps.lost > lost:
-            self._note("lost", self.newest, agent, "messages lost", gaps.lost - lost)
-        if record.incarnation >= self._incarnation.get(agent, 0):
-            self._incarnation[agent] = record.incarnation
-            if gaps.restarts > restarts and port.signal is IMPP:
-                self._note_restart(agent)
-            self._hear(agent)
-        if port in self._device:
-            self._hear(self._device[port])
+            self._note("lost", self.newest, name, "messages lost", gaps.lost - lost)
+        is_number_new = gaps.restarts > restarts and port.signal is IMPP
+        joined = self._joined(agent, record, is_number_new=is_number_new)
+        if joined is not None:
+            self._note_restart(name, agent)
+        if record.incarnation >= agent.incarnation:  # A process that was replaced may go on.
+            self._hear(name, cycle, joined, has_lost=gaps.lost > lost)
+        if port in self._devices:
+            self._hear(self._devices[port], cycle)
         if port.signal is GIVEN_UP:
             self._give_up(record)
-        self._note_missing(record)
+        if keys := self.missed.see(record):
+            agent.miss(self.newest, len(keys))
+            self._listeners.lack(name, keys)
 
-    def at(self, agent: str, cycle: int) -> AgentState:
+    def at(self, name: str, cycle: int) -> AgentState:
         """Return how an agent was in a cycle that has been recorded."""
-        silent = self._silent_cycles(agent, cycle)
-        missed = max(silent, self._unheard.run(agent, cycle))
-        restarts = bisect_right(self._restarts[agent], cycle)
-        counts = self._missed_in[agent]
+        agent = self._agents[name]
+        silent, cut_off = agent.silent_cycles(cycle), agent.cut_off.length(cycle)
+        if not cut_off and cycle == self.newest and name in self._cut_off():
+            cut_off = agent.cut_off.length(cycle - 1) + 1
+        missed = max(silent, cut_off)
         return AgentState(
-            word=self._word(agent, cycle, silent, missed),
+            word=self._word(agent, name, cycle, silent, missed),
             missed_cycles=missed,
-            missed_inputs=counts.up_to(cycle),
-            missed_now=counts.up_to(cycle) - counts.up_to(cycle - 1),
-            restarts=restarts,
+            missed_inputs=agent.missed_up_to(cycle),
+            missed_now=agent.missed_up_to(cycle) - agent.missed_up_to(cycle - 1),
+            restarts=bisect_right(agent.restarts, cycle),
         )
 
-    def _word(self, agent: str, cycle: int, silent: int, missed: int) -> Word:
-        if self._given_up.get(agent, cycle + 1) <= cycle:
+    def absences(self, end: int) -> list[Absence]:
+        """Return the absences of a run that ended before a cycle; nothing more is taken in."""
+        self._end_cycle()
+        found, hold = self._absences, self._plan.control.hold_cycles
+        for span in self._nobody:
+            found.append(Absence(RECORDER, span.start, len(span), span.stop, "not heard"))
+        for name, agent in self._agents.items():
+            first, cycles = agent.newest + 1, end - agent.newest - 1
+            if cycles > 1:  # A run that broke off has not completed its last cycle.
+                cause = agent.cause(agent.newest, end)
+                found.append(Absence(name, first, cycles, None, "not back", cause))
+            known = [one for one in found if one.agent == name]
+            for span in agent.cut_off:
+                cut = Absence(
+                    name, span.start, min(span.stop, end) - span.start, span.stop, "cut off"
+                )
+                if cut.cycles > hold and not any(cut.is_near(one, hold) for one in known):
+                    found.append(cut)
+        return found
+
+    def _word(self, agent: _Agent, name: str, cycle: int, silent: int, missed: int) -> Word:
+        if agent.given_up is not None and agent.given_up <= cycle:
             return "given up"
         if silent and any(cycle in span for span in self._nobody):
             return "not recorded"
         if silent:
-            return self._cause(agent, cycle - silent, cycle) or "not heard"
+            return agent.cause(cycle - silent, cycle) or "not heard"
         if missed:
             return "cut off" if missed >= _UNHEARD else "not heard"
-        return self._process_word(agent, cycle)
+        return self._process_word(agent, name, cycle)
 
-    def _process_word(self, agent: str, cycle: int) -> Word:
+    def _process_word(self, agent: _Agent, name: str, cycle: int) -> Word:
         """Return which process speaks for an agent that is heard."""
-        restarts = self._restarts[agent]
-        number = bisect_right(restarts, cycle)
-        if number and agent in self._plan.standbys:
+        number = bisect_right(agent.restarts, cycle)
+        if number and name in self._plan.standbys:
             return "standby in charge"
-        if number and cycle <= restarts[number - 1] + self._plan.control.hold_cycles:
+        if number and cycle <= agent.restarts[number - 1] + self._plan.control.hold_cycles:
             return "restarted"
         return "fine"
 
-    def _cause(self, agent: str, since: int, cycle: int) -> Word | None:
-        """Return what a fault rule did to an agent that was last heard in cycle `since`."""
-        words = [word for begin, word in self._causes[agent] if since <= begin <= cycle]
-        return words[-1] if words else None
-
-    def _silent_cycles(self, agent: str, cycle: int) -> int:
-        """Return for how many cycles up to one nothing of an agent came."""
-        if cycle > self._last[agent]:
-            return cycle - self._last[agent]
-        return _length(self._silent[agent], cycle)
+    def _cut_off(self) -> dict[str, int]:
+        newest, agents = self.newest, self._agents
+        return self._listeners.cut_off(newest, lambda name: agents[name].heard_in == newest)
 
     def _begin(self, cycle: int) -> None:
         """Begin a cycle, which ends the one before it."""
-        if self.newest >= 0:
-            self._note_silent(self.newest)
+        self._end_cycle()
         if cycle > self.newest + 1:
             self._nobody.append(range(self.newest + 1, cycle))
-            self._note("gap", self.newest + 1, "recorder", "no agent was recorded")
+            self._note("gap", self.newest + 1, RECORDER, "no agent was recorded")
         self.newest = cycle
         while self._faults and self._faults[0].cycle <= cycle:
-            self.changes.append(self._faults.pop(0))
+            self.changes.append(self._faults.popleft())
 
-    def _hear(self, agent: str) -> None:
-        last, now = self._last[agent], self.newest
-        if now > last + 1:
-            self._silent[agent].append(range(last + 1, now))
-            if now > last + _UNHEARD and last >= 0 and now not in self._restarts[agent][-1:]:
-                self._note("back", now, agent, "heard again")
-        self._last[agent] = now
+    def _end_cycle(self) -> None:
+        cycle, cut_off = self.newest, self._cut_off()
+        for name, agent in self._agents.items():
+            if name in cut_off:
+                agent.cut_off.add(range(cycle, cycle + cut_off[name]))
+                if agent.heard_in == cycle and agent.cut_off.length(cycle) == _UNHEARD:
+                    self._note("cut off", cycle, name, "cut off")
+            if cycle == agent.heard_in + _UNHEARD and agent.given_up is None:
+                word = agent.cause(agent.heard_in, cycle)
+                self._note("not heard", cycle, name, f"not heard{f': {word}' if word else ''}")
+        self._listeners.next_cycle()
 
-    def _note_silent(self, cycle: int) -> None:
-        for agent, last in self._last.items():
-            if cycle == last + _UNHEARD and agent not in self._given_up:
-                word = self._cause(agent, last, cycle)
-                self._note("not heard", cycle, agent, f"not heard{f': {word}' if word else ''}")
+    def _joined(self, agent: _Agent, record: RecordedMessage, *, is_number_new: bool) -> int | None:
+        """Return the cycle in which the process joined that speaks for an agent from now on."""
+        if record.incarnation > agent.incarnation:
+            agent.incarnation = record.incarnation
+            # Of a part of a recording: it had joined before.
+            return record.incarnation if record.incarnation >= self._first_cycle else None
+        return record.cycle if is_number_new else None
 
-    def _note_restart(self, agent: str) -> None:
-        self._restarts[agent].append(self.newest)
-        is_standby = agent in self._plan.standbys
+    def _hear(
+        self, name: str, cycle: int, joined: int | None = None, *, has_lost: bool = False
+    ) -> None:
+        """Note that an agent is heard; `has_lost`: messages before it were not recorded."""
+        agent, now = self._agents[name], self.newest
+        if joined is not None or cycle > agent.newest + 1:
+            self._absences += self._absence(name, agent, cycle, joined, has_lost=has_lost)
+        if now > agent.heard_in + 1:
+            agent.silent.add(range(agent.heard_in + 1, now))
+            if now > agent.heard_in + _UNHEARD and agent.heard_in >= 0 and joined is None:
+                self._note("back", now, name, "heard again")
+        agent.heard_in, agent.newest = now, max(cycle, agent.newest)
+
+    def _absence(
+        self, name: str, agent: _Agent, cycle: int, joined: int | None, *, has_lost: bool
+    ) -> Iterator[Absence]:
+        """Yield how an agent was absent up to a cycle, or that another process of it joined."""
+        gone = range(agent.newest + 1, cycle)
+        if gone and has_lost:
+            nobody = (
+                range(max(one.start, gone.start), min(one.stop, cycle)) for one in self._nobody
+            )
+            if len(gone) - sum(map(len, nobody)) > self._plan.control.hold_cycles:
+                yield Absence(name, gone.start, len(gone), cycle, "not heard")
+            gone = gone[:0]
+        if joined is None and not gone:
+            return
+        first, back_in = (gone.start, cycle) if gone else (joined, joined)
+        assert first is not None
+        # Where there is a standby, a restarted process becomes the new standby.
+        how: How = "standby took over" if name in self._plan.standbys else "restarted"
+        cause = agent.cause(first - 1, cycle)
+        yield Absence(name, first, len(gone), back_in, "back" if joined is None else how, cause)
+
+    def _note_restart(self, name: str, agent: _Agent) -> None:
+        agent.restarts.append(self.newest)
+        is_standby = name in self._plan.standbys
         kind, text = (
             ("takeover", "its standby took over") if is_standby else ("restart", "restarted")
         )
-        self._note(kind, self.newest, agent, text)
+        self._note(kind, self.newest, name, text)
 
     def _give_up(self, record: RecordedMessage) -> None:
         try:
@@ -219,98 +337,14 @@ class AgentStates:
         except InputError:  # The reader names a wrong message.
             return
         assert isinstance(message, GivenUp)
-        for agent in message.agents:
-            if agent not in self._given_up:
-                self._given_up[agent] = self.newest
-                self._note("given up", self.newest, agent, "given up: it is not started again")
-
-    def _note_missing(self, record: RecordedMessage) -> None:
-        """Note the inputs that an agent missed, and whose messages others miss by now."""
-        keys, agent, cycle = self._missed.see(record), record.port.publisher, record.cycle
-        if keys:
-            self._missed_in[agent].add(self.newest, len(keys))
-        for key in keys:
-            publisher = self._unheard.see(agent, cycle, key)
-            if publisher is None or self._last[publisher] < cycle - 1:
-                continue  # Most hear it, or it is silent, which is another event.
-            if self._unheard.run(publisher, cycle) == _UNHEARD:
-                self._note("cut off", cycle, publisher, "not heard by those who await it")
+        for name in message.agents:
+            agent = self._agents.get(name)
+            if agent is not None and agent.given_up is None:
+                agent.given_up = self.newest
+                self._note("given up", self.newest, name, "given up: it is not started again")
 
     def _note(self, kind: str, cycle: int, agent: str, text: str, times: int = 1) -> None:
         self.changes.append(Change(kind, cycle, agent, text, times))
-
-
-class _Counts:
-    """Counts in cycles that do not decrease."""
-
-    def __init__(self) -> None:
-        self._cycles: list[int] = []
-        self._totals: list[int] = []
-
-    def add(self, cycle: int, count: int) -> None:
-        self._cycles.append(cycle)
-        self._totals.append(count + (self._totals[-1] if self._totals else 0))
-
-    def up_to(self, cycle: int) -> int:
-        number = bisect_right(self._cycles, cycle)
-        return self._totals[number - 1] if number else 0
-
-
-class _Unheard:
-    """The cycles in which an agent's parent, or half of those who await it, missed its messages."""
-
-    def __init__(self, plan: RunPlan) -> None:
-        self._publisher = {str(port): port.publisher for port in plan.wiring.ports}
-        self._parent = {
-            agent_name(node): agent_name(parent_of(node))
-            for node in plan.tree.nodes
-            if node != ROOT
-        }
-        waiting = defaultdict[str, set[str]](set)
-        for agent, turns in stages_of_agents(plan).items():
-            for port in (port for stages in turns for stage in stages for port in stage.awaits):
-                waiting[port.publisher].add(agent)
-        self._half = {agent: len(listeners) / 2.0 for agent, listeners in waiting.items()}
-        self._missed_by: dict[str, tuple[int, set[str]]] = {}
-        self._spans = defaultdict[str, list[range]](list)
-
-    def see(self, listener: str, cycle: int, key: str) -> str | None:
-        """Take in a key that a listener missed; return its publisher if that is unheard by now."""
-        publisher = self._publisher[key]
-        known, listeners = self._missed_by.get(publisher, (-1, set[str]()))
-        if cycle != known:
-            listeners = set()
-            self._missed_by[publisher] = cycle, listeners
-        listeners.add(listener)
-        is_unheard = (
-            listener == self._parent.get(publisher) or len(listeners) >= self._half[publisher]
-        )
-        return publisher if is_unheard and self._add(publisher, cycle) else None
-
-    def run(self, agent: str, cycle: int) -> int:
-        """Return for how many cycles up to one an agent was unheard."""
-        return _length(self._spans[agent], cycle)
-
-    def _add(self, publisher: str, cycle: int) -> bool:
-        """Note a cycle; return whether it is new."""
-        spans = self._spans[publisher]
-        if spans and cycle < spans[-1].stop:
-            return False
-        if spans and cycle == spans[-1].stop:
-            spans[-1] = range(spans[-1].start, cycle + 1)
-        else:
-            spans.append(range(cycle, cycle + 1))
-        return True
-
-
-def _length(spans: list[range], cycle: int) -> int:
-    """Return how long the span that a cycle is in had lasted by then, 0 if it is in none."""
-    number = bisect_right(spans, cycle, key=lambda span: span.start) - 1
-    return cycle - spans[number].start + 1 if number >= 0 and cycle in spans[number] else 0
-
-
-_CAUSES: Final[dict[str, Word]] = {"kill": "killed", "freeze": "frozen"}
-"""What is said of a silent agent to which a fault rule did this."""
 
 
 def states_at(run: RunReader, cycle: int) -> AgentStates:

@@ -22,8 +22,8 @@ from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER, standby_of
-from recordings.inspect.absences import Absence, Absences
-from recordings.read.gaps import MissedInputs, gaps_of_ports
+from recordings.inspect.absences import Absence
+from recordings.inspect.agent_states import AgentStates
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
 from scenarios.fault_rules import fault_text
@@ -32,6 +32,8 @@ SUMMARY_NAME: Final = "summary.json"
 FAILURE_NAME: Final = "failure.txt"
 _NAMED: Final = 5
 """How many of each kind the text names; the others are counted."""
+
+_MOST_ABSENCES: Final = 100
 
 
 class FaultEffect(msgspec.Struct, frozen=True):
@@ -137,35 +139,27 @@ class HealthWatch:
     """Follows a recording message by message."""
 
     def __init__(self, plan: RunPlan, cycles: range) -> None:
-        self.gaps = gaps_of_ports(plan, cycles.start)
+        self.states = AgentStates(plan, cycles.start)
         self._plan = plan
         # The fate of a message follows from its link and cycle, so it can be worked out again here.
         self._faults = plan.network_faults()
-        self._absences = Absences(plan, cycles.start)
-        self._missed = MissedInputs(plan)
 
     def see(self, record: RecordedMessage) -> None:
-        port, cycle = record.port, record.cycle
-        gaps = self.gaps[port]
-        lost_before = gaps.lost
-        gaps.see(cycle, record.sequence, record.incarnation)
-        self._absences.see(port, cycle, record.incarnation, has_lost=gaps.lost > lost_before)
-        if missing := self._missed.see(record):
-            self._absences.miss(port.publisher, cycle, missing)
-        if self._plan.faults.rules and port.signal.is_cyclic:
+        self.states.see(record)
+        if self._plan.faults.rules and record.port.signal.is_cyclic:
             with suppress(InputError):  # The reader names a wrong message.
-                self._see_faults(port, record.message())
+                self._see_faults(record.port, record.message())
 
     def health(self, run: RunReader, cycle: int) -> Health:
         """Return the health of the run, which ended before `cycle`, with what its folder tells."""
-        for one in self.gaps.values():
+        ports, missed, external = self.states.gaps, self.states.missed, self._plan.access.external
+        for one in ports.values():
             one.end(cycle)
-        self._absences.end(cycle)
-        ports, missed, external = self.gaps, self._missed, self._plan.access.external
         misses = [
             Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
             for agent, at in missed.cycles.items()
         ]
+        absences = sorted(self.states.absences(cycle), key=lambda one: one.weight, reverse=True)
         lost = Counter({str(port): gaps.lost for port, gaps in ports.items() if gaps.lost})
         document = summary_in(run.path.parent, run.plan, RunDocument)
         return Health(
@@ -174,11 +168,11 @@ class HealthWatch:
             lost=dict(lost.most_common()),
             repeated=sum(gaps.repeated for gaps in ports.values()),
             misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
-            absences=tuple(self._absences.longest),
+            absences=tuple(absences[:_MOST_ABSENCES]),
             stop_cycle=run.stop_cycle,
             failure=_failure(run.path.parent),
             launcher=document.launcher if document else None,
-            more_absences=self._absences.more,
+            more_absences=len(absences[_MOST_ABSENCES:]),
         )
 
     def _effects(self, last_cycle: int) -> Iterator[FaultEffect]:
@@ -212,15 +206,15 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", _dropped(launcher)
     yield "inputs", _missed_text(health, clock)
-    by_weight = sorted(_true_absences(health, clock.plan), key=lambda one: one.weight, reverse=True)
-    for absence in by_weight[:_NAMED]:
+    absences = list(_true_absences(health, clock.plan))
+    for absence in absences[:_NAMED]:
         yield "absent", absence.text(clock)
-    if others := len(by_weight[_NAMED:]) + health.more_absences:
-        yield "absent", f"and {others:,} times more"
+    if others := len(absences[_NAMED:]) + health.more_absences:
+        yield "absent", f"and {others:,} more"
     # Messages show which agents restarted; the recorder publishes none.
     if recorder := launcher.restarts.get(RECORDER) if launcher else None:
         yield "absent", f"{RECORDER}: restarted ({recorder:,})"
-    elif not by_weight:
+    elif not absences:
         yield "absent", "none"
     yield from _lacks(launcher, clock) if launcher else ()
     end, planned = "ended in order", clock.plan.timing.cycles

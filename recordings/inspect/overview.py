@@ -59,7 +59,7 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         watch.see(record)
         first_ns = first_ns or record.log_time_ns
         last_ns = record.log_time_ns
-    production = watch.gaps[PRODUCTION.of(ROOT)]
+    production = watch.states.gaps[PRODUCTION.of(ROOT)]
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = production.newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
     health = watch.health(run, end)
@@ -76,7 +76,9 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         interrupted=(run.stop_cycle or run.plan.timing.cycles) < run.plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
-            _count(signal, watch.gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
+            _count(signal, watch.states.gaps, len(wanted), wall_s)
+            for signal in SIGNALS
+            if signal.logged
         ),
         health=health,
     )

@@ -38,7 +38,8 @@ class PortGaps:
 
     `cycles` counts messages of a cycle newer than those of all before them, so each cycle once.
     `missing` counts the cycles in which a message was due and none came: one is due in every
-    `step`-th cycle, or never if that is 0. `newest` is the newest cycle of a message.
+    `step`-th cycle, or never if that is 0. `newest` is the newest cycle of a message. `restarts`
+    counts how often one incarnation began its numbers anew.
     """
 
     def __init__(self, step: int = 0, first_cycle: int = 0) -> None:
@@ -63,7 +64,7 @@ class PortGaps:
                 self.repeated += 1
                 return
             self._expected = 0
-            self.restarts += 1
+            self.restarts += incarnation == self._incarnation
         self.lost += sequence - self._expected
         self._expected, self._incarnation = sequence + 1, incarnation
         self.newest = max(cycle, self.newest)

@@ -7,16 +7,12 @@ from typing import Final, NamedTuple
 
 import plotly.graph_objects as go
 
-from agents.plan import RunPlan
-from bus_schemas.messages import Dispatch, Message
-from bus_schemas.signals import DISPATCH, Port
 from bus_schemas.tree import ROOT
 from recordings.inspect.agent_states import fault_changes
 from recordings.inspect.health import Health
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries
 from results.report import style
-from sim_plant.orders import OrderInForce
 
 _MOST: Final = 60
 
@@ -29,42 +25,28 @@ class Mark(NamedTuple):
     colour: str
 
 
-class OrderMarks:
-    """Marks of the operator's orders, from the dispatches that state them."""
-
-    def __init__(self, plan: RunPlan) -> None:
-        self.ports = frozenset({DISPATCH.of(ROOT)})
-        self.marks: list[Mark] = []
-        self._rating_kw = plan.tree.rating_kw(ROOT)
-        self._before: OrderInForce | None = None
-
-    def see(self, port: Port[Message], message: Message) -> None:
-        assert isinstance(message, Dispatch)
-        order = OrderInForce.by(message)
-        if order is None or (self._before is not None and order.what == self._before.what):
-            return
-        self._before = order
-        text = f"{order.source}: {order.text(self._rating_kw)}"
-        self.marks.append(Mark(message.cycle, text, style.BLUE))
-
-
-def run_marks(reader: RunReader, health: Health, orders: Sequence[Mark]) -> list[Mark]:
+def run_marks(reader: RunReader, health: Health, series: RunSeries) -> list[Mark]:
     """Return the marks of a run in the order of time, at most sixty of them."""
-    return sorted([*_marks(reader, health), *orders])[:_MOST]
+    return sorted(_marks(reader, health, series))[:_MOST]
 
 
-def _marks(reader: RunReader, health: Health) -> Iterator[Mark]:
+def _marks(reader: RunReader, health: Health, series: RunSeries) -> Iterator[Mark]:
     for change in fault_changes(reader.plan):
         if change.cycle <= reader.last_cycle:
             yield Mark(change.cycle, f"fault {change.text}", style.ORANGE)
     for absence in health.absences:
         if absence.cycles:
-            text = f"{absence.agent}: not heard for {absence.cycles:,} cycles"
+            what = "cut off" if absence.how == "cut off" else absence.cause or "not heard"
+            text = f"{absence.agent}: {what} for {absence.cycles:,} cycles"
             yield Mark(absence.first_cycle, text, style.VERMILLION)
         if absence.back_in is not None:
-            yield Mark(absence.back_in, f"{absence.agent}: {absence.how}", style.GREEN)
+            how = "heard again" if absence.how in {"not heard", "cut off"} else absence.how
+            yield Mark(absence.back_in, f"{absence.agent}: {how}", style.GREEN)
     for agent, cycle in (health.launcher.given_up if health.launcher else {}).items():
         yield Mark(cycle, f"{agent}: given up", style.VERMILLION)
+    for cycle, order in series.orders:
+        text = f"{order.source}: {order.text(reader.plan.tree.rating_kw(ROOT))}"
+        yield Mark(cycle, text, style.BLUE)
 
 
 def mark(figure: go.Figure, series: RunSeries, marks: Sequence[Mark]) -> None:

@@ -26,7 +26,7 @@ from results.figures import run_figures
 from results.report.clusters import clusters_map, clusters_table
 from results.report.help import HelpBetween, help_figure, help_table
 from results.report.inverter_figures import MOST_INVERTERS, correlation_matrices, residuals
-from results.report.marks import Mark, OrderMarks, mark, run_marks
+from results.report.marks import Mark, mark, run_marks
 from results.report.page import html_page
 from results.report.plant_figures import available_power, delivered_and_shortfall, regulation
 from results.report.result import Result
@@ -48,8 +48,8 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         notes = _notes(reader)
         size_mb = reader.path.stat().st_size / 1e6
         with busy(console, escape(f"reading {size_mb:,.0f} MB of {run}")):
-            found, orders = HelpBetween(plan, _nodes_drawn(plan)), OrderMarks(plan)
-            series = series_of(reader, MOST_INVERTERS, [found, orders])
+            found = HelpBetween(plan, _nodes_drawn(plan))
+            series = series_of(reader, MOST_INVERTERS, [found])
             series = replace(series, label=f"hierarchical ({plan.control.scheme})")
             health = run_health(reader)
             summary = summary_in(reader.path.parent, plan, RunSummary)
@@ -62,7 +62,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
                 health_table(health, reader.clock),
                 *devices_tables(read_accounts(reader.path.parent)),
             ]
-            marks = run_marks(reader, health, orders.marks)
+            marks = run_marks(reader, health, series)
     with busy(console, "drawing"):
         title, lines = f"{plan.plant}: run {plan.run_id}", [run_line(plan), *notes]
         more = [clusters_map(plan), help_figure(found)]

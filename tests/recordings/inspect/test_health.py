@@ -17,6 +17,7 @@ from bus_schemas.messages import Message, Takeover
 from bus_schemas.signals import HELP, TAKEOVER, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings.inspect.absences import Absence, How
+from recordings.inspect.agent_states import states_at
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME, Health, health_lines
 from recordings.inspect.overview import read_overview
 from recordings.read.gaps import MissedInputs
@@ -160,20 +161,27 @@ def test_an_agent_whose_messages_were_lost_for_long_was_not_heard(tmp_path: Path
     assert "central: not heard in cycles 20 to 39 (12:00:20 to 12:00:39)" in text
 
 
-@pytest.mark.parametrize("cut", ["central", "c1", "c1/inv05"])
-def test_an_agent_that_most_listeners_missed_was_not_heard_though_it_is_recorded(
-    tmp_path: Path, cut: str
+@pytest.mark.parametrize(
+    ("cut", "ends"),
+    [
+        *(("central", "source listener"), ("central", "listener"), ("c1", "source listener")),
+        *(("c1", "listener"), ("c1/inv05", "listener"), ("c1/inv05", "source")),
+    ],
+)
+def test_an_agent_whose_link_is_cut_is_named_and_nobody_else(
+    tmp_path: Path, cut: str, ends: str
 ) -> None:
-    faults = [f"source={cut},blackout=20s..50s", f"listener={cut},blackout=20s..50s"]
-    prepared = prepare(
-        load_scenario("oahu"), RunOptions(duration="60", faults=faults, pace=1.0), "cut"
-    )
+    faults = [f"{end}={cut},blackout=20s..50s" for end in ends.split()]
+    options = RunOptions(duration="60", faults=faults, pace=1.0)
+    prepared = prepare(load_scenario("oahu"), options, "cut")
     _, sent = run_in_memory(prepared.plan, prepared.profile)
     write_messages(tmp_path / "run.mcap", sent.messages, plan=prepared.plan)
     (absence,) = health_of(tmp_path)[0].absences
-    assert (absence.agent, absence.how) == (cut, "not heard")
-    assert 20 <= absence.first_cycle <= 22
-    assert 48 <= absence.first_cycle + absence.cycles <= 52
+    assert absence == Absence(cut, 20, 30, 50, "cut off")
+    with open_run(tmp_path) as run:
+        states = states_at(run, CYCLES - 1)
+    ill = {agent for agent in states.agents if states.at(agent, 35).level}
+    assert ill == {cut}
 
 
 @pytest.mark.parametrize("run_id", [PLAN.run_id, "another-run"])

@@ -8,12 +8,13 @@ import pytest
 from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, whole_run, write_run
 
+from bus_schemas.messages import Dispatch
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import series_of
 from results.report.clusters import clusters_table
 from results.report.help import HelpBetween, help_figure, help_table
-from results.report.marks import Mark, run_marks
+from results.report.marks import run_marks
 from results.report.run_report import runs_result, write_run_report
 from scenarios.fault_rules import parse_fault
 
@@ -26,9 +27,13 @@ def run(tmp_path: Path) -> Path:
     """A recording with faults: `c1/a` lacks 20 kW in each cycle, and `c1/b` gives them."""
     faults = parse_fault("freeze=c2,at=20s..30s"), parse_fault("kill=c1/a,at=50s")
     plan = with_changes(PLAN, faults=faults, positions_m=((0, 0), (9, 0), (0, 9), (9, 9)))
+    deliveries = list(whole_run(CYCLES))
+    for _, message in deliveries:
+        if isinstance(message, Dispatch) and message.cycle >= 70:
+            message.order_source, message.order_cycle, message.order_power_kw = "page", 70, 100.0
     write_run(
         tmp_path / "run.mcap",
-        whole_run(CYCLES),
+        deliveries,
         plan=plan,
         is_kept=lambda one: one[0].publisher != "c2" or not 20 <= one[1].cycle < 30,
     )
@@ -69,9 +74,7 @@ def test_clusters_have_their_energies(run: Path) -> None:
 def test_faults_and_absences_are_marked_in_every_figure_over_time(run: Path) -> None:
     with RunReader(run) as reader:
         series = series_of(reader)
-        marks = run_marks(
-            reader, read_overview(reader).health, [Mark(70, "operator: 100 kW", "#000000")]
-        )
+        marks = run_marks(reader, read_overview(reader).health, series)
     assert [one.cycle for one in marks] == [20, 20, 30, 30, 50, 70]
     result = runs_result("A run", [series], (), (), marks=marks)
     for figure in result.figures():
