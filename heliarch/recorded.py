@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from bus_schemas.errors import InputError
 from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
@@ -64,6 +65,8 @@ class Run(RunReader):
         """
         import pyarrow as pa  # noqa: PLC0415 - it loads slowly
 
+        if cycles < 1:
+            raise InputError(f"cycles: expected 1 or more, got {cycles}")
         span = self.clock.span(start, end, ("start", "end"))
         for first in range(span.start, span.stop, cycles):
             until = min(first + cycles, span.stop)

@@ -1,22 +1,24 @@
-"""Runs and comparisons from Python."""
+"""Runs and comparisons from Python: what the commands do, with the same names and checks."""
 
 from __future__ import annotations
 
 import os
+import re
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from datetime import date
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, Final, NamedTuple, ParamSpec, TypeAlias, TypeVar, get_args
 
 import pandas as pd
 from rich.console import Console
 
 from agents.settings import Actuator
-from bus_schemas.errors import InputWarning
+from bus_schemas.errors import InputError, InputWarning
 from bus_schemas.selection import find_signals
 from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import is_run
@@ -42,7 +44,43 @@ from studies.compare.study import run_case
 from studies.timing import measured_run, prepare_at
 from studies.workers import share_work
 
+P = ParamSpec("P")
+T = TypeVar("T")
+Recording: TypeAlias = str | Path | Run
+"""A recorded run: its folder, its MCAP file, or what `open_run` returned."""
 
+_SEVERAL: Final = ("faults", "external", "devices", "on", "cpus")
+"""Options that may be given several times, or as one text."""
+
+_PARAMETERS: Final = {
+    "--from": "start",
+    "--to": "end",
+    "--set": "settings",
+    "--fault": "faults",
+    "--device": "devices",
+    "--external-timeout": "external_timeout_s",
+}
+"""Parameters that are not named as the option of the command is."""
+
+
+def _by_parameter(function: Callable[P, T]) -> Callable[P, T]:
+    """Let errors of a function name its parameters in place of the command's options."""
+
+    def parameter(option: re.Match[str]) -> str:
+        return _PARAMETERS.get(option[0], option[0][2:].replace("-", "_"))
+
+    @wraps(function)
+    def call(*words: P.args, **options: P.kwargs) -> T:
+        try:
+            return function(*words, **options)
+        except InputError as error:
+            text = re.sub(r"--[a-z][a-z-]+", parameter, str(error))
+            raise InputError(text) from error.__cause__
+
+    return call
+
+
+@_by_parameter
 def simulate(
     scenario: str | ScenarioFile = "oahu",
     *,
@@ -71,6 +109,7 @@ def simulate(
     return _run(_request(scenario, settings, data, out, options))
 
 
+@_by_parameter
 def launch(
     scenario: str | ScenarioFile = "oahu",
     *,
@@ -88,8 +127,9 @@ def launch(
         return _run(_request(scenario, settings, data, out, options), server)
 
 
+@_by_parameter
 def timing(
-    scenario: str | ScenarioFile = "oahu",
+    scenario: str | ScenarioFile | Run = "oahu",
     *,
     rate: float = 1.0,
     settings: Mapping[str, object] | None = None,
@@ -99,19 +139,20 @@ def timing(
 ) -> TimingReport:
     """Run a plant at so many cycles a second and judge it, as `heliarch timing` does.
 
-    Parameters are those of `simulate`. A recorded run, by the path of its folder or file, is judged
-    without a new one.
+    Parameters are those of `simulate`. A recorded run in place of the scenario is judged without a
+    new one.
     """
-    if isinstance(scenario, str) and is_run(Path(scenario)):
-        return report_on(Path(scenario))
+    if isinstance(scenario, Run) or (isinstance(scenario, str) and is_run(Path(scenario))):
+        return report_on(_path(scenario))
     request = _request(scenario, settings, data, out, options)
     preparation, folder = prepare_at(rate, 60.0, request, request.out)
     with _nowhere() as console:
         return measured_run(preparation, folder, partial(PlainView, console))
 
 
+@_by_parameter
 def verify(
-    run: str | Path,
+    run: Recording,
     *,
     nodes: str | Sequence[str] = (),
     start: str | None = None,
@@ -119,11 +160,12 @@ def verify(
     tolerance: float = 0.0,
 ) -> Verification:
     """Run the agents of a recording again and compare, as `heliarch verify` does: see `equal`."""
-    return verify_run(Path(run), nodes, Equality(tolerance), start=start, end=end)
+    return verify_run(_path(run), nodes, Equality(tolerance), start=start, end=end)
 
 
+@_by_parameter
 def export(
-    run: str | Path,
+    run: Recording,
     form: Form,
     *,
     out: str | Path | None = None,
@@ -135,21 +177,22 @@ def export(
 ) -> ExportSummary:
     """Make tables, or a file for viewers, from a recording, as `heliarch export` does."""
     check_names("form", (form,), get_args(Form))
-    with open_run(run) as reader:
+    with open_run(_path(run)) as reader:
         is_whole = start is None and end is None
         cycles = None if is_whole else reader.clock.span(start, end, ("start", "end"))
         path = None if out is None else Path(out)
         return export_run(reader, form, path, find_signals(signals), nodes, cycles, clock)
 
 
+@_by_parameter
 def compare(
     scenario: str | ScenarioFile = "oahu-day",
     *,
-    schemes: Iterable[str] = tuple(SCHEMES),
-    actuators: Iterable[Actuator] = (),
-    faults: Iterable[str] = (),
-    days: Iterable[date] = (),
-    seeds: Iterable[int] = (),
+    schemes: str | Iterable[str] = tuple(SCHEMES),
+    actuators: Actuator | Iterable[Actuator] = (),
+    faults: str | Iterable[str] = (),
+    days: date | Iterable[date] = (),
+    seeds: int | Iterable[int] = (),
     settings: Mapping[str, object] | None = None,
     data: str | Path | None = None,
     workers: int = 1,
@@ -189,16 +232,16 @@ def compare(
         `settings` by name, `fault`, `day`, `seed`), scheme, actuator, each figure of merit, and
         remarks: what must be known about the data, such as hindsight.
     """
-    names, acting = tuple(schemes), tuple(actuators)
+    names, acting = _several(schemes), _several(actuators)
     check_names("schemes", names, tuple(SCHEMES))
     check_names("actuators", acting, get_args(Actuator))
     listed = cases(
         _loaded(scenario, data),
         RunOptions.of(TimeOptions(**span)),
         [_setting(field, value) for field, value in (settings or {}).items()],
-        tuple(faults),
-        tuple(days),
-        tuple(map(int, seeds)),
+        _several(faults),
+        _several(days),
+        tuple(map(_whole, _several(seeds))),
     )
     results = share_work(partial(run_case, names, acting), listed, workers, cluster=cluster)
     return pd.DataFrame([row for rows in results for row in rows])
@@ -217,13 +260,14 @@ class ComparedRuns(NamedTuple):
     notes: tuple[str, ...]
 
 
-def compare_runs(first: str | Path, second: str | Path) -> ComparedRuns:
+@_by_parameter
+def compare_runs(first: Recording, second: Recording) -> ComparedRuns:
     """Compare two recordings, as `heliarch compare RUN RUN` does.
 
-    A and B are the folders of two runs of the same plant that begin at the same time, or their
-    `run.mcap`. Of the longer one only the cycles that both have count.
+    A and B are two runs of the same plant that begin at the same time. Of the longer one only the
+    cycles that both have count.
     """
-    series, notes = read_two_runs((Path(first), Path(second)))
+    series, notes = read_two_runs((_path(first), _path(second)))
     tables = two_runs_tables(*series)
     figures, differences = (
         pd.DataFrame(table_rows(table), columns=table.names()) for table in tables
@@ -247,7 +291,9 @@ def _request(
     out: str | Path | None,
     options: Mapping[str, Any],
 ) -> RunRequest:
-    asked = RunOptions(**options)
+    check_names("options", options, [field.name for field in fields(RunOptions)])
+    several = {name: list(_several(options[name])) for name in _SEVERAL if options.get(name)}
+    asked = RunOptions(**{**options, **several})
     scenario_file = with_settings(_loaded(scenario, data), [*(settings or {}).items()])
     return RunRequest(scenario_file, asked, None if out is None else Path(out))
 
@@ -267,3 +313,21 @@ def _loaded(scenario: str | ScenarioFile, data: str | Path | None) -> ScenarioFi
 def _setting(field: str, value: object) -> Setting:
     found = plain(value)
     return Setting(field, tuple(found) if isinstance(found, list | tuple) else (found,))
+
+
+def _path(run: Recording) -> Path:
+    return run.path if isinstance(run, Run) else Path(run)
+
+
+def _several(given: object) -> tuple[Any, ...]:
+    """Return what is given, one or several; a text is one."""
+    if isinstance(given, Iterable) and not isinstance(given, str):
+        return tuple(given)
+    return (given,)
+
+
+def _whole(seed: object) -> int:
+    try:
+        return int(str(seed))
+    except ValueError:
+        raise InputError(f"seeds: expected whole numbers, got {seed!r}") from None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeAlias, get_args
 
@@ -223,5 +224,6 @@ def check_names(where: str, names: str | Iterable[str] | None, known: Collection
 
 
 def _check_range(where: str, number: float | None, least: float, most: float) -> None:
-    if number is not None and not least <= number <= most:
-        raise InputError(f"{where}: expected {least} to {most:.10g}, got {number:.10g}")
+    kind = Integral if isinstance(least, int) else Real
+    if number is not None and not (isinstance(number, kind) and least <= number <= most):
+        raise InputError(f"{where}: expected {least} to {most:.10g}, got {number}")

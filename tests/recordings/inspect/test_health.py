@@ -178,7 +178,7 @@ def test_an_agent_whose_link_is_cut_is_named_and_nobody_else(
     write_messages(tmp_path / "run.mcap", sent.messages, plan=prepared.plan)
     (absence,) = health_of(tmp_path)[0].absences
     assert absence == Absence(cut, 20, 30, 50, "cut off")
-    with open_run(tmp_path) as run:
+    with RunReader(tmp_path) as run:
         states = states_at(run, CYCLES - 1)
     ill = {agent for agent in states.agents if states.at(agent, 35).level}
     assert ill == {cut}
