@@ -20,7 +20,14 @@ from msgspec.structs import replace
 
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, help_order, total
-from agents.control.correction import Response, corrected, expected_kw, mean_error_kw
+from agents.control.correction import (
+    Response,
+    corrected,
+    follows_kw,
+    mean_error_kw,
+    missing_kw,
+    shown_turns,
+)
 from agents.control.grid import GridLaw, desired_kw, net_kw, ramped_kw, response_kw
 from agents.control.offers import OfferSettings, memory_of, nothing_offered, observe
 from agents.control.share import usable_dispatch_kw
@@ -186,7 +193,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     """What the central controller remembers; see `Takeover` for each field."""
 
     correction_kw: float = 0.0
-    wanted_kw: float = 0.0
+    expected_kw: tuple[float, ...] = ()
     metered_kw: float = 0.0
     readings: int = 0
     meter_cycle: int = 0
@@ -216,6 +223,8 @@ class CentralController(Parent):
         self._cycle_s = cycle_s
         self._turn_s = cycle_s * control.periods.cycles[0]
         self._response = response
+        longest_s = response.delay_s + 2 * control.hold_cycles * cycle_s
+        self._kept_turns = shown_turns(longest_s, self._turn_s, response)
         self._offers = offers
         self._grid = grid
         self._meter = METER.of(ROOT)
@@ -301,28 +310,27 @@ class CentralController(Parent):
         self, state: CentralState, desired_kw: float, possible_kw: float, delay_s: float
     ) -> CentralState:
         """Correct by the mean of the readings since the last turn."""
-        control, correction_kw, error_kw = self._control, state.correction_kw, state.error_kw
-        if state.readings:
+        correction_kw, error_kw = state.correction_kw, state.error_kw
+        delay_s += self._response.delay_s
+        turns = shown_turns(delay_s, self._turn_s, self._response)
+        # What an aim before the first one lets the meter show is not known.
+        if state.readings and len(state.expected_kw) >= turns:
             metered_kw = state.metered_kw / state.readings
+            lacks_kw = missing_kw(state.expected_kw[:turns], metered_kw)
             is_free, cycle_s = desired_kw >= possible_kw, state.readings * self._cycle_s
-            error_kw = mean_error_kw(error_kw, state.wanted_kw, metered_kw, is_free, cycle_s)
-            if control.correction:
+            error_kw = mean_error_kw(error_kw, lacks_kw, is_free, cycle_s)
+            if self._control.correction:
                 correction_kw = corrected(
-                    correction_kw,
-                    state.wanted_kw,
-                    metered_kw,
-                    is_free,
-                    self._rating_kw,
-                    cycle_s,
-                    delay_s + self._response.delay_s,
+                    correction_kw, lacks_kw, is_free, self._rating_kw, cycle_s, delay_s
                 )
         state = replace(
             state, correction_kw=correction_kw, metered_kw=0.0, readings=0, error_kw=error_kw
         )
-        wanted_kw = aim_kw = self._aim_kw(desired_kw, state)
-        if state.meter_cycle > 0:
-            wanted_kw = expected_kw(state.wanted_kw, aim_kw, self._turn_s, self._response)
-        return replace(state, wanted_kw=wanted_kw)
+        expected_kw = aim_kw = self._aim_kw(desired_kw, state)
+        if state.expected_kw:
+            last_kw = state.expected_kw[0]
+            expected_kw = follows_kw(last_kw, aim_kw, self._turn_s, self._response)
+        return replace(state, expected_kw=(expected_kw, *state.expected_kw)[: self._kept_turns])
 
     def _aim_kw(self, desired_kw: float, state: CentralState) -> float:
         control = self._control

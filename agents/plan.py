@@ -173,7 +173,8 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     seed: What random weather is made from.
     regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0: none is offered.
     ramp_limit_percent_per_min: Ramp limit that the run is measured by, in % of the plant's rating.
-    available_bias: Relative error of the available power that the inverters state; None: none do.
+    available_bias: Relative error of the available power that inverters state; None: none do.
+    available_share: Share of the inverters that state it, evenly among them.
     revert: What an inverter does without new commands; None: it obeys the last one forever.
     settings: For each field, the last entry that matches an inverter counts.
     devices: Real inverters, each with its address: `modbus://host:port/unit`.
@@ -185,6 +186,7 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     regulation_capacity_kw: float = 0.0
     ramp_limit_percent_per_min: float | None = None
     available_bias: float | None = None
+    available_share: float = 1.0
     revert: Revert | None = None
     ramp_percent_per_s: float | None = None
     delay_s: float = 0.0
@@ -192,6 +194,11 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     devices: tuple[tuple[str, str], ...] = ()
     meter: str = ""
     positions_m: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def states_all(self) -> bool:
+        """Whether all inverters state their available power."""
+        return self.available_bias is not None and self.available_share == 1.0
 
     def settings_of(self, leaf: str) -> InverterSettings:
         found = InverterSettings(
@@ -203,12 +210,13 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
                 found = replace(found, **given)
         return found
 
-    def response(self, tree: ControlTree) -> Response:
-        """Return how the plant as a whole follows commands."""
+    def response(self, tree: ControlTree, cycle_s: float) -> Response:
+        """Return how the plant as a whole follows commands; a real one is read a cycle later."""
         settings = {leaf: self.settings_of(leaf) for leaf in tree.leaves}
         ramps = {leaf: one.ramp_percent_per_s for leaf, one in settings.items()}
         return Response(
-            delay_s=max(one.delay_s or 0.0 for one in settings.values()),
+            delay_s=max(one.delay_s or 0.0 for one in settings.values())
+            + (cycle_s if self.devices or self.meter else 0.0),
             ramp_kw_per_s=sum(
                 inf if ramp is None else tree.rating_kw(leaf) * ramp / 100.0
                 for leaf, ramp in ramps.items()

@@ -21,7 +21,7 @@ def controller(plan: RunPlan, name: str) -> Controller:
     """Return the controller of a name: `central`, or the path of a cluster or an inverter."""
     tree, control, cycle_s = plan.tree, plan.control, plan.timing.cycle_s
     if name == CENTRAL:
-        response, offers = plan.site.response(tree), offer_settings(plan)
+        response, offers = plan.site.response(tree, cycle_s), offer_settings(plan)
         return CentralController(tree, control, cycle_s, response, plan.grid_law, offers)
     if kind_of(name, tree) == "supervisor":
         return Supervisor(name, tree, control)
@@ -42,7 +42,7 @@ def offer_settings(plan: RunPlan) -> OfferSettings | None:
         miss_rate=1.0 - offers.reliability,
         first_share=offers.first_share,
         # Only an inverter that knows its maximum shows it where it is curtailed.
-        is_seen=plan.control.actuator == "fraction" or plan.site.available_bias is not None,
+        is_seen=plan.control.actuator == "fraction" or plan.site.states_all,
     )
 
 

@@ -58,7 +58,7 @@ class MemoryRun:
 
     `on_publish` is called with every message, with its port. `restart_takes_s` is the time from the
     death of a controller until its successor hears messages [s]; infinite: there is none. `make`
-    makes the controller of a name.
+    makes the controller of a name, `make_plant` the plant.
     """
 
     def __init__(
@@ -68,6 +68,7 @@ class MemoryRun:
         on_publish: Callable[[Port[Message], Message], None] | None = None,
         restart_takes_s: float = RESTART_TAKES_S,
         make: Callable[[RunPlan, str], Agent[Any]] = controller,
+        make_plant: Callable[[RunPlan, Profile], Plant] = Plant,
     ) -> None:
         clock = VirtualClock() if plan.faults.rules else None
         # Within one process no message is late: without faults a pace needs no deadlines.
@@ -80,7 +81,7 @@ class MemoryRun:
         self._restarted_s: dict[str, list[float]] = {}
         self.given_up: dict[str, int] = {}
         self.bus = MemoryBus(self.plan.wiring.hearers, on_publish, clock, faults)
-        team: list[Agent[Any]] = [Plant(self.plan, profile)]
+        team: list[Agent[Any]] = [make_plant(self.plan, profile)]
         team += [make(self.plan, agent_name(node)) for node in self.plan.tree.nodes]
         loops = [
             *(Loop(agent, self.plan) for agent in team),

@@ -158,7 +158,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         frequency = _frequency_hz(scenario_file, scenario, len(times))
     plan = _plan(scenario_file, scenario, options, run_id, day, wall_ns, keys_folder)
     remarks = [f"warning: {one}" for one in _warnings(day)] + list(day.source.remarks)
-    hides_maximum = plan.control.actuator == "limit" and plan.site.available_bias is None
+    hides_maximum = plan.control.actuator == "limit" and not plan.site.states_all
     if plan.grid_law.reserve_kw > 0.0 and hides_maximum:
         remarks.append(
             "warning: grid.droop.reserve_percent: expected plant.available_bias with it; behind "
@@ -327,6 +327,7 @@ def _plan(
             regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
             ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
             available_bias=scenario.plant.available_bias,
+            available_share=scenario.plant.available_share,
             revert=_renewable(scenario.plant.revert, scenario),
             ramp_percent_per_s=scenario.plant.ramp_percent_per_s,
             delay_s=scenario.plant.delay_s,

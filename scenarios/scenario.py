@@ -93,6 +93,7 @@ class PlantTable(_Table, frozen=True):
     actuator: A command is a power `limit`, or a `fraction` of the inverter's maximum.
     meter_noise: Standard deviation of a power meter's error, as a share of the reading.
     available_bias: Relative error of `available_kw`. Default: none is stated.
+    available_share: Share of the inverters that state it, evenly among them.
     revert: What an inverter does without new commands.
     ramp_percent_per_s: Largest change of an inverter's power, in % of its rating per second.
     delay_s: Time until a command takes effect [s].
@@ -108,6 +109,7 @@ class PlantTable(_Table, frozen=True):
     actuator: Actuator = "limit"
     meter_noise: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
     available_bias: Annotated[float, Meta(ge=-0.5, le=0.5)] | None = None
+    available_share: Annotated[float, Meta(gt=0.0, le=1.0)] = 1.0
     revert: Revert | None = Revert()
     ramp_percent_per_s: Ramp | None = None
     delay_s: Delay = 0.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agents.control.allocation import total
 from agents.control.share import usable_dispatch_kw
-from agents.plan import RunPlan
+from agents.plan import RunPlan, Site
 from agents.settings import Revert
 from bus_schemas.messages import Command
 from sim_plant import Floats
@@ -136,6 +136,18 @@ class Inverters:
         """
         share = np.ones_like(state.alpha) if self._limits else state.alpha
         return np.minimum(share * mpp_kw, state.limit_kw)
+
+
+def stated_kw(mpp_kw: Floats, rating_kw: Floats, site: Site) -> Floats:
+    """Return the available power that inverters state [kW], in the shape of their maxima.
+
+    NaN: one states none.
+    """
+    if site.available_bias is None:
+        return np.full_like(mpp_kw, np.nan)
+    is_stated = np.diff(np.ceil(np.arange(len(rating_kw) + 1) * site.available_share)) > 0.0
+    power_kw = np.minimum(mpp_kw * (1.0 + site.available_bias), rating_kw)
+    return np.where(is_stated, power_kw, np.nan)
 
 
 def _cycles(time_s: float, cycle_s: float) -> float:

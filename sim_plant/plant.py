@@ -7,6 +7,7 @@ apply  command of each inverter -> production: what really happened in the inter
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isnan
 from typing import Final
 
 import numpy as np
@@ -23,7 +24,7 @@ from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, OFFER, ORDER, PRODUCTION, TELEMETRY
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant import Floats
-from sim_plant.inverters import Inverters, PlantState, Promise
+from sim_plant.inverters import Inverters, PlantState, Promise, stated_kw
 from sim_plant.orders import Orders
 from sim_plant.profile import Profile
 
@@ -44,7 +45,7 @@ class Plant:
     def __init__(self, plan: RunPlan, profile: Profile) -> None:
         self._profile = profile
         self._inverters = Inverters(plan)
-        self._available_bias = plan.site.available_bias
+        self._site = plan.site
         self._trips = [fault for fault in plan.faults.rules if isinstance(fault, Trip)]
         self._tree, self._cycle_s = plan.tree, plan.timing.cycle_s
         self._plant_rating_kw = plan.tree.rating_kw(ROOT)
@@ -119,10 +120,9 @@ class Plant:
 
     def _available_kw(self, cycle: int) -> list[float | None]:
         """Return what each inverter states that it could have given in the last interval."""
-        if self._available_bias is None:
-            return [None] * len(self._inverters.rating_kw)
-        stated_kw = self._mpp_kw(max(cycle - 1, 0)) * (1.0 + self._available_bias)
-        return list(np.minimum(stated_kw, self._inverters.rating_kw).tolist())
+        ended_kw = self._mpp_kw(max(cycle - 1, 0))
+        powers_kw = stated_kw(ended_kw, self._inverters.rating_kw, self._site).tolist()
+        return [None if isnan(kw) else kw for kw in powers_kw]
 
     def _mpp_kw(self, cycle: int) -> Floats:
         """Return the power that each inverter could give; a tripped one draws standby power."""

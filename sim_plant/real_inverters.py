@@ -7,9 +7,10 @@ its last limit until its revert time is over, and its revert power from then on.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
-from math import isnan, nan
+from math import ceil, inf, isnan, nan
 from typing import Final, NamedTuple, Protocol
 
 import msgspec
@@ -18,6 +19,7 @@ import numpy as np
 from agents.agent import Turn
 from agents.control.grid import net_kw
 from agents.plan import RunPlan
+from agents.settings import InverterSettings
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND
@@ -59,6 +61,27 @@ class RealInverters(Protocol):
         """Hand a command over."""
 
 
+class _Limited:
+    """A real inverter that follows limits.
+
+    It states a limit before it holds it: its delay and ramp lie between, and up to a cycle in which
+    it reads the limit. Until then its power shows how far it has come. Taken for the power below a
+    limit that it holds, it would make an inverter on its way up seem to be in the shade.
+    """
+
+    def __init__(self, settings: InverterSettings, rating_kw: float, cycle_s: float) -> None:
+        self._stated_kw: deque[float] = deque(maxlen=2 + ceil((settings.delay_s or 0.0) / cycle_s))
+        self._step_kw = (settings.ramp_percent_per_s or inf) / 100.0 * rating_kw * cycle_s
+        self._least_kw, self._most_kw = inf, -inf
+
+    def limit_kw(self, reading: Reading) -> float:
+        """Return the limit that it holds with the newest reading of a cycle."""
+        self._stated_kw.append(reading.limit_kw)
+        self._least_kw = min(self._least_kw + self._step_kw, *self._stated_kw)
+        self._most_kw = max(self._most_kw - self._step_kw, *self._stated_kw)
+        return min(max(reading.power_kw, self._least_kw), self._most_kw)
+
+
 class PlantWithDevices(Plant):
     """A simulated plant, with the readings of real inverters in place of what is simulated."""
 
@@ -67,13 +90,20 @@ class PlantWithDevices(Plant):
         self._devices = devices
         self._has_meter = bool(plan.site.meter)
         self._positions = {node: plan.tree.leaves.index(node) for node, _ in plan.site.devices}
+        tree, site, cycle_s = plan.tree, plan.site, plan.timing.cycle_s
+        self._limited = {
+            at: _Limited(site.settings_of(node), tree.rating_kw(node), cycle_s)
+            for node, at in self._positions.items()
+        }
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         newest, expired = self._devices.newest(), self._devices.expired(turn.cycle)
         fresh = {at: reading for at, reading in newest.items() if at not in expired}
         lost = [at for at in self._positions.values() if at not in fresh]
         if turn.stage == "sense":
+            held_kw = {at: one.limit_kw(fresh[at]) for at, one in self._limited.items() if at in fresh}
             state = _measured(state, fresh, lost)
+            state.limit_kw[[*held_kw]] = [*held_kw.values()]
             state, outputs = super().step(state, turn)
             return state, list(self._sensed(outputs, fresh))
         inputs = dict(turn.inputs)

@@ -5,7 +5,8 @@ Its reading shows the effect of all errors: of estimates, delays and losses.
 
 from __future__ import annotations
 
-from math import inf
+from collections.abc import Sequence
+from math import ceil, inf
 from typing import Final, NamedTuple
 
 GAIN_PER_S: Final = 0.4
@@ -37,8 +38,7 @@ class Response(NamedTuple):
 
 def corrected(
     correction_kw: float,
-    wanted_kw: float,
-    metered_kw: float,
+    missing_kw: float,
     is_free: bool,
     rating_kw: float,
     cycle_s: float,
@@ -50,9 +50,8 @@ def corrected(
     ----------
     correction_kw
         The last correction.
-    wanted_kw, metered_kw
-        What the plant aimed at, without the correction, and its meter reading, both for the
-        interval that ended.
+    missing_kw
+        What the meter lacks of what it should show, from `missing_kw`.
     is_free
         Whether no inverter is curtailed. Then nothing can be added.
     rating_kw
@@ -68,25 +67,34 @@ def corrected(
         return 0.0
     gain = min(GAIN_PER_S * cycle_s, HIGHEST_GAIN / (1.0 + delay_s / cycle_s) ** 2)
     most_kw = HIGHEST_CORRECTION * rating_kw
-    return min(max(correction_kw + gain * (wanted_kw - metered_kw), -most_kw), most_kw)
+    return min(max(correction_kw + gain * missing_kw, -most_kw), most_kw)
 
 
-def expected_kw(last_kw: float, aim_kw: float, cycle_s: float, response: Response) -> float:
-    """Return what the meter should show at the end of a cycle while inverters follow a new aim.
-
-    Errors are measured against this. Against the aim itself, the correction would add up what is
-    only on its way, and overshoot.
-    """
-    if response == Response():
-        return aim_kw
-    step_kw = (aim_kw - last_kw) * cycle_s / (cycle_s + response.delay_s)
+def follows_kw(last_kw: float, aim_kw: float, cycle_s: float, response: Response) -> float:
+    """Return how far the inverters have followed a new aim after a cycle, by their ramp [kW]."""
     most_kw = response.ramp_kw_per_s * cycle_s
-    return last_kw + min(max(step_kw, -most_kw), most_kw)
+    return min(max(aim_kw, last_kw - most_kw), last_kw + most_kw)
 
 
-def mean_error_kw(
-    error_kw: float, wanted_kw: float, metered_kw: float, is_free: bool, cycle_s: float
-) -> float:
+def shown_turns(delay_s: float, turn_s: float, response: Response) -> int:
+    """Return of how many turns, the last one included, the meter may still show the aims.
+
+    One more while inverters are on a ramp, which the light and their own targets delay.
+    """
+    is_slow = response.ramp_kw_per_s < inf
+    return 1 + ceil(delay_s / turn_s) + is_slow
+
+
+def missing_kw(expected_kw: Sequence[float], metered_kw: float) -> float:
+    """Return what the meter lacks of what it should show; negative if it shows more [kW].
+
+    It may show any power between those expected in the intervals within the inverters' delay:
+    against the newest alone, the correction would add up what is only on its way, and overshoot.
+    """
+    return min(max(metered_kw, min(expected_kw)), max(expected_kw)) - metered_kw
+
+
+def mean_error_kw(error_kw: float, missing_kw: float, is_free: bool, cycle_s: float) -> float:
     """Return the mean distance between what the plant aimed at and its meter [kW].
 
     With no inverter curtailed the sky decides, and the last mean holds.
@@ -94,4 +102,4 @@ def mean_error_kw(
     if is_free:
         return error_kw
     gain = cycle_s / (ERROR_MEMORY_S + cycle_s)
-    return error_kw + (abs(wanted_kw - metered_kw) - error_kw) * gain
+    return error_kw + (abs(missing_kw) - error_kw) * gain

@@ -23,7 +23,6 @@ from agents.control.impp import (
     Estimate,
     is_plausible,
     is_stated,
-    measured_maximum_kw,
     stale,
 )
 
@@ -71,6 +70,14 @@ METER_READINGS: Final = 30.0
 WIDEST_BOUND_TOLERANCE: Final = 0.05
 """An inverter that is further from its limit is not held by it, however bad its meter."""
 
+STATED_MEMORY_S: Final = 20.0
+"""Time constant with which the bias of a stated available power is learned [s], from readings that
+no limit holds down."""
+
+LEAST_STATED_SHARE: Final = 0.5
+MOST_STATED_SHARE: Final = 2.0
+"""Bounds of what one such reading may say: near 0 kW it says nothing."""
+
 LOW_READING: Final = 0.03
 """A held inverter may read below its limit by up to this share. The controller learns it from the
 power of the released inverter; otherwise an error of 1 % releases all again and again."""
@@ -113,32 +120,44 @@ def forecast_impp(
     if not is_plausible(power_kw, alpha, rating_kw):
         return stale(last)
     power_kw = max(power_kw, 0.0)
-    maximum_kw = measured_maximum_kw(power_kw, alpha, available_kw, rating_kw)
+    maximum_kw = min(power_kw / alpha, rating_kw)
     reads_low = _reads_low(maximum_kw, cycle_s, last)
-    states = is_stated(available_kw, rating_kw)
     is_limited = limit_kw < rating_kw
-    lowest_held_kw = limit_kw * (1.0 - _tolerance(limit_kw, reads_low, last))
-    if not is_limited or power_kw < lowest_held_kw:
-        below_limit = 1.0 - power_kw / limit_kw if is_limited and limit_kw > 0.0 else 0.0
-        return _seen(
-            maximum_kw,
-            rating_kw,
-            cycle_s,
-            last.meter_error,
-            below_limit,
-            reads_low,
-            states,
-            last,
-        )
+    is_held = is_limited and power_kw >= limit_kw * (1.0 - _tolerance(limit_kw, reads_low, last))
+    above = power_kw / limit_kw - 1.0 if is_limited and limit_kw > 0.0 else 0.0
     meter_error = last.meter_error
-    if limit_kw > 0.0:
-        above = max(power_kw / limit_kw - 1.0, 0.0)
-        gain = min(_gain(cycle_s, METER_MEMORY_S), 1.0 / METER_READINGS)
-        meter_error += (above - meter_error) * gain
+    if is_held and limit_kw > 0.0:
+        meter_error = _meter_error(above, cycle_s, last)
+    states = is_stated(available_kw, rating_kw)
+    stated_share = last.stated_share
     if states:
-        maximum_kw = min(available_kw, rating_kw)
-        return _seen(maximum_kw, rating_kw, cycle_s, meter_error, 0.0, reads_low, states, last)
-    return _hidden(limit_kw, rating_kw, cycle_s, meter_error, reads_low, last)
+        if not is_held:
+            stated_share = _stated_share(maximum_kw, available_kw, cycle_s, last)
+        if is_held or alpha < 1.0:
+            maximum_kw = min(available_kw * stated_share, rating_kw)
+    trend_kw_per_s, spread_kw, is_seen = 0.0, last.spread_kw, states or not is_held
+    if not is_seen:
+        growth = 1.0 + HIDDEN_GROWTH_PER_S * cycle_s
+        maximum_kw = min(max(last.maximum_kw, limit_kw) * growth, rating_kw)
+    elif last.is_seen:
+        trend_kw_per_s = last.trend_kw_per_s
+        change_kw_per_s = (maximum_kw - last.maximum_kw) / cycle_s
+        trend_kw_per_s += (change_kw_per_s - trend_kw_per_s) * _gain(cycle_s, TREND_TIME_S)
+        error_kw = abs(maximum_kw - last.power_kw)
+        spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
+    return Estimate(
+        power_kw=min(max(maximum_kw + DAMPING * trend_kw_per_s * cycle_s, 0.0), rating_kw),
+        stale_cycles=0,
+        is_seen=is_seen,
+        maximum_kw=maximum_kw,
+        trend_kw_per_s=trend_kw_per_s,
+        spread_kw=spread_kw,
+        meter_error=meter_error,
+        below_limit=0.0 if is_held else -above,
+        reads_low=reads_low,
+        is_stated=states,
+        stated_share=stated_share,
+    )
 
 
 def held_kw(setpoint_kw: float, rating_kw: float, known: Estimate) -> float:
@@ -155,64 +174,18 @@ def held_kw(setpoint_kw: float, rating_kw: float, known: Estimate) -> float:
     return min(known.power_kw + room_kw, rating_kw)
 
 
-def _seen(
-    maximum_kw: float,
-    rating_kw: float,
-    cycle_s: float,
-    meter_error: float,
-    below_limit: float,
-    reads_low: float,
-    states: bool,
-    last: Estimate,
-) -> Estimate:
-    """Extrapolate a maximum that was measured or stated."""
-    trend_kw_per_s, spread_kw = 0.0, last.spread_kw
-    if last.is_seen:
-        change_kw_per_s = (maximum_kw - last.maximum_kw) / cycle_s
-        trend_kw_per_s = last.trend_kw_per_s
-        trend_kw_per_s += (change_kw_per_s - trend_kw_per_s) * _gain(cycle_s, TREND_TIME_S)
-        error_kw = abs(maximum_kw - last.expected_kw)
-        spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
-    expected_kw = min(max(maximum_kw + DAMPING * trend_kw_per_s * cycle_s, 0.0), rating_kw)
-    return Estimate(
-        power_kw=expected_kw,
-        stale_cycles=0,
-        is_seen=True,
-        maximum_kw=maximum_kw,
-        trend_kw_per_s=trend_kw_per_s,
-        expected_kw=expected_kw,
-        spread_kw=spread_kw,
-        meter_error=meter_error,
-        below_limit=below_limit,
-        reads_low=reads_low,
-        is_stated=states,
-    )
+def _meter_error(above: float, cycle_s: float, last: Estimate) -> float:
+    """Learn from what an inverter reads above the limit that it holds."""
+    gain = min(_gain(cycle_s, METER_MEMORY_S), 1.0 / METER_READINGS)
+    return last.meter_error + (max(above, 0.0) - last.meter_error) * gain
 
 
-def _hidden(
-    limit_kw: float,
-    rating_kw: float,
-    cycle_s: float,
-    meter_error: float,
-    reads_low: float,
-    last: Estimate,
-) -> Estimate:
-    """Assume a maximum behind a limit."""
-    growth = 1.0 + HIDDEN_GROWTH_PER_S * cycle_s
-    assumed_kw = min(max(last.maximum_kw, limit_kw) * growth, rating_kw)
-    return Estimate(
-        power_kw=assumed_kw,
-        stale_cycles=0,
-        is_seen=False,
-        maximum_kw=assumed_kw,
-        trend_kw_per_s=0.0,
-        expected_kw=assumed_kw,
-        spread_kw=last.spread_kw,
-        meter_error=meter_error,
-        below_limit=0.0,
-        reads_low=reads_low,
-        is_stated=False,
-    )
+def _stated_share(maximum_kw: float, stated_kw: float, cycle_s: float, last: Estimate) -> float:
+    """Learn from an inverter that no limit holds how much of what it states it really gives."""
+    if maximum_kw <= 0.0 or stated_kw <= 0.0:
+        return last.stated_share
+    share = min(max(maximum_kw / stated_kw, LEAST_STATED_SHARE), MOST_STATED_SHARE)
+    return last.stated_share + (share - last.stated_share) * _gain(cycle_s, STATED_MEMORY_S)
 
 
 def _tolerance(limit_kw: float, reads_low: float, last: Estimate) -> float:

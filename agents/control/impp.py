@@ -29,10 +29,8 @@ class Estimate(NamedTuple):
         The maximum as it was last measured; while it is hidden, what is assumed.
     trend_kw_per_s
         How fast it rises or falls, smoothed.
-    expected_kw
-        What was expected of the next measurement. Its error teaches how far to trust the next.
     spread_kw
-        Mean error of what was expected.
+        Mean error of the IMPP as a forecast of the next maximum.
     meter_error
         Mean of what the meter read above the limit that held the inverter, as a share of it.
     below_limit
@@ -41,6 +39,8 @@ class Estimate(NamedTuple):
         By what share of a limit readings may lie below it although it holds the inverter.
     is_stated
         Whether the inverter states its available power: then no limit hides the maximum.
+    stated_share
+        How much of that it really gives, by what it gave when no limit held it.
     """
 
     power_kw: float
@@ -48,12 +48,12 @@ class Estimate(NamedTuple):
     is_seen: bool = False
     maximum_kw: float = 0.0
     trend_kw_per_s: float = 0.0
-    expected_kw: float = 0.0
     spread_kw: float = 0.0
     meter_error: float = FIRST_METER_ERROR
     below_limit: float = 0.0
     reads_low: float = 0.0
     is_stated: bool = False
+    stated_share: float = 1.0
 
 
 NOTHING_KNOWN: Final = Estimate(0.0, 0)
@@ -90,12 +90,12 @@ def estimate_impp(
         is_seen=True,
         maximum_kw=maximum_kw,
         trend_kw_per_s=0.0,
-        expected_kw=maximum_kw,
         spread_kw=0.0,
         meter_error=last.meter_error,
         below_limit=0.0,
         reads_low=0.0,
         is_stated=False,
+        stated_share=last.stated_share,
     )
 
 
@@ -133,12 +133,12 @@ def stale(last: Estimate) -> Estimate:
         is_seen=False,
         maximum_kw=last.maximum_kw,
         trend_kw_per_s=last.trend_kw_per_s,
-        expected_kw=last.expected_kw,
         spread_kw=last.spread_kw,
         meter_error=last.meter_error,
         below_limit=last.below_limit,
         reads_low=last.reads_low,
         is_stated=last.is_stated,
+        stated_share=last.stated_share,
     )
 
 

@@ -40,6 +40,7 @@ from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from agents.team import offer_settings
 from bus_schemas.errors import InputError
+from sim_plant.inverters import stated_kw
 from sim_plant.orders import planned
 from sim_plant.profile import Profile
 from studies.arrays.compiled import compiled
@@ -168,12 +169,9 @@ def _schedule(plan: RunPlan, profile: Profile, record: Floats | None) -> Schedul
 
 def _available_kw(plan: RunPlan, profile: Profile) -> Floats:
     """Return the available power that each inverter states of the last interval, or NaN."""
-    bias = plan.site.available_bias
-    if bias is None:
-        return np.full_like(profile.mpp_kw, np.nan)
     ended_kw = np.concatenate([profile.mpp_kw[:1], profile.mpp_kw[:-1]])
     rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves])
-    return np.asarray(np.minimum(ended_kw * (1.0 + bias), rating_kw))
+    return stated_kw(ended_kw, rating_kw, plan.site)
 
 
 def closed_loop(
@@ -227,10 +225,11 @@ def closed_loop(
             if metered_cycles > 0:
                 mean_kw, mean_s = metered_kw / metered_cycles, metered_cycles * settings.cycle_s
                 is_free = heard_kw >= possible_kw
-                error_kw = mean_error_kw(error_kw, wanted_kw, mean_kw, is_free, mean_s)
+                lacks_kw = wanted_kw - mean_kw
+                error_kw = mean_error_kw(error_kw, lacks_kw, is_free, mean_s)
                 if settings.is_corrected:
                     correction_kw = corrected(
-                        correction_kw, wanted_kw, mean_kw, is_free, plant_rating_kw, mean_s, 0.0
+                        correction_kw, lacks_kw, is_free, plant_rating_kw, mean_s, 0.0
                     )
             wanted_kw = heard_kw + settings.offset_kw + settings.offset_errors * error_kw
             metered_kw, metered_cycles = 0.0, 0

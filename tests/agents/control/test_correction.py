@@ -2,7 +2,13 @@
 
 import pytest
 
-from agents.control.correction import HIGHEST_CORRECTION, Response, corrected, expected_kw
+from agents.control.correction import (
+    HIGHEST_CORRECTION,
+    Response,
+    corrected,
+    follows_kw,
+    missing_kw,
+)
 
 RATING_KW = 1000.0
 
@@ -13,7 +19,9 @@ def settled(loss_kw: float, cycle_s: float, seconds: float, delay_s: float = 0.0
     correction_kw, found = 0.0, [500.0 - loss_kw] * (late + 1)
     for _ in range(round(seconds / cycle_s)):
         read_kw = found[-1 - late]
-        correction_kw = corrected(correction_kw, 500.0, read_kw, False, RATING_KW, cycle_s, delay_s)
+        correction_kw = corrected(
+            correction_kw, 500.0 - read_kw, False, RATING_KW, cycle_s, delay_s
+        )
         found.append(500.0 + correction_kw - loss_kw)
     return found
 
@@ -37,20 +45,18 @@ def test_it_takes_the_same_time_whatever_the_cycle() -> None:
     assert fast[-1] == pytest.approx(slow[-1], abs=2.5)
 
 
+def test_what_is_expected_follows_a_new_aim_as_fast_as_the_inverters_ramp() -> None:
+    slow = Response(ramp_kw_per_s=100.0)
+    first_kw = follows_kw(1000.0, 4000.0, 1.0, slow)
+    assert (first_kw, follows_kw(first_kw, 4000.0, 1.0, slow)) == (1100.0, 1200.0)
+    assert follows_kw(1000.0, 4000.0, 1.0, Response()) == 4000.0
+
+
 @pytest.mark.parametrize(
-    ("response", "second"),
-    [
-        (Response(), 4000.0),
-        (Response(ramp_kw_per_s=100.0), 1200.0),
-        (Response(delay_s=3.0), 2312.5),
-    ],
-    ids=["at once", "as fast as the ramp", "later"],
+    ("metered_kw", "lacks_kw"), [(900.0, 100.0), (1000.0, 0.0), (2500.0, 0.0), (4200.0, -200.0)]
 )
-def test_what_is_expected_follows_a_new_aim_as_the_inverters_do(
-    response: Response, second: float
-) -> None:
-    first = expected_kw(1000.0, 4000.0, 1.0, response)
-    assert expected_kw(first, 4000.0, 1.0, response) == pytest.approx(second)
+def test_what_is_still_on_its_way_is_not_missing(metered_kw: float, lacks_kw: float) -> None:
+    assert missing_kw((4000.0, 1000.0), metered_kw) == lacks_kw
 
 
 def test_it_never_exceeds_its_share_of_the_rating() -> None:

@@ -81,9 +81,8 @@ def test_the_last_change_is_expected_to_go_on_damped() -> None:
     trend_kw_per_s = 10.0 / (1.0 + TREND_TIME_S)
     spread_kw = 10.0 / (1.0 + ERROR_MEMORY_S)
     assert found.trend_kw_per_s == pytest.approx(trend_kw_per_s)
-    assert found.expected_kw == pytest.approx(50.0 + DAMPING * trend_kw_per_s)
+    assert found.power_kw == pytest.approx(50.0 + DAMPING * trend_kw_per_s)
     assert found.spread_kw == pytest.approx(spread_kw)
-    assert found.power_kw == found.expected_kw
 
 
 def test_asked_for_all_it_has_it_is_held_near_its_forecast_and_asked_for_more_it_is_free() -> None:
@@ -124,7 +123,7 @@ def test_a_missing_or_absurd_measurement_keeps_the_last_forecast_and_ends_the_tr
     assert (once.power_kw, once.stale_cycles) == (last.power_kw, 1)
     assert (twice.power_kw, twice.stale_cycles) == (last.power_kw, 2)
     seen = forecast(70.0, RATING_KW, twice)
-    assert (seen.expected_kw, seen.stale_cycles) == (70.0, 0)
+    assert (seen.power_kw, seen.stale_cycles) == (70.0, 0)
 
 
 @given(
@@ -187,7 +186,7 @@ def test_a_steady_rise_is_expected_to_go_on_alike_whatever_the_cycle() -> None:
         cycles = max(round(10.0 * TREND_TIME_S / cycle_s), 10)
         rise_kw = [40.0 + 0.5 * cycle_s * cycle for cycle in range(cycles)]
         found = measured(*rise_kw, cycle_s=cycle_s)
-        assert found.expected_kw - rise_kw[-1] == pytest.approx(DAMPING * 0.5 * cycle_s, rel=0.05)
+        assert found.power_kw - rise_kw[-1] == pytest.approx(DAMPING * 0.5 * cycle_s, rel=0.05)
 
 
 def test_short_cycles_do_not_make_a_trend_of_the_meters_noise() -> None:
@@ -197,7 +196,7 @@ def test_short_cycles_do_not_make_a_trend_of_the_meters_noise() -> None:
         estimate, found = NOTHING_KNOWN, []
         for power_kw in noise.tolist():
             estimate = forecast(power_kw, RATING_KW, estimate, cycle_s=cycle_s)
-            found.append(abs(estimate.expected_kw - power_kw))
+            found.append(abs(estimate.power_kw - power_kw))
         return float(np.mean(found))
 
     assert error_kw(0.1) < 0.6 * error_kw(10.0)
@@ -253,3 +252,18 @@ def test_just_below_the_limit_of_an_inverter_that_is_asked_for_all_it_has_is_its
     assert forecast(39.9, held_kw(40.0, RATING_KW, known), known).is_seen
     # With far more than it is asked for, the same reading is the meter's error.
     assert not forecast(39.9, 40.3, measured(80.0)).is_seen
+
+
+@pytest.mark.parametrize("bias", [0.05, -0.05])
+def test_the_bias_of_a_stated_power_is_learned_where_no_limit_holds_the_inverter(
+    bias: float,
+) -> None:
+    stated_kw, known = 60.0 * (1.0 + bias), NOTHING_KNOWN
+    first = forecast(40.0, 40.0, known, available_kw=stated_kw)
+    assert first.maximum_kw == stated_kw
+    for _ in range(100):
+        known = forecast(60.0, RATING_KW, known, available_kw=stated_kw)
+    held = forecast(40.0, 40.0, known, available_kw=stated_kw)
+    assert held.maximum_kw == pytest.approx(60.0, rel=1e-3)
+    dark = forecast(0.0, RATING_KW, held, available_kw=0.0)
+    assert dark.stated_share == held.stated_share, "at night nothing is learned"
