@@ -278,10 +278,10 @@ class Takeover(Message, kw_only=True):
 
     `incarnation` is this cycle, and `stage` the first stage that the standby decides. The other
     fields are the state of a central controller at the beginning of this stage, so that `verify`
-    can repeat the recording: its correction, what the meter should show of its last turns, the newest
-    first, the sum of the meter's readings since then, their number, the cycle of the last reading, how many dispatches it
-    has clamped, the mean error of the plant's power, what its offers rest on, and the dispatch
-    within the ramp limits.
+    can repeat the recording: its correction, what the meter should show of its last turns (the
+    newest first), the sum of the meter's readings since the last one, their number, the cycle of
+    the last reading, how many dispatches it has clamped, the mean error of the plant's power, what
+    its offers rest on, and the dispatch within the ramp limits.
     """
 
     stage: Annotated[str, msgspec.Meta(max_length=20)]

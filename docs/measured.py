@@ -11,24 +11,32 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, partial
+from math import inf
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
+from agents.control.clusters import geographic_clusters, search_clusters
+from agents.control.correlation import hourly_correlation
 from agents.control.offers import MISSED_SHARE, firm_share, nothing_offered
 from agents.plan import Offers, changed
 from agents.team import offer_settings
 from docs.shown import Found, fill, keep, write
 from heliarch import compare, load_scenario
+from results.answers import answers
+from results.figures import help_figures
 from scenarios.preparation import Preparation, prepare
 from scenarios.run_options import RunOptions
 from scenarios.scenario import ScenarioFile
 from scenarios.settings import with_settings
 from studies.arrays.closed_loop import run_loop
+from studies.arrays.schemes import run_scheme
+from studies.compare.by_agents import run_by_agents
 
 WORKERS: Final = 2
 BOTH: Final = ("fraction", "limit")
@@ -50,7 +58,8 @@ COMMITMENT: Final[Columns] = {
 }
 
 
-ERRORS: Final = ("control-caused %", "over-delivered %")
+CAUSES: Final = ["control-caused", "over-delivered"]
+ERRORS: Final = tuple(f"{name} %" for name in CAUSES)
 
 
 def row(cells: Iterable[object]) -> Cells:
@@ -127,7 +136,10 @@ def skies_of(data: Path) -> dict[str, tuple[ScenarioFile, dict[str, Any]]]:
 
 @cache
 def known_skies(data: Path) -> pd.DataFrame:
-    """Compare on four measured skies: 4 commitments, without and with 0.5 % of meter noise."""
+    """Compare on four measured skies: 4 commitments, without and with 0.5 % of meter noise.
+
+    The offset is turned under the first seed of that noise.
+    """
     run = partial(compare, actuators=BOTH, workers=WORKERS)
     tables = []
     for sky, (scenario, settings) in skies_of(data).items():
@@ -140,6 +152,32 @@ def known_skies(data: Path) -> pd.DataFrame:
     return pd.concat(tables).fillna({"control.offset_errors": 0.0})
 
 
+@cache
+def noisy_skies(data: Path) -> pd.DataFrame:
+    """Compare on the same skies under five seeds of that noise."""
+    seeds = {"plant.meter_noise": [0.005], "plant.meter_seed": [*range(5)]}
+    run = partial(compare, schemes=HIERARCHICAL, actuators=BOTH, workers=WORKERS)
+    return pd.concat(
+        run(scenario, settings={**CELLS, **seeds, **settings}).assign(sky=sky)
+        for sky, (scenario, settings) in skies_of(data).items()
+    )
+
+
+def noise(data: Path) -> Lines:
+    """Write what the seed of the noise changes: least and most of the means over its 16 cells."""
+    yield row(["actuator", "scheme", "seeds", *ERRORS, "at most the paper's, of 16"])
+    names = ["plant.meter_seed", "sky", "commitment.share"]
+    cells = noisy_skies(data).set_index(["actuator", "scheme", *names])[CAUSES].sort_index()
+    for actuator in BOTH:
+        for scheme in HIERARCHICAL:
+            of_scheme = cells.loc[actuator, scheme]
+            apart = of_scheme - cells.loc[actuator, "paper"]
+            counts = (apart <= 5e-4).all(axis=1).groupby(names[0]).sum()
+            means = of_scheme.groupby(names[0]).mean()
+            spans = (f"{means[name].min():.3f} to {means[name].max():.3f}" for name in CAUSES)
+            yield row([actuator, scheme, len(means), *spans, f"{counts.min()} to {counts.max()}"])
+
+
 def measured_skies(data: Path) -> Lines:
     """Write control-caused / over-delivered by sky and commitment, means without and with noise."""
     rows = known_skies(data)
@@ -147,22 +185,22 @@ def measured_skies(data: Path) -> Lines:
     shares = sorted(rows["commitment.share"].unique())
     yield row(["sky", "actuator", "scheme", *(f"{share:.0%}" for share in shares)])
     for names, group in rows.groupby(["sky", "actuator", "scheme"], sort=False):
-        means = group.groupby("commitment.share")[["control-caused", "over-delivered"]].mean()
+        means = group.groupby("commitment.share")[CAUSES].mean()
         yield row([*names, *(f"{missed:.3f} / {over:.3f}" for missed, over in means.to_numpy())])
 
 
 def offsets(data: Path) -> Lines:
     """Write means over all cells, and in how many both errors are at most those of `paper`."""
     rows = known_skies(data)
-    errors, names = ["control-caused", "over-delivered"], ["sky", "commitment.share"]
+    names = ["sky", "commitment.share"]
     cells = rows.set_index([*names, "plant.meter_noise"])
     titles = ["actuator", "scheme", "offset_errors", *ERRORS, "sum %", "at most the paper's"]
     yield row(titles)
     keys = ["actuator", "scheme", "control.offset_errors"]
     for (actuator, scheme, aim), group in cells.groupby(keys, sort=False):
         is_paper = (cells["actuator"] == actuator) & (cells["scheme"] == "paper")
-        apart = group[errors] - cells.loc[is_paper, errors].reindex(group.index)
-        missed, over = group[errors].mean()
+        apart = group[CAUSES] - cells.loc[is_paper, CAUSES].reindex(group.index)
+        missed, over = group[CAUSES].mean()
         count = (apart <= 5e-4).all(axis=1).sum()
         figures = (f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}", count)
         yield row([actuator, scheme, f"{aim:g}", *figures])
@@ -171,12 +209,13 @@ def offsets(data: Path) -> Lines:
 def intervals(data: Path) -> Lines:
     """Write how much less is missed and over-delivered than by the paper: skies are the unit.
 
-    An interval holds 95 % of the means of skies drawn again and again from those measured.
+    An interval holds 95 % of the means of skies drawn again and again from those measured; of each
+    sky, means over commitments and seeds of the noise.
     """
     rows = known_skies(data)
-    rows = rows[rows["control.offset_errors"] == 0.0]
-    errors = ["control-caused", "over-delivered"]
-    means = rows.groupby(["actuator", "scheme", "sky"])[errors].mean()
+    rows = rows[(rows["control.offset_errors"] == 0.0) & (rows["plant.meter_noise"] == 0.0)]
+    by = ["actuator", "scheme", "sky"]
+    means = (rows.groupby(by)[CAUSES].mean() + noisy_skies(data).groupby(by)[CAUSES].mean()) / 2.0
     yield row(["actuator", "skies", *(f"{name}, 95 %" for name in ERRORS)])
     for actuator in BOTH:
         apart = (means.loc[actuator, "predictive"] - means.loc[actuator, "paper"]).to_numpy()
@@ -187,30 +226,45 @@ def intervals(data: Path) -> Lines:
         yield row([actuator, len(apart), *cells])
 
 
+STATES: Final[dict[str, dict[str, list[float]]]] = {
+    "none": {},
+    "all, exactly": {"plant.available_bias": [0.0]},
+    "all, 2 % high": {"plant.available_bias": [0.02]},
+    "all, 2 % low": {"plant.available_bias": [-0.02]},
+    "one in four, exactly": {"plant.available_bias": [0.0], "plant.available_share": [0.25]},
+}
+
+
 def stated(data: Path) -> Lines:
     """Write what it is worth that inverters state their available power, behind limits."""
-    titles = ["inverters state", *ERRORS, "sum %"]
-    yield row(titles)
-    errors = ["control-caused", "over-delivered"]
-    for title, bias in {
-        "nothing": None,
-        "exactly": 0.0,
-        "2 % high": 0.02,
-        "2 % low": -0.02,
-    }.items():
-        states = {} if bias is None else {"plant.available_bias": [bias]}
+    yield row(["inverters that state it", *ERRORS, "sum %"])
+    run = partial(compare, schemes=["predictive"], actuators=["limit"], workers=WORKERS)
+    for title, states in STATES.items():
         found = [
-            compare(
-                scenario,
-                schemes=["predictive"],
-                actuators=["limit"],
-                workers=WORKERS,
-                settings={**CELLS, **settings, **states},
-            )
+            run(scenario, settings={**CELLS, **settings, **states})
             for scenario, settings in skies_of(data).values()
         ]
-        missed, over = pd.concat(found)[errors].mean()
+        missed, over = pd.concat(found)[CAUSES].mean()
         yield row([title, f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}"])
+
+
+def steps() -> Lines:
+    """Write how a step of 30 % of the rating is answered, up and down under a clear sky."""
+    yield row(["inverters follow", "settled after s", "overshoot, % of the step"])
+    ways = {"at once": {}}
+    ways |= {f"by {ramp} % a second": {"plant.ramp_percent_per_s": ramp} for ramp in (100, 33, 10)}
+    ways |= {f"after {delay_s} s": {"plant.delay_s": delay_s} for delay_s in (1, 3, 10)}
+    orders = [{"at": at, "power_kw": power_kw} for at, power_kw in ((60, 4400), (120, 2000))]
+    orders.insert(0, {"at": 0, "power_kw": 2000})
+    still = {"orders": orders, "faults": [], "plant.delay_s": 0, "plant.ramp_percent_per_s": 1e6}
+    for title, follows in ways.items():
+        scenario = with_settings(load_scenario("commissioning"), [*(still | follows).items()])
+        day = prepare(scenario, RunOptions(duration="3m"), "steps")
+        run = run_by_agents(day.plan, day.profile, "predictive", "limit")
+        up, down = answers(run)[-2:]
+        settled = max(one.settling_s or inf for one in (up, down))
+        beyond = max(one.overshoot_percent or 0.0 for one in (up, down)) / 0.3
+        yield row([title, f"{settled:.0f}", f"{beyond:.1f}"])
 
 
 # docs/offers.md
@@ -323,6 +377,32 @@ def clusters(cases: Mapping[str, tuple[str | ScenarioFile, dict[str, Any]]]) -> 
                 )
 
 
+def learned(data: Path) -> Lines:
+    """Write what clusters learned in half an hour are worth after it, beside those of hindsight."""
+    yield row(["sky", "minutes judged", "clusters", "help from outside %", "plant able %"])
+    for sky, (scenario, settings) in skies_of(data).items():
+        day = prepare(with_settings(scenario, [*settings.items()]), RunOptions(), "learned")
+        (run,) = run_scheme("predictive", day.plan, day.profile, "limit")
+        learns, mpp_kw = round(1800.0 / day.plan.timing.cycle_s), day.profile.mpp_kw
+        sizes = [*Counter(leaf.split("/")[0] for leaf in day.plan.tree.leaves).values()]
+        ways = {
+            "learned": search_clusters(correlation_of(mpp_kw[:learns]), sizes),
+            "hindsight": search_clusters(correlation_of(mpp_kw), sizes),
+            "geographic": geographic_clusters(*np.array(day.plan.site.positions_m).T, sizes),
+        }
+        later = run.residual_kw[learns:]
+        minutes = len(later) * day.plan.timing.cycle_s / 60.0
+        for way, clusters_of in ways.items():
+            number = {at: group for group, members in enumerate(clusters_of) for at in members}
+            found = help_figures(later, [f"c{number[at]}/{at}" for at in range(len(number))])
+            helped = (found[name] for name in ("outside-help", "outside-help-able"))
+            yield row([sky, f"{minutes:.0f}", way, *(f"{percent:.1f}" for percent in helped)])
+
+
+def correlation_of(power_kw: Any) -> Any:
+    return hourly_correlation(power_kw, np.zeros(len(power_kw), dtype=int))[0]
+
+
 # docs/delays.md
 
 NETWORK: Final[Columns] = {
@@ -385,6 +465,7 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "case study": case_study,
         "skies": skies,
         "cycles": cycle_lengths,
+        "steps": steps,
     },
     "offers.md": {"offers": offers},
     "clusters.md": {
@@ -408,10 +489,12 @@ def measured(data: Path) -> dict[str, Tables]:
             "measured skies": partial(measured_skies, data),
             "offsets": partial(offsets, data),
             "intervals": partial(intervals, data),
+            "noise": partial(noise, data),
             "stated": partial(stated, data),
         },
         "clusters.md": {
             "HOPE": lambda: clusters({"HOPE": (hope(data), {})}),
+            "learned": partial(learned, data),
             "plant": lambda: clusters({f"hour {name}": (plant, hour(name)) for name in "ac"}),
         },
     }

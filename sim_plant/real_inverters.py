@@ -101,7 +101,9 @@ class PlantWithDevices(Plant):
         fresh = {at: reading for at, reading in newest.items() if at not in expired}
         lost = [at for at in self._positions.values() if at not in fresh]
         if turn.stage == "sense":
-            held_kw = {at: one.limit_kw(fresh[at]) for at, one in self._limited.items() if at in fresh}
+            held_kw = {
+                at: one.limit_kw(fresh[at]) for at, one in self._limited.items() if at in fresh
+            }
             state = _measured(state, fresh, lost)
             state.limit_kw[[*held_kw]] = [*held_kw.values()]
             state, outputs = super().step(state, turn)

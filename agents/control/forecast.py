@@ -21,6 +21,7 @@ from typing import Final
 from agents.control.impp import (
     ROUNDING,
     Estimate,
+    Meter,
     is_plausible,
     is_stated,
     stale,
@@ -120,28 +121,23 @@ def forecast_impp(
     if not is_plausible(power_kw, alpha, rating_kw):
         return stale(last)
     power_kw = max(power_kw, 0.0)
-    maximum_kw = min(power_kw / alpha, rating_kw)
-    reads_low = _reads_low(maximum_kw, cycle_s, last)
-    is_limited = limit_kw < rating_kw
-    is_held = is_limited and power_kw >= limit_kw * (1.0 - _tolerance(limit_kw, reads_low, last))
-    above = power_kw / limit_kw - 1.0 if is_limited and limit_kw > 0.0 else 0.0
-    meter_error = last.meter_error
-    if is_held and limit_kw > 0.0:
-        meter_error = _meter_error(above, cycle_s, last)
     states = is_stated(available_kw, rating_kw)
-    stated_share = last.stated_share
-    if states:
-        if not is_held:
-            stated_share = _stated_share(maximum_kw, available_kw, cycle_s, last)
-        if is_held or alpha < 1.0:
-            maximum_kw = min(available_kw * stated_share, rating_kw)
-    trend_kw_per_s, spread_kw, is_seen = 0.0, last.spread_kw, states or not is_held
+    maximum_kw = min(power_kw / alpha, rating_kw)
+    low = _reads_low(maximum_kw, cycle_s, last)
+    is_held = limit_kw < rating_kw and power_kw >= limit_kw * (
+        1.0 - _tolerance(limit_kw, low, last)
+    )
+    meter = _learned(maximum_kw, available_kw, limit_kw, rating_kw, low, is_held, cycle_s, last)
+    if states and (is_held or alpha < 1.0):
+        maximum_kw = min(available_kw * meter.stated_share, rating_kw)
+    is_seen = states or not is_held
     if not is_seen:
         growth = 1.0 + HIDDEN_GROWTH_PER_S * cycle_s
         maximum_kw = min(max(last.maximum_kw, limit_kw) * growth, rating_kw)
-    elif last.is_seen:
-        trend_kw_per_s = last.trend_kw_per_s
+    trend_kw_per_s, spread_kw = 0.0, last.spread_kw
+    if is_seen and last.is_seen:
         change_kw_per_s = (maximum_kw - last.maximum_kw) / cycle_s
+        trend_kw_per_s = last.trend_kw_per_s
         trend_kw_per_s += (change_kw_per_s - trend_kw_per_s) * _gain(cycle_s, TREND_TIME_S)
         error_kw = abs(maximum_kw - last.power_kw)
         spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
@@ -149,14 +145,11 @@ def forecast_impp(
         power_kw=min(max(maximum_kw + DAMPING * trend_kw_per_s * cycle_s, 0.0), rating_kw),
         stale_cycles=0,
         is_seen=is_seen,
+        is_stated=states,
         maximum_kw=maximum_kw,
         trend_kw_per_s=trend_kw_per_s,
         spread_kw=spread_kw,
-        meter_error=meter_error,
-        below_limit=0.0 if is_held else -above,
-        reads_low=reads_low,
-        is_stated=states,
-        stated_share=stated_share,
+        meter=meter,
     )
 
 
@@ -174,20 +167,6 @@ def held_kw(setpoint_kw: float, rating_kw: float, known: Estimate) -> float:
     return min(known.power_kw + room_kw, rating_kw)
 
 
-def _meter_error(above: float, cycle_s: float, last: Estimate) -> float:
-    """Learn from what an inverter reads above the limit that it holds."""
-    gain = min(_gain(cycle_s, METER_MEMORY_S), 1.0 / METER_READINGS)
-    return last.meter_error + (max(above, 0.0) - last.meter_error) * gain
-
-
-def _stated_share(maximum_kw: float, stated_kw: float, cycle_s: float, last: Estimate) -> float:
-    """Learn from an inverter that no limit holds how much of what it states it really gives."""
-    if maximum_kw <= 0.0 or stated_kw <= 0.0:
-        return last.stated_share
-    share = min(max(maximum_kw / stated_kw, LEAST_STATED_SHARE), MOST_STATED_SHARE)
-    return last.stated_share + (share - last.stated_share) * _gain(cycle_s, STATED_MEMORY_S)
-
-
 def _tolerance(limit_kw: float, reads_low: float, last: Estimate) -> float:
     """How far below its limit, as a share of it, an inverter that it holds may read.
 
@@ -196,16 +175,41 @@ def _tolerance(limit_kw: float, reads_low: float, last: Estimate) -> float:
     """
     if limit_kw >= last.power_kw * (1.0 - ROUNDING):
         return max(BOUND_TOLERANCE, reads_low)
-    widest = max(BOUND_TOLERANCE, BOUND_SPREADS * last.meter_error, reads_low)
+    widest = max(BOUND_TOLERANCE, BOUND_SPREADS * last.meter.error, reads_low)
     return min(widest, WIDEST_BOUND_TOLERANCE)
 
 
 def _reads_low(maximum_kw: float, cycle_s: float, last: Estimate) -> float:
     """Learn from an inverter that had far more than it seemed to have below its limit."""
-    reads_low = last.reads_low * (1.0 - _gain(cycle_s, LOW_READING_MEMORY_S))
-    if 0.0 < last.below_limit <= LOW_READING and maximum_kw > RELEASE_JUMP * last.maximum_kw:
-        reads_low = max(reads_low, LOW_READING_SAFETY * last.below_limit)
+    reads_low = last.meter.reads_low * (1.0 - _gain(cycle_s, LOW_READING_MEMORY_S))
+    below = last.meter.below_limit
+    if 0.0 < below <= LOW_READING and maximum_kw > RELEASE_JUMP * last.maximum_kw:
+        reads_low = max(reads_low, LOW_READING_SAFETY * below)
     return reads_low
+
+
+def _learned(
+    maximum_kw: float,
+    stated_kw: float,
+    limit_kw: float,
+    rating_kw: float,
+    reads_low: float,
+    is_held: bool,
+    cycle_s: float,
+    last: Estimate,
+) -> Meter:
+    """Learn what it reads above its limit, or what it gives of the stated power when free."""
+    error, stated_share = last.meter.error, last.meter.stated_share
+    above = 0.0
+    if 0.0 < limit_kw < rating_kw:
+        above = maximum_kw / limit_kw - 1.0
+        if is_held:
+            gain = min(_gain(cycle_s, METER_MEMORY_S), 1.0 / METER_READINGS)
+            error += (max(above, 0.0) - error) * gain
+    if not is_held and maximum_kw > 0.0 and 0.0 < stated_kw <= rating_kw:
+        share = min(max(maximum_kw / stated_kw, LEAST_STATED_SHARE), MOST_STATED_SHARE)
+        stated_share += (share - stated_share) * _gain(cycle_s, STATED_MEMORY_S)
+    return Meter(error, 0.0 if is_held else -above, reads_low, stated_share)
 
 
 def _gain(cycle_s: float, time_constant_s: float) -> float:

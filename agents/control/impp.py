@@ -13,47 +13,57 @@ ROUNDING: Final = 1e-9
 """An inverter that is asked for all it has but this share of it is asked for all."""
 
 
+class Meter(NamedTuple):
+    """What a direct controller has learned of what its inverter says.
+
+    Attributes
+    ----------
+    error
+        Mean of what it read above the limit that held it, as a share of that.
+    below_limit
+        By what share of the limit its last reading lay below it; 0 if the limit held it.
+    reads_low
+        By what share of a limit readings may lie below it although it holds the inverter.
+    stated_share
+        How much of its stated available power it gave when no limit held it.
+    """
+
+    error: float = FIRST_METER_ERROR
+    below_limit: float = 0.0
+    reads_low: float = 0.0
+    stated_share: float = 1.0
+
+
 class Estimate(NamedTuple):
     """What a direct controller knows of its inverter's maximum.
 
     Attributes
     ----------
     power_kw
-        The IMPP, which it reports to its parent.
+        The IMPP, which it reports to its parent. Its error teaches how far to trust the next.
     stale_cycles
         Cycles since the last usable measurement. A limit that hides the maximum is no fault of the
         measurement: it does not count.
     is_seen
         Whether the last measurement showed the maximum, and no limit hid it.
+    is_stated
+        Whether the inverter states its available power: then no limit hides the maximum.
     maximum_kw
         The maximum as it was last measured; while it is hidden, what is assumed.
     trend_kw_per_s
         How fast it rises or falls, smoothed.
     spread_kw
-        Mean error of the IMPP as a forecast of the next maximum.
-    meter_error
-        Mean of what the meter read above the limit that held the inverter, as a share of it.
-    below_limit
-        By what share of the limit the last reading lay below it; 0 if the limit held it.
-    reads_low
-        By what share of a limit readings may lie below it although it holds the inverter.
-    is_stated
-        Whether the inverter states its available power: then no limit hides the maximum.
-    stated_share
-        How much of that it really gives, by what it gave when no limit held it.
+        Mean error of the IMPP as a forecast.
     """
 
     power_kw: float
     stale_cycles: int
     is_seen: bool = False
+    is_stated: bool = False
     maximum_kw: float = 0.0
     trend_kw_per_s: float = 0.0
     spread_kw: float = 0.0
-    meter_error: float = FIRST_METER_ERROR
-    below_limit: float = 0.0
-    reads_low: float = 0.0
-    is_stated: bool = False
-    stated_share: float = 1.0
+    meter: Meter = Meter()
 
 
 NOTHING_KNOWN: Final = Estimate(0.0, 0)
@@ -83,29 +93,10 @@ def estimate_impp(
     """
     if not is_plausible(power_kw, alpha, rating_kw):
         return stale(last)
-    maximum_kw = measured_maximum_kw(power_kw, alpha, available_kw, rating_kw)
-    return Estimate(
-        power_kw=maximum_kw,
-        stale_cycles=0,
-        is_seen=True,
-        maximum_kw=maximum_kw,
-        trend_kw_per_s=0.0,
-        spread_kw=0.0,
-        meter_error=last.meter_error,
-        below_limit=0.0,
-        reads_low=0.0,
-        is_stated=False,
-        stated_share=last.stated_share,
-    )
-
-
-def measured_maximum_kw(
-    power_kw: float, alpha: float, available_kw: float, rating_kw: float
-) -> float:
-    """Return the maximum that a plausible measurement shows: P / alpha, or what is stated."""
+    maximum_kw = min(max(power_kw, 0.0) / alpha, rating_kw)  # A tripped one draws standby power.
     if alpha < 1.0 and is_stated(available_kw, rating_kw):
-        return min(available_kw, rating_kw)
-    return min(max(power_kw, 0.0) / alpha, rating_kw)  # A tripped one draws standby power.
+        maximum_kw = min(available_kw, rating_kw)
+    return Estimate(maximum_kw, 0, True, False, maximum_kw, 0.0, 0.0, last.meter)
 
 
 def is_plausible(power_kw: float, alpha: float, rating_kw: float) -> bool:
@@ -131,14 +122,11 @@ def stale(last: Estimate) -> Estimate:
         power_kw=last.power_kw,
         stale_cycles=last.stale_cycles + 1,
         is_seen=False,
+        is_stated=last.is_stated,
         maximum_kw=last.maximum_kw,
         trend_kw_per_s=last.trend_kw_per_s,
         spread_kw=last.spread_kw,
-        meter_error=last.meter_error,
-        below_limit=last.below_limit,
-        reads_low=last.reads_low,
-        is_stated=last.is_stated,
-        stated_share=last.stated_share,
+        meter=last.meter,
     )
 
 

@@ -223,9 +223,8 @@ def closed_loop(
             metered_cycles += 1
         if cycle % tree.period[0] == 0:
             if metered_cycles > 0:
-                mean_kw, mean_s = metered_kw / metered_cycles, metered_cycles * settings.cycle_s
-                is_free = heard_kw >= possible_kw
-                lacks_kw = wanted_kw - mean_kw
+                lacks_kw, is_free = wanted_kw - metered_kw / metered_cycles, heard_kw >= possible_kw
+                mean_s = metered_cycles * settings.cycle_s
                 error_kw = mean_error_kw(error_kw, lacks_kw, is_free, mean_s)
                 if settings.is_corrected:
                     correction_kw = corrected(
@@ -241,13 +240,11 @@ def closed_loop(
             residuals_kw[cycle, i] = node_impp_kw[node] - own_kw
             impp_kw[cycle, i] = node_impp_kw[node]
             is_gone = is_lost(estimates[i], settings.hold_cycles)
-            known_kw, wanted_kw_now = estimates[i].power_kw, own_kw if is_gone else target_kw[node]
-            level[i] = curtailment_level(wanted_kw_now, known_kw, settings.alpha_min)
-            alpha[cycle, i] = share = level[i]
+            asked_kw = own_kw if is_gone else target_kw[node]
+            share = curtailment_level(asked_kw, estimates[i].power_kw, settings.alpha_min)
+            level[i] = alpha[cycle, i] = share
             if settings.is_limited:
-                held_at_kw = commanded_kw(
-                    settings, share, target_kw[node], rating_kw[i], estimates[i]
-                )
+                held_at_kw = commanded_kw(settings, share, asked_kw, rating_kw[i], estimates[i])
                 limit_kw[i], share = own_kw if is_gone else held_at_kw, 1.0
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
     return LoopResult(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, NamedTuple, cast
 
-import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
@@ -36,21 +35,17 @@ class Turned(NamedTuple):
 
 MISSED, BEYOND, _ = AXES
 
+_OFFSETS: Final = {
+    "offset": (-0.01, -0.005, -0.002, 0.0, 0.001, 0.002, 0.005, 0.01, 0.02),
+    "offset_errors": (-1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0),
+}
+
 TURNED: Final = {
-    "offset": Turned(
-        "control.offset",
-        (-0.01, -0.005, -0.002, 0.0, 0.001, 0.002, 0.005, 0.01, 0.02),
-        BEYOND,
-        MISSED,
-        "What an offset of the plant's target buys",
-    ),
-    "offset_errors": Turned(
-        "control.offset_errors",
-        (-1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0),
-        BEYOND,
-        MISSED,
-        "What an offset of the plant's target buys",
-    ),
+    name: Turned(
+        f"control.{name}", values, BEYOND, MISSED, "What an offset of the plant's target buys"
+    )
+    for name, values in _OFFSETS.items()
+} | {
     "promise": Turned(
         "commitment.reliability",
         (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99),
@@ -85,64 +80,57 @@ def frontier_table(knob: Turned, rows: Sequence[Row]) -> Table:
     return Table(knob.title, columns, cells)
 
 
-def _labels(rows: Sequence[Row], knob: str) -> list[str]:
-    """Return the label of each point: of a curve, that of its first one alone."""
-    if not any(knob in row for row in rows):
-        return [f"{plain(row['scheme'])}, {row[AXES[2]]:,.0f} kW" for row in rows]
-    schemes = [row["scheme"] for row in rows]
-    return ["" if name in schemes[:at] else plain(name) for at, name in enumerate(schemes)]
-
-
-def _words(figure: str) -> str:
-    return FIGURES[figure].title.lower()
-
-
 def frontier(rows: Sequence[Row], knob: Turned = TURNED["offset"]) -> ReportFigure:
     """Draw the two figures that a knob trades, and the frontier of the two.
 
-    A scheme with several values of the knob is a curve.
+    A scheme with several values of the knob is a curve, and has its label once.
     """
-    missing, beyond, rmse, offset = knob.y, knob.x, AXES[2], knob.field
+    table = pd.DataFrame(rows)
+    table["actuator"] = table["actuator"].fillna("")
+    errors = table[[knob.x, knob.y]].astype(float).fillna(0.0)
+    table[["x", "y"]] = errors.clip(lower=_LEAST_PERCENT).to_numpy()
+    names = table["scheme"].map(plain)
+    is_turned = knob.field in table
+    by, style = (knob.field, "{:g}") if is_turned else ("rmse", "{:,.0f} kW")
+    shown = table[by].map(style.format)
+    table["hover"] = names + ", " + shown
+    again = table.duplicated(["actuator", "scheme"])
+    table["label"] = names.mask(again, "") if is_turned else table["hover"]
+    across, up = FIGURES[knob.x], FIGURES[knob.y]
+    words = f"{up.title.lower()} %{{y:.3f}} %, {across.title.lower()} %{{x:.3f}} %"
     figure = go.Figure()
     for actuator, (symbol, colour, place) in _LOOKS.items():
-        entries = [row for row in rows if row["actuator"] == actuator]
+        own = table[table["actuator"] == actuator]
         figure.add_scatter(
-            x=[max(row[beyond] or 0.0, _LEAST_PERCENT) for row in entries],
-            y=[max(row[missing] or 0.0, _LEAST_PERCENT) for row in entries],
-            text=_labels(entries, offset),
-            hovertext=[
-                f"{plain(row['scheme'])}, "
-                + (f"{row[offset]:g}" if offset in row else f"{row[rmse]:,.0f} kW")
-                for row in entries
-            ],
+            x=own["x"],
+            y=own["y"],
+            text=own["label"],
+            hovertext=own["hover"],
             mode="markers+text",
             name=actuator,
             textposition=place,
             cliponaxis=False,
             marker={"size": 10, "symbol": symbol, "color": colour},
-            hovertemplate=(
-                f"%{{hovertext}}: {_words(missing)} %{{y:.3f}} %, {_words(beyond)} %{{x:.3f}} %"
-            ),
+            hovertemplate=f"%{{hovertext}}: {words}",
         )
-    points = sorted(point for trace in figure.data for point in zip(trace.x, trace.y, strict=True))
-    least = np.minimum.accumulate([y for _, y in points])
+    drawn = table[table["actuator"] != ""].sort_values(["x", "y"])
     line = {"color": GREY, "width": 1.2, "dash": "dash", "shape": "hv"}
-    figure.add_trace(curve([x for x, _ in points], least, "frontier", line))
-    for scheme, actuator in dict.fromkeys((row["scheme"], row["actuator"]) for row in rows):
-        own = [row for row in rows if (row["scheme"], row["actuator"]) == (scheme, actuator)]
+    figure.add_trace(curve(drawn["x"].tolist(), drawn["y"].cummin().tolist(), "frontier", line))
+    for key, own in table.groupby(["scheme", "actuator"], sort=False):
         if len(own) > 1:
-            x, y = ([max(row[axis], _LEAST_PERCENT) for row in own] for axis in (beyond, missing))
+            scheme, actuator = cast(tuple[str, str], key)
             look = {"color": _LOOKS[actuator][1] if actuator else GREY, "width": 1.0}
-            figure.add_trace(curve(x, y, f"{scheme}, {actuator}", look))
+            name = f"{scheme}, {actuator or None}"
+            figure.add_trace(curve(own["x"].tolist(), own["y"].tolist(), name, look))
     dress(figure, 480)
     figure.update_layout(hovermode="closest", margin_r=180)
-    figure.update_xaxes(title_text=FIGURES[beyond].heading, type="log", dtick=1)
-    figure.update_yaxes(title_text=FIGURES[missing].heading, type="log", dtick=1)
+    figure.update_xaxes(title_text=across.heading, type="log", dtick=1)
+    figure.update_yaxes(title_text=up.heading, type="log", dtick=1)
     return ReportFigure(
         "frontier",
-        f"{FIGURES[missing].title} against {_words(beyond)}",
-        f"Each scheme with its tracking RMSE, or as a curve over {offset}; both axes logarithmic. "
-        "No scheme is better in both than one on the dashed frontier. Less than "
+        f"{up.title} against {across.title.lower()}",
+        f"Each scheme with its tracking RMSE, or as a curve over {knob.field}; both axes "
+        "logarithmic. No scheme is better in both than one on the dashed frontier. Less than "
         f"{_LEAST_PERCENT:g} % is drawn as that.",
         figure,
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plans_by_hand import plan_of
 
 from agents.plan import RunPlan
-from agents.settings import Actuator
+from agents.settings import Actuator, Revert
 from bus_schemas.messages import Command, Message, Production
 from bus_schemas.signals import Port
 from launch_scripts.simulation import MemoryRun, on_the_clock
@@ -33,10 +33,10 @@ LOW_KW, HIGH_KW = 0.25 * RATING_KW, 0.55 * RATING_KW
 Values = NDArray[np.float64]
 
 
-def delivered_kw(
+def powers_kw(
     rules: Collection[str] = (), real: dict[str, Any] | None = None, **changes: Any
 ) -> Values:
-    """What the plant delivers, cycle by cycle; with the inverters as real ones if `real` is."""
+    """What each inverter delivers in each cycle; if `real` is given, real ones of that kind."""
     law = {"scheme": "predictive", "actuator": "limit", "correction": True}
     faults = tuple(map(parse_fault, rules))
     plan = plan_of(INVERTERS, cycles=CYCLES, faults=faults, **{**law, **changes})
@@ -46,11 +46,11 @@ def delivered_kw(
     commitment_kw = np.full(CYCLES, LOW_KW)
     commitment_kw[UP_AT:DOWN_AT] = HIGH_KW
     profile = Profile(np.full((CYCLES, len(INVERTERS)), SUN_KW), commitment_kw)
-    found: list[float] = []
+    found: list[tuple[float, ...]] = []
 
     def see(port: Port[Message], message: Message) -> None:
         if isinstance(message, Production):
-            found.append(message.delivered_kw)
+            found.append(message.inverter_power_kw)
 
     plant = Plant if real is None else plant_of_real_inverters
     run = MemoryRun(on_the_clock(plan) if rules else plan, profile, see, make_plant=plant)
@@ -95,8 +95,9 @@ def plant_of_real_inverters(plan: RunPlan, profile: Profile) -> Plant:
     return PlantWithDevices(plan, profile, ServedInverters(plan))
 
 
-def assert_a_clean_step(power_kw: Values, settled_in_s: int) -> None:
+def assert_a_clean_step(powers_kw: Values, settled_in_s: int) -> None:
     """Up and down: no overshoot beyond 5 % of the step, and settled within 1 % of the rating."""
+    power_kw = powers_kw.sum(axis=1)
     step_kw, near_kw = HIGH_KW - LOW_KW, 0.01 * RATING_KW
     up_kw, down_kw = power_kw[UP_AT:DOWN_AT], power_kw[DOWN_AT:]
     assert up_kw.max() < HIGH_KW + 0.05 * step_kw
@@ -115,9 +116,11 @@ def assert_a_clean_step(power_kw: Values, settled_in_s: int) -> None:
     ],
     ids=str,
 )
-def test_inverters_that_follow_late_or_slowly(follows: dict[str, float], actuator: Actuator) -> None:
+def test_inverters_that_follow_late_or_slowly(
+    follows: dict[str, float], actuator: Actuator
+) -> None:
     takes_s = follows.get("delay_s", 0.0) + 100.0 / follows.get("ramp_percent_per_s", np.inf)
-    assert_a_clean_step(delivered_kw(actuator=actuator, **follows), round(takes_s) + 5)
+    assert_a_clean_step(powers_kw(actuator=actuator, **follows), round(takes_s) + 5)
 
 
 @pytest.mark.parametrize(
@@ -125,13 +128,21 @@ def test_inverters_that_follow_late_or_slowly(follows: dict[str, float], actuato
 )
 def test_real_inverters_that_are_read_late(follows: dict[str, float]) -> None:
     takes_s = follows.get("delay_s", 0.0) + 100.0 / follows.get("ramp_percent_per_s", np.inf)
-    assert_a_clean_step(delivered_kw(real=follows), round(takes_s) + 6)
+    assert_a_clean_step(powers_kw(real=follows), round(takes_s) + 6)
 
 
 @pytest.mark.parametrize("rule", ["delay=0.3s", "delay=1s", "delay=2s"])
 def test_a_slow_network(rule: str) -> None:
-    assert_a_clean_step(delivered_kw([rule]), 15)
+    assert_a_clean_step(powers_kw([rule]), 15)
 
 
 def test_a_central_controller_that_acts_rarely() -> None:
-    assert_a_clean_step(delivered_kw(period_cycles=(10, 1)), 10)
+    assert_a_clean_step(powers_kw(period_cycles=(10, 1)), 10)
+
+
+@pytest.mark.parametrize("gone", ["0s..30s", "20s..50s"], ids=["never seen", "seen before"])
+def test_an_inverter_that_reverted_to_nothing_is_probed_until_it_is_seen(gone: str) -> None:
+    rule, revert = f"partition=c1/a|plant,at={gone}", Revert(after_s=5.0, to=0.0)
+    found_kw = powers_kw([rule], revert=revert)[:, 0]
+    assert found_kw[29] == 0.0
+    assert found_kw[-1] > 0.9 * LOW_KW / len(INVERTERS)
