@@ -29,7 +29,6 @@ from agents.team import offer_settings
 from docs.shown import Found, fill, keep, write
 from heliarch import compare, load_scenario
 from results.answers import answers
-from results.figures import help_figures
 from scenarios.preparation import Preparation, prepare
 from scenarios.run_options import RunOptions
 from scenarios.scenario import ScenarioFile
@@ -390,13 +389,14 @@ def learned(data: Path) -> Lines:
             "hindsight": search_clusters(correlation_of(mpp_kw), sizes),
             "geographic": geographic_clusters(*np.array(day.plan.site.positions_m).T, sizes),
         }
-        later = run.residual_kw[learns:]
-        minutes = len(later) * day.plan.timing.cycle_s / 60.0
-        for way, clusters_of in ways.items():
-            number = {at: group for group, members in enumerate(clusters_of) for at in members}
-            found = help_figures(later, [f"c{number[at]}/{at}" for at in range(len(number))])
-            helped = (found[name] for name in ("outside-help", "outside-help-able"))
-            yield row([sky, f"{minutes:.0f}", way, *(f"{percent:.1f}" for percent in helped)])
+        later_kw = run.residual_kw[learns:]
+        minutes = len(later_kw) * day.plan.timing.cycle_s / 60.0
+        needy, able = (later_kw < 0.0).any(axis=1), later_kw.sum(axis=1) >= 0.0
+        for way, found in ways.items():
+            sums_kw = [later_kw[:, list(members)].sum(axis=1) for members in found]
+            outside = np.min(sums_kw, axis=0) < 0.0
+            shares = (100.0 * outside[cycles].mean() for cycles in (needy, needy & able))
+            yield row([sky, f"{minutes:.0f}", way, *(f"{percent:.1f}" for percent in shares)])
 
 
 def correlation_of(power_kw: Any) -> Any:

@@ -116,9 +116,7 @@ def assert_a_clean_step(powers_kw: Values, settled_in_s: int) -> None:
     ],
     ids=str,
 )
-def test_inverters_that_follow_late_or_slowly(
-    follows: dict[str, float], actuator: Actuator
-) -> None:
+def test_inverters_that_follow_late_or_slowly(follows: dict[str, Any], actuator: Actuator) -> None:
     takes_s = follows.get("delay_s", 0.0) + 100.0 / follows.get("ramp_percent_per_s", np.inf)
     assert_a_clean_step(powers_kw(actuator=actuator, **follows), round(takes_s) + 5)
 
@@ -126,7 +124,7 @@ def test_inverters_that_follow_late_or_slowly(
 @pytest.mark.parametrize(
     "follows", [{}, {"delay_s": 1.0, "ramp_percent_per_s": 20.0}, {"delay_s": 3.0}], ids=str
 )
-def test_real_inverters_that_are_read_late(follows: dict[str, float]) -> None:
+def test_real_inverters_that_are_read_late(follows: dict[str, Any]) -> None:
     takes_s = follows.get("delay_s", 0.0) + 100.0 / follows.get("ramp_percent_per_s", np.inf)
     assert_a_clean_step(powers_kw(real=follows), round(takes_s) + 6)
 

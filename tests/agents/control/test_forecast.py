@@ -184,14 +184,6 @@ def test_what_time_does_is_alike_whatever_the_cycle(
     )
 
 
-def test_a_steady_rise_is_expected_to_go_on_alike_whatever_the_cycle() -> None:
-    for cycle_s in CYCLES_S:
-        cycles = max(round(10.0 * TREND_TIME_S / cycle_s), 10)
-        rise_kw = [40.0 + 0.5 * cycle_s * cycle for cycle in range(cycles)]
-        found = measured(*rise_kw, cycle_s=cycle_s)
-        assert found.power_kw - rise_kw[-1] == pytest.approx(DAMPING * 0.5 * cycle_s, rel=0.05)
-
-
 def test_short_cycles_do_not_make_a_trend_of_the_meters_noise() -> None:
     noise = 50.0 + 0.25 * np.random.default_rng(4).standard_normal(500)
 
@@ -217,21 +209,12 @@ def test_a_noisy_meter_is_learned_from_what_it_reads_above_the_limit() -> None:
     assert found[-1].meter.error == pytest.approx(0.01 * 0.4, rel=0.4)  # E max(0, e) = 0.4 sigma
 
 
-def test_a_cloud_below_the_limit_is_never_taken_for_the_meters_error() -> None:
-    found = readings(40.0, [-0.001 * cycle for cycle in range(60)], measured(80.0))
-    assert found[-1].is_seen
-    assert found[-1].maximum_kw == pytest.approx(40.0 * (1.0 - 0.059))
-
-
-@pytest.mark.parametrize("below", [0.01, 0.015, 0.02])
-def test_an_inverter_shaded_to_just_below_its_limit_does_not_count_as_held_by_it(
-    below: float,
-) -> None:
+def test_an_inverter_shaded_to_just_below_its_limit_does_not_count_as_held_by_it() -> None:
     # Its meter has proved exact while the limit held.
     held = readings(40.0, [0.0] * 600, measured(60.0))[-1]
-    shaded = readings(40.0, [-below] * 30, held)
+    shaded = readings(40.0, [-0.01] * 30, held)
     assert all(estimate.is_seen for estimate in shaded)
-    assert shaded[-1].power_kw == pytest.approx(40.0 * (1.0 - below), rel=1e-3)
+    assert shaded[-1].power_kw == pytest.approx(40.0 * 0.99, rel=1e-3)
 
 
 def test_a_meter_that_reads_low_is_known_by_what_the_inverter_gives_once_it_is_free() -> None:

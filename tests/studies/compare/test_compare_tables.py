@@ -85,22 +85,6 @@ def test_an_offset_that_is_turned_makes_each_scheme_a_curve_of_means() -> None:
     assert points == [(0.3, 2.0), (2.0, 0.5)]
 
 
-def test_a_promise_that_is_turned_trades_shortfall_for_curtailed_energy() -> None:
-    def promised(reliability: float, missed: float, curtailed: float) -> Row:
-        row = result("paper", "limit", missed, 0.0)
-        figures = {"shortfall": missed, "curtailed": curtailed}
-        return {"commitment.reliability": reliability, **row, **figures}
-
-    promise = TURNED["promise"]
-    rows = turned(promise, [[promised(0.5, 2.0, 10.0)], [promised(0.9, 0.5, 40.0)]])
-    assert [cells[2:5] for cells in frontier_table(promise, rows).texts()] == [
-        ("0.5", "2.000", "10.0"),
-        ("0.9", "0.500", "40.0"),
-    ]
-    *_, curve = frontier(rows, promise).figure.data
-    assert list(zip(curve.x, curve.y, strict=True)) == [(10.0, 2.0), (40.0, 0.5)]
-
-
 # Many cases ---------------------------------------------------------------------------------------
 
 
@@ -181,9 +165,3 @@ def test_of_one_case_there_is_no_interval_and_no_summary_of_what_it_lacks() -> N
     assert (round(row.mean, 9), row.mean_error) == (1.0, None)
     assert (round(row.difference, 9), row.difference_error) == (1.0, None)
     assert summaries([alone], ["score"]).empty
-
-
-def test_very_many_cases_are_summarised_alone() -> None:
-    cases = [case({"seed": seed}, {"paper": 1.0}) for seed in range(41)]
-    (table,) = cases_tables(["rmse"], cases)
-    assert [row[0] for row in table.rows] == ["paper"]
