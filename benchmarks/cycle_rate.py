@@ -21,8 +21,7 @@ from typing import Final
 
 import bare_graph
 import msgspec
-from harness import OURS, Figures, launch, run_script
-from rounds import measure, options
+from harness import OURS, Figures, launch, measure, options, run_script
 
 from agents.cycle import stage_of
 from agents.team import controllers

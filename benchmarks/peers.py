@@ -20,8 +20,7 @@ from importlib.metadata import version
 from typing import Final
 
 import peer_graph
-from harness import OURS, Figures, launch, run_script
-from rounds import measure, options
+from harness import OURS, Figures, launch, measure, options, run_script
 
 TOLERANCE_KW: Final = 1e-6
 

@@ -86,15 +86,15 @@ class RunAccount:
     ) -> RunSummary:
         """Return the document of the run, which has ended. Its recording is opened and counted."""
         preparation, plan, path = self.preparation, self.preparation.plan, self.folder.recording
-        recorded, fault = checked(path, plan, recorded)
+        recorded, count, fault = checked(path, plan, recorded)
         found = Counter(recorded.recorded)
         figures, health, answers = None, None, tuple[Answer, ...]()
-        if found:
+        if count is not None and found:
             try:
                 if recorded.cycles:
                     budgets = preparation.scenario.scenario.answers
                     figures, answers = recorded_figures(path, budgets)
-                health = recorded_health(path, plan)
+                health = recorded_health(path, plan, count)
             except InputError as error:
                 fault = fault or f"the recording cannot be read: {error}"
         dropped = _by_cause(self.dropped)

@@ -104,4 +104,4 @@ def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
     """Work out the run and the path of its folder; write nothing yet."""
     run_id = new_run_id(request.scenario.scenario.name)
     folder = run_folder(run_id, request.out)
-    return prepare(request.scenario, request.options, run_id), folder
+    return prepare(request.scenario, request.options, run_id, keeps=True), folder

@@ -32,7 +32,7 @@ from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import RunFailure, who_waits
 from launch_scripts.view import View
-from recordings.record.monitor import RunMonitor
+from recordings.record.phases import RunMonitor
 from recordings.record.writer import ClockAnchor, RunWriter
 from results.run_summary import ProcessAccount, RunSummary
 from scenarios.preparation import Preparation

@@ -11,8 +11,9 @@ import msgspec
 from agents.plan import RunPlan
 from agents.process.events import ExternalAccount
 from bus_schemas.errors import listed
-from recordings.inspect.health import Health, RunDocument, WrongMessages, summary_in
-from recordings.inspect.overview import read_overview
+from recordings.inspect.health import Health, RunDocument, WrongMessages
+from recordings.inspect.overview import keep_overview
+from recordings.read.counting import RecordingCount
 from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
 from results.answers import Answer, answers, judged
@@ -182,21 +183,9 @@ def recorded_figures(
     return run_figures(series), judged(answers(series), budgets)
 
 
-def recorded_health(recording: Path, plan: RunPlan) -> Health | None:
-    """Read the health of a run; None in lockstep, unless a process may be replaced or external."""
+def recorded_health(recording: Path, plan: RunPlan, count: RecordingCount) -> Health | None:
+    """Keep an overview of a recording; return the health, where anything can be late or missing."""
     if plan.timing.lockstep and not plan.restarts and not plan.elsewhere:
+        keep_overview(recording, count)
         return None
-    with RunReader(recording) as run:
-        return read_overview(run).health
-
-
-def run_health(run: RunReader) -> Health:
-    """Return the health of a run: by the summary beside a whole recording, or else read."""
-    summary = summary_in(run.path.parent, run.plan, RunSummary)
-    if summary is None or not run.whole:
-        return read_overview(run).health
-    if summary.health is not None:
-        return msgspec.structs.replace(summary.health, launcher=summary.launcher)
-    # In lockstep nothing is late or missed, and no agent is away.
-    lost = {count.signal: count.lost for count in summary.messages if count.lost}
-    return Health(lost=lost, stop_cycle=run.stop_cycle, launcher=summary.launcher)
+    return keep_overview(recording).health

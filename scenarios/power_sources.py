@@ -24,9 +24,9 @@ from sim_plant.sources import CloudySky, MeasuredPlant, PlantUnderSky, PowerSour
 
 
 def power_source(
-    scenario_file: ScenarioFile, seed: int | None, times: pd.DatetimeIndex
+    scenario_file: ScenarioFile, seed: int | None, times: pd.DatetimeIndex, *, keeps: bool = False
 ) -> PowerSource:
-    """Read what the scenario names, or make the sky that it describes."""
+    """Read what the scenario names, or make the sky that it describes; keep what that brings."""
     irradiance = scenario_file.scenario.irradiance
     plant = scenario_file.scenario.plant
     if (plant.inverters or plant.grid) and not isinstance(irradiance, CloudIrradiance):
@@ -36,7 +36,7 @@ def power_source(
         )
     match irradiance:
         case CloudIrradiance():
-            return _cloudy_sky(scenario_file, irradiance, seed)
+            return _cloudy_sky(scenario_file, irradiance, seed, keeps=keeps)
         case MeasuredIrradiance():
             return _measured_sky(scenario_file, irradiance)
         case OahuGridIrradiance():
@@ -45,7 +45,9 @@ def power_source(
             return _measured_plant(scenario_file, irradiance)
 
 
-def _cloudy_sky(scenario_file: ScenarioFile, table: CloudIrradiance, seed: int | None) -> CloudySky:
+def _cloudy_sky(
+    scenario_file: ScenarioFile, table: CloudIrradiance, seed: int | None, *, keeps: bool
+) -> CloudySky:
     plant, time = scenario_file.scenario.plant, scenario_file.scenario.time
     clear_until = table.clear_until
     if (plant.inverters is None) == (plant.grid is None):
@@ -62,6 +64,7 @@ def _cloudy_sky(scenario_file: ScenarioFile, table: CloudIrradiance, seed: int |
         seed=table.seed if seed is None else seed,
         history_seed=table.seed,
         clear_until=None if clear_until is None else pd.Timestamp(zoned(clear_until, time)),
+        is_kept=keeps,
     )
 
 

@@ -133,8 +133,13 @@ class _Day:
         return tuple((float(east), float(north)) for east, north in (both - both.mean(0)).round(2))
 
 
-def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Preparation:
-    """Work out a run; whatever can be wrong with its options is checked first."""
+def prepare(
+    scenario_file: ScenarioFile, options: RunOptions, run_id: str, *, keeps: bool = False
+) -> Preparation:
+    """Work out a run; whatever can be wrong with its options is checked first.
+
+    `keeps`: The next run under the same sky need not work it out once more.
+    """
     scenario = scenario_file.scenario
     if options.cycle_s is not None:
         scenario = replace(scenario, time=replace(scenario.time, cycle_s=options.cycle_s))
@@ -150,7 +155,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         raise InputError(f"--priority: expected a --pace such as 1 with it, {why}")
     keys_folder, offer = _keys_folder(scenario, options), scenario.regulation
     with scenario_file.named():
-        day = _day(scenario_file, scenario, options.seed, times)
+        day = _day(scenario_file, scenario, options.seed, times, keeps=keeps)
         regulation = np.zeros(len(times))
         if offer is not None:
             zone, data_path = scenario.time.timezone, scenario_file.data_path
@@ -184,11 +189,16 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
 
 
 def _day(
-    scenario_file: ScenarioFile, scenario: Scenario, seed: int | None, times: pd.DatetimeIndex
+    scenario_file: ScenarioFile,
+    scenario: Scenario,
+    seed: int | None,
+    times: pd.DatetimeIndex,
+    *,
+    keeps: bool,
 ) -> _Day:
     own = scenario_file.scenario  # Clusters and neighbours are its own, whatever the options.
     own_times = _times(scenario_file, own, RunOptions())
-    source = power_source(scenario_file, seed, times)
+    source = power_source(scenario_file, seed, times, keeps=keeps)
     check_size(len(times), len(source.sites.names), "time.duration_s")
     available_kw = source.available_kw(times)
     commitment = commitment_kw(

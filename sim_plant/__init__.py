@@ -1,8 +1,24 @@
 """The world: irradiance, PV power, inverters, what the market wants, and the plant as an agent."""
 
+import sys
+from importlib.util import LazyLoader, find_spec, module_from_spec
+from types import ModuleType
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
+
+
+def imported_when_used(name: str) -> ModuleType:
+    """Return a module that is imported at its first use: half a second, in the case of pvlib."""
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = find_spec(name)
+    if spec is None or spec.loader is None:
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+    spec.loader = LazyLoader(spec.loader)
+    module = sys.modules[name] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

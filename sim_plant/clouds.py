@@ -54,13 +54,14 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import pandas as pd
+import scipy
 from msgspec import Meta
 from numpy.typing import NDArray
-from pvlib.location import Location
-from scipy import fft, ndimage, special
 
-from sim_plant import Floats
+from sim_plant import Floats, imported_when_used
 from sim_plant.sites import east_north_m
+
+pvlib = imported_when_used("pvlib")
 
 # Constants of steps 1 and 2.
 _OUTER_SCALE = 14.0
@@ -127,7 +128,16 @@ def clear_sky_ghi(
 
     The model is that of Ineichen and Perez (doi:10.1016/S0038-092X(02)00045-2).
     """
-    site = Location(float(lat_deg.mean()), float(lon_deg.mean()), altitude=altitude_m)
+    place = float(lat_deg.mean()), float(lon_deg.mean()), altitude_m
+    return _clear_sky_ghi(times.as_unit("ns").asi8.tobytes(), *place, linke_turbidity)
+
+
+@lru_cache(maxsize=2)  # For the run and for its past.
+def _clear_sky_ghi(
+    times_ns: bytes, lat_deg: float, lon_deg: float, altitude_m: float, linke_turbidity: float
+) -> Floats:
+    times = pd.DatetimeIndex(np.frombuffer(times_ns, np.int64), tz="UTC")
+    site = pvlib.location.Location(lat_deg, lon_deg, altitude=altitude_m)
     sky = site.get_clearsky(times, model="ineichen", linke_turbidity=linke_turbidity)
     return np.asarray(sky["ghi"].to_numpy(), dtype=np.float64)
 
@@ -173,9 +183,9 @@ def clear_sky_index(
     x_m, y_m = _in_the_drifting_field(time_s, east_m, north_m, settings)
     layers = _layers(settings.cloud_size_m, settings.evolution_s, seed)
     coarse, fine = (_blended(layer, time_s, x_m, y_m) for layer in layers)
-    quantile = special.ndtri(1.0 - settings.cloud_cover)
+    quantile = scipy.special.ndtri(1.0 - settings.cloud_cover)
     # Beside the coarse layer there is only the fine one, which is Gaussian.
-    cover_around = special.ndtr((coarse - quantile) / layers[1].deviation)
+    cover_around = scipy.special.ndtr((coarse - quantile) / layers[1].deviation)
     # Step 3 of the model: from the excess over the threshold to the clear-sky index.
     thick = settings.thick_cloud_index
     depth = (coarse + fine - quantile) / settings.cloud_softness + _SHOULDER
@@ -229,8 +239,8 @@ def _power(k_squared: Floats, outer_m: float) -> Floats:
 
 
 def _wave_numbers_squared(cells: int, cell_m: float) -> Floats:
-    k_y = 2.0 * np.pi * fft.fftfreq(cells, cell_m)[:, None]
-    k_x = 2.0 * np.pi * fft.rfftfreq(cells, cell_m)[None, :]
+    k_y = 2.0 * np.pi * scipy.fft.fftfreq(cells, cell_m)[:, None]
+    k_x = 2.0 * np.pi * scipy.fft.rfftfreq(cells, cell_m)[None, :]
     return np.asarray(k_x**2 + k_y**2)
 
 
@@ -242,7 +252,7 @@ def _random_field(rng: np.random.Generator, power: Floats) -> tuple[NDArray[np.f
     cells = len(power)
     amplitude = np.sqrt(power).astype(np.float32)
     noise = rng.standard_normal((cells, cells), dtype=np.float32)
-    field = fft.irfft2(fft.rfft2(noise) * amplitude, s=noise.shape)
+    field = scipy.fft.irfft2(scipy.fft.rfft2(noise) * amplitude, s=noise.shape)
     field = np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
     shift = np.rint(_NEXT_PIECE * cells).astype(int)
     return field, float(np.mean(field * np.roll(field, -shift, axis=(0, 1))))
@@ -268,7 +278,7 @@ def _read(layer: _Layer, x_m: Floats, y_m: Floats, piece: Floats) -> NDArray[np.
     rows = (y_m / layer.cell_m + offset[:, :1]) % cells
     columns = (x_m / layer.cell_m + offset[:, 1:]) % cells
     return np.asarray(
-        ndimage.map_coordinates(layer.field, [rows, columns], order=1, mode="grid-wrap")
+        scipy.ndimage.map_coordinates(layer.field, [rows, columns], order=1, mode="grid-wrap")
     )
 
 

@@ -7,19 +7,19 @@ default state". Those defaults are pvlib's: where the weather has no such column
 losses): the rating of an inverter stands for its array after losses.
 """
 
+from functools import lru_cache
 from typing import Annotated
 
 import msgspec
 import numpy as np
 import pandas as pd
 from msgspec import Meta
-from pvlib import inverter, irradiance, pvsystem, solarposition, temperature
 
 from bus_schemas.errors import InputError
-from sim_plant import Floats
+from sim_plant import Floats, imported_when_used
 from sim_plant.time_steps import step_ns
 
-_SAPM = temperature.TEMPERATURE_MODEL_PARAMETERS["sapm"]["open_rack_glass_polymer"]
+pvlib = imported_when_used("pvlib")
 
 # Daylight is over when the sun is 6 degrees below the horizon (civil twilight). A brighter value
 # then means that the time stamp is in another time zone.
@@ -86,11 +86,19 @@ def ac_power_kw(
         AC power [kW], from 0 to the rating; 0 while the sun is below the horizon.
     """
     middle = times + pd.Timedelta(step_ns(times) // 2, unit="ns")
-    sun = solarposition.get_solarposition(middle, float(lat_deg.mean()), float(lon_deg.mean()))
+    middle_ns = middle.as_unit("ns").asi8.tobytes()
+    sun = _sun_at(middle_ns, float(lat_deg.mean()), float(lon_deg.mean()))
     _check_night_is_dark(ghi_wm2, times, sun)
     is_up = sun["apparent_zenith"].to_numpy()[:, None] < 90.0
     poa_wm2 = np.where(is_up, np.maximum(_poa_wm2(ghi_wm2, times, sun, settings), 0.0), 0.0)
     return _inverter_ac_kw(poa_wm2, rating_kw, settings)
+
+
+@lru_cache(maxsize=2)  # For the run and for its past.
+def _sun_at(times_ns: bytes, lat_deg: float, lon_deg: float) -> pd.DataFrame:
+    times = pd.DatetimeIndex(np.frombuffer(times_ns, np.int64), tz="UTC")
+    sun: pd.DataFrame = pvlib.solarposition.get_solarposition(times, lat_deg, lon_deg)
+    return sun
 
 
 def _poa_wm2(
@@ -99,8 +107,8 @@ def _poa_wm2(
     if settings.tilt_deg == 0.0:
         return ghi_wm2
     day = np.asarray(times.tz_convert("UTC").day_of_year)[:, None]
-    part = irradiance.erbs(ghi_wm2, sun["zenith"].to_numpy()[:, None], day)
-    total = irradiance.get_total_irradiance(
+    part = pvlib.irradiance.erbs(ghi_wm2, sun["zenith"].to_numpy()[:, None], day)
+    total = pvlib.irradiance.get_total_irradiance(
         settings.tilt_deg,
         settings.azimuth_deg,
         sun["apparent_zenith"].to_numpy()[:, None],
@@ -108,7 +116,7 @@ def _poa_wm2(
         dni=part["dni"],
         ghi=ghi_wm2,
         dhi=part["dhi"],
-        dni_extra=irradiance.get_extra_radiation(day),
+        dni_extra=pvlib.irradiance.get_extra_radiation(day),
         albedo=settings.albedo,
         model="haydavies",
     )
@@ -116,12 +124,14 @@ def _poa_wm2(
 
 
 def _inverter_ac_kw(poa_wm2: Floats, rating_kw: Floats, settings: PvSettings) -> Floats:
-    cell_c = temperature.sapm_cell(poa_wm2, settings.temp_air_c, settings.wind_speed_ms, **_SAPM)
+    module = pvlib.temperature.TEMPERATURE_MODEL_PARAMETERS["sapm"]["open_rack_glass_polymer"]
+    weather = settings.temp_air_c, settings.wind_speed_ms
+    cell_c = pvlib.temperature.sapm_cell(poa_wm2, *weather, **module)
     dc_rating_kw = rating_kw * settings.dc_ac_ratio
-    dc_kw = pvsystem.pvwatts_dc(poa_wm2, cell_c, dc_rating_kw, settings.gamma_pdc_per_c)
+    dc_kw = pvlib.pvsystem.pvwatts_dc(poa_wm2, cell_c, dc_rating_kw, settings.gamma_pdc_per_c)
     # The AC rating of pvlib's inverter is its DC limit times its nominal efficiency.
     dc_limit_kw = rating_kw / settings.inverter_efficiency
-    ac_kw = inverter.pvwatts(dc_kw, dc_limit_kw, eta_inv_nom=settings.inverter_efficiency)
+    ac_kw = pvlib.inverter.pvwatts(dc_kw, dc_limit_kw, eta_inv_nom=settings.inverter_efficiency)
     return np.clip(np.asarray(ac_kw, dtype=np.float64), 0.0, rating_kw)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import ClassVar, Final, TypeAlias
@@ -13,6 +14,7 @@ from bus_schemas.errors import InputError
 from sim_plant import Floats
 from sim_plant.clouds import CloudSettings, clear_sky_ghi, synthetic_ghi
 from sim_plant.irradiance import Irradiance
+from sim_plant.kept import kept
 from sim_plant.pv import PvSettings, ac_power_kw
 from sim_plant.sites import Sites
 from sim_plant.time_steps import on_cycles
@@ -50,13 +52,14 @@ class CloudySky(PlantUnderSky):
     """A synthetic cloud field that drifts over the inverters.
 
     Earlier days have the scenario's seed, `history_seed`, whatever the run's own seed. The sky of
-    the run is clear before `clear_until`.
+    the run is clear before `clear_until`. `is_kept`: what was worked out once is kept for later.
     """
 
     clouds: CloudSettings
     seed: int
     history_seed: int
     clear_until: pd.Timestamp | None = None
+    is_kept: bool = False
     measured_times: ClassVar[None] = None  # Any time can be asked for.
     remarks: ClassVar[tuple[str, ...]] = ()
 
@@ -79,12 +82,24 @@ class CloudySky(PlantUnderSky):
         return self._drawn_kw(times, self.history_seed + _ANOTHER_DAY)
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
-        return self.cloudless_kw(times, self.clouds.linke_turbidity)
+        return self._kept(times, -1, lambda: self.cloudless_kw(times, self.clouds.linke_turbidity))
 
     def _drawn_kw(self, times: pd.DatetimeIndex, seed: int) -> Floats:
-        lat_deg, lon_deg = self.sites.lat_deg, self.sites.lon_deg
-        ghi_wm2 = synthetic_ghi(times, lat_deg, lon_deg, self.altitude_m, self.clouds, seed)
-        return self.power_kw(ghi_wm2, times)
+        sites = self.sites
+
+        def draw() -> Floats:
+            place = sites.lat_deg, sites.lon_deg, self.altitude_m
+            return self.power_kw(synthetic_ghi(times, *place, self.clouds, seed), times)
+
+        return self._kept(times, seed, draw)
+
+    def _kept(self, times: pd.DatetimeIndex, seed: int, work_out: Callable[[], Floats]) -> Floats:
+        """Work out what the clouds of a seed leave of the power, or all of it (-1: no clouds)."""
+        if not self.is_kept:
+            return work_out()
+        sites = self.sites
+        places = sites.lat_deg, sites.lon_deg, sites.rating_kw, self.altitude_m
+        return kept(times, seed, self.pv, self.clouds, *places, work_out=work_out)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

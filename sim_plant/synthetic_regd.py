@@ -23,7 +23,7 @@ The method is this project's own. Its constants were set beside two whole days o
 from typing import Final
 
 import numpy as np
-from scipy import fft, special
+import scipy
 
 from sim_plant import Floats
 
@@ -62,7 +62,7 @@ def synthetic_regd(seed: int) -> Floats:
         end joins the beginning without a jump.
     """
     rng = np.random.default_rng(seed)
-    frequency_hz = fft.rfftfreq(SAMPLES, STEP_S)
+    frequency_hz = scipy.fft.rfftfreq(SAMPLES, STEP_S)
     neutral = (frequency_hz * _NEUTRAL_S) ** 2
     plateau = (1.0 + (frequency_hz * _PLATEAU_S) ** 2) ** -_SLOPE
     latent = _gaussian(rng, neutral / (1.0 + neutral) * plateau)
@@ -75,7 +75,7 @@ def synthetic_regd(seed: int) -> Floats:
     closed = np.append(latent, latent[0])
     rough = np.interp(clock, np.arange(SAMPLES + 1.0), closed)
     kept = (1.0 + (frequency_hz * _SMOOTH_S) ** _SMOOTH_ORDER) ** -0.5
-    smooth = fft.irfft(fft.rfft(rough) * kept, n=SAMPLES)
+    smooth = scipy.fft.irfft(scipy.fft.rfft(rough) * kept, n=SAMPLES)
     moving = _STD * np.exp(amplitude) * (smooth + _ROUGHNESS * np.exp(roughness) * rough)
     return np.asarray((offset + moving).clip(-1.0, 1.0))
 
@@ -85,13 +85,13 @@ def _of_the_day(rng: np.random.Generator) -> list[Floats]:
     noon = np.arange(_DAYS) + 0.5
     day = np.arange(SAMPLES) * (_DAYS / SAMPLES)
     # Normal quantiles in random order: each seed has the same variety of days.
-    normal = special.ndtri(noon / _DAYS)
+    normal = scipy.special.ndtri(noon / _DAYS)
     return [std * np.interp(day, noon, rng.permutation(normal), period=_DAYS) for std in _DAY_STDS]
 
 
 def _gaussian(rng: np.random.Generator, spectrum: Floats) -> Floats:
     """Draw a periodic Gaussian process of a power spectrum, of zero mean and unit variance."""
     draws = rng.standard_normal((2, len(spectrum)))
-    process = fft.irfft((draws[0] + 1j * draws[1]) * np.sqrt(spectrum), n=SAMPLES)
+    process = scipy.fft.irfft((draws[0] + 1j * draws[1]) * np.sqrt(spectrum), n=SAMPLES)
     process -= process.mean()
     return np.asarray(process / process.std())

@@ -26,11 +26,13 @@ settings.load_profile("the same")
 def pytest_configure() -> None:
     """Make the surroundings the same wherever the tests run.
 
-    Tables are those of a terminal of 80 columns. Ctrl-C is heard, by the commands under test too: a
+    Tables are those of a terminal of 80 columns. Skies are not kept in the user's cache.
+    Ctrl-C is heard, by the commands under test too: a
     shell without job control starts what runs in the background with SIGINT ignored, and a process
     hands that on to those that it starts.
     """
     os.environ["COLUMNS"] = "80"
+    os.environ["XDG_CACHE_HOME"] = str(REPOSITORY / ".pytest_cache")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from importlib.metadata import version
 from typing import Final, NoReturn
 
@@ -47,9 +46,8 @@ app: Final = App(
 )
 for _heading, _names in COMMANDS.items():
     _group = Group.create_ordered(_heading)
-    for _name in _names:
-        _module = import_module(f"heliarch.cli.{_name}")
-        app.command(getattr(_module, _name), name=_name, group=_group)
+    for _name in _names:  # By its path: only the command that the user named is imported.
+        app.command(f"heliarch.cli.{_name}:{_name}", name=_name, group=_group)
 app.register_install_completion_command()
 
 

@@ -151,7 +151,7 @@ class HealthWatch:
                 self._see_faults(record.port, record.message())
 
     def health(self, run: RunReader, cycle: int) -> Health:
-        """Return the health of the run, which ended before `cycle`, with what its folder tells."""
+        """Return the health of the run, which ended before `cycle`."""
         ports, missed, external = self.states.gaps, self.states.missed, self._plan.access.external
         for one in ports.values():
             one.end(cycle)
@@ -161,8 +161,7 @@ class HealthWatch:
         ]
         absences = sorted(self.states.absences(cycle), key=lambda one: one.weight, reverse=True)
         lost = Counter({str(port): gaps.lost for port, gaps in ports.items() if gaps.lost})
-        document = summary_in(run.path.parent, run.plan, RunDocument)
-        return Health(
+        health = Health(
             fault_effects=tuple(self._effects(run.last_cycle)),
             faults=dict(+self._faults.tally),
             lost=dict(lost.most_common()),
@@ -170,10 +169,10 @@ class HealthWatch:
             misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
             absences=tuple(absences[:_MOST_ABSENCES]),
             stop_cycle=run.stop_cycle,
-            failure=_failure(run.path.parent),
-            launcher=document.launcher if document else None,
+            launcher=None,
             more_absences=len(absences[_MOST_ABSENCES:]),
         )
+        return told(health, run)
 
     def _effects(self, last_cycle: int) -> Iterator[FaultEffect]:
         """Yield what each fault did in a run of so many cycles."""
@@ -192,6 +191,13 @@ class HealthWatch:
         for listener in self._plan.wiring.listeners[port]:
             if listener not in self._plan.access.external:
                 self._faults.fates(port, listener, message)
+
+
+def told(health: Health, run: RunReader) -> Health:
+    """Return the health of a run with what its folder tells."""
+    document = summary_in(run.path.parent, run.plan, RunDocument)
+    launcher = document.launcher if document else None
+    return replace(health, failure=_failure(run.path.parent), launcher=launcher)
 
 
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:

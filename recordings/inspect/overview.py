@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
 
 import msgspec
+from msgspec.structs import replace
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, SIGNALS, Port, Signal
 from bus_schemas.tree import ROOT
-from recordings.inspect.health import Health, HealthWatch
-from recordings.read.gaps import PortGaps
+from bus_schemas.whole_file import whole_file
+from recordings.inspect.health import Health, HealthWatch, told
+from recordings.read.counting import RecordingCount
+from recordings.read.gaps import PortGaps, gaps_of_ports
 from recordings.read.reader import RunReader
 from recordings.recover import RECOVERY_METADATA
+
+OVERVIEW_NAME: Final = "overview.json"
 
 
 class SignalCount(msgspec.Struct, frozen=True):
@@ -50,7 +58,54 @@ class Overview(msgspec.Struct, frozen=True):
     health: Health
 
 
+class _Kept(msgspec.Struct, frozen=True):
+    """An overview of files that had these sizes and times of their last change [ns]."""
+
+    files: tuple[tuple[int, int], ...]
+    overview: Overview
+
+
+def keep_overview(recording: Path, count: RecordingCount | None = None) -> Overview:
+    """Make the overview of a run that has ended, and keep it beside the recording.
+
+    count: Of a run in which nothing can be late or missing: it says all that there is to say.
+    """
+    with RunReader(recording) as run:
+        overview = _go_through(run, None) if count is None else _by_count(run, count)
+        kept = msgspec.json.encode(_Kept(_files(run), overview))
+    with whole_file(recording.parent / OVERVIEW_NAME) as file:
+        file.write(kept)
+    return overview
+
+
 def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
+    """Return what a recording holds: as kept at the end of the run, or else by reading it."""
+    folder = run.path.parent
+    if cycles is None:
+        with suppress(OSError, msgspec.DecodeError):
+            kept = msgspec.json.decode((folder / OVERVIEW_NAME).read_bytes(), type=_Kept)
+            overview = kept.overview
+            if kept.files == _files(run) and overview.run_id == run.plan.run_id:
+                return replace(overview, path=str(run.path), health=told(overview.health, run))
+    return _go_through(run, cycles)
+
+
+def _files(run: RunReader) -> tuple[tuple[int, int], ...]:
+    states = [os.fstat(file.fileno()) for file in run.files]
+    return tuple((state.st_size, state.st_mtime_ns) for state in states)
+
+
+def _by_count(run: RunReader, count: RecordingCount) -> Overview:
+    gaps = gaps_of_ports(run.plan)
+    for port, messages in count.messages.items():
+        gaps[port].messages = messages
+    gaps[PRODUCTION.of(ROOT)].cycles = count.complete_cycles
+    health = told(Health(stop_cycle=run.stop_cycle, launcher=None), run)
+    wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0))
+    return _overview(run, wanted, gaps, health, count.wall_ns / 1e9)
+
+
+def _go_through(run: RunReader, cycles: range | None) -> Overview:
     """Go through a recording, message by message but without decoding them, and count."""
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
     watch = HealthWatch(run.plan, wanted)
@@ -63,7 +118,16 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = production.newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
     health = watch.health(run, end)
-    wall_s = (last_ns - first_ns) / 1e9
+    return _overview(run, wanted, watch.states.gaps, health, (last_ns - first_ns) / 1e9)
+
+
+def _overview(
+    run: RunReader,
+    wanted: range,
+    gaps: dict[Port[Message], PortGaps],
+    health: Health,
+    wall_s: float,
+) -> Overview:
     return Overview(
         path=str(run.path),
         run_id=run.plan.run_id,
@@ -71,14 +135,12 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         whole=run.whole,
         first_cycle=wanted.start,
         last_cycle=wanted.stop - 1,
-        complete_cycles=production.cycles,
+        complete_cycles=gaps[PRODUCTION.of(ROOT)].cycles,
         planned_cycles=run.plan.timing.cycles,
         interrupted=(run.stop_cycle or run.plan.timing.cycles) < run.plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
-            _count(signal, watch.states.gaps, len(wanted), wall_s)
-            for signal in SIGNALS
-            if signal.logged
+            _count(signal, gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
         ),
         health=health,
     )

@@ -19,10 +19,11 @@ from recordings.read.reader import RunReader
 
 
 class RecordingCount(NamedTuple):
-    """Messages by port; what the heads of the plant's and of external agents' messages say."""
+    """Messages by port, what the heads of the plant's and external agents' say, and the time."""
 
     messages: Counter[Port[Message]]
     gaps: dict[Port[Message], PortGaps]
+    wall_ns: int = 0
 
     @property
     def complete_cycles(self) -> int:
@@ -44,7 +45,7 @@ def count_messages(recording: Path) -> RecordingCount:
     messages a second. InputError: there is no such file, or it cannot be read.
     """
     with RunReader(recording) as run:
-        counts = Counter[int]()
+        counts, first_ns, last_ns = Counter[int](), 0, 0
         gaps = {
             port: PortGaps()
             for port in run.ports()
@@ -55,14 +56,18 @@ def count_messages(recording: Path) -> RecordingCount:
             for raw in run.messages_of(chunk, run.channels):
                 channel = raw[0]
                 counts[channel] += 1
+                last_ns = raw[2]
+                first_ns = first_ns or last_ns
                 if channel in gaps_of and (head := run.head(raw)) is not None:
                     gaps_of[channel].see(head.cycle, raw[1], head.incarnation)
         messages = Counter({run.channels[channel]: count for channel, count in counts.items()})
-    return RecordingCount(messages, gaps)
+    return RecordingCount(messages, gaps, last_ns - first_ns)
 
 
-def checked(recording: Path, plan: RunPlan, account: Recorded) -> tuple[Recorded, str]:
-    """Return a recorder's account of a run with the counts of its recording, and what is wrong.
+def checked(
+    recording: Path, plan: RunPlan, account: Recorded
+) -> tuple[Recorded, RecordingCount | None, str]:
+    """Return a recorder's account with the counts of its recording, these, and what is wrong.
 
     That is in one line, empty if all is well: the recording is missing, cannot be read, or holds
     less than the recorder said.
@@ -70,7 +75,7 @@ def checked(recording: Path, plan: RunPlan, account: Recorded) -> tuple[Recorded
     try:
         count = count_messages(recording)
     except (InputError, OSError) as error:
-        return replace(account, recorded={}), f"the recording cannot be read: {error}"
+        return replace(account, recorded={}), None, f"the recording cannot be read: {error}"
     recorded = count.by_signal()
     external = tuple(_completed(plan, one, account.cycles, count) for one in account.external)
     fault = ""
@@ -78,7 +83,7 @@ def checked(recording: Path, plan: RunPlan, account: Recorded) -> tuple[Recorded
         reported = sum(account.recorded.values())
         held = f"{recorded.total():,} of {reported:,} messages that were recorded"
         fault = f"{recording}: it holds {held}"
-    return replace(account, recorded=dict(recorded), external=external), fault
+    return replace(account, recorded=dict(recorded), external=external), count, fault
 
 
 def _completed(

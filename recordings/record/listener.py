@@ -25,8 +25,7 @@ from recordings.record.complaints import (
     WRONG_SENDER,
     Complaints,
 )
-from recordings.record.monitor import RunMonitor
-from recordings.record.phases import ArmingRound, RunPosition
+from recordings.record.phases import ArmingRound, RunMonitor, RunPosition
 from recordings.record.plausibility import out_of_range
 from recordings.record.reach import Reach
 from recordings.record.senders import ExternalAgents, SecondSenders

@@ -1,4 +1,4 @@
-"""The phases of a run as the recorder follows it: arming rounds, cycles, and the end of all.
+"""A run as the recorder follows it: arming rounds, cycles, where it stands, and the end of all.
 
 The plant begins the run once the recorder has heard every port in one arming round.
 """
@@ -10,8 +10,9 @@ from math import inf
 from typing import Final
 
 from agents.plan import RunPlan
-from bus_schemas.messages import Message
-from bus_schemas.signals import Port, ports
+from agents.process.events import Status
+from bus_schemas.messages import Message, Production
+from bus_schemas.signals import HELP, Port, ports
 from bus_schemas.tree import PLANT
 from recordings.read.gaps import due_step
 
@@ -111,6 +112,42 @@ class RunPosition:
             return False
         self._over_at_s = inf
         return self.stop_cycle is not None
+
+
+class RunMonitor:
+    """The newest state of a run, and how many cycles the plant has completed."""
+
+    def __init__(self) -> None:
+        self.cycles = 0
+        self._last: Production | None = None
+        self._needy: dict[str, int] = {}
+
+    def see(self, port: Port[Message], message: Message) -> None:
+        if isinstance(message, Production):
+            self.cycles += 1
+            self._last = message
+        elif port.signal is HELP:
+            self._needy[port.node] = message.cycle
+
+    def status(self, recorded: int) -> Status:
+        """Return where the run stands; its cycle is -1 before the first one is over."""
+        last = self._last
+        if last is None:
+            return Status(-1, 0, 0.0, 0.0, 0.0, [], recorded)
+        return Status(
+            cycle=last.cycle,
+            sim_time_ns=last.sim_time_ns,
+            dispatch_kw=last.dispatch_kw,
+            available_kw=last.available_kw,
+            delivered_kw=last.delivered_kw,
+            needy=sorted(node for node, cycle in self._needy.items() if cycle >= last.cycle),
+            recorded=recorded,
+        )
+
+
+def longest_pause_s(plan: RunPlan) -> float:
+    """Return how long a controller may say nothing in real time [s]."""
+    return max(1.0, 2.0 * plan.timing.cycle_wall_ns / 1e9)
 
 
 class Closing:

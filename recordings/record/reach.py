@@ -10,7 +10,7 @@ from agents.plan import RunPlan
 from bus_schemas.messages import Head, parse_missing
 from bus_schemas.tree import PLANT, agent_name
 from recordings.read.gaps import NOTHING_MISSED
-from recordings.record.monitor import longest_pause_s
+from recordings.record.phases import longest_pause_s
 
 _LATE_CYCLES: Final = 2
 """A listener whose newest message of an agent is older than so many cycles does not hear it."""

@@ -18,6 +18,7 @@ from agents.plan import RunPlan
 from bus_schemas.tree import ROOT, parent_of
 from bus_schemas.whole_file import whole_file
 from recordings.inspect.health import summary_in
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, series_of
 from results.answers import answers, answers_tables, judged
@@ -32,7 +33,7 @@ from results.report.plant_figures import available_power, delivered_and_shortfal
 from results.report.result import Result
 from results.report.style import ReportFigure
 from results.report.tables import devices_tables, figures_tables, health_table, network_tables
-from results.run_summary import RunSummary, run_health
+from results.run_summary import RunSummary
 from results.tables import Table, counted
 from scenarios.scenario import AnswerBudgets
 from sunspec.process import read_accounts
@@ -51,7 +52,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
             found = HelpBetween(plan, _nodes_drawn(plan))
             series = series_of(reader, MOST_INVERTERS, [found])
             series = replace(series, label=f"hierarchical ({plan.control.scheme})")
-            health = run_health(reader)
+            health = read_overview(reader).health
             summary = summary_in(reader.path.parent, plan, RunSummary)
             tables = [
                 *figures_tables([series]),

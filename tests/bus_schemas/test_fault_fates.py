@@ -46,13 +46,6 @@ def delays_ms(rule: LinkFault) -> NDArray[np.float64]:
     return np.array([delay for fate in fates(at_work(rule)) for delay in fate]) / 1e6
 
 
-def test_without_a_rule_for_its_link_a_message_passes_at_once() -> None:
-    faults = at_work(Disturbance(source="c2/*", loss=1.0))
-    assert fates(faults, 3) == [(0,), (0,), (0,)]
-    assert faults.concern("c2")
-    assert not faults.concern("c1")
-
-
 @pytest.mark.parametrize(
     ("rules", "shares"),
     [

@@ -13,13 +13,6 @@ from bus_schemas.errors import InputError
 from bus_schemas.whole_file import new_path, whole_file
 
 
-def test_an_error_names_the_file_and_no_temporary_name(tmp_path: Path) -> None:
-    path = tmp_path / "nowhere" / "page.html"
-    with pytest.raises(FileNotFoundError) as caught, whole_file(path):
-        pass
-    assert caught.value.filename == str(path)
-
-
 def test_a_file_is_replaced_when_it_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(b"longer than the new one")
@@ -67,16 +60,6 @@ def test_a_link_stays_one_and_its_target_is_written(tmp_path: Path) -> None:
         file.write(b"{}")
     assert link.is_symlink()
     assert kept.read_bytes() == b"{}"
-
-
-def test_a_new_file_or_folder_gets_its_name_at_the_end(tmp_path: Path) -> None:
-    path, folder = tmp_path / "export.mcap", tmp_path / "export"
-    with new_path(path) as beside, new_path(folder) as folder_beside:
-        beside.write_text("all of it")
-        folder_beside.mkdir()
-        assert not path.exists()
-    assert path.read_text() == "all of it"
-    assert sorted(tmp_path.iterdir()) == [folder, path]
 
 
 @pytest.mark.parametrize("meanwhile", [True, False])

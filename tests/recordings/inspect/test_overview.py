@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,9 @@ import pytest
 from recordings_by_hand import whole_run, write_run
 
 from bus_schemas.bus import Delivery
-from recordings.inspect.overview import Overview, SignalCount, read_overview
+from bus_schemas.errors import InputWarning
+from recordings.inspect.overview import Overview, SignalCount, keep_overview, read_overview
+from recordings.read.counting import count_messages
 from recordings.read.gaps import PortGaps
 from recordings.read.reader import RunReader
 
@@ -118,3 +121,24 @@ def test_numbers_tell_what_is_lost_and_what_came_again(
     for cycle, sequence in seen:
         gaps.see(cycle, sequence)
     assert (gaps.lost, gaps.repeated) == (lost, repeated)
+
+
+def test_the_overview_of_the_end_of_a_run_is_read_as_long_as_its_file_is_the_same(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(CYCLES))
+    with RunReader(path) as run:
+        read = read_overview(run)
+    assert keep_overview(path) == read
+    assert keep_overview(path, count_messages(path)) == read, "nothing can be late in this run"
+
+    times = path.stat().st_atime_ns, path.stat().st_mtime_ns
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.warns(InputWarning), RunReader(path) as run:
+        assert read_overview(run) != read, "another file is read"
+    os.utime(path, ns=times)
+    with RunReader(path) as run:
+        assert read_overview(run) == read, "the same one is not"

@@ -19,7 +19,7 @@ from agents.process.events import Event, Status
 from agents.process.launcher_link import LauncherLink
 from bus_schemas.codec import encode
 from bus_schemas.zenoh_session import RunSubscriber
-from recordings.record.monitor import longest_pause_s
+from recordings.record.phases import longest_pause_s
 from recordings.record.recorder import FLUSH_S, Recorder
 from recordings.record.writer import RunWriter
 

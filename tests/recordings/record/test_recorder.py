@@ -68,7 +68,7 @@ def recorded(
         IN_LOCKSTEP, cast("RunSubscriber", subscriber), writer, cast("LauncherLink", link)
     ).run()
     (own,) = [event for event in link.told if isinstance(event, Recorded)]
-    account, _ = checked(folder, IN_LOCKSTEP, own)
+    account, *_ = checked(folder, IN_LOCKSTEP, own)
     with RunReader(folder) as reader:
         return [message for port, message in reader.messages(IMPP) if port is PORT], account
 
