@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import time
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Final, TypeAlias
 
@@ -84,7 +85,7 @@ def regulation_kw(
     offered = _offered(settings, clock_ns)
     signal = np.zeros(len(times))
     if isinstance(settings, SyntheticRegulation):
-        values = synthetic_regd(settings.seed)
+        values = _synthetic(settings.seed)
         signal[offered] = values[clock_ns[offered] // (STEP_S * _NS) % SAMPLES]
     elif offered.any():
         midnight_ns = clock_ns[0] // _DAY_NS * _DAY_NS - round(settings.signal_midnight_s * _NS)
@@ -93,6 +94,10 @@ def regulation_kw(
         time_ns = clock_ns[offered] - midnight_ns
         signal[offered] = held_values(path, time_ns, (-1.0, 1.0), what, hint)
     return settings.capacity_kw * signal
+
+
+_synthetic = lru_cache(maxsize=1)(synthetic_regd)
+"""All days of a study have the same signal."""
 
 
 def _offered(settings: RegulationSettings, clock_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
