@@ -42,6 +42,7 @@ from launch_scripts.supervision import (
     has_exited,
     is_through,
     stall,
+    still_waiting,
 )
 from launch_scripts.view import View
 from launch_scripts.watch import SILENT_S, Externals, Hearing, Watch
@@ -250,10 +251,7 @@ class _Launch:
     def _check_stall(self) -> None:
         """In lockstep: find who stalls the run."""
         children, now = self._children, time.monotonic()
-        waiting = [child for child in children if child.waiting is not None]
-        for child in waiting:
-            if child.waiting is not None and child.row.cycle > child.waiting.cycle:
-                child.waiting = None  # It has gone on meanwhile.
+        waiting = still_waiting(children)
         self._stalled_at = (self._stalled_at or now) if waiting else None
         gather_s = _GATHER_S + self._plan.timing.stall_timeout_s
         if self._stalled_at is None or now < self._stalled_at + gather_s:

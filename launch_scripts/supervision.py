@@ -7,7 +7,7 @@ import signal
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -356,6 +356,15 @@ def who_waits(
         what, waits = "what they wait for was sent to", []
     line = f"stalled in cycle {first}: {what} {listed(to_blame)}"
     return "; ".join(filter(None, (line, listed(waits)))), to_blame
+
+
+def still_waiting(children: Iterable[Child]) -> list[Child]:
+    """Return the processes that said that they wait and have not gone on since."""
+    waiting = [child for child in children if child.waiting is not None]
+    for child in waiting:
+        if child.waiting is not None and child.row.cycle > child.waiting.cycle:
+            child.waiting = None
+    return [child for child in waiting if child.waiting is not None]
 
 
 def stall(children: Children, plan: RunPlan) -> tuple[str, list[str]]:

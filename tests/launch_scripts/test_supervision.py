@@ -13,11 +13,11 @@ from plans_by_hand import REAL_TIME, plan_at_noon
 
 from agents.plan import RunPlan
 from agents.process.beats import FORK_SERVER, BeatTable
-from agents.process.events import Exited, Joined, Presence, Started, Status
+from agents.process.events import Exited, Joined, Presence, Started, Status, Waiting
 from agents.settings import RestartPolicy
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.restarts import Restarts
-from launch_scripts.supervision import Child, Children, RunFailure
+from launch_scripts.supervision import Child, Children, RunFailure, still_waiting
 from launch_scripts.watch import Externals, Hearing, Watch
 
 NODE = "c1/a"
@@ -301,3 +301,14 @@ def test_a_run_fails_without_its_plant_and_in_lockstep_after_the_loss_of_any_dev
         assert found.failure() is None
         now_s[0] += 3.0
         assert (found.failure() is not None) == gone[comes_back]
+
+
+def test_who_waited_and_has_gone_on_does_not_stall_the_run() -> None:
+    run = Watched(plan_at_noon())
+    child = run["c1"]
+    child.waiting = Waiting(run.cycle, "report", [("c1/a/impp", "c1/a")])
+    child.row.cycle = run.cycle
+    assert still_waiting(run.children) == [child]
+    child.row.cycle += 1
+    assert still_waiting(run.children) == []
+    assert child.waiting is None
