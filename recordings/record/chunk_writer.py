@@ -82,9 +82,9 @@ class ChunkWriter:
         )
         chunk += data
         self.recorded[channel_id] += 1
-        if self._chunk_begin_ns is None or log_time < self._chunk_begin_ns:
+        if self._chunk_begin_ns is None:
             self._chunk_begin_ns = log_time
-        self._end_ns = max(self._end_ns, log_time)
+        self._end_ns = log_time  # Messages come in the order of their log times.
         if len(chunk) > _CHUNK_SIZE:
             self._end_chunk()
 

@@ -109,7 +109,8 @@ class RunListener:
         if head.source != known.publisher:
             self.complaints.add(key, WRONG_SENDER, f"it is from {head.source!r}")
         elif head.cycle < 0:
-            self._reach.hear(head, payload, self._now_ns())
+            if not self._plan.timing.lockstep:
+                self._reach.hear(head, payload, self._now_ns())
             if self._arming.hear(port, head.cycle):
                 return Ready(head.cycle, head.sim_time_ns, RECORDER, ())
         elif known.is_logged:
@@ -146,7 +147,8 @@ class RunListener:
     ) -> None:
         port, heard_ns = known.port, self._now_ns()
         self._writer.add(port, head, payload, heard_ns)
-        self._reach.hear(head, payload, heard_ns)
+        if not self._plan.timing.lockstep:  # There each agent waits for its inputs.
+            self._reach.hear(head, payload, heard_ns)
         complaint = self.senders.hear(port, head.cycle, head.incarnation, payload)
         if known.is_elsewhere and message is not None:
             self.external.hear(port, head.cycle)
