@@ -32,9 +32,7 @@ def tall(tmp_path_factory: pytest.TempPathFactory) -> str:
     return small_plant(tmp_path_factory.mktemp("tall"), *changes)
 
 
-@pytest.mark.parametrize(
-    ("processes", "number"), [("cluster", 8), ("zone", 5), ('["central"]', 3), ('["z2"]', 9)]
-)
+@pytest.mark.parametrize(("processes", "number"), [("cluster", 8), ('["z2"]', 9)])
 def test_agents_in_one_process_decide_bit_for_bit_what_they_decide_alone(
     tall: str, tmp_path: Path, processes: str, number: int
 ) -> None:
