@@ -70,6 +70,7 @@ class Process:
     joined_in: Cycle in which it took over as standby, maybe after the first stage; -1: no standby.
     unknown_since: Cycle since which its memory is unknown; None: it is known.
     sequences: Number of the next message of each port, and the cycle of the last recorded one.
+    doubtful: Inputs whose newest message may be another than the recorded one.
     """
 
     agent: Agent[Any]
@@ -79,6 +80,7 @@ class Process:
     joined_in: int = -1
     unknown_since: int | None = None
     sequences: dict[Port[Message], tuple[int, int]] = field(default_factory=dict)
+    doubtful: set[Port[Message]] = field(default_factory=set)
 
     def lose_track(self, cycle: int) -> None:
         """Note that it used or sent a message that is not known."""
@@ -285,6 +287,7 @@ class AgentRerun:
             one = process.inputs.of[port]
             used = used_of.get(str(port), now.cycle - now.cycle % one.period)
             if used is None or used <= one.newest_cycle:
+                now.is_doubtful |= used == one.newest_cycle and port in process.doubtful
                 continue
             messages = self._recorded.on(port, used)
             if not messages:
@@ -293,7 +296,10 @@ class AgentRerun:
                     self.result.add(lost)
                 are_recorded = False
                 continue
-            now.is_doubtful |= self._may_be_another(port, messages)
+            process.doubtful.discard(port)
+            if self._may_be_another(port, messages):
+                process.doubtful.add(port)
+                now.is_doubtful = True
             process.inputs.take(one, messages[0], now.cycle)
             now.used[port] = messages[0]
         return are_recorded

@@ -25,7 +25,7 @@ from agents.faults import Kill
 from agents.plan import PlannedOrder, RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import Blackout, Disturbance
-from bus_schemas.messages import Dispatch, Impp, Order, Residual, Takeover, parse_missing
+from bus_schemas.messages import Dispatch, Impp, Order, Residual, Setpoint, Takeover, parse_missing
 from bus_schemas.signals import COMMAND, IMPP, ORDER, PRODUCTION, RESIDUAL, SETPOINT
 from bus_schemas.tree import OPERATOR, PLANT, ROOT
 from launch_scripts.simulation import MemoryRun
@@ -131,6 +131,26 @@ def test_who_heard_the_other_of_two_processes_of_an_agent_is_not_compared_furthe
     assert found.equal
     own = [m.cycle for _, m in of_publisher(messages, "central")]
     assert found.agents["central"].not_compared == sum(cycle >= used.cycle for cycle in own)
+
+
+def test_who_goes_on_with_a_message_of_the_other_of_two_processes_is_not_compared_either(
+    tmp_path: Path,
+) -> None:
+    link = {"source": "central", "listener": "c1", "signal": "setpoint"}
+    lost = Blackout(at=(14.0, 15.0), **link)
+    plan = faulty_plan(Kill("central", 12.2), lost, standby=("central",))
+    messages = published(plan, cloudy_profile(plan))
+    place = next(
+        place
+        for place, (port, message) in enumerate(messages)
+        if port == SETPOINT.of("c1") and message.incarnation
+    )
+    port, used = messages[place]
+    assert isinstance(used, Setpoint)
+    other = replace(used, incarnation=0, sequence=13, power_kw=used.power_kw - 1.0)
+    messages.insert(place, (port, other))
+    assert any(f"{port}@{used.cycle}" in m.missing for _, m in of_publisher(messages, "c1"))
+    assert verify(record(tmp_path / "run", plan, messages), "c1").agents["c1"].first is None
 
 
 def test_what_a_killed_process_said_to_others_alone_is_no_difference(tmp_path: Path) -> None:
