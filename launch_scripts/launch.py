@@ -261,8 +261,9 @@ class _Launch:
         recorder = children[RECORDER]
         if recorder.ready and not self._is_present(recorder):
             return
-        if not self._restarts.mends(to_blame):
-            raise children.failure(to_blame[0], line)
+        expired = _key_trouble(self._plan)
+        if expired or not self._restarts.mends(to_blame):
+            raise children.failure(to_blame[0], f"{line}{expired}")
         for child in waiting:
             child.waiting = None
 
@@ -364,6 +365,15 @@ def check_processes(plan: RunPlan) -> None:
     _check_keys(plan)
 
 
+def _key_trouble(plan: RunPlan) -> str:
+    """Say why no link can be opened any more, if the run has outlived its certificates."""
+    try:
+        _check_keys(plan)
+    except InputError as error:
+        return f"; {error}"
+    return ""
+
+
 def _check_keys(plan: RunPlan) -> None:
     if plan.access.keys_folder:
         from scenarios.plant_keys import check_keys  # noqa: PLC0415 - optional
@@ -410,12 +420,6 @@ def launch(
             ):
                 return _Launch(account, view, children, gateway, unit, interruption).run()
         except FailureError as failure:
-            text = str(failure)
-            if plan.timing.lockstep:
-                try:
-                    _check_keys(plan)
-                except InputError as expired:  # The cause, perhaps: no link can be opened.
-                    text += f"\n{expired}"
             with suppress(OSError):  # The disk may be full: that must not hide the failure.
-                folder.failure.write_text(f"{text}\n", encoding="utf-8")
-            raise RunFailure(text) from failure
+                folder.failure.write_text(f"{failure}\n", encoding="utf-8")
+            raise

@@ -82,6 +82,7 @@ def test_our_own_controllers_pass_in_their_own_place(agent: str, plant: str) -> 
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(600)
 @pytest.mark.parametrize("agent", ["c1", "central", NODE])
 def test_our_own_controllers_pass_in_real_time(agent: str, plant: str) -> None:
     assert in_real_time(plant, agent, OWN) == dict.fromkeys(REQUIREMENTS, "PASS")

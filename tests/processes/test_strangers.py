@@ -120,6 +120,7 @@ def test_a_process_that_is_started_again_reads_renewed_certificates(
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(600)
 def test_a_run_in_lockstep_that_outlives_its_certificates_says_so(
     heliarch: Start, tmp_path: Path
 ) -> None:
