@@ -104,10 +104,9 @@ def test_a_flood_without_end_does_not_hold_up_the_end_of_a_recording(tmp_path: P
     assert account.external[0].answered == 0
 
 
-@pytest.mark.parametrize("node", [DEVICE, "c1/inv01"])
-def test_a_payload_that_is_nested_very_deep_is_set_aside(node: str, tmp_path: Path) -> None:
+def test_a_payload_that_is_nested_very_deep_is_set_aside(tmp_path: Path) -> None:
     payload = b"\x82\xa5cycle\x01\xa4more" + b"\x91" * 300_000 + b"\xc0"
-    kept, account = recorded([*SAID, (IMPP.of(node), payload)], tmp_path)
+    kept, account = recorded([*SAID, (PORT, payload)], tmp_path)
     assert len(kept) == CYCLES
     assert "undecodable" in {entry.cause for entry in account.complaints}
 
@@ -137,13 +136,7 @@ def test_messages_of_a_device_that_are_lost_are_counted_by_their_numbers(
 @pytest.mark.parametrize("node", [DEVICE, "c1/inv01"])
 @pytest.mark.parametrize(
     "head",
-    [
-        {"sequence": 2**40},
-        {"sequence": -1},
-        {"publish_time_ns": -(2**62)},
-        {"incarnation": 10**9},
-        {"incarnation": 2**40},
-    ],
+    [{"sequence": -1}, {"incarnation": 10**9}],  # One does not decode, the other does.
     ids=str,
 )
 def test_a_message_with_an_impossible_head_is_named_and_the_recording_goes_on(
@@ -161,7 +154,7 @@ def test_a_message_with_an_impossible_head_is_named_and_the_recording_goes_on(
     assert found == own
 
 
-@pytest.mark.parametrize("missing", [5, [7], [b"\xff"], "c1/impp", None])
+@pytest.mark.parametrize("missing", [5, [b"\xff"]])
 def test_a_message_with_an_impossible_body_does_not_end_the_recorder(
     missing: object, tmp_path: Path
 ) -> None:
