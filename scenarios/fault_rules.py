@@ -18,24 +18,16 @@ if TYPE_CHECKING:
     from scenarios.scenario import ScenarioFile
 
 _EXAMPLE: Final = "source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,at=60s..90s"
-_KINDS: Final[dict[str, type[Fault]]] = {
-    "blackout": Blackout,
-    "partition": Partition,
-    "kill": Kill,
-    "freeze": Freeze,
-    "trip": Trip,
+_KINDS: Final[dict[str, tuple[type[Fault], str]]] = {
+    "blackout": (Blackout, "at"),
+    "partition": (Partition, "between"),
+    "kill": (Kill, "agents"),
+    "freeze": (Freeze, "agents"),
+    "trip": (Trip, "agents"),
 }
-"""The words that name a kind of fault; without one of them it is a `Disturbance`."""
+"""The words that name a kind of fault, and their field; without one it is a `Disturbance`."""
 
 _TIMES: Final = {"delay": "delay_ms", "jitter": "jitter_ms", "reorder-by": "reorder_ms"}
-_FIELDS: Final = {
-    **_TIMES,
-    "blackout": "at",
-    "partition": "between",
-    "kill": "agents",
-    "freeze": "agents",
-    "trip": "agents",
-}
 """The field of each word that is named otherwise."""
 
 _NAMES: Final = ("source", "listener", "signal", "distribution", "loss", "duplicate", "reorder")
@@ -69,62 +61,59 @@ def parse_fault(text: str) -> Fault:
             raise InputError(f"{where}: expected words such as {_EXAMPLE}, got {part.strip()!r}")
         if word in words:
             raise InputError(f"{where}: expected {word} once, got it twice")
+        if word not in _WORDS:
+            raise InputError(f"{where}: {not_one_of(_WORDS, word, 'the words ')}")
         words[word] = value
-    kind = next((_KINDS[word] for word in words if word in _KINDS), Disturbance)
-    values: dict[str, Any] = {}
+    kind = next((_KINDS[word][0] for word in words if word in _KINDS), Disturbance)
+    values: dict[str, object] = {}
     for word, value in words.items():
-        field, read = _field(kind, word, value, where)
+        field = _KINDS[word][1] if word in _KINDS else _TIMES.get(word, word)
         if field in values:
             raise InputError(f"{where}: expected one kind of fault, got {word} as well")
-        values[field] = read
+        values[field] = _read(kind, word, value, f"{where}: {word}")
     return checked(values, kind, where)
 
 
-def _field(kind: type[Fault], word: str, value: str, where: str) -> tuple[str, object]:
-    """Return the field of a fault that a word sets, and its value."""
-    if word not in _WORDS:
-        raise InputError(f"{where}: {not_one_of(_WORDS, word, 'the words ')}")
+def _read(kind: type[Fault], word: str, value: str, where: str) -> object:
+    """Return the value of a word."""
     read: object = value
-    where = f"{where}: {word}"
-    if word in _TIMES:
-        read = _duration_s(value, where) * 1e3
-    elif word in {"loss", "duplicate", "reorder"}:
-        read = _share(value, where)
-    elif word == "partition":
-        read = value.split("|")
-    elif word == "until" or (word == "at" and kind is Kill):
-        read = _duration_s(value, where)
-    elif word == "zombie":
-        read = {"yes": True, "no": False}.get(value, value)
-    elif word in {"at", "blackout"}:
-        read = [_duration_s(time, where) for time in split_range(value, where)]
-    return _FIELDS.get(word, word), read
+    match word:
+        case "delay" | "jitter" | "reorder-by":
+            read = _duration_s(value, where) * 1e3
+        case "loss" | "duplicate" | "reorder":
+            read = _share(value, where)
+        case "partition":
+            read = value.split("|")
+        case "zombie":
+            read = {"yes": True, "no": False}.get(value, value)
+        case "at" | "blackout" if kind is not Kill:
+            read = [_duration_s(time, where) for time in split_range(value, where)]
+        case "at" | "until":
+            read = _duration_s(value, where)
+    return read
 
 
 def fault_text(fault: Fault) -> str:
     """Return a fault as `--fault` reads it, without what is the default."""
     names = {field: word for word, field in _TIMES.items()}
-    for word, kind in _KINDS.items():
-        if isinstance(fault, kind):
-            names[_FIELDS[word]] = word
-    words = []
-    for field in msgspec.structs.fields(fault):
-        value = getattr(fault, field.name)
-        if value == field.default:
-            continue
-        if field.name == "at":
-            times_s = (value,) if isinstance(fault, Kill) else value
-            value = "..".join(f"{time_s:.15g}s" for time_s in times_s)
-        elif field.name == "until":
-            value = f"{value:.15g}s"
-        elif field.name == "zombie":
-            value = "yes"
-        elif field.name == "between":
-            value = "|".join(value)
-        elif field.name in _TIMES.values():
-            value = f"{value}ms"
-        words.append(f"{names.get(field.name, field.name)}={value}")
-    return ",".join(words)
+    names |= {field: word for word, (kind, field) in _KINDS.items() if isinstance(fault, kind)}
+    return ",".join(
+        f"{names.get(field.name, field.name)}={_text(field.name, value)}"
+        for field in msgspec.structs.fields(fault)
+        if (value := getattr(fault, field.name)) != field.default
+    )
+
+
+def _text(field: str, value: str | float | tuple[Any, ...]) -> str:
+    match field:
+        case "at" | "until":
+            times_s = value if isinstance(value, tuple) else (value,)
+            return "..".join(f"{time_s:.15g}s" for time_s in times_s)
+        case "zombie":
+            return "yes"
+        case "between" if isinstance(value, tuple):
+            return "|".join(value)
+    return f"{value}ms" if field in _TIMES.values() else str(value)
 
 
 def _duration_s(text: str, where: str) -> float:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any, Final, TypeVar
 
@@ -58,8 +57,12 @@ def share_work(
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(workers, len(items)), context, _begin, (function,))
     try:
-        with _signals_held():
+        # Workers inherit the mask: they never obey the signals that end this process.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+        try:
             futures: list[Future[Any]] = [pool.submit(_apply, item) for item in items]
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         for future in as_completed(futures):
             future.result()
             done()
@@ -116,26 +119,3 @@ def _begin(function: Callable[[Any], Any]) -> None:
 
 def _apply(item: object) -> object:
     return _OF_WORKER["function"](item)
-
-
-@contextmanager
-def _signals_held() -> Iterator[None]:
-    """Let workers start that never obey the signals that end this process; it obeys them later.
-
-    Blocking them is not enough: the kernel then gives them to a thread of a library, and Python
-    calls the handler in the main thread. A worker that is started halfway prints a traceback.
-    """
-    came: list[int] = []
-    handlers: dict[int, Any] = {}
-    with suppress(ValueError):  # Only the main thread has handlers.
-        for one in _SIGNALS:
-            handlers[one] = signal.signal(one, lambda number, _: came.append(number))
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for number in came:
-            signal.raise_signal(number)

@@ -15,6 +15,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     Command,
     Dispatch,
+    HelpGiven,
     Impp,
     Message,
     Meter,
@@ -32,7 +33,7 @@ from bus_schemas.signals import (
     TELEMETRY,
     Port,
 )
-from bus_schemas.tree import CENTRAL, PLANT, ROOT
+from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
 
 M = TypeVar("M", bound=Message)
 
@@ -81,14 +82,16 @@ def head(cycle: int, source: str) -> tuple[int, int, str, tuple[str, ...]]:
     return cycle, cycle * CYCLE_NS, source, ()
 
 
-def dispatch(cycle: int, power_kw: float, plant_rating_kw: float) -> Delivery:
+def dispatch(
+    cycle: int, power_kw: float, plant_rating_kw: float, regulation_kw: float = 0.0
+) -> Delivery:
     """What the operator wants."""
     message = Dispatch(
         *head(cycle, PLANT),
         power_kw=power_kw,
         plant_rating_kw=plant_rating_kw,
-        commitment_kw=power_kw,
-        regulation_kw=0.0,
+        commitment_kw=power_kw - regulation_kw,
+        regulation_kw=regulation_kw,
     )
     return DISPATCH.of(ROOT), message
 
@@ -103,22 +106,29 @@ def telemetry(node: str, cycle: int, power_kw: float, alpha: float = 1.0) -> Del
     return TELEMETRY.of(node), message
 
 
-def setpoint(node: str, cycle: int, power_kw: float) -> Delivery:
-    """What a parent wants of a node."""
-    parent = node.rpartition("/")[0] or CENTRAL
-    message = Setpoint(*head(cycle, parent), power_kw=power_kw, share_kw=power_kw, help_given=())
+def setpoint(
+    node: str,
+    cycle: int,
+    power_kw: float,
+    share_kw: float | None = None,
+    help_given: tuple[HelpGiven, ...] = (),
+) -> Delivery:
+    """What a parent wants of a node: by default its share."""
+    share_kw = power_kw if share_kw is None else share_kw
+    words = head(cycle, agent_name(parent_of(node)))
+    message = Setpoint(*words, power_kw=power_kw, share_kw=share_kw, help_given=help_given)
     return SETPOINT.of(node), message
 
 
 def impp(node: str, cycle: int, power_kw: float) -> Delivery:
     """What a node could give."""
-    return IMPP.of(node), Impp(*head(cycle, node), power_kw=power_kw, stale_cycles=0)
+    return IMPP.of(node), Impp(*head(cycle, agent_name(node)), power_kw=power_kw, stale_cycles=0)
 
 
-def report(child: str, cycle: int, impp_kw: float, residual_kw: float) -> list[Delivery]:
-    """What a child reports in a cycle."""
-    residual = Residual(*head(cycle, child), power_kw=residual_kw)
-    return [impp(child, cycle, impp_kw), (RESIDUAL.of(child), residual)]
+def report(node: str, cycle: int, impp_kw: float, residual_kw: float) -> list[Delivery]:
+    """What a node reports in a cycle."""
+    residual = Residual(*head(cycle, agent_name(node)), power_kw=residual_kw)
+    return [impp(node, cycle, impp_kw), (RESIDUAL.of(node), residual)]
 
 
 def command(leaf: str, cycle: int, alpha: float) -> Delivery:

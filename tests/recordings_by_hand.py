@@ -6,7 +6,9 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+from msgspec.structs import replace
 from plans_by_hand import plan_at_noon
+from plants_by_hand import dispatch, head, meter, report, setpoint, telemetry
 
 from agents.plan import RunPlan
 from bus_schemas import messages, signals
@@ -14,7 +16,7 @@ from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
+from bus_schemas.tree import PLANT, ROOT, parent_of
 from recordings.read.mcap_file import Chunk
 from recordings.read.reader import RunReader
 from recordings.record.writer import ClockAnchor, RunWriter
@@ -25,59 +27,32 @@ SCENARIO = 'name = "field"\ntitle = "Four inverters"\n'
 
 def cycle_of_the_plant(cycle: int) -> Iterator[Delivery]:
     """All messages of one cycle. `c1/a` lacks 20 kW of its share, `c1/b` gives them."""
-    tree, central_acts = PLAN.tree, cycle % 2 == 0
-    sim_time_ns = PLAN.timing.sim_time_ns(cycle)
+    for port, message in _cycle(cycle):
+        yield port, replace(message, sim_time_ns=PLAN.timing.sim_time_ns(cycle))
 
-    def stamp(source: str) -> tuple[int, int, str, tuple[str, ...]]:
-        return cycle, sim_time_ns, source, ()
 
+def _cycle(cycle: int) -> Iterator[Delivery]:
+    tree = PLAN.tree
     for leaf in tree.leaves:
-        telemetry = messages.Telemetry(
-            *stamp(PLANT), power_kw=50.0 + cycle % 7, alpha=0.5, limit_kw=100.0
-        )
-        yield signals.TELEMETRY.of(leaf), telemetry
-    dispatch = messages.Dispatch(
-        *stamp(PLANT),
-        power_kw=240.0,
-        plant_rating_kw=tree.rating_kw(ROOT),
-        commitment_kw=230.0,
-        regulation_kw=10.0,
-    )
-    yield signals.DISPATCH.of(ROOT), dispatch
-    yield signals.METER.of(ROOT), messages.Meter(*stamp(PLANT), power_kw=238.0)
-    below = [node for node in tree.nodes if node != ROOT]
-    acting = [node for node in below if central_acts or parent_of(node) != ROOT]
+        yield telemetry(leaf, cycle, 50.0 + cycle % 7, alpha=0.5)
+    yield dispatch(cycle, 240.0, tree.rating_kw(ROOT), regulation_kw=10.0)
+    yield meter(cycle, 238.0)
     for node in reversed(tree.nodes):
         spare_kw = {"c1/a": -20.0, "c1/b": 30.0}.get(node, 15.0)
-        impp_kw = 0.6 * tree.rating_kw(node) + spare_kw
-        yield (
-            signals.IMPP.of(node),
-            messages.Impp(*stamp(agent_name(node)), power_kw=impp_kw, stale_cycles=0),
-        )
-        yield (
-            signals.RESIDUAL.of(node),
-            messages.Residual(*stamp(agent_name(node)), power_kw=spare_kw),
-        )
+        yield from report(node, cycle, 0.6 * tree.rating_kw(node) + spare_kw, spare_kw)
         if spare_kw < 0.0:
-            yield (
-                signals.HELP.of(node),
-                messages.Help(*stamp(agent_name(node)), missing_kw=-spare_kw),
-            )
-    for node in acting:
-        extra_kw = {"c1/a": -20.0, "c1/b": 20.0}.get(node, 0.0)
-        share_kw = 0.6 * tree.rating_kw(node)
-        given = (messages.HelpGiven("c1/a", 20.0),) if node == "c1/b" else ()
-        setpoint = messages.Setpoint(
-            *stamp(agent_name(parent_of(node))),
-            power_kw=share_kw + extra_kw,
-            share_kw=share_kw,
-            help_given=given,
-        )
-        yield signals.SETPOINT.of(node), setpoint
+            yield signals.HELP.of(node), messages.Help(*head(cycle, node), missing_kw=-spare_kw)
+    for node in tree.nodes[1:]:
+        if cycle % 2 == 0 or parent_of(node) != ROOT:  # The central controller's turn.
+            extra_kw = {"c1/a": -20.0, "c1/b": 20.0}.get(node, 0.0)
+            share_kw = 0.6 * tree.rating_kw(node)
+            given = (messages.HelpGiven("c1/a", 20.0),) if node == "c1/b" else ()
+            yield setpoint(node, cycle, share_kw + extra_kw, share_kw, given)
     for leaf in tree.leaves:
-        yield signals.COMMAND.of(leaf), messages.Command(*stamp(leaf), alpha=0.8, power_kw=60.0)
+        command = messages.Command(*head(cycle, leaf), alpha=0.8, power_kw=60.0)
+        yield signals.COMMAND.of(leaf), command
     production = messages.Production(
-        *stamp(PLANT),
+        *head(cycle, PLANT),
         dispatch_kw=240.0,
         available_kw=280.0,
         delivered_kw=239.0,

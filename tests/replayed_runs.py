@@ -1,4 +1,4 @@
-"""Recordings for replays: runs in memory of a plant of four inverters, written as one wants."""
+"""Recordings for replays: a run in memory of a plant of four inverters, a message every 0.1 ms."""
 
 from __future__ import annotations
 
@@ -6,19 +6,16 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from msgspec.structs import replace
 from plans_by_hand import FOUR
-from recorded_runs import plan_of, published
+from recorded_runs import cloudy_profile, plan_of, published
 from recordings_by_hand import write_messages
 
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from sim_plant.profile import Profile
 
 STEP_NS = 100_000
-"""Between two messages of a run by hand."""
 
 PLAN = plan_of(
     FOUR,
@@ -41,15 +38,10 @@ class Said(NamedTuple):
 
 
 def run_in_memory(plan: RunPlan = PLAN) -> list[Said]:
-    """All that is said in a run under passing clouds, a message every 0.1 ms."""
-    generator = np.random.default_rng(7)
-    mpp_kw = (
-        60.0 + 35.0 * np.cumsum(generator.standard_normal((plan.timing.cycles, 4)), axis=0) / 8.0
-    )
-    profile = Profile(np.clip(mpp_kw, 5.0, 100.0), np.full(plan.timing.cycles, 220.0))
+    """All that is said in a run."""
     return [
         Said(port, replace(message, publish_time_ns=place * STEP_NS), place * STEP_NS + 1_000)
-        for place, (port, message) in enumerate(published(plan, profile), start=1)
+        for place, (port, message) in enumerate(published(plan, cloudy_profile(plan)), start=1)
     ]
 
 

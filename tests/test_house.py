@@ -22,13 +22,9 @@ STARTED_BY = {"SideProcess", "import_module", "run_module"}
 """What is given the name of a module that it starts or loads."""
 
 
-def test_the_rooms_are_whole_folders_and_all_of_them() -> None:
-    packages = {path.parent.name for path in REPOSITORY.glob("*/__init__.py")}
-    assert set(ROOMS) == packages
+def test_the_rooms_are_whole_folders_and_all_of_them_in_the_order_of_the_documents() -> None:
+    assert set(ROOMS) == {path.parent.name for path in REPOSITORY.glob("*/__init__.py")}
     assert CONTRACTS["contracts"][0].get("ignore_imports", []) == []
-
-
-def test_the_documents_list_the_rooms_in_the_order_of_the_imports() -> None:
     text = (REPOSITORY / "docs" / "design.md").read_text(encoding="utf-8")
     listed = re.findall(r"^ *(\w+)/", text.split("## The house")[1].split("```")[1], re.MULTILINE)
     assert [name for name in listed if name in ROOMS] == ROOMS
@@ -40,28 +36,21 @@ def test_no_string_names_a_module_of_a_room_below(room: str) -> None:
     wrong = [
         f"{path.relative_to(REPOSITORY)}: {name}"
         for path in sorted((REPOSITORY / room).rglob("*.py"))
-        for name in named_modules(ast.parse(path.read_text(encoding="utf-8")))
+        for name in named_modules(path.read_text(encoding="utf-8"))
         if name.split(".")[0] in below
     ]
     assert wrong == []
 
 
-@pytest.mark.parametrize(
-    ("code", "named"),
-    [
-        ('run(["python", "-m", "live_page"])', ["live_page"]),
-        ('import_module(f"heliarch.cli.{name}")', ["heliarch.cli."]),
-        ('"""Started by `studies.workers`."""', []),
-        ('path / "recordings"', []),
-    ],
-)
-def test_strings_that_name_modules_are_seen(code: str, named: list[str]) -> None:
-    assert named_modules(ast.parse(code)) == named
+def test_strings_that_name_modules_are_seen() -> None:
+    assert named_modules('run(["python", "-m", "live_page"])') == ["live_page"]
+    assert named_modules('import_module(f"heliarch.cli.{name}")') == ["heliarch.cli."]
+    assert named_modules('"""Started by `studies.workers`."""; path / "recordings"') == []
 
 
-def named_modules(tree: ast.Module) -> list[str]:
+def named_modules(code: str) -> list[str]:
     """Return the strings of a file that name a module of the house."""
-    nodes = list(ast.walk(tree))
+    nodes = list(ast.walk(ast.parse(code)))
     texts = [str(one.value) for one in nodes if isinstance(one, ast.Constant)]
     names = {one.id for one in nodes if isinstance(one, ast.Name)}
     starts_one = "-m" in texts or STARTED_BY & names

@@ -28,20 +28,18 @@ INTERRUPTED: Final = 130
 """Ctrl-C: 128 and the number of the signal, as shells count. So SIGTERM is 143, SIGHUP 129."""
 
 _ONCE_S: Final = 1.0
-"""Signals so soon after each other count as one."""
+"""Signals so soon after each other count as one: `timeout` sends two."""
 
-_BAD_PATH: Final = (
+_BAD_INPUT: Final = (
+    InputError,
+    CycloptsError,
     FileExistsError,
     FileNotFoundError,
     IsADirectoryError,
     NotADirectoryError,
     PermissionError,
 )
-_EXTRAS: Final = {
-    "cryptography": "keys",
-    "pymodbus": "modbus",
-    "sunspec2": "modbus",
-}
+_EXTRAS: Final = {"cryptography": "keys", "pymodbus": "modbus", "sunspec2": "modbus"}
 """Packages that not every user needs, and the extra that installs them."""
 
 
@@ -65,10 +63,8 @@ def boundary() -> Iterator[None]:
     except BrokenPipeError:  # `heliarch ... | head`: the reader has left.
         _discard_output()
         sys.exit(FAILED)
-    except (InputError, *_BAD_PATH) as error:
+    except _BAD_INPUT as error:
         _end(_text(error), BAD_INPUT)
-    except CycloptsError as error:
-        _end(" ".join(str(error).split()), BAD_INPUT)
     except (FailureError, OSError, MemoryError) as error:
         _end(_text(error), FAILED)
     except KeyboardInterrupt:
@@ -107,7 +103,7 @@ class _Interrupt(KeyboardInterrupt):
 
 
 def _handler() -> Callable[[int, FrameType | None], None]:
-    """Return what raises for a signal, but for one that follows at once: `timeout` sends two."""
+    """Return what raises for a signal, but for one that follows at once."""
     raised_at = -inf
 
     def handle(number: int, frame: FrameType | None) -> None:
@@ -120,6 +116,8 @@ def _handler() -> Callable[[int, FrameType | None], None]:
 
 
 def _text(error: Exception) -> str:
+    if isinstance(error, CycloptsError):
+        return " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error) or "not enough memory"

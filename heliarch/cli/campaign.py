@@ -52,30 +52,28 @@ def campaign(
     from studies.compare.cases import parse_seeds
 
     listed, options = parse_seeds(seeds), RunOptions(start=start, duration=duration)
-    changed = changed_scenario(scenario, files.data, settings)
-    preparation = prepare(changed, options, "campaign")
+    preparation = prepare(changed_scenario(scenario, files.data, settings), options, "campaign")
     plan = preparation.plan
-    length_s, least_s = plan.timing.cycles * plan.timing.cycle_ns / 1e9, study.least_length_s(plan)
+    length_s, least_s = plan.timing.cycles * plan.timing.cycle_s, study.least_length_s(plan)
     if length_s < least_s:
         raise InputError(f"--duration: expected {least_s:g} s or more, got {length_s:g} s")
     if plan.supervision.restart.when == "never":
         raise InputError("restart.when: expected that controllers come back, got never")
-    found = study.campaign(preparation)
-    outcomes = shared(partial(study.run_seed, found), listed, workers, "runs")
+    outcomes = shared(partial(study.run_seed, study.campaign(preparation)), listed, workers, "runs")
     broken = [outcome for outcome in outcomes if outcome.violations]
     # The command that repeats a run, without the faults and standbys of its seed.
-    words = ["heliarch", "simulate", scenario, "--duration", duration]
-    words += ["--from", start] if start else []
-    words += ["--data", str(files.data)] if files.data else []
-    words += [word for setting in settings or () for word in ("--set", setting)]
+    again = ["heliarch", "simulate", scenario, "--duration", duration]
+    again += ["--from", start] if start else []
+    again += ["--data", str(files.data)] if files.data else []
     more = []
     for outcome in broken[:_LISTED]:
         first = outcome.violations[0]
-        its = ["--set", _STANDBY] if outcome.standby else []
-        its += [word for rule in outcome.rules for word in ("--fault", rule)]
+        changes = [*(settings or ()), *([_STANDBY] if outcome.standby else [])]
+        words = [word for one in changes for word in ("--set", one)]
+        words += [word for rule in outcome.rules for word in ("--fault", rule)]
         more += [
             f"seed {outcome.seed}: {first.invariant}, cycle {first.cycle}: {first.text}",
-            f"  {shlex.join([*words, *its])}",
+            f"  {shlex.join([*again, *words])}",
         ]
     publish(results.campaign_result(preparation, outcomes), files, "campaign.html", *more)
     return FAILED if broken else OK

@@ -36,7 +36,6 @@ _SETTINGS: Final = (
     "A field of the scenario and its values; each combination is a case. Whole numbers may be a "
     "range: control.clusters_seed=1..20."
 )
-_SHOWN: Final = "control-caused,over-delivered"
 
 
 def compare(
@@ -48,7 +47,7 @@ def compare(
     seeds: Annotated[str | None, Parameter(metavar="SEEDS")] = None,
     schemes: Annotated[str | None, Parameter(metavar="NAMES")] = None,
     actuator: Annotated[str | None, Parameter(metavar="NAMES")] = None,
-    show: Annotated[str | None, Parameter(metavar="FIGURES")] = None,
+    show: Annotated[str, Parameter(metavar="FIGURES")] = "control-caused,over-delivered",
     frontier: Literal["offset", "offset_errors", "promise"] | None = None,
     workers: Workers = 1,
     cluster: Annotated[str, Parameter(metavar="ADDRESS")] = "",
@@ -90,7 +89,7 @@ def compare(
         above-ramp-limit, ramp-control, ramp-clouds, loss-energy, outside-help, outside-help-able,
         missed-inputs, reverted, intervals, kept-intervals, firm-energy, promised, capacity,
         offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy,
-        delay, precision, score. Default: control-caused,over-delivered.
+        delay, precision, score.
     frontier
         Turn an offset of the plant's target (`control.offset`: a share of the rating;
         `control.offset_errors`: times its own mean error), and show what each scheme misses and
@@ -107,7 +106,7 @@ def compare(
     if other is not None:
         why = "expected only --report or --json with two recorded runs"
         refuse_others(given, {"--report", "--json"}, why)
-        publish(_two_runs((Path(scenario), other)), files, "compare.html")
+        publish(_two_runs(Path(scenario), other), files, "compare.html")
         return
     if is_run(Path(scenario)):
         raise InputError(f"{scenario}: expected two runs, or one scenario")
@@ -116,11 +115,12 @@ def compare(
     from scenarios.settings import Setting, parse_setting, with_settings
     from sim_plant.commitment import OfferedCommitment
     from studies.arrays.schemes import SCHEMES
+    from studies.compare import results
     from studies.compare.cases import cases, parse_days, parse_seeds
     from studies.compare.frontier import TURNED
     from studies.compare.study import run_case
 
-    shown = _names("--show", show or _SHOWN, FIGURES)
+    shown = _names("--show", show, FIGURES)
     names = tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES)
     actuators = cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator)))
     chosen = [parse_setting(text) for text in settings or ()]
@@ -139,18 +139,20 @@ def compare(
     )
     if len(found) == 1:
         result, rows = _one_case(found[0], names, actuators)
-        results = [rows]
+        of_cases = [rows]
+    elif files.report is not None and knob is None:
+        raise InputError(f"--report: expected one case, got {len(found):,}; see --csv and --json")
     else:
-        if files.report is not None and frontier is None:
-            many = f"{len(found):,}; see --csv and --json"
-            raise InputError(f"--report: expected one case, got {many}")
         run = partial(run_case, names, actuators)
-        results = shared(run, found, workers, "cases", cluster)
-        result = _many_cases(results, shown) if knob is None else _frontier(knob, results)
-    do_all(
-        partial(_write_summary, results, csv),
-        partial(publish, result, files, "compare.html"),
-    )
+        of_cases = shared(run, found, workers, "cases", cluster)
+        result = _many_cases(of_cases, shown, knob)
+
+    def write_summary() -> None:
+        if csv is not None:
+            with whole_file(Path(csv)) as table:
+                results.summaries(of_cases).to_csv(table, index=False)
+
+    do_all(write_summary, partial(publish, result, files, "compare.html"))
 
 
 def _names(option: str, text: str | None, known: Collection[str]) -> tuple[str, ...]:
@@ -174,11 +176,9 @@ def _one_case(
     preparation = prepare(case.scenario, case.options, "compare")
     found, series = zip(*run_schemes(preparation, schemes, actuators), strict=True)
     rows = [{**case.columns, **row} for row in found]
-    title = preparation.title()
-    lines = [f"Scenario: {preparation.scenario.scenario.title}.", remarks_of(preparation)]
-    result = runs_result(
-        title, series, case_tables(title, rows), [*filter(None, lines)], _json([rows])
-    )
+    title, remarks = preparation.title(), remarks_of(preparation)
+    lines = [f"Scenario: {preparation.scenario.scenario.title}.", *([remarks] if remarks else [])]
+    result = runs_result(title, series, case_tables(title, rows), lines, _json([rows]))
     return replace(
         result,
         figures=lambda: [frontier(rows), *result.figures()],
@@ -186,24 +186,25 @@ def _one_case(
     ), rows
 
 
-def _many_cases(results: Sequence[Sequence[Row]], shown: Sequence[str]) -> Result:
+def _many_cases(
+    results: Sequence[Sequence[Row]], shown: Sequence[str], knob: Turned | None
+) -> Result:
+    """Return the figures of many cases, or what each scheme does while a knob is turned."""
+    from studies.compare.frontier import frontier, frontier_table, turned
     from studies.compare.results import cases_tables
 
     remarks = dict.fromkeys(row["remarks"] for rows in results for row in rows if row["remarks"])
-    title = f"{len(results):,} cases"
-    return Result(title, cases_tables(shown, results), _json(results), lines=list(remarks))
-
-
-def _frontier(knob: Turned, results: Sequence[Sequence[Row]]) -> Result:
-    """Show what each scheme does while a knob is turned."""
-    from studies.compare.frontier import frontier, frontier_table, turned
-
-    rows = turned(knob, results)
-    return replace(
-        _many_cases(results, _SHOWN.split(",")),
-        title=f"{knob.field} turned",
-        tables=[frontier_table(knob, rows)],
-        figures=lambda: [frontier(rows, knob)],
+    document, lines = _json(results), list(remarks)
+    if knob is None:
+        title = f"{len(results):,} cases"
+        return Result(title, cases_tables(shown, results), document, lines=lines)
+    means = turned(knob, results)
+    return Result(
+        f"{knob.field} turned",
+        [frontier_table(knob, means)],
+        document,
+        lines=lines,
+        figures=lambda: [frontier(means, knob)],
     )
 
 
@@ -213,20 +214,12 @@ def _json(results: Sequence[Sequence[Row]]) -> list[Row]:
     return [{"case": case_label(row), **row} for rows in results for row in rows]
 
 
-def _two_runs(paths: tuple[Path, Path]) -> Result:
+def _two_runs(*paths: Path) -> Result:
     """Put two recordings side by side."""
     from results.two_runs import compare_runs
 
     for path in paths:
         if not is_run(path):
             raise InputError(f"{path}: expected a recorded run, its folder or run.mcap")
-    return compare_runs(paths)
-
-
-def _write_summary(results: Sequence[Sequence[Row]], csv: str | None) -> None:
-    """Write the summary of the cases as CSV, where it is asked for."""
-    if csv is not None:
-        from studies.compare.results import summaries
-
-        with whole_file(Path(csv)) as file:
-            summaries(results).to_csv(file, index=False)
+    first, second = paths
+    return compare_runs((first, second))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -13,8 +12,8 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
 from heliarch.cli.boundary import FAILED, OK
 from heliarch.cli.options import FILES, Json, Scenario, Tolerance
-from heliarch.cli.output import say, write_json
-from results.tables import console_for, json_rows, print_table
+from heliarch.cli.output import Output
+from results.tables import json_rows
 from scenarios.run_options import RunOptions, Whole
 
 
@@ -71,10 +70,9 @@ def conform(
     from studies.conformance.conform import CYCLES, FROZEN, Conformance
     from studies.conformance.device import Device
 
-    console, device = console_for(json), Device(command, agent)
-    scenario_file = load_scenario(scenario)
+    output, device, file = Output(json), Device(command, agent), load_scenario(scenario)
     options = RunOptions(
-        duration=f"{CYCLES * scenario_file.scenario.time.cycle_s:g}",
+        duration=f"{CYCLES * file.scenario.time.cycle_s:g}",
         pace=pace,
         seed=seed,
         scheme=scheme,
@@ -84,16 +82,14 @@ def conform(
         faults=[FROZEN] if agent == PLANT else None,
     )
     try:
-        preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
+        preparation, folder = prepare_run(RunRequest(file, options, out))
     except InputError as error:  # The user has not typed the option that says the same.
         raise InputError(str(error).replace("--external:", "AGENT:")) from None
     with device:
-        trials = Conformance(
-            preparation, folder, device, Equality(tolerance), partial(say, console)
-        )
+        trials = Conformance(preparation, folder, device, Equality(tolerance), output.say)
         findings = trials.run(seed or 0)
-    print_table(console, findings.table(agent))
-    say(console, f"trials: {folder.path}")
-    rows = json_rows(findings.table(agent))
-    write_json({"agent": agent, "passed": findings.passed, "requirements": rows}, json)
+    table = findings.table(agent)
+    output.show(table)
+    output.say(f"trials: {folder.path}")
+    output.write({"agent": agent, "passed": findings.passed, "requirements": json_rows(table)})
     return OK if findings.passed else FAILED

@@ -17,8 +17,7 @@ from agents.process.machine import MachineSettings, refusals
 from bus_schemas.errors import InputError
 from heliarch.cli.boundary import FAILED, OK
 from heliarch.cli.options import FILES, Json
-from heliarch.cli.output import say, write_json
-from results.tables import console_for
+from heliarch.cli.output import Output
 
 _PACKAGES: Final = {
     **dict.fromkeys(("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap"), ""),
@@ -57,12 +56,12 @@ def doctor(
     """
     if not out.is_dir():
         raise InputError(f"--out: expected an existing folder, got {out}")
-    found = [*_machine(), _zenoh(), *_limits(out), *_versions()]
-    write_json([finding._asdict() for finding in found], json)
+    found, output = [*_machine(), _zenoh(), *_limits(out), *_versions()], Output(json)
+    output.write([finding._asdict() for finding in found])
     for about, what, verdict, advice in found:
-        say(console_for(json), f"{about:14} {verdict:6} {what}")
+        output.say(f"{about:14} {verdict:6} {what}")
         if advice:
-            say(console_for(json), f"{'':21} {advice}")
+            output.say(f"{'':21} {advice}")
     return FAILED if any(finding.verdict == "wrong" for finding in found) else OK
 
 

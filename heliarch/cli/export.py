@@ -9,8 +9,8 @@ from cyclopts import Parameter
 
 from bus_schemas.selection import find_signals
 from heliarch.cli.options import FILES, End, Json, Nodes, Run, Signals, Start
-from heliarch.cli.output import progress_bar, say, write_json
-from results.tables import Column, Table, console_for, key_column, print_table
+from heliarch.cli.output import Output, progress_bar
+from results.tables import Column, Table, key_column
 
 
 def export(
@@ -42,18 +42,17 @@ def export(
     from recordings.export.exporting import export as export_run
     from recordings.read.reader import RunReader
 
-    wanted = find_signals(signals or "")
+    wanted, output = find_signals(signals or ""), Output(json)
     with RunReader(run) as reader:
         cycles = None if start is None and end is None else reader.clock.span(start, end)
         with progress_bar(form) as reader.follow:
             summary = export_run(reader, form, out, wanted, nodes or "", cycles, clock)
-    columns = key_column("signal or table"), Column("rows")
-    cut = "the recording was cut short, or is still written: this is what it holds"
     title = f"{summary.messages:,} messages"
     if summary.first_cycle is not None:
         title += f", cycles {summary.first_cycle:,} to {summary.last_cycle:,}"
+    cut = "the recording was cut short, or is still written: this is what it holds"
+    columns = key_column("signal or table"), Column("rows")
     notes = () if summary.whole else (cut,)
-    console = console_for(json)
-    print_table(console, Table(title, columns, tuple(summary.rows.items()), notes))
-    say(console, f"{summary.form}: {summary.path}")
-    write_json(summary, json)
+    output.show(Table(title, columns, tuple(summary.rows.items()), notes))
+    output.say(f"{summary.form}: {summary.path}")
+    output.write(summary)

@@ -9,8 +9,7 @@ from cyclopts import Parameter
 
 from bus_schemas.whole_file import check_new, whole_file
 from heliarch.cli.options import FILES
-from heliarch.cli.output import say
-from results.tables import console_for
+from heliarch.cli.output import Output
 
 
 def init(
@@ -39,8 +38,7 @@ def init(
     text = measured_scenario(positions, ghi, out)
     with whole_file(out) as file:
         file.write(text.encode())
-    say(
-        console_for(None),
+    Output().say(
         f"scenario: {out}; its lines with CHECK hold what the files do not say",
         f"run it: heliarch simulate {out} --report",
     )

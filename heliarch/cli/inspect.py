@@ -7,23 +7,13 @@ from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
-from rich.console import Console
 from rich.text import Text
 
 from bus_schemas.errors import InputError
 from bus_schemas.selection import find_nodes
 from heliarch.cli.options import End, Json, Nodes, Run, Start
-from heliarch.cli.output import progress_bar, write_json, write_rows
-from results.tables import (
-    Column,
-    Table,
-    attributes,
-    cell_text,
-    console_for,
-    key_column,
-    print_table,
-    texts_table,
-)
+from heliarch.cli.output import Output, progress_bar
+from results.tables import Column, Table, attributes, cell_text, key_column, texts_table
 from sunspec.process import read_accounts
 
 if TYPE_CHECKING:
@@ -61,30 +51,26 @@ def inspect(
 
     if cycle is not None and (start or end or nodes):
         raise InputError("--cycle: expected neither --nodes, --from nor --to with it")
-    console = console_for(json)
+    output = Output(json)
     with RunReader(run) as reader:
         if cycle is not None:
-            write_json(_show_plant(reader, reader.clock.cycle(cycle, "--cycle"), console), json)
+            output.write(_show_plant(reader, reader.clock.cycle(cycle, "--cycle"), output))
         elif nodes is not None:
-            names = find_nodes(reader.plan.tree, nodes)
-            cycles = reader.clock.span(start, end)
-            write_rows(_show_nodes(reader, names, cycles, console), json)
+            names, cycles = find_nodes(reader.plan.tree, nodes), reader.clock.span(start, end)
+            output.write_rows(_show_nodes(reader, names, cycles, output))
         else:
             part = None if start is None and end is None else reader.clock.span(start, end)
-            write_json(_show_overview(reader, part, console), json)
+            output.write(_show_overview(reader, part, output))
         if not reader.whole:
             text = (
                 f"{reader.path} or one of the files that continue it was cut, is damaged, or is "
                 "still being recorded. `heliarch recover` makes a whole file of it."
             )
-            console.print(Text(text, "yellow"))
-
-
-# Nodes, cycle by cycle ----------------------------------------------------------------------
+            output.console.print(Text(text, "yellow"))
 
 
 def _show_nodes(
-    run: RunReader, nodes: Sequence[str], cycles: range, console: Console
+    run: RunReader, nodes: Sequence[str], cycles: range, output: Output
 ) -> Iterator[dict[str, Any]]:
     """Print nodes cycle by cycle, of a recording of any length; yield each row."""
     from recordings.inspect.timeline import timeline
@@ -93,14 +79,12 @@ def _show_nodes(
     for node in nodes:
         rows = (row for (row,) in timeline(run, [node], cycles))
         while part := list(islice(rows, _ROWS)):
-            print_table(console, node_table(run.plan.tree, node, part))
+            output.show(node_table(run.plan.tree, node, part))
             yield from (row.document() for row in part)
 
 
-# The plant in one cycle ----------------------------------------------------------------------
-
-
-def _show_plant(run: RunReader, cycle: int, console: Console) -> dict[str, Any]:
+def _show_plant(run: RunReader, cycle: int, output: Output) -> dict[str, Any]:
+    """Print the whole plant in one cycle; return the same as JSON."""
     from recordings.inspect.agent_states import states_at
     from recordings.inspect.timeline import timeline
     from results.timeline_tables import plant_table, states_table
@@ -113,10 +97,9 @@ def _show_plant(run: RunReader, cycle: int, console: Console) -> dict[str, Any]:
     central = nodes[0]
     date = f"{run.clock.local(cycle):%Y-%m-%d}"
     title = f"Cycle {cycle}, {date} {central.time}: {_plant_text(central)}"
-    print_table(console, plant_table(tree, title, nodes))
     followed = states_at(run, cycle)
     states = {agent: followed.at(agent, cycle) for agent in followed.agents}
-    print_table(console, states_table(states))
+    output.show(plant_table(tree, title, nodes), states_table(states))
     return {
         "cycle": cycle,
         "time": central.time,
@@ -128,17 +111,15 @@ def _show_plant(run: RunReader, cycle: int, console: Console) -> dict[str, Any]:
 def _plant_text(central: NodeCycle) -> str:
     """Return dispatch, available and delivered power of the plant, and the frequency, as a line."""
     names = ("dispatch_kw", "commitment_kw", "available_kw", "delivered_kw")
-    values_kw = (central.values.get(name) for name in names)
-    texts = (cell_text(value_kw, Column("power", decimals=1)) for value_kw in values_kw)
+    column = Column("power", decimals=1)
+    texts = (cell_text(central.values.get(name), column) for name in names)
     text = "dispatch {} kW (commitment {} kW), available {} kW, delivered {} kW".format(*texts)
     frequency_hz = central.values.get("frequency_hz")
     return text if frequency_hz is None else f"{text}, frequency {frequency_hz:.3f} Hz"
 
 
-# The whole recording -------------------------------------------------------------------------
-
-
-def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Overview:
+def _show_overview(run: RunReader, cycles: range | None, output: Output) -> Overview:
+    """Print what the recording, or a part of it, holds; return the same."""
     from recordings.inspect.overview import facts, read_overview
     from results.report.tables import devices_tables, health_table
 
@@ -154,12 +135,10 @@ def _show_overview(run: RunReader, cycles: range | None, console: Console) -> Ov
         Column("repeated"),
         Column("cycles without", name="missing_cycles"),
     )
-    tables = [
+    output.show(
         texts_table(found.run_id, facts(run, found)),
         Table("Signals", columns, attributes(found.signals, columns)),
         health_table(found.health, run.clock),
         *devices_tables(read_accounts(run.path.parent)),
-    ]
-    for table in tables:
-        print_table(console, table)
+    )
     return found

@@ -12,8 +12,7 @@ from cyclopts.validators import Number
 
 from bus_schemas.errors import InputError
 from heliarch.cli.options import Data, Port, Scenario, Settings, changed_scenario
-from heliarch.cli.output import say
-from results.tables import console_for
+from heliarch.cli.output import Output
 from scenarios.elsewhere import read_address
 from scenarios.run_options import RunOptions, Seed, TimeOptions
 from sunspec.limited_inverter import LimitedInverter
@@ -56,34 +55,26 @@ def inverters(
     if base_port is not None and port != _PORT:
         raise InputError("--port: expected no --base-port with it")
     read_address(address)
-    from launch_scripts.run_folder import new_run_id
     from scenarios.preparation import prepare
     from sunspec.server import Sky, served
 
     options = RunOptions(**vars(span), seed=seed)
-    scenario_file = changed_scenario(scenario, data, settings)
-    prepared = prepare(scenario_file, options, new_run_id(scenario_file.scenario.name))
+    prepared = prepare(changed_scenario(scenario, data, settings), options, "inverters")
     plan = prepared.plan
-    sky = Sky(
-        prepared.profile.mpp_kw, plan.timing.cycle_ns / 1e9, None if wait else time.monotonic()
-    )
-
-    follows = {name: plan.site.settings_of(name) for name, _ in plan.inverters}
-    simulated = {
-        name: LimitedInverter(
+    sky = Sky(prepared.profile.mpp_kw, plan.timing.cycle_s, None if wait else time.monotonic())
+    simulated = {}
+    for place, (name, rating_kw) in enumerate(plan.inverters):
+        follows = plan.site.settings_of(name)
+        simulated[name] = LimitedInverter(
             rating_kw,
             sky.available_kw(place),
-            follows[name].delay_s or 0.0,
-            follows[name].ramp_percent_per_s or inf,
+            follows.delay_s or 0.0,
+            follows.ramp_percent_per_s or inf,
         )
-        for place, (name, rating_kw) in enumerate(plan.inverters)
-    }
-    console = console_for(None)
-    first_port, a_port_each = base_port or port, base_port is not None
+    output, first_port, a_port_each = Output(), base_port or port, base_port is not None
     serving = served(simulated, sky, time.monotonic, address, first_port, a_port_each=a_port_each)
     with suppress(KeyboardInterrupt), serving as addresses:
-        for name, where in addresses.items():
-            say(console, f"--device {name}={where}")
-        say(console, f"the sky begins at {prepared.local_start()}")
+        output.say(*(f"--device {name}={where}" for name, where in addresses.items()))
+        output.say(f"the sky begins at {prepared.local_start()}")
         while not sky.is_over(time.monotonic()):
             time.sleep(0.2)

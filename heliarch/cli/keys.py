@@ -9,8 +9,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from heliarch.cli.options import FILES, Data, Json, Scenario, Settings, changed_scenario
-from heliarch.cli.output import say, write_json
-from results.tables import console_for
+from heliarch.cli.output import Output
 from scenarios.run_options import RunOptions
 
 
@@ -50,12 +49,10 @@ def keys(
     for one in address or ():
         read_address(one)
     plan = prepare(changed_scenario(scenario, data, settings), RunOptions(), "keys").plan
-    folder = out or Path("keys") / plan.plant
+    folder, output = out or Path("keys") / plan.plant, Output(json)
     agents = (*plan.tree.agents(), OPERATOR)
     expires, is_new = make_keys(folder, plan.plant, agents, days, address or ())
-    write_json({"folder": str(folder), "agents": agents, "expires": expires.isoformat()}, json)
-    until = f"{expires:%Y-%m-%d %H:%M} UTC"
+    output.write({"folder": str(folder), "agents": agents, "expires": expires.isoformat()})
     authority = "a new authority" if is_new else "the same authority"
-    say(
-        console_for(json), f"{folder}: {len(agents)} certificates, {authority}, valid until {until}"
-    )
+    until = f"valid until {expires:%Y-%m-%d %H:%M} UTC"
+    output.say(f"{folder}: {len(agents)} certificates, {authority}, {until}")

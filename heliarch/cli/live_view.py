@@ -34,24 +34,26 @@ class StatusLine:
     def show(self, text: str) -> None:
         self._next_at = time.monotonic() + (_IN_PLACE_S if self._in_place else _PLAIN_S)
         if text != self._shown:
-            self._stream.write(f"\r\x1b[K{text}" if self._in_place else f"{text}\n")
-            self._stream.flush()
+            self._write(f"\r\x1b[K{text}" if self._in_place else f"{text}\n")
             self._shown = text
 
     def end(self) -> None:
         """Leave the line as it is, and go on below it."""
         if self._shown and self._in_place:
-            self._stream.write("\n")
-            self._stream.flush()
+            self._write("\n")
             self._shown = ""
+
+    def _write(self, text: str) -> None:
+        self._stream.write(text)
+        self._stream.flush()
 
 
 class PlainView:
-    """Shows a run as a line: renewed in place in a terminal, printed every 2 s elsewhere."""
+    """Shows a run as a status line, and lines that stay."""
 
     def __init__(self, console: Console, plan: RunPlan) -> None:
         self._console = console
-        self._plan = plan
+        self._cycles = plan.timing.cycles
         self._zone = ZoneInfo(plan.timing.timezone)
         self._line = StatusLine(console.file, in_place=console.is_terminal)
 
@@ -70,17 +72,14 @@ class PlainView:
         """Show where the run stands, if the last line about it is old enough."""
         if status.cycle < 0 or not self._line.is_due():
             return
+        # A cluster that lacks power contains inverters that do: the clusters come first.
+        nodes = sorted(status.needy, key=lambda node: (node.count("/"), node))
+        needy = listed([node or "the whole plant" for node in nodes], _NAMED) or "none"
         local = datetime.fromtimestamp(status.sim_time_ns / 1e9, self._zone)
         text = (
-            f"{local:%H:%M:%S} {status.cycle + 1} of {self._plan.timing.cycles} cycles, "
+            f"{local:%H:%M:%S} {status.cycle + 1} of {self._cycles} cycles, "
             f"dispatch {status.dispatch_kw:.0f} kW, delivered {status.delivered_kw:.0f} kW, "
-            f"available {status.available_kw:.0f} kW; help: {_needy(status)}"
+            f"available {status.available_kw:.0f} kW; help: {needy}"
         )
         # A line that wraps cannot be renewed.
         self._line.show(text[: self._console.width - 1] if self._console.is_terminal else text)
-
-
-def _needy(status: Status) -> str:
-    # A cluster that lacks power contains inverters that do: the clusters come first.
-    nodes = sorted(status.needy, key=lambda node: (node.count("/"), node))
-    return listed([node or "the whole plant" for node in nodes], _NAMED) or "none"

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import resource
 import signal
 import sys
 from io import TextIOWrapper
-from pathlib import Path
 
 from heliarch.own_modules import replaced_module
 
@@ -27,10 +25,6 @@ def main() -> None:
         sys.exit(f"heliarch: {complaint}")
     from heliarch.cli.app import run_command
 
-    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
-        for name in ("stdout", "stderr"):
-            if getattr(sys, name) is None:  # Closed, as by `>&-` in the script of a service.
-                setattr(sys, name, nowhere)
-        if isinstance(sys.stdout, TextIOWrapper):
-            sys.stdout.reconfigure(errors="replace")  # Not every terminal has the lines of a tree.
-        run_command(sys.argv[1:])
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # Not every terminal has the lines of a tree.
+    run_command(sys.argv[1:])

@@ -9,8 +9,7 @@ from cyclopts import Parameter
 
 from agents.plan import changed, load_plan
 from bus_schemas.errors import InputError
-from heliarch.cli.output import say
-from results.tables import console_for
+from heliarch.cli.output import Output
 
 
 def node(
@@ -42,7 +41,7 @@ def node(
     from launch_scripts.run_folder import new_run_id, run_folder
     from launch_scripts.supervision import ForkServerProcess
 
-    run_plan = load_plan(plan)
+    run_plan, output = load_plan(plan), Output()
     agents = share_of(run_plan, host)
     if run_plan.access.keys_folder:
         from scenarios.plant_keys import check_keys  # Its package is optional.
@@ -52,10 +51,9 @@ def node(
         check_keys(run_plan, agents)
     elif keys is not None:
         raise InputError(f"--keys: expected a plan with keys, got {plan}, which has none")
-    console = console_for(None)
     folder = run_folder(new_run_id(run_plan.plant), out)
     with ForkServerProcess() as server:
         number = f"{len(agents)} processes of {run_plan.plant}"
-        say(console, f"{number} on {host}, logs in {folder.logs}")
-        run_share(run_plan, agents, folder, server, lambda line: say(console, line))
-    say(console, "the run is over")
+        output.say(f"{number} on {host}, logs in {folder.logs}")
+        run_share(run_plan, agents, folder, server, output.say)
+    output.say("the run is over")

@@ -9,8 +9,7 @@ from cyclopts import Parameter
 from bus_schemas.errors import InputError
 from heliarch.cli.boundary import FAILED, OK
 from heliarch.cli.options import Json, Run
-from heliarch.cli.output import say, write_json
-from results.tables import console_for
+from heliarch.cli.output import Output
 
 _Power = Annotated[str, Parameter(help="A power such as 2MW or 1500kW, or the word `schedule`.")]
 
@@ -46,7 +45,7 @@ def order(
 
     if power == "schedule" and hold is not None:
         raise InputError("--hold: expected a power with it, got schedule")
-    folder = run if run.is_dir() else run.parent
+    folder, output = run if run.is_dir() else run.parent, Output(json)
     if not (folder / "plan.json").exists():
         raise InputError(f"{run}: expected the folder of a run, got none")
     plan = load_plan(folder / "plan.json")
@@ -60,6 +59,6 @@ def order(
     with OrderLine(folder) as line:
         line.give(given)
         answer, remark = watched(line.statuses(), plan)
-    say(console_for(json), answer_text(answer) + remark)
-    write_json(answer, json)
+    output.say(answer_text(answer) + remark)
+    output.write(answer)
     return FAILED if answer.settling_s is None else OK

@@ -1,4 +1,4 @@
-"""What commands print and write: lines, a progress bar, pages, JSON."""
+"""What commands print and write: lines, tables, a progress bar, pages, JSON."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bus_schemas.errors import printable
 from bus_schemas.whole_file import whole_file
 from heliarch.cli.options import ResultOptions
 from results.report.result import Result, print_result
-from results.tables import console_for
+from results.tables import Table, console_for, print_table
 
 _NEXT_LINE_S: Final = 10.0
 
@@ -28,10 +28,45 @@ Item = TypeVar("Item")
 Outcome = TypeVar("Outcome")
 
 
-def say(console: Console, *lines: str) -> None:
-    """Print lines as they are."""
-    for line in lines:
-        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
+class Output:
+    """Where a command's result goes: its console, and what `--json` says: a file, `-` or nothing.
+
+    The console is standard output, or standard error where that gets the JSON.
+    """
+
+    def __init__(self, json: str | None = None) -> None:
+        self.console = console_for(json)
+        self._json = json
+
+    def say(self, *lines: str) -> None:
+        """Print lines as they are."""
+        for line in lines:
+            self.console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
+
+    def show(self, *tables: Table) -> None:
+        for table in tables:
+            print_table(self.console, table)
+
+    def write(self, document: object) -> None:
+        """Write the result as JSON."""
+        if self._json is not None:
+            content = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
+            if self._json == "-":
+                sys.stdout.write(content.decode())
+            else:
+                _write(content, Path(self._json))
+
+    def write_rows(self, rows: Iterable[object]) -> None:
+        """Take rows one by one, and write them as `write` does a list: they may be a day's."""
+        place: AbstractContextManager[BinaryIO] = nullcontext(sys.stdout.buffer)
+        if self._json != "-":
+            place = whole_file(Path(self._json or os.devnull))
+        with place as file:
+            file.write(b"[")
+            for number, row in enumerate(rows):
+                file.write(b",\n" if number else b"\n")
+                file.write(msgspec.json.encode(row))
+            file.write(b"\n]\n")
 
 
 @contextmanager
@@ -47,7 +82,7 @@ def progress_bar(description: str, total: float = 1.0) -> Iterator[Callable[[flo
         nonlocal said_at
         if time.monotonic() > said_at + _NEXT_LINE_S:
             said_at = time.monotonic()
-            say(console, f"{description}: {100.0 * completed / total:.0f} %")
+            console.print(f"{description}: {100.0 * completed / total:.0f} %", highlight=False)
 
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(description, total=total)
@@ -80,7 +115,7 @@ def publish(result: Result, files: ResultOptions, default: Path | str, *more: st
 
     The files come first, since a pipe such as `| head` may close before the end of the tables.
     """
-    lines, console = [*more], console_for(files.json)
+    lines, output = [*more], Output(files.json)
 
     def write_page() -> None:
         if files.report is not None:
@@ -92,10 +127,10 @@ def publish(result: Result, files: ResultOptions, default: Path | str, *more: st
             lines.append(f"report: {path}")
 
     do_all(
-        partial(write_json, result.document, files.json),
+        partial(output.write, result.document),
         write_page,
-        partial(print_result, console, result),
-        lambda: say(console, *lines),
+        partial(print_result, output.console, result),
+        lambda: output.say(*lines),
     )
 
 
@@ -104,30 +139,6 @@ def do_all(*steps: Callable[[], object]) -> None:
     with ExitStack() as stack:
         for step in reversed(steps):
             stack.callback(step)
-
-
-def write_json(content: object, destination: str | None) -> None:
-    """Write a command's result where `--json` says: a file, `-` for standard output, or nowhere."""
-    if destination is None:
-        return
-    document = msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n"
-    if destination == "-":
-        sys.stdout.write(document.decode())
-    else:
-        _write(document, Path(destination))
-
-
-def write_rows(rows: Iterable[object], destination: str | None) -> None:
-    """Take rows one by one, and write them as `write_json` does a list: they may be a day's."""
-    place: AbstractContextManager[BinaryIO] = nullcontext(sys.stdout.buffer)
-    if destination != "-":
-        place = whole_file(Path(destination or os.devnull))
-    with place as file:
-        before = b"["
-        for row in rows:
-            file.write(before + b"\n" + msgspec.json.encode(row))
-            before = b","
-        file.write(b"[]\n" if before == b"[" else b"\n]\n")
 
 
 def _write(content: bytes, path: Path) -> None:

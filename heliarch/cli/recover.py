@@ -8,10 +8,10 @@ from typing import Annotated, Final
 import msgspec
 from cyclopts import Parameter
 
-from heliarch.cli.boundary import FAILED, OK, complain
+from bus_schemas.errors import FailureError
+from heliarch.cli.boundary import OK
 from heliarch.cli.options import FILES, Json, Run
-from heliarch.cli.output import progress_bar, say, write_json
-from results.tables import console_for
+from heliarch.cli.output import Output, progress_bar
 
 LOSSY: Final = 3
 
@@ -39,41 +39,38 @@ def recover(
     from recordings.record.recorder import FLUSH_S
     from recordings.recover import is_sound, recover_run
 
-    console = console_for(json)
+    output = Output(json)
     try:
         reader = RunReader(run)
     except NothingRecordedError as error:
-        return complain(f"{error}: there is nothing to recover", FAILED)
+        raise FailureError(f"{error}: there is nothing to recover") from None
     with reader:
         with progress_bar("checking") as reader.follow:
             sound = is_sound(reader)
         if sound:
-            say(console, f"{reader.path}: it is whole, there is nothing to recover")
-            write_json({"source": str(reader.path), "out": None, "lossless": True}, json)
+            output.say(f"{reader.path}: it is whole, there is nothing to recover")
+            output.write({"source": str(reader.path), "out": None, "lossless": True})
             return OK
         out = out or reader.path.with_suffix(".recovered.mcap")
         with progress_bar("copying") as reader.follow:
-            recovery = recover_run(reader, out)
-        if not recovery.messages:
+            found = recover_run(reader, out)
+        if not found.messages:
             out.unlink()
-            nothing = "no message can be read, there is nothing to recover"
-            return complain(f"{reader.path}: {nothing}", FAILED)
-    lines = [
-        f"recovered: {recovery.out}",
-        f"kept: {recovery.messages:,} messages, {recovery.complete_cycles:,} complete cycles of "
-        f"{recovery.planned_cycles:,} planned, up to cycle {recovery.last_cycle:,}",
-    ]
-    if recovery.cut_bytes:
-        what = "which are an incomplete record"
-        lines.append(f"missing: the last {recovery.cut_bytes:,} bytes, {what}")
-    if recovery.lost:
-        why = "by the gaps in the sequence numbers"
-        lines.append(f"may be missing: {recovery.lost:,} messages, {why}")
-    if recovery.lossless:
-        lines.append("missing: nothing")
-    elif not recovery.closed:
-        lost_s = f"if the recorder was killed, at most {FLUSH_S:g} s"
-        lines.append(f"missing: what came last; {lost_s}")
-    say(console, *lines)
-    write_json(msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}, json)
-    return OK if recovery.lossless else LOSSY
+            raise FailureError(
+                f"{reader.path}: no message can be read, there is nothing to recover"
+            )
+    output.say(
+        f"recovered: {found.out}",
+        f"kept: {found.messages:,} messages, {found.complete_cycles:,} complete cycles of "
+        f"{found.planned_cycles:,} planned, up to cycle {found.last_cycle:,}",
+    )
+    if found.cut_bytes:
+        output.say(f"missing: the last {found.cut_bytes:,} bytes, which are an incomplete record")
+    if found.lost:
+        output.say(f"may be missing: {found.lost:,} messages, by the gaps in the sequence numbers")
+    if found.lossless:
+        output.say("missing: nothing")
+    elif not found.closed:
+        output.say(f"missing: what came last; if the recorder was killed, at most {FLUSH_S:g} s")
+    output.write(msgspec.to_builtins(found) | {"lossless": found.lossless})
+    return OK if found.lossless else LOSSY

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from bus_schemas.errors import InputError
 from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
 from heliarch.cli.options import End, Given, Json, Nodes, Run, Signals, Start, refuse_others
-from heliarch.cli.output import write_json
+from heliarch.cli.output import Output
 
 _LIVE: Final = {"--live", "--plan", "--to", "--wait", "--listen", "--json"}
 
@@ -22,7 +22,7 @@ def replay(
     *,
     start: Start = None,
     end: End = None,
-    pace: Annotated[str | None, Parameter(metavar="PACE")] = None,
+    pace: Annotated[str, Parameter(metavar="PACE")] = "1",
     start_paused: bool = False,
     loop: bool = False,
     nodes: Nodes = None,
@@ -43,7 +43,7 @@ def replay(
     Parameters
     ----------
     pace
-        Recorded seconds per second (default 1), or max.
+        Recorded seconds per second, or max.
     start_paused
         Wait for the space bar.
     loop
@@ -63,27 +63,25 @@ def replay(
     from recordings.replay.keyboard import has_keyboard
     from recordings.replay.playback import ReplayOptions, replay_recording
     from scenarios.real_time import parse_pace
-    from studies.live_replay.live_run import replay_live
+    from studies.live_replay import replay_live
 
     out = sys.stderr if json == "-" else sys.stdout
     if live is None and plan is not None:
         raise InputError("--plan: expected --live with it: the live controllers run by this plan")
-    if start_paused and not has_keyboard():
-        raise InputError("--start-paused: expected a terminal, in which space continues")
-    line = StatusLine(out, in_place=out.isatty())
     if live is not None:
         refuse_others(given, _LIVE, "expected no --live, which begins with the run")
-        with RunReader(run) as reader:
+    if start_paused and not has_keyboard():
+        raise InputError("--start-paused: expected a terminal, in which space continues")
+    line, speed = StatusLine(out, in_place=out.isatty()), parse_pace(pace)
+    with RunReader(run) as reader:
+        if live is not None:
             found = replay_live(
                 reader, out, line, live, plan_file=plan, end=end, wait=wait, listen=listen
             )
-        write_json(found, json)
-        return INTERRUPTED if found["interrupted"] else FAILED if found["differing"] else OK
-    speed = parse_pace(pace or "1")
-    rate = speed if isinstance(speed, float) else 0.0
-    options = ReplayOptions(start, end, rate, start_paused, loop, wait, listen)
-    with RunReader(run) as reader:
-        ports = selected_ports(reader, signals, nodes)
-        figures = replay_recording(reader, out, line, ports, options)
-    write_json(figures, json)
-    return INTERRUPTED if figures["interrupted"] else OK
+        else:
+            rate = speed if isinstance(speed, float) else 0.0
+            options = ReplayOptions(start, end, rate, start_paused, loop, wait, listen)
+            ports = selected_ports(reader, signals, nodes)
+            found = replay_recording(reader, out, line, ports, options)
+    Output(json).write(found)
+    return INTERRUPTED if found["interrupted"] else FAILED if found.get("differing") else OK

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from heliarch.cli.options import Report, Run
-from heliarch.cli.output import say
-from results.tables import console_for
+from heliarch.cli.output import Output
 
 
 def report(run: Run, /, *, page: Report = None) -> None:
@@ -16,5 +15,4 @@ def report(run: Run, /, *, page: Report = None) -> None:
     """
     from results.report.run_report import write_run_report
 
-    written = write_run_report(run, Path(page) if page else None)
-    say(console_for(None), f"report: {written}")
+    Output().say(f"report: {write_run_report(run, Path(page) if page else None)}")

@@ -16,7 +16,7 @@ from bus_schemas.errors import FailureError
 from heliarch.cli.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import FileOptions, PageOptions, changed_scenario
-from heliarch.cli.output import do_all, say, write_json
+from heliarch.cli.output import Output, do_all
 from launch_scripts.launch import check_processes, launch
 from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.simulation import simulate
@@ -25,7 +25,6 @@ from live_page.process import PageProcess
 from results.busy import busy
 from results.run_summary import RunSummary
 from results.summary_table import print_summary
-from results.tables import console_for
 from scenarios.run_options import RunOptions
 
 
@@ -33,19 +32,18 @@ def run_request(
     scenario: str, settings: list[str] | None, files: FileOptions, options: RunOptions
 ) -> RunRequest:
     """Return what the options of a command ask for."""
-    scenario_file = changed_scenario(scenario, files.data, settings)
-    return RunRequest(scenario_file, options, files.out)
+    return RunRequest(changed_scenario(scenario, files.data, settings), options, files.out)
 
 
 @contextmanager
-def page_beside(options: PageOptions, console: Console) -> Iterator[PageProcess | None]:
+def page_beside(options: PageOptions, output: Output) -> Iterator[PageProcess | None]:
     """Start the page of a command, if it is wanted; at the end, wait until it is closed."""
     if not options.page:
         yield None
         return
     with PageProcess(options.page_address, options.page_port, orders=options.orders) as page:
         yield page
-        page.let_end(partial(say, console))
+        page.let_end(output.say)
 
 
 def run_and_print(
@@ -55,37 +53,31 @@ def run_and_print(
     server: ForkServerProcess | None = None,
 ) -> int:
     """Run what was asked for and print its result. Returns the exit status."""
-    console = console_for(files.json)
-    with page_beside(pages, console) as page:
-        summary, folder = run(request, console, BEGAN_AT, server, page)
-        return _print_result(summary, folder, files, console)
+    output = Output(files.json)
+    with page_beside(pages, output) as page:
+        summary, folder = run(request, output.console, BEGAN_AT, server, page)
+        document = summary.as_json()
+
+        def write_page() -> None:
+            if files.report is not None and summary.figures:
+                from results.report.run_report import write_run_report  # Plotly imports slowly.
+
+                path = Path(files.report) if files.report else None
+                output.say(f"report: {write_run_report(folder.path, path)}")
+
+        do_all(
+            partial(folder.write_summary, document),
+            partial(output.write, msgspec.Raw(document)),
+            partial(print_summary, summary, output.console),
+            partial(output.say, f"recording: {folder.recording}"),
+            write_page,
+            partial(output.say, *_what_next(folder.path)),
+        )
+        failures = [complain(failure, FAILED) for failure in summary.failures()]
+        return max(failures) if failures else INTERRUPTED if summary.launcher.interrupted else OK
 
 
-def _print_result(
-    summary: RunSummary, folder: RunFolder, files: FileOptions, console: Console
-) -> int:
-    document = summary.as_json()
-
-    def write_page() -> None:
-        if files.report is not None and summary.figures:
-            from results.report.run_report import write_run_report  # Plotly is slow to import.
-
-            page = Path(files.report) if files.report else None
-            say(console, f"report: {write_run_report(folder.path, page)}")
-
-    do_all(
-        partial(folder.write_summary, document),
-        partial(write_json, msgspec.Raw(document), files.json),
-        partial(print_summary, summary, console),
-        partial(say, console, f"recording: {folder.recording}"),
-        write_page,
-        partial(say, console, *what_next(folder.path)),
-    )
-    failures = [complain(failure, FAILED) for failure in summary.failures()]
-    return max(failures) if failures else INTERRUPTED if summary.launcher.interrupted else OK
-
-
-def what_next(run: Path) -> list[str]:
+def _what_next(run: Path) -> list[str]:
     """Return the commands that a user wants after a run, as they can be typed."""
     program = Path(sys.argv[0])
     is_found = shutil.which("heliarch") == str(program.absolute())
@@ -110,21 +102,18 @@ def run(
     """
     with busy(Console(stderr=True), "preparing"):  # Thousands of inverters take minutes to cluster.
         preparation, folder = prepare_run(request)
-    plan = preparation.plan
     if server is not None:
-        check_processes(plan)  # Before anything is printed.
+        check_processes(preparation.plan)  # Before anything is printed.
     try:
-        with PlainView(console, plan) as view:
+        with PlainView(console, preparation.plan) as view:
             for line in (preparation.scenario.scenario.title, *preparation.remarks):
                 view.say(line)
             if page is not None:
                 view.say(f"page: {page.show(folder.path)}")
             if server is None:
-                summary = simulate(preparation, folder, view, began_at)
-            else:
-                summary = launch(preparation, folder, view, began_at, server)
+                return simulate(preparation, folder, view, began_at), folder
+            return launch(preparation, folder, view, began_at, server), folder
     except RunFailure as failure:
         if not folder.recording.exists():
             raise
         raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure
-    return summary, folder

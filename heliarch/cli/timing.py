@@ -10,8 +10,7 @@ from cyclopts import Parameter
 
 from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
 from heliarch.cli.options import FileOptions, Given, PageOptions, Settings, is_run, refuse_others
-from heliarch.cli.output import publish, say
-from results.tables import console_for
+from heliarch.cli.output import Output, publish
 from scenarios.run_options import PlantOptions, ProcessOptions, RunOptions, TimeOptions
 
 if TYPE_CHECKING:
@@ -57,19 +56,19 @@ def timing(
     from results.timing.report import report_on
     from studies.timing import measured_run, parse_rates, prepare_at, sweep, sweep_result
 
-    console = console_for(files.json)
+    output = Output(files.json)
     if is_run(path := Path(scenario)):
         why = f"expected only --report or --json with the recorded run {path}"
         refuse_others(given, {"--report", "--json"}, why)
         return _publish(report_on(path), path, files)
     lowest_hz, highest_hz = parse_rates(rate)
     request = run_request(scenario, settings, files, RunOptions.of(span, plant, machine))
-    view = partial(PlainView, console)
-    with page_beside(page, console) as shown:
+    view = partial(PlainView, output.console)
+    with page_beside(page, output) as shown:
         if lowest_hz == highest_hz:
             preparation, place = prepare_at(lowest_hz, 60.0, request, request.out)
             if shown is not None:
-                say(console, f"page: {shown.show(place.path)}")
+                output.say(f"page: {shown.show(place.path)}")
             return _publish(measured_run(preparation, place, view), place.path, files)
         folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
 
@@ -80,7 +79,7 @@ def timing(
             return measured_run(*prepare_at(rate_hz, 15.0, request, folder / name), view)
 
         if shown is not None:
-            say(console, f"page: {shown.show(folder, several=True)}")
+            output.say(f"page: {shown.show(folder, several=True)}")
         found = sweep(lowest_hz, highest_hz, timed)
     result = sweep_result(found, request.scenario.scenario.name)
     publish(result, files, folder / "timing.html", f"recordings: {folder}")

@@ -7,16 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
-from rich.console import Console
 
 from bus_schemas.errors import FailureError, InputError
 from heliarch.cli.boundary import FAILED, OK
 from heliarch.cli.options import End, Json, Nodes, Run, Start, Tolerance
-from heliarch.cli.output import progress_bar, say, write_json
-from results.tables import console_for
+from heliarch.cli.output import Output, progress_bar
 
 if TYPE_CHECKING:
-    from recordings.verify.equality import Equality
     from recordings.verify.verification import Verification
 
 
@@ -45,55 +42,43 @@ def verify(
         Replace the recording by what the agents do now.
     """
     from recordings.verify.equality import Equality
+    from recordings.verify.report import verification_data, verification_lines
+    from recordings.verify.verification import verify as verify_run
 
-    runs, console, equality = (run, *more), console_for(json), Equality(tolerance)
     if accept:
         from studies.golden import origin
 
         if nodes or start or end:
             raise InputError("--accept: expected neither --nodes, --from nor --to with it")
-        for path in runs:
+        for path in (run, *more):
             origin(path)  # Refuses what cannot be recorded again, before any work.
-    results = [_verify(path, nodes or "", equality, start, end, console) for path in runs]
-    equal = all(found.equal for found, _ in results)
-    write_json({"equal": equal, "runs": [data for _, data in results]}, json)
-    if accept:
-        for found, _ in results:
-            _accept(found, console)
+    results: list[Verification] = []
+    rows: list[dict[str, Any]] = []
+    equality, output = Equality(tolerance), Output(json)
+    for path in (run, *more):
+        began_at = time.monotonic()
+        with progress_bar("verify") as follow:
+            found = verify_run(path, nodes or "", equality, start=start, end=end, progress=follow)
+        wall_s = time.monotonic() - began_at
+        output.say(str(found.recording), *verification_lines(found, equality, wall_s))
+        results.append(found)
+        rows.append(verification_data(found, wall_s))
+    equal = all(found.equal for found in results)
+    output.write({"equal": equal, "runs": rows})
+    for found in results if accept else ():
+        output.say(f"{found.recording}: {_accepted(found)}")
     return OK if equal or accept else FAILED
 
 
-def _verify(
-    run: Path,
-    nodes: str,
-    equality: Equality,
-    start: str | None,
-    end: str | None,
-    console: Console,
-) -> tuple[Verification, dict[str, Any]]:
-    from recordings.verify.report import verification_data, verification_lines
-    from recordings.verify.verification import verify as verify_run
-
-    began_at = time.monotonic()
-    with progress_bar("verify") as follow:
-        found = verify_run(run, nodes, equality, start=start, end=end, progress=follow)
-    wall_s = time.monotonic() - began_at
-    say(console, str(found.recording))
-    say(console, *verification_lines(found, equality, wall_s))
-    return found, verification_data(found, wall_s)
-
-
-def _accept(found: Verification, console: Console) -> None:
+def _accepted(found: Verification) -> str:
+    """Record a run again if its agents behave otherwise now; return what became of it."""
     from studies.golden import record_again
 
     if found.equal:
-        say(console, f"{found.recording}: nothing to accept")
-        return
+        return "nothing to accept"
     for name, findings in found.agents.items():
         if findings.failure is not None:
-            raise FailureError(
-                f"--accept {found.recording}: {name} fails in cycle {findings.failure.cycle}: "
-                f"{findings.failure.text}"
-            )
+            failure = f"{name} fails in cycle {findings.failure.cycle}: {findings.failure.text}"
+            raise FailureError(f"--accept {found.recording}: {failure}")
     record_again(found.recording)
-    say(console, f"{found.recording}: recorded again as the agents behave now")
+    return "recorded again as the agents behave now"

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 from bus_schemas.errors import InputError
 from heliarch.cli.boundary import OK
 from heliarch.cli.options import PageAddress, PagePort
-from heliarch.cli.output import say
+from heliarch.cli.output import Output
 from live_page.process import get_behind_others, open_address
-from results.tables import console_for
 
 if TYPE_CHECKING:
     from live_page.server import PageServer
@@ -41,7 +40,7 @@ def view(
 
     several = _holds_several(path)
     address = open_address(page_address, page_port)
-    say(console_for(None), f"page: {address.text()}   (Ctrl-C ends it)")
+    Output().say(f"page: {address.text()}   (Ctrl-C ends it)")
     if not several and not (path if path.is_dir() else path.parent).joinpath(SUMMARY_NAME).exists():
         get_behind_others()  # Its run may go on.
     return asyncio.run(_serve(PageServer(path, address, several=several)))
@@ -53,13 +52,13 @@ def _holds_several(path: Path) -> bool:
     from recordings.read.reader import RunReader
     from recordings.read.run_file import RECORDING_NAME
 
-    is_run = any((path / name).exists() for name in (RECORDING_NAME, "plan.json"))
-    if path.is_dir() and not is_run:
+    if (path / "plan.json").exists():
+        return False
+    if path.is_dir() and not (path / RECORDING_NAME).exists():
         if not recordings_in(path):
             raise InputError(f"{path}: expected a run or a folder with runs, got neither")
         return True
-    if not (path / "plan.json").exists():  # Otherwise it may not have begun.
-        RunReader(path).close()
+    RunReader(path).close()
     return False
 
 

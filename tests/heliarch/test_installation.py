@@ -47,21 +47,14 @@ def test_the_wheel_launches_with_page_and_report(installed: Path) -> None:
     assert (installed.parent / "run" / "report.html").stat().st_size > 1_000_000
 
 
-def test_a_module_that_another_package_has_overwritten_is_named(installed: Path) -> None:
-    module = installed / "agents" / "__init__.py"
-    own = module.read_text(encoding="utf-8")
-    module.write_text("from nowhere import Agent\n", encoding="utf-8")
-    done = run(installed, "heliarch", "scenarios")
-    module.write_text(own, encoding="utf-8")
-    (line,) = done.stderr.splitlines()
-    assert done.returncode == 1
-    assert "agents" in line
-    assert "pipx" in line
-    assert run(installed, "heliarch", "scenarios").returncode == 0
-
-
-def test_a_module_that_is_found_before_heliarchs_is_named(tmp_path: Path) -> None:
+def test_a_module_of_another_package_is_named(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "first" / "scenarios").mkdir(parents=True)
     (tmp_path / "first" / "scenarios" / "__init__.py").touch()
-    done = run(tmp_path / "first", "heliarch", "scenarios")
-    assert "the module scenarios is not Heliarch's" in done.stderr
+    found_first = run(tmp_path / "first", "heliarch", "scenarios")
+    assert "the module scenarios is not Heliarch's" in found_first.stderr
+    (installed / "agents" / "__init__.py").write_text("from nowhere import Agent\n")
+    overwritten = run(installed, "heliarch", "scenarios")
+    (line,) = overwritten.stderr.splitlines()
+    assert overwritten.returncode == 1
+    assert "agents" in line
+    assert "pipx" in line

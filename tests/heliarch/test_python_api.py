@@ -15,8 +15,6 @@ from command_line import python
 import heliarch
 from bus_schemas.errors import InputError
 
-REPOSITORY = Path(__file__).parents[2]
-
 
 def test_a_simulation_returns_its_summary_and_its_recording_and_prints_nothing(
     plant: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -72,18 +70,14 @@ def test_every_table_that_export_writes_can_be_read_with_the_same_cells(
             np.testing.assert_array_equal(wanted, written[column].to_numpy())
 
 
-def test_several_tables_are_those_that_are_read_one_by_one(run: heliarch.Run) -> None:
-    names = ("setpoint", "help_given", "missing_inputs")
-    for name, table in run.frames(*names, nodes="c1/*", start=5, end=9).items():
-        pd.testing.assert_frame_equal(table, run.frame(name, nodes="c1/*", start=5, end=9))
+def test_tables_read_together_or_in_parts_are_those_that_are_read_alone(run: heliarch.Run) -> None:
+    part: dict[str, Any] = {"nodes": "c1/*", "start": 5, "end": 9}
+    for name, table in run.frames("setpoint", "help_given", "missing_inputs", **part).items():
+        pd.testing.assert_frame_equal(table, run.frame(name, **part))
     assert set(run.frame("setpoint", start=5, end=9)["cycle"]) == {5, 6, 7, 8}
-
-
-def test_arrow_parts_add_up_to_the_table(run: heliarch.Run) -> None:
     parts = list(run.batches("help_given", cycles=7))
     assert len(parts) > 1
-    whole = pa.concat_tables(parts).to_pandas()
-    table = run.frame("help_given")
+    whole, table = pa.concat_tables(parts).to_pandas(), run.frame("help_given")
     assert whole.shape == table.shape
     assert (whole["power_kw"].to_numpy() == table["power_kw"].to_numpy()).all()
     assert (whole.index == table.index).all()
@@ -162,14 +156,6 @@ def test_two_recordings_are_compared_with_their_first_difference(
 def test_bad_input_is_an_input_error(plant: str, bad: dict[str, Any], named: str) -> None:
     with pytest.raises(InputError, match=named):
         heliarch.simulate(plant, **bad)
-
-
-def test_runs_in_quick_succession_have_folders_of_their_own(
-    plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    folders = {heliarch.simulate(plant, duration="1s").folder for _ in range(3)}
-    assert len(folders) == 3
 
 
 def test_importing_it_loads_nothing_heavy() -> None:

@@ -14,7 +14,6 @@ from own_scenarios import Folder
 
 from scenarios.scenario import load_scenario
 
-SENSORS = 19
 AP3 = 12
 """Place of AP3 among the 19 sensors of a line."""
 
@@ -23,9 +22,9 @@ def write_day(folder: Path, day: date, ghi_wm2: NDArray[np.float64]) -> None:
     (folder / f"{day:%Y%m%d}.txt").write_text(day_text(day, ghi_wm2))
 
 
-def clouds(seed: int, seconds: int = 120) -> NDArray[np.float64]:
-    """Sensors that differ from one another from second to second."""
-    return np.random.default_rng(seed).uniform(200.0, 1000.0, (seconds, SENSORS))
+def clouds(seed: int) -> NDArray[np.float64]:
+    """Two minutes of 19 sensors that differ from one another from second to second."""
+    return np.random.default_rng(seed).uniform(200.0, 1000.0, (120, 19))
 
 
 # Daily files of the Oahu grid ---------------------------------------------------------------------
@@ -51,7 +50,6 @@ def test_the_17_sensors_become_17_inverters_in_clusters_of_6_6_and_5(oahu: Folde
     assert [len(tree.children(parent)) for parent in ("c1", "c2", "c3")] == [6, 6, 5]
     assert {leaf.rpartition("/")[2] for leaf in tree.leaves} >= {"invDH1", "invAP3", "invAP7"}
     assert not found.hindsight
-    assert found.local_start() == "2010-04-01 12:00:00 HST"
     (commitment,) = found.remarks
     assert "hindsight" in commitment
 
@@ -91,10 +89,7 @@ def test_a_day_shorter_than_the_run_and_a_folder_without_days_are_refused(
     oahu.change('"earlier-day"', '"hindsight"')
     assert oahu.prepare().hindsight, "that needs no earlier day"
     (tmp_path / "archive" / "20100401.txt").unlink()
-    complaint = oahu.complaint()
-    assert complaint.startswith(f"{oahu.scenario}: line ")
-    assert ": irradiance.folder: expected" in complaint
-    assert complaint.endswith(str(tmp_path / "archive"))
+    assert ": irradiance.folder: expected" in oahu.complaint()
 
 
 # Currents of a real plant -------------------------------------------------------------------------
@@ -102,18 +97,13 @@ def test_a_day_shorter_than_the_run_and_a_folder_without_days_are_refused(
 
 def write_plant(folder: Path, silent: str = "") -> None:
     """Write ten minutes of six inverters with two combiners each, 100 being full power."""
-    combiners = [(f"C-{i}-{c}", f"{i:02d}", 50 * i, 10 * c) for i in range(6) for c in (1, 2)]
-    rows = "".join(f"{name},{inverter},{x},{y}\n" for name, inverter, x, y in combiners)
-    (folder / "positions.csv").write_text("combiner,inverter,x_m,y_m\n" + rows)
-    rng = np.random.default_rng(8)
-    lines = ["t_s," + ",".join(name for name, *_ in combiners)]
-    for second in range(0, 600, 10):
-        values = [
-            "" if inverter == silent else f"{rng.uniform(20.0, 120.0):.3f}"
-            for _, inverter, _, _ in combiners
-        ]
-        lines.append(f"{second}," + ",".join(values))
-    (folder / "hour_a.csv").write_text("\n".join(lines) + "\n")
+    names = [(f"C-{i}-{c}", f"{i:02d}", 50 * i, 10 * c) for i in range(6) for c in (1, 2)]
+    positions = pd.DataFrame(names, columns=["combiner", "inverter", "x_m", "y_m"])
+    positions.to_csv(folder / "positions.csv", index=False)
+    currents = np.random.default_rng(8).uniform(20.0, 120.0, (60, 12)).round(3)
+    currents[:, positions["inverter"] == silent] = np.nan
+    table = pd.DataFrame(currents, pd.RangeIndex(0, 600, 10, name="t_s"), positions["combiner"])
+    table.to_csv(folder / "hour_a.csv")
 
 
 @pytest.fixture
@@ -145,18 +135,17 @@ def test_the_start_of_the_scenario_is_the_first_row(plant: Folder) -> None:
     assert "2000-06-21T11:59:50Z" in plant.complaint(start="11:59:50", duration="20s")
 
 
-def test_a_silent_inverter_takes_its_rating_away(plant: Folder, tmp_path: Path) -> None:
+def test_a_silent_inverter_takes_its_rating_away_and_neighbours_share_a_cluster(
+    plant: Folder, tmp_path: Path
+) -> None:
+    plant.change('clusters = "correlation"', 'clusters = "geographic"')
+    leaves = plant.prepare().plan.tree.leaves
+    assert set(leaves) == {f"c{1 + i // 3}/inv0{i}" for i in range(6)}
     write_plant(tmp_path / "plant", silent="02")
     found = plant.prepare()
     assert found.plan.tree.rating_kw("") == pytest.approx(20_000.0 * 5 / 6)
     assert [len(found.plan.tree.children(parent)) for parent in ("c1", "c2")] == [3, 2]
     assert found.remarks[0].startswith("hour_a.csv: inverter 02: 120 of 120 currents")
-
-
-def test_neighbouring_inverters_share_a_geographic_cluster(plant: Folder) -> None:
-    plant.change('clusters = "correlation"', 'clusters = "geographic"')
-    leaves = plant.prepare().plan.tree.leaves
-    assert set(leaves) == {f"c1/inv0{i}" for i in (0, 1, 2)} | {f"c2/inv0{i}" for i in (3, 4, 5)}
 
 
 def test_currents_have_no_clear_sky_and_no_seed(plant: Folder) -> None:

@@ -43,43 +43,12 @@ history = "earlier-day"
 
 INVERTERS = "inverter,lat,lon\na,37.100,-4.2\nb,37.101,-4.2\nc,37.102,-4.2\n"
 
-MEASURED = """\
-name = "field"
-title = "Two inverters under a measured sky"
-
-[time]
-start = 2013-09-08T09:15:00
-timezone = "UTC"
-duration_s = 4
-
-[plant]
-rating_kw = 200
-
-[irradiance]
-kind = "measured"
-ghi = "ghi.csv"
-positions = "positions.csv"
-
-[commitment]
-kind = "constant"
-power_kw = 50
-
-[control]
-cluster_sizes = [[2]]
-
-[neighbours]
-history = "hindsight"
-"""
-
 GHI = """\
-utc,16,40
-2013-09-08T09:15:00Z,500,510
-2013-09-08T09:15:01Z,501,300
-2013-09-08T09:15:02Z,502,200
-2013-09-08T09:15:03Z,503,400
+local,16,40
+2024-05-12T13:00:00+02:00,500,510
+2024-05-12T13:00:10+02:00,501,300
+2024-05-12T13:00:20+02:00,502,200
 """
-
-POSITIONS = "station,lat,lon\n16,51.525,12.92\n40,51.526,12.93\n"
 
 
 @pytest.fixture
@@ -91,9 +60,13 @@ def folder(tmp_path: Path) -> Folder:
 
 @pytest.fixture
 def measured(folder: Folder) -> Folder:
-    folder.write("scenario.toml", MEASURED)
+    """Two inverters under a measured sky."""
     folder.write("ghi.csv", GHI)
-    folder.write("positions.csv", POSITIONS)
+    folder.write("positions.csv", "station,lat,lon\n16,51.525,12.92\n40,51.526,12.93\n")
+    folder.change('inverters = "plant.csv"\n', "")
+    folder.change('"clouds"\nseed = 7', '"measured"\nghi = "ghi.csv"\npositions = "positions.csv"')
+    folder.change("[[2, 1]]", "[[2]]")
+    folder.change("earlier-day", "hindsight")
     return folder
 
 
@@ -102,16 +75,14 @@ def measured(folder: Folder) -> Folder:
 
 def test_a_scenario_becomes_a_plan_and_a_profile(folder: Folder) -> None:
     found = folder.prepare()
-    assert found.plan.plant == "small"
-    assert found.plan.timing.cycles == 30
-    assert sorted(leaf.rpartition("/")[2] for leaf in found.plan.tree.leaves) == ["a", "b", "c"]
-    assert found.plan.tree.parents == ("", "c1", "c2")
-    assert found.plan.tree.rating_kw("") == 300.0
-    assert found.profile.mpp_kw.shape == (30, 3)
-    assert set(found.profile.commitment_kw.tolist()) == {100.0}
-    assert not found.profile.regulation_kw.any(), "nothing is offered without a table"
+    plan, profile = found.plan, found.profile
+    assert (plan.plant, plan.timing.cycles, plan.timing.lockstep) == ("small", 30, True)
+    assert sorted(leaf.rpartition("/")[2] for leaf in plan.tree.leaves) == ["a", "b", "c"]
+    assert (plan.tree.parents, plan.tree.rating_kw("")) == (("", "c1", "c2"), 300.0)
+    assert profile.mpp_kw.shape == (30, 3)
+    assert set(profile.commitment_kw.tolist()) == {100.0}
+    assert not profile.regulation_kw.any(), "nothing is offered without a table"
     assert found.local_start() == "2024-05-12 13:00:00 CEST"
-    assert found.plan.timing.lockstep
     assert not found.hindsight
 
 
@@ -135,8 +106,7 @@ def test_a_day_is_as_long_as_its_clocks_make_it(
 
 
 def test_a_file_may_begin_with_a_byte_order_mark(folder: Folder) -> None:
-    text = folder.scenario.read_text(encoding="utf-8")
-    folder.scenario.write_text(text, encoding="utf-8-sig")
+    folder.write("scenario.toml", f"\ufeff{SCENARIO}")
     assert folder.prepare().plan.plant == "small"
 
 
@@ -176,8 +146,8 @@ def test_clusters_may_be_counted_and_tiers_are_named_by_their_letters(
 def test_measured_irradiance_brings_its_own_inverters(measured: Folder) -> None:
     found = measured.prepare()
     assert set(found.plan.tree.leaves) == {"c1/inv16", "c1/inv40"}
-    assert found.plan.tree.rating_kw("c1/inv16") == 100.0
-    assert found.profile.mpp_kw.shape == (4, 2)
+    assert found.plan.tree.rating_kw("c1/inv16") == 150.0
+    assert found.profile.mpp_kw.shape == (30, 2)
     assert found.hindsight
 
 
@@ -188,53 +158,32 @@ def test_every_shipped_scenario_loads(name: str) -> None:
     assert found.needs_data == (name in {"hope-melpitz", "oahu-grid", "plant20mw"})
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "name", "complaint"),
-    [
-        ("power_kw = 100", "power_kw = 301", "scenario.toml", "commitment: expected"),
-        ("13:00:00", "01:00:00", "scenario.toml", "time: expected"),
-        (
-            "37.102",
-            "3.7102",
-            "plant.csv",
-            "plant: expected inverters within 100 km of its middle, got c",
-        ),
-    ],
-)
-def test_a_probable_mistake_is_run_with_a_warning(
-    folder: Folder, old: str, new: str, name: str, complaint: str
-) -> None:
+def test_probable_mistakes_are_run_with_warnings(folder: Folder) -> None:
     assert folder.prepare().remarks == ()
-    folder.change(old, new, name)
-    (warning,) = folder.prepare().remarks
-    assert warning.startswith(f"warning: {complaint}")
+    folder.change("power_kw = 100", "power_kw = 301")
+    folder.change("13:00:00", "01:00:00")
+    folder.change("37.102", "3.7102", "plant.csv")
+    expected = ("plant: expected inverters within 100 km", "commitment: expected", "time: expected")
+    for warning, complaint in zip(folder.prepare().remarks, expected, strict=True):
+        assert warning.startswith(f"warning: {complaint}")
 
 
 # Bad scenario files -------------------------------------------------------------------------------
-
-DISTURBANCE = "[[faults]]\nkind = 'disturbance'\n"
-BUDGETS = "[timing.budgets]\n"
-SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
 
 
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        (
-            "rating_kw",
-            "rating_mw",
-            "line 11: plant.rating_mw: expected the fields inverters, grid, rating",
-        ),
         ('title = "', 'motto = "', "line 2: motto: expected the fields name, title, time, plant"),
         ("seed = 7", "seeds = 7", "line 15: irradiance.seeds: expected the fields kind, seed"),
         (
-            "rating_kw = 300",
-            "rating_kw = -300",
-            "line 11: plant.rating_kw: expected number above 0 up to 10000000, got -300",
+            "= 300",
+            "= -3",
+            "line 11: plant.rating_kw: expected number above 0 up to 10000000, got -3",
         ),
         (
-            'history = "earlier-day"',
-            'history = "later"',
+            '"earlier-day"',
+            '"later"',
             'line 25: neighbours.history: expected "earlier-day", "hindsight", got \'later\'',
         ),
         ('kind = "clouds"', 'kind = "moon"', 'irradiance.kind: expected "clouds" or "measured"'),
@@ -243,7 +192,6 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
         ("[[2, 1]]", "[[2, 1]]\ncluster_count = [2]", "control.cluster_sizes"),
         ("[[2, 1]]", "[[2, 1], [2, 1]]", "control.cluster_sizes[1]: expected"),
         ("[[2, 1]]", "[[3, 0]]", "control.cluster_sizes[0][1]: expected whole number"),
-        ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 5, 1]", "control.period_cycles: expected"),
         ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 3]", "control.period_cycles[0]: expected"),
         ("2024-05-12T13:00:00", '"13:00"', "time.start: expected date and time"),
         ("Europe/Madrid", "Europe/Madird", "time.timezone: expected an IANA name"),
@@ -252,38 +200,9 @@ SYNTHETIC = '[regulation]\nkind = "synthetic"\n'
         ('inverters = "plant.csv"\n', "", "plant.inverters: expected a CSV"),
         ("duration_s = 30", "duration_s = nan", "time.duration_s: expected number"),
         ("duration_s = 30", "duration_s = 30\ncycle_s = 4", "time.duration_s: expected a whole"),
-        ("seed = 7", "clouds.cloud_cover = nan", "irradiance.clouds.cloud_cover: expected"),
         ('title = "', 'pace = 1e7\ntitle = "', "pace: expected number"),
         ('"small"', '"../x"', "line 1: name: expected a name"),
         ('[neighbours]\nhistory = "earlier-day"\n', "", "neighbours: expected table, got nothing"),
-        (
-            "[control]",
-            "[[faults]]\nkind = 'disturbance'\nloss = 2\n[control]",
-            "line 23: faults[0].loss: expected",
-        ),
-        ("[control]", "[[faults]]\nloss = 0.5\n[control]", "faults[0].kind: expected"),
-        ("[control]", f"{DISTURBANCE}[control]", "faults[0]: expected a delay"),
-        ("[control]", "[[orders]]\nat = 1\n[control]", "orders[0]: expected either power_kw"),
-        (
-            "[control]",
-            "[[orders]]\nat = 1\nschedule = true\nhold_s = 5\n[control]",
-            "orders[0].hold_s: expected power_kw with it",
-        ),
-        (
-            "[control]",
-            f"{SYNTHETIC}capacity_kw = 9\nfrom = '06:00:00+02:00'\n[control]",
-            "regulation.from: expected time of day",
-        ),
-        (
-            "[control]",
-            f"{BUDGETS}hop_p99_ms.production = 3\n[control]",
-            "timing.budgets.hop_p99_ms: expected table from telemetry",
-        ),
-        (
-            "[control]",
-            f"{BUDGETS}hop_p99_ms.setpoint = 0.0\n[control]",
-            "timing.budgets.hop_p99_ms.setpoint: expected number",
-        ),
     ],
 )
 def test_a_bad_scenario_is_refused_with_file_and_field(
@@ -293,6 +212,33 @@ def test_a_bad_scenario_is_refused_with_file_and_field(
     found = folder.complaint()
     assert found.startswith(f"{folder.scenario}: ")
     assert f": {complaint}" in f": {found}"
+
+
+@pytest.mark.parametrize(
+    ("table", "complaint"),
+    [
+        ("[[faults]]\nkind = 'disturbance'\nloss = 2", "line 23: faults[0].loss: expected"),
+        ("[[faults]]\nloss = 0.5", "faults[0].kind: expected"),
+        ("[[faults]]\nkind = 'disturbance'", "faults[0]: expected a delay"),
+        ("[[orders]]\nat = 1", "orders[0]: expected either power_kw"),
+        ("[[orders]]\nat = 1\nschedule = true\nhold_s = 5", "orders[0].hold_s: expected power_kw"),
+        (
+            "[regulation]\nkind = 'synthetic'\ncapacity_kw = 9\nfrom = '06:00:00+02:00'",
+            "regulation.from: expected time of day",
+        ),
+        (
+            "[timing.budgets]\nhop_p99_ms.production = 3",
+            "timing.budgets.hop_p99_ms: expected table from telemetry",
+        ),
+        (
+            "[timing.budgets]\nhop_p99_ms.setpoint = 0.0",
+            "timing.budgets.hop_p99_ms.setpoint: expected number",
+        ),
+    ],
+)
+def test_a_bad_table_is_refused_with_its_field(folder: Folder, table: str, complaint: str) -> None:
+    folder.change("[control]", f"{table}\n[control]")
+    assert f": {complaint}" in folder.complaint()
 
 
 def test_all_wrong_fields_are_named_at_once_each_with_its_line(folder: Folder) -> None:
@@ -318,24 +264,31 @@ def test_a_scenario_that_is_not_there_is_refused(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("scenario", "old", "new", "complaint"),
+    ("old", "new", "complaint"),
     [
-        (SCENARIO, "plant.csv", "plants.csv", "plants.csv: expected it beside"),
-        (SCENARIO, '"plant.csv"', '""', "{}: expected"),
-        (SCENARIO, "rating_kw = 300\n", "", "plant.csv: expected plant.rating_kw"),
-        (MEASURED, "[irradiance]", 'inverters = "12"\n[irradiance]', "plant.inverters"),
-        (MEASURED, "_s = 4", "_s = 3\ncycle_s = 1.5", "{}/ghi.csv: expected a time.cycle_s"),
-        (MEASURED, "hindsight", "earlier-day", "neighbours.history: expected"),
+        ("plant.csv", "plants.csv", "plants.csv: expected it beside"),
+        ("rating_kw = 300\n", "", "plant.csv: expected plant.rating_kw"),
     ],
 )
-def test_bad_inverters_and_measurements_are_refused(
-    measured: Folder, scenario: str, old: str, new: str, complaint: str
-) -> None:
-    measured.write("scenario.toml", scenario)
+def test_bad_inverters_are_refused(folder: Folder, old: str, new: str, complaint: str) -> None:
+    folder.change(old, new)
+    assert f"{folder.scenario}: " in folder.complaint()
+    assert f": {complaint}" in f": {folder.complaint().rpartition('/')[2]}"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("[irradiance]", 'inverters = "12"\n[irradiance]', "plant.inverters, plant.grid: expected"),
+        ("_s = 30", "_s = 30\ncycle_s = 15", "ghi.csv: expected a time.cycle_s"),
+        ("hindsight", "earlier-day", "neighbours.history: expected"),
+    ],
+)
+def test_bad_measurements_are_refused(measured: Folder, old: str, new: str, complaint: str) -> None:
     measured.change(old, new)
     found = measured.complaint()
     assert found.startswith(f"{measured.scenario}: ")
-    assert f": {complaint.format(measured.path)}" in found
+    assert complaint in found
 
 
 # Options ------------------------------------------------------------------------------------------
@@ -378,12 +331,10 @@ def test_a_time_that_the_scenario_does_not_allow_is_refused_before_its_data_is_r
 
 # Regulation ---------------------------------------------------------------------------------------
 
-ONE_O_CLOCK_S = 13 * 3600
-
 
 def test_a_file_beside_the_scenario_is_held_onto_its_cycles(folder: Folder) -> None:
     values = np.linspace(-1.0, 1.0, 10)
-    rows = [f"{ONE_O_CLOCK_S + 2 * row},{value}" for row, value in enumerate(values.tolist())]
+    rows = [f"{13 * 3600 + 2 * row},{value}" for row, value in enumerate(values.tolist())]
     folder.write("regd.csv", "\n".join(["t_s,regd", *rows]))
     table = 'kind = "file"\npath = "regd.csv"\ncapacity_kw = 40\nto = 13:00:20'
     folder.change("[control]", f"[regulation]\n{table}\n[control]")

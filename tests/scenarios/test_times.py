@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from complaints import complaint_of
 
-from bus_schemas.errors import InputError
 from scenarios.times import duration_s, parse_duration_s, split_range
 
 
@@ -17,22 +17,15 @@ from scenarios.times import duration_s, parse_duration_s, split_range
 )
 def test_a_duration_has_units(text: str, seconds: float) -> None:
     assert duration_s(text) == pytest.approx(seconds)
-    assert parse_duration_s(text, "--duration") == pytest.approx(seconds)
     # The length of a run alone may be in seconds without a unit.
     assert duration_s(str(seconds)) is None
-    assert parse_duration_s(f"{seconds:f}", "--duration") == pytest.approx(seconds)
+    for length in (text, f"{seconds:f}"):
+        assert parse_duration_s(length, "--duration") == pytest.approx(seconds)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "0", "-5", "soon", "5 s", "5d", "1e3", ".", "1..5", "1m1h", "745h", "9" * 99]
-)
-def test_what_is_no_length_of_a_run_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--duration: expected"):
-        parse_duration_s(text, "--duration")
-
-
-def test_a_range_has_two_ends() -> None:
+def test_what_is_no_length_of_a_run_or_no_range_is_refused() -> None:
+    for text in ("", "0", "-5", "soon", "5 s", "5d", "1e3", ".", "1..5", "1m1h", "745h", "9" * 99):
+        assert complaint_of(parse_duration_s, text, "--duration").startswith("--duration: expected")
     assert split_range("30s..40s", "silent") == ("30s", "40s")
     for text in ("30s", "30s..", "..40s", ".."):
-        with pytest.raises(InputError, match="silent: expected a range"):
-            split_range(text, "silent")
+        assert complaint_of(split_range, text, "silent").startswith("silent: expected a range")

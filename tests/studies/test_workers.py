@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from command_line import process, python
+from command_line import process
 
 from bus_schemas.errors import InputError
 from studies.workers import WorkerLostError, share_work
@@ -81,29 +81,3 @@ def test_no_worker_outlives_a_comparison_that_is_killed(comparison: psutil.Proce
     comparison.kill()
     _, alive = psutil.wait_procs([*workers, comparison], timeout=30)
     assert not alive
-
-
-SIGNAL_AT_A_START = """
-import _thread, signal
-from multiprocessing import util
-from heliarch.cli.boundary import boundary
-from studies.workers import share_work
-
-spawn = util.spawnv_passfds
-
-def spawn_and_interrupt(path, words, files):
-    pid = spawn(path, words, files)
-    if "spawn_main" in str(words):  # A worker, which has not been told yet what to do.
-        # As if another thread had received the signal: this one cannot block it.
-        _thread.interrupt_main(signal.SIGTERM)
-    return pid
-
-util.spawnv_passfds = spawn_and_interrupt
-with boundary():
-    share_work(abs, range(4), 2)
-"""
-
-
-@pytest.mark.processes
-def test_a_signal_while_a_worker_starts_ends_the_study_without_a_traceback() -> None:
-    assert python(SIGNAL_AT_A_START, status=143).stderr == ""

@@ -68,11 +68,9 @@ def packed_anew(path: Path) -> None:
         writer.finish()
 
 
-def nested(depth: int) -> bytes:
-    return b"\x82\xa5cycle\x01\xa4more" + b"\x91" * depth + b"\xc0"
+NESTED = b"\x82\xa5cycle\x01\xa4more" + b"\x91" * 300_000 + b"\xc0"
 
 
-@pytest.mark.parametrize("words", [(), ("--nodes", "c1/a"), ("--cycle", "1")])
 @pytest.mark.parametrize(
     ("make", "named"),
     [
@@ -84,26 +82,25 @@ def nested(depth: int) -> bytes:
     ],
 )
 def test_hostile_content_is_refused_in_one_line(
-    make: Callable[[Path], None], named: str, words: tuple[str, ...], tmp_path: Path
+    make: Callable[[Path], None], named: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "run.mcap"
     make(path)
-    assert named in refusal("inspect", path, *words)
+    for words in ((), ("--nodes", "c1/a"), ("--cycle", "1")):
+        assert named in refusal("inspect", path, *words)
 
 
 @pytest.mark.parametrize(
     "payload",
-    [nested(300_000), encode(replace(HEAD, cycle=2**63 - 1)), b"\x81\xa5cycle\xa1\xff", b"\x81"],
+    [NESTED, encode(replace(HEAD, cycle=2**63 - 1)), b"\x81\xa5cycle\xa1\xff", b"\x81"],
 )
 def test_a_wrong_message_is_skipped_and_named_by_every_command(
     payload: bytes, tmp_path: Path
 ) -> None:
     with_payload(payload)(tmp_path / "run.mcap")
-    for words in (
-        *(("inspect",), ("inspect", "--nodes", "c1/a"), ("inspect", "--cycle", "1"), ("report",)),
-        *(("export", "--format", form) for form in ("csv", "json-mcap")),
-    ):
-        command, *options = words
+    looks = ("inspect", "inspect --nodes c1/a", "inspect --cycle 1", "report")
+    for words in (*looks, "export --format csv", "export --format json-mcap"):
+        command, *options = words.split()
         done = heliarch(command, tmp_path, *options)
         assert done.exit_code == 0, words
         # On a slow machine it also says how long it has been reading.

@@ -27,10 +27,14 @@ def run_it(scenario: str) -> tuple[list[str], str]:
     return summary["run"]["remarks"], Path("run/report.html").read_text(encoding="utf-8")
 
 
-def test_the_scenario_runs_at_once(folder: Path) -> None:
-    printed = done("init", "measured/positions.csv", "measured/ghi.csv", "--out", "plant.toml")
+FILES = ("measured/positions.csv", "measured/ghi.csv")
+
+
+def test_the_scenario_runs_at_once_and_replaces_no_file(folder: Path) -> None:
+    printed = done("init", *FILES, "--out", "plant.toml")
     assert "heliarch simulate plant.toml" in printed
     assert run_it("plant.toml")[0] == []
+    assert "--out" in refusal("init", *FILES, "--out", "plant.toml")
 
 
 def test_gaps_are_filled_and_told_in_scenario_summary_and_report(folder: Path) -> None:
@@ -39,7 +43,7 @@ def test_gaps_are_filled_and_told_in_scenario_summary_and_report(folder: Path) -
     lines[9] = ",".join([*lines[9].split(",")[:3], "NaN", *lines[9].split(",")[4:]])
     del lines[5:7]
     ghi.write_text("\n".join(lines), encoding="utf-8")
-    done("init", "measured/positions.csv", "measured/ghi.csv")
+    done("init", *FILES)
     told = "ghi.csv: 13 of 366 values were missing, in gaps of at most 20 s"
     assert told in (folder / "my-plant.toml").read_text(encoding="utf-8")
     (remark,), report = run_it("my-plant.toml")
@@ -51,15 +55,8 @@ def test_stations_without_a_position_are_left_out_and_none_at_all_is_refused(fol
     positions = folder / "measured" / "positions.csv"
     header, first, *_ = positions.read_text(encoding="utf-8").splitlines()
     positions.write_text(f"{header}\n{first}\n", encoding="utf-8")
-    done("init", "measured/positions.csv", "measured/ghi.csv")
+    done("init", *FILES)
     assert 'stations = ["p1"]' in (folder / "my-plant.toml").read_text(encoding="utf-8")
     run_it("my-plant.toml")
     positions.write_text(f"{header}\n{first.replace('p1', 'q1')}\n", encoding="utf-8")
-    assert "ghi.csv: line 1" in refusal(
-        "init", "measured/positions.csv", "measured/ghi.csv", "--out", "other.toml"
-    )
-
-
-def test_it_replaces_no_file(folder: Path) -> None:
-    (folder / "my-plant.toml").touch()
-    assert "--out" in refusal("init", "measured/positions.csv", "measured/ghi.csv")
+    assert "ghi.csv: line 1" in refusal("init", *FILES, "--out", "other.toml")

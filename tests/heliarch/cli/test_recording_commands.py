@@ -14,27 +14,17 @@ from recordings_by_hand import PLAN, whole_run, write_messages, write_run
 CYCLES = 90
 
 
-@pytest.fixture(scope="module")
-def content(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    path = tmp_path_factory.mktemp("recording") / "run.mcap"
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """Folder of a run that lacks what `c1/a` reports in five cycles."""
+    folder = tmp_path / "run"
+    folder.mkdir()
     write_run(
-        path,
+        folder / "run.mcap",
         whole_run(CYCLES),
         is_kept=lambda pair: str(pair[0]) != "c1/a/impp" or not 20 <= pair[1].cycle < 25,
     )
-    return path.read_bytes()
-
-
-@pytest.fixture
-def run(content: bytes, tmp_path: Path) -> Path:
-    """Folder of the run."""
-    folder = tmp_path / "run"
-    folder.mkdir()
-    (folder / "run.mcap").write_bytes(content)
     return folder
-
-
-# inspect ------------------------------------------------------------------------------------------
 
 
 def test_inspect_shows_what_a_recording_holds_and_what_is_missing(run: Path) -> None:
@@ -81,9 +71,6 @@ def test_a_damaged_attachment_is_named_or_refused(
     assert named in line
 
 
-# export -------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("form", "name"),
     [("json-mcap", "run.json.mcap"), ("parquet", "run-parquet"), ("csv", "run-csv")],
@@ -108,9 +95,6 @@ def test_a_part_of_the_run_may_be_exported_with_its_figures_as_json(run: Path) -
     assert (figures["path"], figures["whole"]) == (str(folder), True)
     assert (figures["first_cycle"], figures["last_cycle"]) == (30, 40)
     assert figures["rows"]["impp"] == len(impp)
-
-
-# report -------------------------------------------------------------------------------------------
 
 
 def test_the_report_is_in_the_folder_of_the_run_or_replaces_an_old_one(run: Path) -> None:

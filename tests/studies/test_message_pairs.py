@@ -9,7 +9,7 @@ from replayed_runs import PLAN
 
 from bus_schemas.messages import Impp
 from bus_schemas.signals import IMPP
-from studies.live_replay.live_bus import MessagePairs
+from studies.live_replay import MessagePairs
 
 PORT = IMPP.of("c1/a")
 

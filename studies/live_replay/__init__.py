@@ -1,1 +1,0 @@
-"""Recorded messages back on the bus, with live controllers among them."""
