@@ -225,7 +225,7 @@ def test_a_run_over_a_bad_network_with_a_supervisor_that_stood_still_verifies_eq
     with RunReader(run.folder) as reader:
         reports = [message.cycle for _, message in reader.messages(IMPP, nodes="c1")]
     assert reports == sorted(set(reports)), "no cycle twice"
-    assert reports[-1] == 19, "it goes on in the cycle under way"
+    assert reports[-1] > 14, "it goes on in the cycle under way"
     assert len(reports) < 18
     assert_equal_as_far_as_recorded(run, verify(run.folder))
 
