@@ -26,10 +26,9 @@ from agents.cycle import stage_of
 from agents.loop import Loop
 from agents.plan import RunPlan, changed
 from agents.team import controller, controllers
-from bus_schemas import messages
 from bus_schemas.bounds import BOUNDS, LARGEST, Bound
 from bus_schemas.codec import encode
-from bus_schemas.messages import Message
+from bus_schemas.messages import HelpGiven, Message
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
@@ -70,12 +69,7 @@ def table(name: str) -> str:
     """Return what stands between the comments of a name, such as `signals` or `scenario time`."""
     what, _, which = name.partition(" ")
     of_one = {"commands": _commands, "scenario": _scenario_table}
-    of_all = {
-        "signals": _signals,
-        "types": _types,
-        "stages": _stages,
-        "bounds": _bounds,
-    }
+    of_all = {"signals": _signals, "types": _types, "stages": _stages, "bounds": _bounds}
     return "".join(f"{line}\n" for line in (of_one[what](which) if which else of_all[what]()))
 
 
@@ -151,7 +145,10 @@ def _scenario_table(name: str) -> Iterator[str]:
         described = descriptions(struct.cls)
         for field in struct.fields:
             if field.name in described:
-                row = (f"`{field.encode_name}`", _values(field), described[field.name])
+                words = described[field.name]
+                if "_" in field.name:  # Its name says the unit.
+                    words = re.sub(r" \[[^]]+\](?=[.;,])", "", words)
+                row = (f"`{field.encode_name}`", _values(field), words)
                 kinds.setdefault(row, []).append(kind)
     rows: dict[tuple[str, str, str], list[str]] = {}
     for (field, values, words), of_kinds in kinds.items():
@@ -332,46 +329,6 @@ def _bound(bound: Bound, value: float) -> str:
     return {"1": "the rating", "-1": "- the rating"}.get(share, f"{share} times the rating")
 
 
-# Example messages
-
-_TIME_NS: Final = 1_270_159_202_000_000_000
-
-
-def _head(source: str, ready_ns: int) -> tuple[Any, ...]:
-    """Return the head of an example's message, of cycle 2; it is published 0.1 ms later."""
-    return 2, _TIME_NS, source, (), ready_ns, ready_ns + 100_000, 2
-
-
-_EXAMPLES: Final[dict[str, Message]] = {
-    "telemetry": messages.Telemetry(
-        *_head(PLANT, 4_999_900_000), power_kw=120.5, alpha=0.5, limit_kw=470.0
-    ),
-    "setpoint": messages.Setpoint(
-        *_head("c2", 5_003_400_000),
-        power_kw=100.0,
-        share_kw=80.0,
-        help_given=(messages.HelpGiven("c2/inv03", 20.0),),
-    ),
-    "command": messages.Command(
-        *_head(INVERTER, 5_003_900_000), alpha=100.0 / 241.0, power_kw=100.0
-    ),
-}
-
-
-def vectors() -> str:
-    """Return the example messages as JSON: key, fields, and bytes in hexadecimal digits."""
-    plan = _example().plan
-    found = {
-        port.signal.name: {
-            "key": plan.wiring.key(port),
-            "message": msgspec.to_builtins(_EXAMPLES[port.signal.name]),
-            "bytes": encode(_EXAMPLES[port.signal.name]).hex(),
-        }
-        for port in (*_INPUTS[::2], COMMAND.of(INVERTER))
-    }
-    return json.dumps(found, indent=1) + "\n"
-
-
 # A direct controller at work
 
 _INPUTS: Final = (TELEMETRY.of(INVERTER), DISPATCH.of(ROOT), SETPOINT.of(INVERTER))
@@ -431,12 +388,26 @@ def _heard(
             "commitment_kw": 0.0,
             "regulation_kw": 0.0,
         },
-        "setpoint": {"share_kw": 0.0, "help_given": ()},
+        "setpoint": {"share_kw": 0.0, "help_given": (HelpGiven("c2/inv03", 20.0),)},
     }
     for port, fields in zip(_INPUTS, of_inputs, strict=True):
         if fields is not None:
             head = (cycle, plan.timing.sim_time_ns(cycle), port.publisher, (), 0, 0, cycle)
             yield port, port.signal.type(*head, **(rest[port.signal.name] | fields))
+
+
+def vectors() -> str:
+    """Return messages of cycle 1 as JSON: key, fields, and bytes in hexadecimal digits."""
+    found = {
+        port.signal.name: {
+            "key": _example().plan.wiring.key(port),
+            "message": msgspec.to_builtins(message),
+            "bytes": encode(message).hex(),
+        }
+        for port, message in _cycles()[1]
+        if port in {*_INPUTS[::2], COMMAND.of(INVERTER)}
+    }
+    return json.dumps(found, indent=1) + "\n"
 
 
 def vector() -> list[list[str]]:

@@ -44,8 +44,9 @@ def timing(rate: int, done: Done) -> Found:
 
 
 def fastest(done: Done) -> Found:
-    yield "clean rate", f"{done.said['highest_clean_hz']:.0f}", "cycles/s"
-    yield "too fast", f"{done.said['too_fast_hz']:.0f}", "cycles/s"
+    for name, field in (("clean rate", "highest_clean_hz"), ("too fast", "too_fast_hz")):
+        rate = done.said[field]
+        yield name, "-" if rate is None else f"{rate:.0f}", "cycles/s"
 
 
 def launched(name: str, done: Done) -> Found:

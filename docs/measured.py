@@ -12,10 +12,11 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from math import inf
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
@@ -27,7 +28,7 @@ from agents.control.offers import MISSED_SHARE, firm_share, nothing_offered
 from agents.plan import Offers, changed
 from agents.team import offer_settings
 from docs.shown import Found, fill, keep, write
-from heliarch import compare, load_scenario
+from heliarch import compare, load_scenario, simulate
 from results.answers import answers
 from scenarios.preparation import Preparation, prepare
 from scenarios.run_options import RunOptions
@@ -41,8 +42,7 @@ WORKERS: Final = 2
 BOTH: Final = ("fraction", "limit")
 HIERARCHICAL: Final = ("paper", "predictive")
 
-Cells = list[str]
-Lines = Iterator[Cells]
+Lines = Iterator[Sequence[object]]
 Columns = Mapping[str, tuple[str, int | None]]
 """Title of each column of a table, and the decimals of its numbers; None for words."""
 
@@ -61,22 +61,14 @@ CAUSES: Final = ["control-caused", "over-delivered"]
 ERRORS: Final = tuple(f"{name} %" for name in CAUSES)
 
 
-def row(cells: Iterable[object]) -> Cells:
-    return [str(cell) for cell in cells]
-
-
 def table(rows: pd.DataFrame, columns: Columns) -> Lines:
     """Write these columns of a comparison."""
-    yield row([title for title, _ in columns.values()])
+    yield [title for title, _ in columns.values()]
     for _, entry in rows.fillna({"actuator": "-"}).iterrows():
-        yield row(
+        yield [
             entry[name] if decimals is None else f"{entry[name]:.{decimals}f}"
             for name, (_, decimals) in columns.items()
-        )
-
-
-def only(columns: Columns, *names: str) -> Columns:
-    return {name: columns[name] for name in names}
+        ]
 
 
 # docs/results.md
@@ -91,11 +83,11 @@ def skies() -> Lines:
     """Write means over a hundred skies."""
     schemes = ("uniform-cap", *HIERARCHICAL)
     rows = compare("oahu", schemes=schemes, actuators=BOTH, seeds=range(1, 101), workers=WORKERS)
-    yield row(["scheme", "actuator", ERRORS[0], "5 to 95 %", ERRORS[1]])
+    yield ["scheme", "actuator", ERRORS[0], "5 to 95 %", ERRORS[1]]
     for names, group in rows.groupby(["scheme", "actuator"], sort=False):
         missing, beyond = group["control-caused"], group["over-delivered"]
         spread = f"{missing.quantile(0.05):.3f} to {missing.quantile(0.95):.3f}"
-        yield row([*names, f"{missing.mean():.3f}", spread, f"{beyond.mean():.2f}"])
+        yield [*names, f"{missing.mean():.3f}", spread, f"{beyond.mean():.2f}"]
 
 
 def cycle_lengths() -> Lines:
@@ -108,7 +100,7 @@ def cycle_lengths() -> Lines:
         settings=cycles,
         workers=WORKERS,
     )
-    figures = only(COMMITMENT, "control-caused", "over-delivered", "rmse")
+    figures = {name: COMMITMENT[name] for name in ("control-caused", "over-delivered", "rmse")}
     return table(rows, {"time.cycle_s": ("cycle [s]", None), **CASE, **figures})
 
 
@@ -164,7 +156,7 @@ def noisy_skies(data: Path) -> pd.DataFrame:
 
 def noise(data: Path) -> Lines:
     """Write what the seed of the noise changes: least and most of the means over its 16 cells."""
-    yield row(["actuator", "scheme", "seeds", *ERRORS, "at most the paper's, of 16"])
+    yield ["actuator", "scheme", "seeds", *ERRORS, "at most the paper's, of 16"]
     names = ["plant.meter_seed", "sky", "commitment.share"]
     cells = noisy_skies(data).set_index(["actuator", "scheme", *names])[CAUSES].sort_index()
     for actuator in BOTH:
@@ -174,7 +166,7 @@ def noise(data: Path) -> Lines:
             counts = (apart <= 5e-4).all(axis=1).groupby(names[0]).sum()
             means = of_scheme.groupby(names[0]).mean()
             spans = (f"{means[name].min():.3f} to {means[name].max():.3f}" for name in CAUSES)
-            yield row([actuator, scheme, len(means), *spans, f"{counts.min()} to {counts.max()}"])
+            yield [actuator, scheme, len(means), *spans, f"{counts.min()} to {counts.max()}"]
 
 
 def measured_skies(data: Path) -> Lines:
@@ -182,10 +174,10 @@ def measured_skies(data: Path) -> Lines:
     rows = known_skies(data)
     rows = rows[rows["control.offset_errors"] == 0.0]
     shares = sorted(rows["commitment.share"].unique())
-    yield row(["sky", "actuator", "scheme", *(f"{share:.0%}" for share in shares)])
+    yield ["sky", "actuator", "scheme", *(f"{share:.0%}" for share in shares)]
     for names, group in rows.groupby(["sky", "actuator", "scheme"], sort=False):
         means = group.groupby("commitment.share")[CAUSES].mean()
-        yield row([*names, *(f"{missed:.3f} / {over:.3f}" for missed, over in means.to_numpy())])
+        yield [*names, *(f"{missed:.3f} / {over:.3f}" for missed, over in means.to_numpy())]
 
 
 def offsets(data: Path) -> Lines:
@@ -194,7 +186,7 @@ def offsets(data: Path) -> Lines:
     names = ["sky", "commitment.share"]
     cells = rows.set_index([*names, "plant.meter_noise"])
     titles = ["actuator", "scheme", "offset_errors", *ERRORS, "sum %", "at most the paper's"]
-    yield row(titles)
+    yield titles
     keys = ["actuator", "scheme", "control.offset_errors"]
     for (actuator, scheme, aim), group in cells.groupby(keys, sort=False):
         is_paper = (cells["actuator"] == actuator) & (cells["scheme"] == "paper")
@@ -202,7 +194,7 @@ def offsets(data: Path) -> Lines:
         missed, over = group[CAUSES].mean()
         count = (apart <= 5e-4).all(axis=1).sum()
         figures = (f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}", count)
-        yield row([actuator, scheme, f"{aim:g}", *figures])
+        yield [actuator, scheme, f"{aim:g}", *figures]
 
 
 def intervals(data: Path) -> Lines:
@@ -213,14 +205,14 @@ def intervals(data: Path) -> Lines:
     rows = known_skies(data)
     rows = rows[rows["control.offset_errors"] == 0.0]
     means = rows.groupby(["actuator", "scheme", "sky"])[CAUSES].mean()
-    yield row(["actuator", "skies", *(f"{name}, 95 %" for name in ERRORS)])
+    yield ["actuator", "skies", *(f"{name}, 95 %" for name in ERRORS)]
     for actuator in BOTH:
         apart = (means.loc[actuator, "predictive"] - means.loc[actuator, "paper"]).to_numpy()
         draws = np.random.default_rng(1).integers(len(apart), size=(10_000, len(apart)))
         low, high = np.quantile(apart[draws].mean(axis=1), (0.025, 0.975), axis=0)
         spans = zip(apart.mean(axis=0), low, high, strict=True)
         cells = (f"{mean:+.3f} ({least:+.3f} to {most:+.3f})" for mean, least, most in spans)
-        yield row([actuator, len(apart), *cells])
+        yield [actuator, len(apart), *cells]
 
 
 STATES: Final[dict[str, dict[str, list[float]]]] = {
@@ -234,7 +226,7 @@ STATES: Final[dict[str, dict[str, list[float]]]] = {
 
 def stated(data: Path) -> Lines:
     """Write what it is worth that inverters state their available power, behind limits."""
-    yield row(["inverters that state it", *ERRORS, "sum %"])
+    yield ["inverters that state it", *ERRORS, "sum %"]
     run = partial(compare, schemes=["predictive"], actuators=["limit"], workers=WORKERS)
     for title, states in STATES.items():
         found = [
@@ -242,12 +234,12 @@ def stated(data: Path) -> Lines:
             for scenario, settings in skies_of(data).values()
         ]
         missed, over = pd.concat(found)[CAUSES].mean()
-        yield row([title, f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}"])
+        yield [title, f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}"]
 
 
 def steps() -> Lines:
     """Write how a step of 30 % of the rating is answered, up and down under a clear sky."""
-    yield row(["inverters follow", "settled after s", "overshoot, % of the step"])
+    yield ["inverters follow", "settled after s", "overshoot, % of the step"]
     ways = {"at once": {}}
     ways |= {f"by {ramp} % a second": {"plant.ramp_percent_per_s": ramp} for ramp in (100, 33, 10)}
     ways |= {f"after {delay_s} s": {"plant.delay_s": delay_s} for delay_s in (1, 3, 10)}
@@ -261,7 +253,7 @@ def steps() -> Lines:
         up, down = answers(run)[-2:]
         settled = max(one.settling_s or inf for one in (up, down))
         beyond = max(one.overshoot_percent or 0.0 for one in (up, down)) / 0.3
-        yield row([title, f"{settled:.0f}", f"{beyond:.1f}"])
+        yield [title, f"{settled:.0f}", f"{beyond:.1f}"]
 
 
 # docs/offers.md
@@ -269,19 +261,17 @@ def steps() -> Lines:
 
 def offers() -> Lines:
     """Write how often promises were kept in 30 days of one plant, and how much they promised."""
-    yield row(
-        [
-            *("interval [s]", "reliability", "actuator", "intervals", "kept %", "promised %"),
-            *("firm, hindsight %", "fixed share of clear sky", "promised so %"),
-        ]
-    )
+    yield [
+        *("interval [s]", "reliability", "actuator", "intervals", "kept %", "promised %"),
+        *("firm, hindsight %", "fixed share of clear sky", "promised so %"),
+    ]
     for interval_s, reliability in ((300, 0.95), (900, 0.95), (3600, 0.95), (900, 0.9)):
         offered = Offers(
             interval_cycles=interval_s, lead_cycles=60, reliability=reliability, first_share=0.3
         )
         for actuator in BOTH:
             figures = promise_figures(*promised_days(offered, actuator), interval_s)
-            yield row([interval_s, reliability, actuator, *figures])
+            yield [interval_s, reliability, actuator, *figures]
 
 
 @cache
@@ -334,6 +324,44 @@ def promise_figures(
     yield f"{100 * fixed * clear.sum() / most:.1f}"
 
 
+# docs/orders.md
+
+ANSWERS: Final = {
+    "90 % of a step, longest [s]": ("to_90_s", max, 1),
+    "settled, longest [s]": ("settling_s", max, 1),
+    "overshoot, largest [%]": ("overshoot_percent", max, 2),
+    "error at rest, largest [%]": ("error_percent", max, 2),
+    "off the ramp, largest [%]": ("ramp_deviation_percent", max, 2),
+    "score of the AGC signal": ("score", min, 3),
+    "90 % of a frequency response, longest [s]": ("to_90_s", max, 1),
+    "frequency response, least energy [%]": ("response_percent", min, 1),
+}
+
+
+def commissioning() -> Lines:
+    """Write the worst answer of each kind, in cycles of 1 s and of 0.1 s."""
+    columns = []
+    for cycle_s in (1, 0.1):
+        with TemporaryDirectory() as folder:
+            settings = {"time.cycle_s": cycle_s}
+            run = simulate("commissioning", settings=settings, out=Path(folder) / "run")
+            columns.append(run.summary.answers)
+    budgets = load_scenario("commissioning").scenario.answers
+    yield ["answer", "1 Hz", "10 Hz", "budget"]
+    for title, (field, worst, decimals) in ANSWERS.items():
+        of_frequency = "frequency" in title
+        figures = (
+            worst(
+                abs(getattr(one, field))
+                for one in column
+                if getattr(one, field) is not None and (one.asked == "frequency") == of_frequency
+            )
+            for column in columns
+        )
+        budget = f"{getattr(budgets, field):g}"
+        yield [title, *(f"{figure:.{decimals}f}" for figure in figures), budget]
+
+
 # docs/clusters.md
 
 
@@ -357,7 +385,7 @@ def clusters(cases: Mapping[str, tuple[str | ScenarioFile, dict[str, Any]]]) -> 
     tables = [clusterings(name, *case) for name, case in cases.items()]
     periods = list(dict.fromkeys(tables[0]["period"]))
     missed = (f"control-caused %, {period}" for period in periods)
-    yield row(["sky", "clusters", "help from outside %", "plant able %", *missed])
+    yield ["sky", "clusters", "help from outside %", "plant able %", *missed]
     for rows in tables:
         for way, group in rows.groupby("control.clusters", sort=False):
             hows = ("mean", "min", "max") if way == "random" else ("mean",)
@@ -367,16 +395,16 @@ def clusters(cases: Mapping[str, tuple[str | ScenarioFile, dict[str, Any]]]) -> 
                 helped = (always[name].agg(how) for name in ("outside-help", "outside-help-able"))
                 caused = by_period["control-caused"].agg(how)
                 title = way if way != "random" else f"random, {how} of {len(always)}"
-                yield row(
-                    [rows["case"].iloc[0], title]
-                    + [f"{percent:.1f}" for percent in helped]
-                    + [f"{caused[period]:.3f}" for period in periods]
-                )
+                yield [
+                    *(rows["case"].iloc[0], title),
+                    *(f"{percent:.1f}" for percent in helped),
+                    *(f"{caused[period]:.3f}" for period in periods),
+                ]
 
 
 def learned(data: Path) -> Lines:
     """Write what clusters learned in half an hour are worth after it, beside those of hindsight."""
-    yield row(["sky", "minutes judged", "clusters", "help from outside %", "plant able %"])
+    yield ["sky", "minutes judged", "clusters", "help from outside %", "plant able %"]
     for sky, (scenario, settings) in skies_of(data).items():
         day = prepare(with_settings(scenario, [*settings.items()]), RunOptions(), "learned")
         (run,) = run_scheme("predictive", day.plan, day.profile, "limit")
@@ -397,7 +425,7 @@ def learned(data: Path) -> Lines:
                 f"{100.0 * outside[cycles].mean():.1f}" if cycles.any() else "-"
                 for cycles in (needy, needy & able)
             )
-            yield row([sky, f"{minutes:.0f}", way, *shares])
+            yield [sky, f"{minutes:.0f}", way, *shares]
 
 
 def correlation_of(power_kw: Any) -> Any:
@@ -451,14 +479,6 @@ def longer_cycles() -> Lines:
     return table(rows, {**FAULT, "time.cycle_s": ("cycle [s]", None), **NETWORK})
 
 
-def correction() -> Lines:
-    rules = ["none", "delay=0.2s", "delay=1s", "loss=20%"]
-    rows = under(faults=rules, settings={"control.correction": [True, False]})
-    rows = rows[rows["scheme"] == "predictive"]
-    rows = rows.sort_values("fault", key=lambda names: names.map(rules.index), kind="stable")
-    return table(rows, {**FAULT, "control.correction": ("correction", None), **NETWORK})
-
-
 Tables = dict[str, Callable[[], Lines]]
 
 SYNTHETIC: Final[dict[str, Tables]] = {
@@ -469,6 +489,7 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "steps": steps,
     },
     "offers.md": {"offers": offers},
+    "orders.md": {"commissioning": commissioning},
     "clusters.md": {
         "oahu": lambda: clusters({"oahu": ("oahu", {})}),
     },
@@ -477,7 +498,6 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "loss": losses,
         "period": central_periods,
         "longer cycles": longer_cycles,
-        "correction": correction,
     },
 }
 

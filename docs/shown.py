@@ -1,11 +1,10 @@
 """Puts measured tables and figures into pages, between comments that name them.
 
 `<!-- measured: NAME where COLUMN is VALUE or VALUE and ... -->` ... `<!-- end -->` shows a table,
-or only some of its rows; a column with one value is left out.
-`<!--TABLE:KEY:KEY:COLUMN-->5.2<!--/-->`
-shows one cell: that of the row which begins with the keys. `<!--NAME-->5.2<!--/-->` shows a figure,
-a row of `figures.csv`. So no number of a page is its own, and a page is read as it is also where no
-site is built. A test compares.
+or only some of its rows; a column with one value is left out. `<!--NAME-->5.2<!--/-->` shows a
+figure, a row of `figures.csv`; `<!--TABLE:KEY:KEY:COLUMN-->5.2<!--/-->` shows one cell of another
+table, in the row that begins with the keys. So no number of a page is its own, and a page is read
+as it is also where no site is built. A test compares.
 """
 
 from __future__ import annotations

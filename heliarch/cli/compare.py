@@ -91,9 +91,9 @@ def compare(
         offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy,
         delay, precision, score.
     frontier
-        Turn an offset of the plant's target (`control.offset`: a share of the rating;
+        Vary an offset of the plant's target (`control.offset`: a share of the rating;
         `control.offset_errors`: times its own mean error), and show what each scheme misses and
-        over-delivers; or turn the reliability of what the plant promises, and show what it misses
+        over-delivers; or vary the reliability of what the plant promises, and show what it misses
         and curtails. Means over all other cases.
     cluster
         Address of a Dask scheduler, such as tcp://host:8786: its workers share the cases instead.

@@ -26,7 +26,7 @@ def keys(
 ) -> None:
     """Make a certificate authority for a plant, and a certificate for each of its agents.
 
-    Run it again to renew the certificates, also while a run is on; the private keys stay the same.
+    Run it again to renew the certificates, also during a run; the private keys stay the same.
     Give a device only its own certificate, its own key and ca.pem. Keep ca.key secret: it can sign
     certificates.
 

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from documents import REPOSITORY
@@ -32,6 +33,8 @@ def test_the_site_has_no_broken_link_and_nothing_from_the_network(tmp_path: Path
         loaded += re.findall(r'<link rel="(?:stylesheet|preconnect|icon)" href="([^"]+)"', text)
         assert [url for url in loaded if url.startswith(("http:", "https:", "//"))] == [], page
         assert 'class="mermaid"' not in text, f"{page}: Mermaid diagrams load a script"
+    for picture in tmp_path.rglob("images/*.svg"):
+        ElementTree.parse(picture)
     metrics = (tmp_path / "metrics.html").read_text(encoding="utf-8")
     assert 'class="arithmatex"' in metrics
     assert "$\\sum" not in metrics, "a formula stands there as LaTeX"
