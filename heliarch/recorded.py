@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from functools import cached_property
+import re
+from collections.abc import Callable, Collection, Iterator
+from functools import cached_property, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
 
 import pandas as pd
 
@@ -20,12 +21,46 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_PARAMETERS: Final = {
+    "--from": "start",
+    "--to": "end",
+    "--set": "settings",
+    "--fault": "faults",
+    "--device": "devices",
+    "--external-timeout": "external_timeout_s",
+}
+"""Parameters that are not named as the option of the command is."""
+
+
+def by_parameter(function: Callable[P, T]) -> Callable[P, T]:
+    """Let errors of a function name its parameters in place of the command's options."""
+
+    def parameter(option: re.Match[str]) -> str:
+        return _PARAMETERS.get(option[0], option[0][2:].replace("-", "_"))
+
+    @wraps(function)
+    def call(*words: P.args, **options: P.kwargs) -> T:
+        try:
+            return function(*words, **options)
+        except InputError as error:
+            text = re.sub(r"--[a-z][a-z-]+", parameter, str(error))
+            raise InputError(text) from error.__cause__
+
+    return call
+
+
 class Run(RunReader):
     """A recorded run: its messages, tables, figures of merit and summary.
 
     As a context manager it names what was damaged in the recording at the end. Without one, as in
     a notebook, its files are closed when nobody needs it any more.
     """
+
+    messages = by_parameter(RunReader.messages)
+    frames = by_parameter(RunReader.frames)
 
     @property
     def folder(self) -> Path:

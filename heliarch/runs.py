@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from datetime import date
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple, ParamSpec, TypeAlias, TypeVar, get_args
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar, get_args
 
 import pandas as pd
 from rich.console import Console
@@ -23,7 +22,7 @@ from bus_schemas.selection import find_signals
 from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import is_run
 from heliarch.cli.run import run
-from heliarch.recorded import Run, open_run
+from heliarch.recorded import Run, by_parameter, open_run
 from launch_scripts.run_folder import RunRequest
 from launch_scripts.supervision import ForkServerProcess
 from recordings.export.exporting import ExportSummary, Form
@@ -41,10 +40,9 @@ from scenarios.settings import Setting, plain, with_settings
 from studies.arrays.schemes import SCHEMES
 from studies.compare.cases import cases
 from studies.compare.study import run_case
-from studies.timing import measured_run, prepare_at
+from studies.timing import measured_run, parse_rates, prepare_at
 from studies.workers import share_work
 
-P = ParamSpec("P")
 T = TypeVar("T")
 Recording: TypeAlias = str | Path | Run
 """A recorded run: its folder, its MCAP file, or what `open_run` returned."""
@@ -52,35 +50,8 @@ Recording: TypeAlias = str | Path | Run
 _SEVERAL: Final = ("faults", "external", "devices", "on", "cpus")
 """Options that may be given several times, or as one text."""
 
-_PARAMETERS: Final = {
-    "--from": "start",
-    "--to": "end",
-    "--set": "settings",
-    "--fault": "faults",
-    "--device": "devices",
-    "--external-timeout": "external_timeout_s",
-}
-"""Parameters that are not named as the option of the command is."""
 
-
-def _by_parameter(function: Callable[P, T]) -> Callable[P, T]:
-    """Let errors of a function name its parameters in place of the command's options."""
-
-    def parameter(option: re.Match[str]) -> str:
-        return _PARAMETERS.get(option[0], option[0][2:].replace("-", "_"))
-
-    @wraps(function)
-    def call(*words: P.args, **options: P.kwargs) -> T:
-        try:
-            return function(*words, **options)
-        except InputError as error:
-            text = re.sub(r"--[a-z][a-z-]+", parameter, str(error))
-            raise InputError(text) from error.__cause__
-
-    return call
-
-
-@_by_parameter
+@by_parameter
 def simulate(
     scenario: str | ScenarioFile = "oahu",
     *,
@@ -109,7 +80,7 @@ def simulate(
     return _run(_request(scenario, settings, data, out, options))
 
 
-@_by_parameter
+@by_parameter
 def launch(
     scenario: str | ScenarioFile = "oahu",
     *,
@@ -127,7 +98,7 @@ def launch(
         return _run(_request(scenario, settings, data, out, options), server)
 
 
-@_by_parameter
+@by_parameter
 def timing(
     scenario: str | ScenarioFile | Run = "oahu",
     *,
@@ -145,12 +116,15 @@ def timing(
     if isinstance(scenario, Run) or (isinstance(scenario, str) and is_run(Path(scenario))):
         return report_on(_path(scenario))
     request = _request(scenario, settings, data, out, options)
-    preparation, folder = prepare_at(rate, 60.0, request, request.out)
+    rate_hz, highest_hz = parse_rates(str(rate))
+    if rate_hz != highest_hz:
+        raise InputError(f"rate: expected one number, got {rate}")
+    preparation, folder = prepare_at(rate_hz, 60.0, request, request.out)
     with _nowhere() as console:
         return measured_run(preparation, folder, partial(PlainView, console))
 
 
-@_by_parameter
+@by_parameter
 def verify(
     run: Recording,
     *,
@@ -160,10 +134,12 @@ def verify(
     tolerance: float = 0.0,
 ) -> Verification:
     """Run the agents of a recording again and compare, as `heliarch verify` does: see `equal`."""
+    if not tolerance >= 0.0:
+        raise InputError(f"tolerance: expected 0 or more, got {tolerance}")
     return verify_run(_path(run), nodes, Equality(tolerance), start=start, end=end)
 
 
-@_by_parameter
+@by_parameter
 def export(
     run: Recording,
     form: Form,
@@ -184,7 +160,7 @@ def export(
         return export_run(reader, form, path, find_signals(signals), nodes, cycles, clock)
 
 
-@_by_parameter
+@by_parameter
 def compare(
     scenario: str | ScenarioFile = "oahu-day",
     *,
@@ -235,13 +211,16 @@ def compare(
     names, acting = _several(schemes), _several(actuators)
     check_names("schemes", names, tuple(SCHEMES))
     check_names("actuators", acting, get_args(Actuator))
+    check_names("options", span, [field.name for field in fields(TimeOptions)])
+    if workers < 1:
+        raise InputError(f"workers: expected 1 or more, got {workers}")
     listed = cases(
         _loaded(scenario, data),
         RunOptions.of(TimeOptions(**span)),
         [_setting(field, value) for field, value in (settings or {}).items()],
         _several(faults),
-        _several(days),
-        tuple(map(_whole, _several(seeds))),
+        tuple(_read("days", date.fromisoformat, day) for day in _several(days)),
+        tuple(_read("seeds", int, seed) for seed in _several(seeds)),
     )
     results = share_work(partial(run_case, names, acting), listed, workers, cluster=cluster)
     return pd.DataFrame([row for rows in results for row in rows])
@@ -260,7 +239,7 @@ class ComparedRuns(NamedTuple):
     notes: tuple[str, ...]
 
 
-@_by_parameter
+@by_parameter
 def compare_runs(first: Recording, second: Recording) -> ComparedRuns:
     """Compare two recordings, as `heliarch compare RUN RUN` does.
 
@@ -326,8 +305,8 @@ def _several(given: object) -> tuple[Any, ...]:
     return (given,)
 
 
-def _whole(seed: object) -> int:
+def _read(name: str, read: Callable[[str], T], given: object) -> T:
     try:
-        return int(str(seed))
-    except ValueError:
-        raise InputError(f"seeds: expected whole numbers, got {seed!r}") from None
+        return read(str(given))
+    except ValueError as error:
+        raise InputError(f"{name}: {error}, got {given!r}") from None

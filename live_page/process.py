@@ -46,7 +46,8 @@ class PageAddress:
 
     def text(self) -> str:
         """Return the address as it is printed."""
-        return self.url() + ("   (not encrypted)" if self.token else "")
+        is_local = ipaddress.ip_address(self.socket.getsockname()[0]).is_loopback
+        return self.url() + ("" if is_local else "   (not encrypted)")
 
 
 def open_address(

@@ -191,7 +191,7 @@ def _figures(found: Figures | None) -> list[dict[str, str]]:
     if found is None:
         return []
     return [
-        {"title": figure.title, "unit": figure.unit, "value": f"{value:,.{figure.decimals}f}"}
+        {"title": figure.title, "unit": figure.unit, "value": f"{value:z,.{figure.decimals}f}"}
         for figure in shown_in(Shown.SUMMARY)
         if (value := found[figure.name]) is not None
     ]

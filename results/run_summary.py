@@ -139,7 +139,7 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
             spans = [f"{first:,} to {last:,}" for first, last in launcher.recording_gaps]
             yield f"the recorder was cut off: not recorded are cycles {listed(spans)}"
         if missed := sum(bool(answer.missed) for answer in self.answers):
-            yield f"{missed} of {len(self.answers)} answers of the plant kept not all budgets"
+            yield f"{missed} of {len(self.answers)} answers of the plant missed a budget"
         if attacked := self._two_senders():
             text = listed([f"{one.key}: {one.example}" for one in attacked])
             yield f"more than one program sent messages on {text}"

@@ -142,7 +142,7 @@ def cell_text(cell: Cell, column: Column) -> str:
     value, decimals = cell if isinstance(cell, Number) else (cell, column.decimals)
     if value is None or not isfinite(value):
         return "-"
-    return f"{value:,}" if isinstance(value, int) else f"{value:,.{decimals}f}"
+    return f"{value:,}" if isinstance(value, int) else f"{value:z,.{decimals}f}"
 
 
 def print_table(console: Console, table: Table) -> None:

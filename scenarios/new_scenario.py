@@ -11,7 +11,7 @@ from typing import Final
 
 import pandas as pd
 
-from bus_schemas.errors import InputError
+from bus_schemas.errors import InputError, listed
 from bus_schemas.tree import RESERVED_NAMES
 from scenarios.times import LONGEST_S
 from sim_plant.csv_tables import read_csv
@@ -63,8 +63,8 @@ history = "hindsight"  # the order of help comes from the run's own data
 """
 
 
-def measured_scenario(positions_csv: Path, ghi_csv: Path, out: Path) -> str:
-    """Return the TOML of a scenario that stands at `out` and runs on these two files.
+def measured_scenario(positions_csv: Path, ghi_csv: Path, out: Path) -> tuple[str, list[str]]:
+    """Return the TOML of a scenario that stands at `out` and runs on these two files, and remarks.
 
     It takes the stations that both files have, and the brightest hour of the irradiance.
     """
@@ -90,8 +90,15 @@ fill = "interpolate"  # {found.report[0]}
 max_gap_s = {found.longest_gap_s:g}
 """
     )
+    remarks = [
+        f"left out, since only {path.name} has it: {listed(sorted(names - set(stations)))}"
+        for path, names in ((ghi_csv, set(table.header[1:])), (positions_csv, known))
+        if names - set(stations)
+    ]
+    if not found.ghi_wm2.to_numpy().any():
+        remarks.append(f"the GHI in {ghi_csv.name} is 0 throughout: the plant has no power")
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", out.stem).strip("-")
-    return _TEXT.format(
+    text = _TEXT.format(
         ghi_name=ghi_csv.name,
         positions_name=positions_csv.name,
         name=json.dumps(f"my-{name}" if not name or name in RESERVED_NAMES else name),
@@ -107,6 +114,7 @@ max_gap_s = {found.longest_gap_s:g}
         fill=fill,
         clusters=max(round(len(stations) / _CLUSTER), 1),
     )
+    return text, remarks
 
 
 def _timezone(offset: timedelta) -> str:

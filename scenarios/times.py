@@ -56,6 +56,7 @@ def read_time(text: str) -> time | datetime | None:
 
 def parse_time(text: str, where: str) -> time | datetime:
     """Return a local time, or a date with a time in a year that a run may be in."""
+    text = str(text)  # Python may give another type.
     moment = read_time(text)
     if isinstance(moment, time) and moment.tzinfo is not None:
         raise InputError(f"{where}: expected a date with a time in another zone, got {text[:40]}")

@@ -161,9 +161,7 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
     table.check_length()
     stamp = table.header[0]
     begins = table.times(stamp)
-    back = np.flatnonzero(np.diff(begins.asi8) <= 0)
-    if back.size:
-        raise table.error(int(back[0]) + 1, stamp, "a time after that of the line before")
+    table.check_ascending(stamp, begins.asi8)
     last_ns = (begins[-1] - begins[-2]).value
     check_coverage(f"{path.name}: expected a schedule", begins, last_ns, times)
     held: Floats = power_kw[begins.searchsorted(times, side="right") - 1]

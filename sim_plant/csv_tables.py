@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -133,25 +133,42 @@ class CsvTable:
         kinds = {"repeated": repeated, "earlier": back, "out of step": out_of_step}
         if not may_lack:
             kinds["after missing times"] = lacks
-        bad = np.flatnonzero(np.any(list(kinds.values()), axis=0))
-        if bad.size:
-            lines = self.fields.index[1:].to_numpy() + 1
-            told = [
-                f"{kind}: {listed(list(map(str, lines[rows])))}"
-                for kind, rows in kinds.items()
-                if rows.any()
-            ]
+        if np.any(list(kinds.values())):
             expected = "times in one step above 0"
             if usual_ns > 1.0:
                 expected += f", here mostly {usual_ns / 1e9:g} s"
-            error = self.error(int(bad[0]) + 1, column, expected)
-            raise InputError(f"{error} (all such lines: {'; '.join(told)})")
+            raise self._all_lines(column, expected, kinds)
+
+    def check_ascending(self, column: str, time_ns: NDArray[np.int64]) -> None:
+        """Refuse the times of a column unless each is later than the one before it."""
+        step_ns = np.diff(time_ns)
+        if (step_ns <= 0).any():
+            expected = "a time after that of the line before"
+            raise self._all_lines(
+                column, expected, {"repeated": step_ns == 0, "earlier": step_ns < 0}
+            )
+
+    def _all_lines(
+        self, column: str, expected: str, kinds: Mapping[str, NDArray[np.bool_]]
+    ) -> InputError:
+        """Return the error of the first bad line, with all bad lines by kind."""
+        lines = self.fields.index[1:].to_numpy() + 1
+        told = [
+            f"{kind}: {listed(list(map(str, lines[rows])))}"
+            for kind, rows in kinds.items()
+            if rows.any()
+        ]
+        first = int(np.any(list(kinds.values()), axis=0).argmax())
+        error = self.error(first + 1, column, expected)
+        return InputError(f"{error} (all such lines: {'; '.join(told)})")
 
 
 def read_csv(path: Path, header: tuple[str, ...] = ()) -> CsvTable:
     """Read a CSV file; its first line is the header unless that is given."""
     if path.exists() and not path.is_file():  # A pipe would be waited for.
         raise InputError(f"{path}: expected a CSV file in UTF-8, got no regular file")
+    if path.exists() and not path.stat().st_size:
+        raise InputError(f"{path}: expected a CSV file, got an empty one")
     try:
         # A spreadsheet may have put a byte order mark first.
         text = path.read_text(encoding="utf-8-sig").rstrip("\r\n")
@@ -159,7 +176,7 @@ def read_csv(path: Path, header: tuple[str, ...] = ()) -> CsvTable:
             StringIO(text), header=None, dtype=str, keep_default_na=False, skip_blank_lines=False
         )
     except (OSError, ValueError) as error:
-        got = " ".join(str(error).split())
+        got = " ".join(str(getattr(error, "strerror", None) or error).split())
         raise InputError(f"{path}: expected a CSV file in UTF-8, got: {got}") from None
     names = header or tuple(name.strip() for name in fields.iloc[0])
     return CsvTable(path.name, names, fields if header else fields.iloc[1:])

@@ -35,10 +35,11 @@ def init(
     from scenarios.new_scenario import measured_scenario
 
     check_new(out)
-    text = measured_scenario(positions, ghi, out)
+    text, remarks = measured_scenario(positions, ghi, out)
     with whole_file(out) as file:
         file.write(text.encode())
     Output().say(
         f"scenario: {out}; its lines with CHECK hold what the files do not say",
+        *remarks,
         f"run it: heliarch simulate {out} --report",
     )

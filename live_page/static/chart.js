@@ -3,7 +3,7 @@
 
 const css = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 export const kw = value => value == null ? "–" : value.toLocaleString("en", {
-  minimumFractionDigits: Math.abs(value) < 1000 ? 1 : 0, maximumFractionDigits: Math.abs(value) < 1000 ? 1 : 0,
+  minimumFractionDigits: Math.abs(value) < 1000 ? 1 : 0, maximumFractionDigits: Math.abs(value) < 1000 ? 1 : 0, signDisplay: "negative",
 });
 
 const FONT = "12px system-ui, sans-serif";

@@ -25,8 +25,8 @@ def clusters_table(series: RunSeries, plan: RunPlan, found: HelpBetween) -> Tabl
         columns = [at for at, name in enumerate(of_column) if name == cluster]
         available = float(np.nansum(series.mpp_kw[known][:, columns])) * hours
         delivered = float(np.nansum(series.power_kw[known][:, columns])) * hours
-        got = sum(kwh for _, kwh in found.helpers(cluster))
-        gave = sum(kwh for (giver, _), kwh in found.given_kwh.items() if giver == cluster)
+        got = sum((kwh for _, kwh in found.helpers(cluster)), 0.0)
+        gave = sum((kwh for (one, _), kwh in found.given_kwh.items() if one == cluster), 0.0)
         inverters = len(plan.tree.leaves_below(cluster))
         share = 100.0 * (available - delivered) / available if available > 0.0 else None
         need = found.needs.get(cluster)

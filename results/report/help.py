@@ -100,7 +100,9 @@ def help_table(found: HelpBetween, clock: RunClock) -> Table:
     notes = [
         "Lacking: its share of the dispatch less its IMPP. Help comes from siblings: for an "
         "inverter from its own cluster, for a cluster from other clusters. What its own cluster "
-        "cannot give is part of what the cluster lacks."
+        "cannot give is part of what the cluster lacks. Help can exceed what was lacking: siblings "
+        "also cover for a node that is not heard, and for what the central controller asks beyond "
+        "the dispatch."
     ]
     if len(ranked) > _MOST_ROWS:
         notes.append(f"{len(ranked) - _MOST_ROWS:,} others lacked less.")

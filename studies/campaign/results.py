@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from results.report.result import Result
-from results.tables import Cell, Column, Table, key_column
+from results.tables import Cell, Column, Table, counted, key_column
 from scenarios.preparation import Preparation
 from studies.campaign.study import SeedResult
 
@@ -33,7 +33,8 @@ def campaign_result(preparation: Preparation, seeds: Sequence[SeedResult]) -> Re
     counts = Counter(seed.violations[0].invariant for seed in broken)
     listed = ", ".join(f"{name} {count:,}" for name, count in sorted(counts.items()))
     plan, begins = preparation.plan, preparation.local_start()
-    title = f"{plan.plant}: {len(seeds):,} seeds of {plan.timing.cycles} cycles from {begins}"
+    count = counted(len(seeds), "seed")
+    title = f"{plan.plant}: {count} of {plan.timing.cycles} cycles from {begins}"
     columns = (
         key_column("", "figure"),
         key_column("", "unit"),
@@ -47,5 +48,8 @@ def campaign_result(preparation: Preparation, seeds: Sequence[SeedResult]) -> Re
         f"Campaign: {title}",
         [Table(title, columns, rows, notes)],
         seeds,
-        verdict=(not broken, f"{len(broken):,} of {len(seeds):,} seeds broke an invariant"),
+        verdict=(
+            not broken,
+            f"{len(broken):,} of {count} broke an invariant",
+        ),
     )

@@ -86,7 +86,7 @@ def test_tables_read_together_or_in_parts_are_those_that_are_read_alone(run: hel
 def test_a_recording_is_verified_and_a_part_of_it_exported(
     run: heliarch.Run, tmp_path: Path
 ) -> None:
-    found = heliarch.verify(run.folder, nodes="c1", end="10s")
+    found = heliarch.verify(run, nodes="c1", end="10s")
     assert found.equal
     assert list(found.agents) == ["c1"]
     part = heliarch.export(run.folder, "csv", out=tmp_path / "part", signals="impp", end=3)
@@ -125,8 +125,29 @@ def test_a_comparison_is_a_table_with_a_row_for_each_case_scheme_and_actuator(pl
     assert list(table["commitment.share"]) == [0.3] * 3 + [0.5] * 3
     assert list(table["seed"].unique()) == [1]
     assert table["control-caused"].ge(0.0).all()
-    with pytest.raises(InputError, match="actuators"):
-        heliarch.compare(plant, actuators=["magic"])  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"actuators": "magic"},
+        {"seeds": ["x"]},
+        {"days": "yesterday"},
+        {"workers": 0},
+        {"schemes": "magic"},
+        {"settings": {"no.such": 1}},
+    ],
+)
+def test_a_comparison_names_the_parameter_that_is_wrong(plant: str, bad: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=rf"^{next(iter(bad))}"):
+        heliarch.compare(plant, **bad)
+
+
+def test_reading_names_the_parameter_that_is_wrong(run: heliarch.Run) -> None:
+    with pytest.raises(InputError, match=r"^cycles: expected 1 or more"):
+        list(run.batches("impp", cycles=0))
+    with pytest.raises(InputError, match=r"^nodes: expected"):
+        run.frame("impp", nodes="zz")
 
 
 def test_two_recordings_are_compared_with_their_first_difference(
@@ -146,7 +167,12 @@ def test_two_recordings_are_compared_with_their_first_difference(
 @pytest.mark.parametrize(
     ("bad", "named"),
     [
-        ({"settings": {"no.such": 1}}, "no"),
+        ({"settings": {"no.such": 1}}, r"^settings no\.such=1: no"),
+        ({"faults": "kill"}, "^faults kill: expected"),
+        ({"seed": "x"}, "^seed: expected 0 to"),
+        ({"start": 12}, "^start: expected a local time"),
+        ({"end": "12:30", "duration": 5}, "^end: expected no duration"),
+        ({"colour": 1}, "^options: expected one of"),
         ({"duration": -60}, "duration: expected seconds above 0"),
         ({"settings": {"commitment.share": "much"}}, "share"),
         ({"scheme": "magic"}, "scheme"),

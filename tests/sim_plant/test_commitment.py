@@ -100,6 +100,13 @@ def test_the_last_power_holds_as_long_as_the_one_before(tmp_path: Path) -> None:
     assert "2010-04-01T22:00:06Z" in complaint_of(scheduled, tmp_path, SCHEDULE, too_late)
 
 
+def test_all_times_out_of_order_are_told_at_once(tmp_path: Path) -> None:
+    times = ("02", "01", "03", "03")
+    rows = [f"2010-04-01T22:00:{second}Z,1000" for second in times]
+    text = "\n".join(["begins,commitment_kw", *rows])
+    assert "repeated: 5; earlier: 3" in complaint_of(scheduled, tmp_path, text)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [

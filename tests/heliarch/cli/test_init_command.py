@@ -55,8 +55,17 @@ def test_stations_without_a_position_are_left_out_and_none_at_all_is_refused(fol
     positions = folder / "measured" / "positions.csv"
     header, first, *_ = positions.read_text(encoding="utf-8").splitlines()
     positions.write_text(f"{header}\n{first}\n", encoding="utf-8")
-    done("init", *FILES)
+    printed = done("init", *FILES)
+    assert "left out, since only ghi.csv has it: p2" in printed
     assert 'stations = ["p1"]' in (folder / "my-plant.toml").read_text(encoding="utf-8")
     run_it("my-plant.toml")
     positions.write_text(f"{header}\n{first.replace('p1', 'q1')}\n", encoding="utf-8")
     assert "ghi.csv: line 1" in refusal("init", *FILES, "--out", "other.toml")
+
+
+def test_irradiance_that_is_zero_throughout_is_told(folder: Path) -> None:
+    ghi = folder / "measured" / "ghi.csv"
+    header, *rows = ghi.read_text(encoding="utf-8").splitlines()
+    dark = [",".join([row.split(",")[0], *"0" * header.count(",")]) for row in rows]
+    ghi.write_text("\n".join([header, *dark]), encoding="utf-8")
+    assert "0 throughout" in done("init", *FILES)
