@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -37,10 +37,6 @@ class Equality:
 
     tolerance: float = 0.0
     ignored: frozenset[str] = frozenset()
-
-    def of_device(self) -> Equality:
-        """Return what counts as equal of a device, which may leave `missing` empty."""
-        return replace(self, ignored=self.ignored | {"missing"})
 
     def differences(
         self, port: Port[Message], recorded: Message, new: Message

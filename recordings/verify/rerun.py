@@ -125,7 +125,9 @@ class AgentRerun:
         self._plan = plan
         self._recorded = recorded
         is_device = name in plan.access.external
-        self._equality = equality.of_device() if is_device else equality
+        if is_device:  # It may leave `missing` empty.
+            equality = replace(equality, ignored=equality.ignored | {"missing"})
+        self._equality = equality
         self._estimates_as_it_likes = is_device and plan.control.scheme != "paper"
         self._stage_of = {
             port: stage_of(port, plan.tree)

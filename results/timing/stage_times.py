@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterator
-from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -93,11 +92,6 @@ class RunGraph:
             self.inputs.stage[self.inputs.awaited & (there != here)]
         )
 
-    @cached_property
-    def history(self) -> int:
-        """For how many cycles a message can be used."""
-        return self.plan.control.periods.longest + self.plan.control.hold_cycles
-
 
 class Block(NamedTuple):
     """The messages of some cycles, and the stages that published them.
@@ -137,7 +131,9 @@ def read_blocks(reader: RunReader, graph: RunGraph, block_messages: int) -> Iter
         _add_inputs(closed, inputs)
         late = inputs.loc[inputs.awaited & inputs.late, ["cycle", "stage", "input"]]
         yield Block(cycles, messages, closed, late)
-        before = known[known.cycle >= cycles.stop - graph.history]
+        # A message can be used for so many cycles.
+        history = graph.plan.control.periods.longest + graph.plan.control.hold_cycles
+        before = known[known.cycle >= cycles.stop - history]
 
 
 def _read(
