@@ -39,7 +39,7 @@ def run(recording: Recording) -> RunReader:
 names = [signal.name for signal in SIGNALS if signal.logged]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     signals=st.lists(st.sampled_from(names), unique=True, max_size=3),
     nodes=st.lists(st.sampled_from(["central", "c1", "c2/d"]), unique=True),
@@ -142,7 +142,7 @@ place = st.floats(0.0001, 0.01) | st.floats(0.01, 1.0, exclude_max=True)
 byte = st.tuples(place, st.integers(0, 255))
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(damage=st.lists(byte, min_size=5, max_size=5))
 def test_a_torn_file_never_breaks_the_reading(
     recording: Recording, damage: list[tuple[float, int]]
