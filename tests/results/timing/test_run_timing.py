@@ -210,7 +210,7 @@ def test_a_run_read_in_blocks_measures_what_it_measures_as_a_whole(tmp_path: Pat
     plan = with_changes(PLAN, period_cycles=(3, 1))
     between = without("c1/setpoint", "c2/setpoint")
     slow = {**between, "c1/a/command": (12.4, CYCLE_MS + 2.5), "production": (13.6, 31.0)}
-    cycles = [cycle(k, TIMES_MS if k % 3 == 0 else (slow, between)[k % 2]) for k in range(12)]
+    cycles = [cycle(k, TIMES_MS if k % 3 == 0 else (slow, between)[k % 2]) for k in range(9)]
     with RunReader(recorded(tmp_path, *cycles, plan=plan)) as reader:
         whole, parts = run_timing(reader), run_timing(reader, block_messages=1)
     pd.testing.assert_frame_equal(parts.durations, whole.durations)
@@ -222,7 +222,7 @@ def test_a_run_read_in_blocks_measures_what_it_measures_as_a_whole(tmp_path: Pat
 
 def test_memory_does_not_grow_with_the_length_of_a_run(tmp_path: Path) -> None:
     peaks = []
-    for length in (60, 180):
+    for length in (40, 120):
         (folder := tmp_path / str(length)).mkdir()
         with RunReader(recorded(folder, *map(cycle, range(length)))) as reader:
             tracemalloc.start()
