@@ -10,9 +10,8 @@ import msgspec
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from recordings_by_hand import PLAN, SCENARIO, whole_run, write_run
+from recordings_by_hand import PLAN, whole_run, write_run
 
-from agents.plan import load_plan
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
@@ -74,21 +73,6 @@ def test_channels_are_the_ports_of_the_run_with_their_schemas(written: Recording
         assert (channel.message_encoding, schema.encoding) == ("msgpack", "jsonschema")
         assert schema.name == port.signal.type.__name__
         assert json.loads(schema.data) == json.loads(json.dumps(json_schema(port.signal)))
-
-
-def test_a_recording_tells_where_it_comes_from(written: Recording, tmp_path: Path) -> None:
-    with written[0].open("rb") as file:
-        reader = make_reader(file)
-        run = {entry.name: entry.metadata for entry in reader.iter_metadata()}["run"]
-        attachments = {entry.name: entry for entry in reader.iter_attachments()}
-    assert (run["run_id"], run["plant"], run["driver"]) == (PLAN.run_id, "field", "simulate")
-    assert run["schema_version"] == SCHEMA_VERSION
-    assert {"python", "version heliarch", "version mcap"} <= set(run)
-    assert attachments["scenario.toml"].media_type == "application/toml"
-    assert attachments["scenario.toml"].data.decode() == SCENARIO
-    plan_json = tmp_path / "plan.json"
-    plan_json.write_bytes(attachments["plan.json"].data)
-    assert load_plan(plan_json) == PLAN
 
 
 # No recording of a run ----------------------------------------------------------------------------

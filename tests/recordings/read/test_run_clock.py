@@ -39,14 +39,11 @@ def test_the_text_of_a_cycle_names_it() -> None:
     assert short.cycle("12:00:02.5", "--from") == short.cycle("2.5s", "--from") == 25
 
 
-def test_a_time_of_day_after_midnight_is_of_the_next_day() -> None:
+def test_a_time_of_day_is_the_first_one_in_the_run_also_after_midnight() -> None:
     late = with_changes(PLAN, start_time_ns=PLAN.timing.start_time_ns + 11 * 3600 * 10**9)  # 23:00
     clock = RunClock(late, last_cycle=2 * 3600 - 1)
     assert clock.cycle("23:00:10", "--from") == 10
     assert clock.cycle("00:30:00", "--from") == 90 * 60
-
-
-def test_a_time_of_day_that_comes_twice_is_the_first_one() -> None:
     clock = RunClock(PLAN, last_cycle=30 * 3600)
     assert clock.cycle("13:00", "--from") == 3600
     assert clock.cycle("2010-04-02T13:00:00", "--from") == 25 * 3600
