@@ -44,8 +44,7 @@ def describe(scenario: str, folder: Path) -> Path:
             stage = record.port.publisher, stage_of(record.port, plan.tree)
             puts[stage].append(bare_graph.Put(str(record.port), record.payload))
     said = {put.key for of_stage in puts.values() for put in of_stage}
-    shape = plan.timing.cycles, len(plan.inverters)
-    plant = Plant(plan, load_profile(folder / "run" / "profile.npz", *shape))
+    plant = Plant(plan, load_profile(folder / "run" / "profile.npz"))
     agents = plant, *controllers(plan)
     processes = [
         bare_graph.Process(

@@ -13,10 +13,11 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from math import inf
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, Final
 
 import numpy as np
@@ -25,15 +26,17 @@ import pandas as pd
 from agents.control.clusters import geographic_clusters, search_clusters
 from agents.control.correlation import hourly_correlation
 from agents.control.offers import MISSED_SHARE, firm_share, nothing_offered
-from agents.plan import Offers, changed
+from agents.plan import Offers, RunPlan, changed
 from agents.team import offer_settings
+from bus_schemas.tree import ROOT
 from docs.shown import Found, fill, keep, write
 from heliarch import compare, load_scenario, simulate
 from results.answers import answers
-from scenarios.preparation import Preparation, prepare
+from scenarios.preparation import prepare
 from scenarios.run_options import RunOptions
-from scenarios.scenario import ScenarioFile
+from scenarios.scenario import DcCurrents, ScenarioFile
 from scenarios.settings import with_settings
+from sim_plant.profile import Profile
 from studies.arrays.closed_loop import run_loop
 from studies.arrays.schemes import run_scheme
 from studies.compare.by_agents import run_by_agents
@@ -258,56 +261,131 @@ def steps() -> Lines:
 
 # docs/offers.md
 
+OFFERS: Final = (
+    *("interval [s]", "reliability", "actuator", "intervals", "kept %", "promised %"),
+    *("firm, hindsight %", "fixed share of clear sky", "promised so %"),
+)
+Runs = list[tuple[RunPlan, Profile]]
+
 
 def offers() -> Lines:
     """Write how often promises were kept in 30 days of one plant, and how much they promised."""
-    yield [
-        *("interval [s]", "reliability", "actuator", "intervals", "kept %", "promised %"),
-        *("firm, hindsight %", "fixed share of clear sky", "promised so %"),
-    ]
+    yield [*OFFERS]
+    days = [offered_run("oahu-day", "07:00", "10h", seed) for seed in range(1, 31)]
     for interval_s, reliability in ((300, 0.95), (900, 0.95), (3600, 0.95), (900, 0.9)):
-        offered = Offers(
-            interval_cycles=interval_s, lead_cycles=60, reliability=reliability, first_share=0.3
-        )
-        for actuator in BOTH:
-            figures = promise_figures(*promised_days(offered, actuator), interval_s)
-            yield [interval_s, reliability, actuator, *figures]
+        yield from offered_rows(days, interval_s, reliability)
 
 
-@cache
-def day_of_clouds(seed: int) -> Preparation:
-    """Prepare ten hours, 7:00 to 17:00, by second."""
-    scenario = with_settings(load_scenario("oahu-day"), [("commitment", {"kind": "offered"})])
-    return prepare(scenario, RunOptions(start="07:00", duration="10h", seed=seed), "offers")
+def measured_offers(data: Path) -> Lines:
+    """Write the same for measured skies, each from an empty record."""
+    hours = [offered_run(real_plant(data), settings=hour(letter)) for letter in "abc"]
+    skies = {
+        "HOPE": [offered_run(hope(data))],
+        "hours a to c": hours,
+        "Livermore": [offered_run(livermore(data))],
+    }
+    yield ["sky", *OFFERS]
+    for sky, runs in skies.items():
+        for interval_s in (300, 900, 3600):
+            for cells in offered_rows(runs, interval_s, 0.95):
+                yield [sky, *cells]
 
 
-def promised_days(offered: Offers, actuator: Any) -> list[Any]:
-    """Return commitment, available power and clear-sky power of 30 days, by second."""
-    days, record = [], None
-    for seed in range(1, 31):
-        day = day_of_clouds(seed)
-        plan = changed(day.plan, control={"offers": offered, "actuator": actuator})
+def livermore(data: Path) -> ScenarioFile:
+    """Return the day of one sensor, which stands for a whole plant."""
+    folder = Path(mkdtemp())
+    day = pd.read_csv(data / "livermore-ghi-2s" / "ghi_20140518.csv")
+    times = pd.Timestamp("2014-05-18T08:00:00Z") + pd.to_timedelta(day["t_s"], unit="s")
+    day["t_s"] = times.dt.strftime("%Y-%m-%dT%H:%M:%SZ")
+    day.columns = ["utc", "1"]
+    day.to_csv(folder / "ghi.csv", index=False)
+    (folder / "positions.csv").write_text("station,lat,lon\n1,37.676208,-121.703118\n")
+    settings = {
+        "time.start": "2014-05-18T14:00:00",
+        "time.duration_s": 11 * 3600,
+        "time.cycle_s": 2,
+        "plant.altitude_m": 200,
+        "irradiance.ghi": "ghi.csv",
+        "irradiance.stations": ["1"],
+        "control.cluster_sizes": [[1]],
+    }
+    return with_settings(load_scenario("hope-melpitz", folder), list(settings.items()))
+
+
+def offered_run(
+    scenario: str | ScenarioFile,
+    start: str | None = None,
+    duration: str | None = None,
+    seed: int | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> tuple[RunPlan, Profile]:
+    """Prepare a run in which offers can be made.
+
+    A plant of unknown place has no clear sky. Its rating stands for that, as it may for an hour.
+    """
+    loaded = load_scenario(scenario) if isinstance(scenario, str) else scenario
+    loaded = with_settings(loaded, list((settings or {}).items()))
+    if not isinstance(loaded.scenario.irradiance, DcCurrents):
+        loaded = with_settings(loaded, [("commitment", {"kind": "offered"})])
+    found = prepare(loaded, RunOptions(start=start, duration=duration, seed=seed), "offers")
+    profile = found.profile
+    if not profile.clear_sky_kw.size:
+        rating_kw = np.full(profile.cycles, found.plan.tree.rating_kw(ROOT))
+        profile = replace(profile, clear_sky_kw=rating_kw)
+    return found.plan, profile
+
+
+def offered_rows(runs: Runs, interval_s: int, reliability: float) -> Lines:
+    """Yield the rows of an interval; none where no run has two of them."""
+    cycle_s = runs[0][0].timing.cycle_s
+    cycles = round(interval_s / cycle_s)
+    if all(profile.cycles < 2 * cycles for _, profile in runs):
+        return
+    offered = Offers(
+        interval_cycles=cycles,
+        lead_cycles=round(60 / cycle_s),
+        reliability=reliability,
+        first_share=0.3,
+    )
+    for actuator in BOTH:
+        figures = promise_figures(*promised(runs, offered, actuator), cycles)
+        yield [interval_s, reliability, actuator, *figures]
+
+
+def promised(runs: Runs, offered: Offers, actuator: Any) -> list[Any]:
+    """Return commitment, regulation, available and clear-sky power of runs in a row, by cycle.
+
+    The first interval of each is left out, since nobody has offered it, and what is no whole one.
+    """
+    found, record = [], None
+    for of_run, profile in runs:
+        plan = changed(of_run, control={"offers": offered, "actuator": actuator})
         settings = offer_settings(plan)
         assert settings is not None
         record = nothing_offered(settings) if record is None else record
-        run = run_loop(plan, day.profile, "predictive", actuator, record)
-        available_kw = day.profile.mpp_kw.sum(axis=1)
-        # Nobody has offered the first interval of a day.
-        later = slice(offered.interval_cycles, None)
-        powers_kw = (run.commitment_kw, available_kw, day.profile.clear_sky_kw)
-        days.append([kw[later] for kw in powers_kw])
-    return [np.concatenate(one) for one in zip(*days, strict=True)]
+        result = run_loop(plan, profile, "predictive", actuator, record)
+        cycles = offered.interval_cycles
+        whole = slice(cycles, profile.cycles // cycles * cycles)
+        powers_kw = (
+            result.commitment_kw,
+            profile.regulation_kw,
+            profile.mpp_kw.sum(axis=1),
+            profile.clear_sky_kw,
+        )
+        found.append([kw[whole] for kw in powers_kw])
+    return [np.concatenate(one) for one in zip(*found, strict=True)]
 
 
 def promise_figures(
-    commitment_kw: Any, available_kw: Any, clear_sky_kw: Any, interval_s: int
+    commitment_kw: Any, regulation_kw: Any, available_kw: Any, clear_sky_kw: Any, cycles: int
 ) -> Iterator[str]:
     """Yield the figures of a row: intervals, kept, promised, firm, and those of a fixed share."""
-    promised, available, clear = (
-        kw.reshape(-1, interval_s) for kw in (commitment_kw, available_kw, clear_sky_kw)
+    promised, regulation, available, clear = (
+        kw.reshape(-1, cycles) for kw in (commitment_kw, regulation_kw, available_kw, clear_sky_kw)
     )
 
-    def kept(wanted: Any) -> Any:
+    def kept(committed: Any) -> Any:
+        wanted = committed + regulation
         missing = np.maximum(wanted - available, 0.0).sum(axis=1)
         return missing <= MISSED_SHARE * wanted.sum(axis=1)
 
@@ -513,6 +591,7 @@ def measured(data: Path) -> dict[str, Tables]:
             "noise": partial(noise, data),
             "stated": partial(stated, data),
         },
+        "offers.md": {"measured offers": partial(measured_offers, data)},
         "clusters.md": {
             "HOPE": lambda: clusters({"HOPE": (hope(data), {})}),
             "learned": partial(learned, data),

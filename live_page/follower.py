@@ -29,7 +29,7 @@ from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.series import SeriesCollector
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
-from sim_plant.orders import OrderInForce
+from sim_plant.orders import OrderEvents
 
 State: TypeAlias = Literal["waiting", "running", "stalled", "over", "interrupted", "failed"]
 """Before the first cycle; going on; nothing new for a while; ended as planned, or before; given up
@@ -62,7 +62,7 @@ class RunFollower:
         self._firsts: list[int] = []
         clusters = tuple(dict.fromkeys(map(parent_of, self.plan.tree.leaves)))
         self._powers = SeriesCollector(self.plan, clusters)
-        self._order: OrderInForce | None = None
+        self._orders = OrderEvents(self.plan.tree.rating_kw(ROOT))
 
     def advance(self, budget_s: float) -> bool:
         """Read on for a while; return whether all that is in the file has been read."""
@@ -168,7 +168,8 @@ class RunFollower:
         match message:
             case Dispatch():
                 self._powers.see(port, message)
-                self._note_order(message)
+                if event := self._orders.see(message):
+                    self.events.add("order", cycle, *event)
             case Production() if 0 <= cycle < self.plan.timing.cycles:
                 self._powers.see(port, message)
                 self.cycles = max(self.cycles, cycle + 1)
@@ -182,17 +183,6 @@ class RunFollower:
                 self._stop_cycle = cycle
                 how = "over" if cycle >= self.plan.timing.cycles else "interrupted"
                 self.events.add("run", cycle, PLANT, f"the run is {how}")
-
-    def _note_order(self, dispatch: Dispatch) -> None:
-        """Note a new order, and one whose source is silent or whose time is over."""
-        order, before = OrderInForce.by(dispatch), self._order
-        if order is None or (before is not None and order.what == before.what):
-            return
-        self._order = order
-        goes_on = before is not None and (before.source, before.state) == (order.source, "holds")
-        if not (goes_on and order.state == "holds" and order.renew_s is not None):
-            text = order.text(self.plan.tree.rating_kw(ROOT))
-            self.events.add("order", dispatch.cycle, order.source, text)
 
     def _look_for_failure(self) -> None:
         failure = self.run.path.parent / FAILURE_NAME

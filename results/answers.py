@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from typing import Final
+from math import inf
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.control.grid import desired_kw
+from agents.control.share import usable_dispatch_kw
 from recordings.read.series import RunSeries
 from results.regulation import performance_score
 from results.tables import Column, Table, attributes, key_column
@@ -28,8 +31,10 @@ _LEAST: Final = ("score", "response_percent")
 """Of these more is better."""
 
 _SIGNAL_S: Final = 15.0
+_LONGEST_SIGNAL_S: Final = 60.0
 _SIGNAL_ORDERS: Final = 10
-"""So many orders of one source, none later than that after the one before, are one AGC signal."""
+"""So many orders of one source are one AGC signal, if each comes within 15 s of the one before, or
+within the time, up to 60 s, in which its source promised to renew it."""
 
 _REST_S: Final = 10.0
 """The error at rest is the mean over this time at the end, once the power has settled."""
@@ -42,7 +47,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
 
     asked: Who asked for it: `schedule`, or the source of an order.
     cycle, end_cycle: The first cycle of it, and that of what came next.
-    from_kw, to_kw: What the plant gave before, and what the dispatch came to.
+    from_kw, to_kw: What the plant gave before, and what it was asked for.
     duration_s: Time until the next one, or the end [s].
     ramp_s: Time that the dispatch took to get there [s]; 0: it was a step.
     to_90_s: Of a step: until the power had covered nine tenths of it [s].
@@ -86,6 +91,18 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
         return not self.missed if self.is_judged else None
 
 
+class _Asked(NamedTuple):
+    """What was asked of the plant: an order, or the schedule (None) as it says.
+
+    signal_s: Time within which a next order of the same source makes it part of an AGC signal [s].
+    """
+
+    cycle: int
+    by: str = "schedule"
+    power_kw: float | None = None
+    signal_s: float = 0.0
+
+
 def answers(series: RunSeries) -> tuple[Answer, ...]:
     """Return the plant's answers in a run, in the order of time."""
     # Frequency response is answered on its own: it ends the answer before it, and what is asked
@@ -94,13 +111,13 @@ def answers(series: RunSeries) -> tuple[Answer, ...]:
     delivered_kw = series.delivered_kw - series.response_kw
     available_kw = series.available_kw - series.plan.grid_law.reserve_kw
     rating_kw = series.rating_kw
-    begins = dict(_begins(series, rating_kw))
     found = []
-    for cycle, after in pairwise([*begins, series.cycles]):
-        responses = np.flatnonzero(series.response_kw[cycle + 1 : after])
-        end = cycle + 1 + int(responses[0]) if len(responses) else after
-        (asked, orders), cycles = begins[cycle], slice(cycle, end)
-        before_kw = float(delivered_kw[cycle - 1 if cycle else 0])
+    for group, after in pairwise([*_groups(series, rating_kw), [_Asked(series.cycles)]]):
+        asked = group[0]
+        responses = np.flatnonzero(series.response_kw[asked.cycle + 1 : after[0].cycle])
+        end = asked.cycle + 1 + int(responses[0]) if len(responses) else after[0].cycle
+        cycles = slice(asked.cycle, end)
+        before_kw = float(delivered_kw[max(asked.cycle - 1, 0)])
         if not known[cycles].all() or not np.isfinite(before_kw):
             continue
         step = answer(
@@ -110,9 +127,12 @@ def answers(series: RunSeries) -> tuple[Answer, ...]:
             before_kw,
             series.cycle_s,
             rating_kw,
+            None if len(group) > 1 else asked.power_kw,
         )
-        step = msgspec.structs.replace(step, asked=asked, cycle=cycle, end_cycle=end, orders=orders)
-        found.append(_scored(step, series, cycles) if orders > 1 else step)
+        step = msgspec.structs.replace(
+            step, asked=asked.by, cycle=asked.cycle, end_cycle=end, orders=len(group)
+        )
+        found.append(_scored(step, series, cycles) if len(group) > 1 else step)
     return tuple(sorted([*found, *_to_frequency(series)], key=lambda one: one.cycle))
 
 
@@ -123,9 +143,13 @@ def answer(
     from_kw: float,
     cycle_s: float,
     rating_kw: float,
+    to_kw: float | None = None,
 ) -> Answer:
-    """Return the answer to what a dispatch asks for from its first cycle on, shape (T,)."""
-    to_kw = float(dispatch_kw[-1])
+    """Return the answer to what a dispatch asks for from its first cycle on, shape (T,).
+
+    `to_kw` is where the dispatch was to go, if that is not where it came to.
+    """
+    to_kw = float(dispatch_kw[-1]) if to_kw is None else to_kw
     tolerance_kw = rating_kw * TOLERANCE_PERCENT / 100.0
     # A schedule that follows the sun moves on: a ramp ends where it has come near its end.
     moving = np.flatnonzero(np.abs(dispatch_kw - to_kw) > tolerance_kw)
@@ -216,26 +240,27 @@ def answers_tables(found: Iterable[Answer]) -> list[Table]:
     return [Table("How the plant answered", columns, rows, notes)] if rows else []
 
 
-def _begins(series: RunSeries, rating_kw: float) -> Iterator[tuple[int, tuple[str, int]]]:
-    """Yield the first cycle of each answer, who asked for it, and with how many orders."""
+def _groups(series: RunSeries, rating_kw: float) -> Iterator[list[_Asked]]:
+    """Yield what was asked, one by one; all orders of an AGC signal at once."""
     steps_kw = np.abs(np.diff(series.commitment_kw, prepend=series.commitment_kw[:1]))
-    steps = np.flatnonzero(steps_kw > rating_kw * TOLERANCE_PERCENT / 100.0)
-    found = {int(cycle): "schedule" for cycle in steps if _is_scheduled(series.orders, int(cycle))}
+    steps = np.flatnonzero(steps_kw > rating_kw * TOLERANCE_PERCENT / 100.0).tolist()
+    found = {cycle: _Asked(cycle) for cycle in steps if _is_scheduled(series.orders, cycle)}
     for cycle, order in series.orders:
         if order.state == "over":
-            found[cycle] = "schedule"
+            found[cycle] = _Asked(cycle)
         elif cycle == order.cycle:
-            found[cycle] = order.source
-    group: list[int] = []
-    for cycle, after in pairwise([*sorted(found), series.cycles]):
-        group.append(cycle)
-        is_next = found.get(after) == found[cycle] and found[cycle] != "schedule"
-        if is_next and (after - cycle) * series.cycle_s <= _SIGNAL_S:
+            signal_s = min(max(order.renew_s or 0.0, _SIGNAL_S), _LONGEST_SIGNAL_S)
+            power_kw = order.power_kw
+            if power_kw is not None:
+                usable_kw = usable_dispatch_kw(power_kw, rating_kw)
+                power_kw = desired_kw(usable_kw, 0.0, inf, series.plan.grid_law)
+            found[cycle] = _Asked(cycle, order.source, power_kw, signal_s)
+    group: list[_Asked] = []
+    for one, after in pairwise([*sorted(found.values()), _Asked(series.cycles)]):
+        group.append(one)
+        if after.by == one.by and (after.cycle - one.cycle) * series.cycle_s <= one.signal_s:
             continue
-        if len(group) >= _SIGNAL_ORDERS:
-            yield group[0], (found[cycle], len(group))
-        else:
-            yield from ((one, (found[one], 1)) for one in group)
+        yield from [group] if len(group) >= _SIGNAL_ORDERS else [[single] for single in group]
         group = []
 
 

@@ -254,10 +254,11 @@ def energy_figures(
 def _offer_figures(series: RunSeries) -> Figures:
     """Compute how often there was enough power for what was offered, and what could have been.
 
-    An interval has enough if at most `MISSED_SHARE` of its commitment was more than was available.
-    Firm energy is the most that could have been promised so, of the same shape, in hindsight. An
-    interval that is not known as a whole, or in which nothing is promised, is left out, and so is
-    the first: nobody has offered it.
+    An interval has enough if at most `MISSED_SHARE` of what the schedule asked for, commitment and
+    regulation, was more than was available, which is also how the plant judges its offers. Firm
+    energy is the most that could have been promised so, of the same shape and without regulation,
+    in hindsight. An interval that is not known as a whole, or in which nothing is promised, is left
+    out, and so is the first: nobody has offered it.
     """
     if series.plan.control.offers is None:
         return {}
@@ -270,8 +271,9 @@ def _offer_figures(series: RunSeries) -> Figures:
         if not series.known[cycles].all() or not (commitment_kw > 0.0).all():
             continue
         intervals += 1
-        missing_kw = np.maximum(commitment_kw - available_kw, 0.0).sum()
-        kept += bool(missing_kw <= MISSED_SHARE * commitment_kw.sum())
+        scheduled_kw = commitment_kw + series.regulation_kw[cycles]
+        missing_kw = np.maximum(scheduled_kw - available_kw, 0.0).sum()
+        kept += bool(missing_kw <= MISSED_SHARE * scheduled_kw.sum())
         promised_kw += float(commitment_kw.sum())
         firm_kw += float(commitment_kw.sum()) * firm_share(available_kw / commitment_kw)
     if not intervals:

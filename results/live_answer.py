@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import nan
 from typing import Final
 
 import numpy as np
 
+from agents.control.grid import response_kw
 from agents.plan import RunPlan
 from bus_schemas.errors import FailureError
 from bus_schemas.tree import ROOT
+from recordings.read.series import desired_powers
 from results.answers import TOLERANCE_PERCENT, Answer, answer
 from sim_plant.order_desk import TAKEN, PlantStatus
 
@@ -21,19 +24,18 @@ the power does not settle: of simulated time."""
 
 def answer_text(found: Answer) -> str:
     """Say in a line how the plant answered: `2,000 kW reached within 1 % after 3.0 s`."""
-    asked = f"{found.to_kw:,.0f} kW"
+    asked = f"{found.to_kw:z,.0f} kW"
     if found.settling_s is None:
-        sun = "; the sun gave less" if found.unable_percent else ""
-        return f"{asked} not reached within {TOLERANCE_PERCENT:g} %{sun}"
+        return f"{asked} not reached within {TOLERANCE_PERCENT:g} %"
     took = f"after {found.ramp_s + found.settling_s:.1f} s"
     ramp = f", {found.ramp_s:.1f} s of them a ramp" if found.ramp_s else ""
     reached = f"{asked} reached within {TOLERANCE_PERCENT:g} % {took}{ramp}"
-    return f"{reached}, overshoot {found.overshoot_percent or 0.0:.1f} %"
+    return f"{reached}, overshoot {found.overshoot_percent or 0.0:z.1f} %"
 
 
 def watched(statuses: Iterator[PlantStatus], plan: RunPlan) -> tuple[Answer, str]:
     """Follow the plant until it has settled; return its answer, and what ended it early."""
-    before, seen, there_s, remark = None, list[PlantStatus](), 0.0, "; the run is over"
+    before, seen, remark = None, list[PlantStatus](), "; the run is over"
     for status in statuses:
         if not seen and status.answer not in {"", TAKEN}:
             raise FailureError(f"order: {status.answer}")
@@ -45,23 +47,53 @@ def watched(statuses: Iterator[PlantStatus], plan: RunPlan) -> tuple[Answer, str
             remark = "; then another order came, or its time was over"
             seen.pop()
             break
-        there_s += plan.timing.cycle_s if status.is_there else 0.0
-        is_settled = there_s >= _REST_S and _answer(before, seen, plan).settling_s is not None
-        if is_settled or there_s >= _LONGEST_S:
+        found = _answer(before, seen, plan)
+        there_s = found.duration_s - found.ramp_s if status.is_there else 0.0
+        if there_s >= (_LONGEST_S if found.settling_s is None else _REST_S):
             remark = ""
             break
     if not seen:
         raise FailureError("order: the run ended before the plant took it")
-    return _answer(before, seen, plan), remark
+    found = _answer(before, seen, plan)
+    return found, remark if found.settling_s is not None else _reasons(found, seen, plan) + remark
 
 
 def _answer(before: PlantStatus | None, seen: list[PlantStatus], plan: RunPlan) -> Answer:
-    dispatch_kw, delivered_kw, available_kw = np.array(
-        [(one.dispatch_kw, one.delivered_kw, one.available_kw) for one in seen]
+    """Return the answer to what the grid leaves of the order: ramp limits, and no response."""
+    statuses, after = [before or seen[0], *seen], slice(1, None)
+    dispatch_kw, delivered_kw, available_kw, frequency_hz = np.array(
+        [
+            (one.dispatch_kw, one.delivered_kw, one.available_kw, one.frequency_hz or nan)
+            for one in statuses
+        ]
     ).T
-    from_kw = (before or seen[0]).delivered_kw
-    rating_kw = plan.tree.rating_kw(ROOT)
-    return answer(dispatch_kw, delivered_kw, available_kw, from_kw, plan.timing.cycle_s, rating_kw)
+    wanted = desired_powers(plan, dispatch_kw, frequency_hz)
+    response_kw = wanted["response_kw"]
+    delivered_kw = delivered_kw - response_kw
+    return answer(
+        (wanted["desired_kw"] - response_kw)[after],
+        delivered_kw[after],
+        available_kw[after] - plan.grid_law.reserve_kw,
+        float(delivered_kw[0]),
+        plan.timing.cycle_s,
+        plan.tree.rating_kw(ROOT),
+        float(dispatch_kw[-1]),
+    )
+
+
+def _reasons(found: Answer, seen: list[PlantStatus], plan: RunPlan) -> str:
+    """Say why a power was not reached, as far as the plant's statuses tell."""
+    law, frequency_hz = plan.grid_law, seen[-1].frequency_hz
+    reasons = []
+    if found.unable_percent:
+        reasons.append("; the sun gave less")
+    if found.ramp_s == found.duration_s and seen[-1].is_there:
+        up = found.to_kw > found.from_kw
+        limit = (law.ramp_up_kw if up else law.ramp_down_kw) * 60.0 / plan.timing.cycle_s
+        reasons.append(f"; the grid's ramp limit is {limit:,.0f} kW/min")
+    if frequency_hz is not None and response_kw(frequency_hz, law):
+        reasons.append(f"; the frequency is {frequency_hz:.3f} Hz")
+    return "".join(reasons)
 
 
 def _of(status: PlantStatus) -> tuple[object, ...]:

@@ -119,11 +119,16 @@ def _at_the_sensors(
 def _measured_plant(scenario_file: ScenarioFile, table: DcCurrents) -> MeasuredPlant:
     """Take the power of a real plant's inverters from their currents."""
     scenario = scenario_file.scenario
-    return read_currents(
+    measured = read_currents(
         scenario_file.data_path(table.currents),
         scenario_file.data_path(table.positions),
         table.full_power_current,
         pd.Timestamp(local_start(scenario.time)).tz_convert("UTC").as_unit("ns"),
         scenario.plant.rating_kw,
         table.longest_filled_s,
+        table.place,
     )
+    if table.place is None:
+        return measured
+    sky = PlantUnderSky(measured.sites, scenario.plant.altitude_m, scenario.pv)
+    return replace(measured, sky=sky)

@@ -185,11 +185,20 @@ class DcCurrents(_MeasuredSeries, frozen=True, kw_only=True, tag="dc-current", t
     currents: CSV: `t_s` (0 at `time.start`), then one column for each combiner.
     positions: CSV with the columns `combiner, inverter, x_m, y_m`.
     full_power_current: Current of an inverter at its rating, in the unit of the file.
+    lat: Latitude of the plant's middle [degrees]. Default: unknown.
+    lon: Longitude of the plant's middle [degrees]. Default: unknown.
     """
 
     currents: str
     positions: str
     full_power_current: Annotated[float, Meta(gt=0.0, le=1e9)] = 100.0
+    lat: Annotated[float, Meta(ge=-80.0, le=80.0)] | None = None
+    lon: Annotated[float, Meta(ge=-180.0, le=180.0)] | None = None
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the plant's middle; None: one of them is unknown."""
+        return None if self.lat is None or self.lon is None else (self.lat, self.lon)
 
 
 Irradiance: TypeAlias = CloudIrradiance | MeasuredIrradiance | OahuGridIrradiance | DcCurrents

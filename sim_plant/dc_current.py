@@ -17,7 +17,7 @@ from bus_schemas.errors import InputError, listed
 from bus_schemas.tree import check_name
 from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
-from sim_plant.sites import Sites, equal_ratings_kw, inverter_name, placed_on_the_equator
+from sim_plant.sites import Sites, equal_ratings_kw, inverter_name, placed_around
 from sim_plant.sources import MeasuredPlant
 from sim_plant.time_gaps import without_gaps
 
@@ -37,6 +37,7 @@ def read_currents(
     begins: pd.Timestamp,
     plant_rating_kw: float | None,
     max_gap_s: float | None = None,
+    place: tuple[float, float] | None = None,
 ) -> MeasuredPlant:
     """Read the currents of combiners; an inverter's power is their mean, clipped at full power.
 
@@ -46,7 +47,8 @@ def read_currents(
 
     If some combiners of an inverter are missing, the mean is over the others. An inverter without
     any current is left out, with its rating. Where all currents of another are missing, gaps of at
-    most `max_gap_s` are filled; by default there may be none.
+    most `max_gap_s` are filled; by default there may be none. The middle of the plant stands at
+    `place`, latitude and longitude; one whose place is unknown on the equator, at any longitude.
     """
     table = read_csv(currents_csv)
     table.check_header(("t_s",))
@@ -71,7 +73,7 @@ def read_currents(
     rating_kw = equal_ratings_kw(plant_rating_kw, len(positions), "plant")[: len(x_m)]
     names = tuple(inverter_name(str(inverter)) for inverter in means)
     return MeasuredPlant(
-        Sites(names, *placed_on_the_equator(x_m, y_m), rating_kw),
+        Sites(names, *placed_around(place or (0.0, 0.0), x_m, y_m), rating_kw),
         begins + pd.to_timedelta(means.index, unit="ns"),
         np.minimum(np.ascontiguousarray(means), 1.0) * rating_kw,
         str(currents_csv),

@@ -20,7 +20,7 @@ from agents.agent import Turn
 from bus_schemas.bounds import LARGEST
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Order, Production
+from bus_schemas.messages import Meter, Order, Production
 from bus_schemas.signals import ORDER
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant.inverters import PlantState
@@ -58,6 +58,7 @@ class PlantStatus(msgspec.Struct, frozen=True, kw_only=True):
     dispatch_kw: float
     available_kw: float
     delivered_kw: float
+    frequency_hz: float | None = None
     order: OrderInForce | None
     is_there: bool
     answer: str = ""
@@ -144,6 +145,7 @@ class PlantAtDesk:
 
     def __init__(self, plant: Plant, desk: OrderDesk) -> None:
         self._plant, self._desk = plant, desk
+        self._frequency_hz: float | None = None
         self.initial_state, self.stages = plant.initial_state, plant.stages
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
@@ -151,12 +153,15 @@ class PlantAtDesk:
             turn = msgspec.structs.replace(turn, inputs=turn.inputs | {ORDER.of(ROOT): order})
         state, outputs = self._plant.step(state, turn)
         for _, message in outputs:
+            if isinstance(message, Meter):
+                self._frequency_hz = message.frequency_hz
             if isinstance(message, Production) and turn.cycle >= 0:
                 status = PlantStatus(
                     cycle=turn.cycle,
                     dispatch_kw=message.dispatch_kw,
                     available_kw=message.available_kw,
                     delivered_kw=message.delivered_kw,
+                    frequency_hz=self._frequency_hz,
                     order=state.wanted.order,
                     is_there=state.wanted.is_there,
                 )

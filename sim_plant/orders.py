@@ -68,6 +68,27 @@ class OrderInForce(msgspec.Struct, frozen=True, kw_only=True, gc=False):
         return {f"order_{name}": value for name, value in asdict(self).items()}
 
 
+class OrderEvents:
+    """What became of the orders of a run, dispatch by dispatch."""
+
+    def __init__(self, rating_kw: float) -> None:
+        self._rating_kw = rating_kw
+        self._last: OrderInForce | None = None
+
+    def see(self, dispatch: Dispatch) -> tuple[str, str] | None:
+        """Return source and text of a new order, and of one that is silent or over."""
+        order, last = OrderInForce.by(dispatch), self._last
+        self._last = order
+        if order is None or (last is not None and order.what == last.what):
+            return None
+        if last is None and order.cycle != dispatch.cycle:
+            return None  # It came into force before the first dispatch that is looked at.
+        goes_on = last is not None and (last.source, last.state) == (order.source, "holds")
+        if goes_on and order.state == "holds" and order.renew_s is not None:
+            return None  # A signal: an order every few seconds.
+        return order.source, order.text(self._rating_kw)
+
+
 @dataclass(frozen=True, slots=True)
 class Wanted:
     """What the operator wanted in the last cycle.

@@ -105,12 +105,13 @@ def east_north_m(lat_deg: Floats, lon_deg: Floats) -> tuple[Floats, Floats]:
     return east_m, (lat_deg - lat_deg.mean()) * _METRES_PER_DEGREE
 
 
-def placed_on_the_equator(east_m: Floats, north_m: Floats) -> tuple[Floats, Floats]:
-    """Return latitudes and longitudes for a plant whose place on Earth is unknown.
-
-    On the equator a degree of longitude is as long as one of latitude.
-    """
+def placed_around(
+    middle_deg: tuple[float, float], east_m: Floats, north_m: Floats
+) -> tuple[Floats, Floats]:
+    """Return latitudes and longitudes of places of which the middle is known."""
+    lat_deg, lon_deg = middle_deg
+    shrink = np.cos(np.deg2rad(lat_deg))
     return (
-        (north_m - north_m.mean()) / _METRES_PER_DEGREE,
-        (east_m - east_m.mean()) / _METRES_PER_DEGREE,
+        lat_deg + (north_m - north_m.mean()) / _METRES_PER_DEGREE,
+        lon_deg + (east_m - east_m.mean()) / (_METRES_PER_DEGREE * shrink),
     )

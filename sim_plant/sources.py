@@ -133,8 +133,8 @@ class MeasuredPlant:
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
         if self.sky is None:
             raise InputError(
-                "commitment.kind: expected another than 'share-of-clear-sky' with DC currents, "
-                "whose place is unknown"
+                "irradiance.lat, lon: expected both, the place of the plant, since its commitment "
+                "is a share of the clear-sky power"
             )
         return self.sky.cloudless_kw(times, _CLEAN_AIR_TURBIDITY)
 

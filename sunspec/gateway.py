@@ -1,5 +1,7 @@
 """Between a run and its real inverters: a thread for each reads it and passes its commands on.
 
+A process of its own beside the run, started by `GatewayProcess`.
+
 A command is written at once if it says something new, and renewed after a third of the revert time
 otherwise. An inverter is read late in each cycle, so that the plant's next telemetry is fresh. It
 gets no commands but those of the controllers: without them nothing is renewed, and it reverts.
@@ -7,7 +9,10 @@ gets no commands but those of the controllers: without them nothing is renewed, 
 
 from __future__ import annotations
 
+import logging
+import os
 import select
+import sys
 import threading
 import time
 from collections import deque
@@ -19,6 +24,7 @@ from math import inf, nan
 from pathlib import Path
 from typing import Final
 
+import msgspec
 from hdrh.histogram import HdrHistogram
 
 from agents.plan import RunPlan
@@ -32,7 +38,7 @@ from sunspec.client import (
     SunSpecMeter,
 )
 from sunspec.pipes import GatewayPipes, Limit
-from sunspec.process import DeviceAccount, Latency, write_accounts
+from sunspec.process import DeviceAccount, Latency, log_in, write_accounts
 
 _READ_AT: Final = 0.75
 """When an inverter is read, as a share of the cycle after the command came."""
@@ -42,6 +48,8 @@ _ACCOUNTS_S: Final = 2.0
 _LONGEST_US: Final = 60_000_000
 _SMALL_CHANGE: Final = 1e-4
 """Share of the rating that no inverter can tell apart: 0.01 %."""
+
+_NO_REVERT: Final = Revert(inf, "release")
 
 
 class Gateway:
@@ -80,61 +88,27 @@ class Gateway:
             pipes.close()
 
 
-class _Tally:
-    """What is measured and counted of one inverter."""
-
-    def __init__(self) -> None:
-        self.late = self.refused = self.breaks = 0
-        self.gone_at: float | None = None
-        self.reads, self.writes = (HdrHistogram(1, _LONGEST_US, 2) for _ in range(2))
-
-    def account(self, node: str, address: str) -> DeviceAccount:
-        gone_s = None if self.gone_at is None else time.monotonic() - self.gone_at
-        took = _latency(self.reads), _latency(self.writes)
-        return DeviceAccount(node, address, *took, self.late, self.refused, self.breaks, gone_s)
-
-
-class _LimitWriter:
-    """Writes limits to an inverter where they are new, or it would revert before long."""
-
-    def __init__(self, revert: Revert | None, rating_kw: float, inverter: SunSpecInverter) -> None:
-        self.written_kw = nan  # Any limit differs from it.
-        self._inverter = inverter
-        self._rating_kw = rating_kw
-        self._revert = revert or Revert(inf, "release")
-        self._written_at = 0.0
-
-    def write(self, limit: Limit, took: HdrHistogram) -> None:
-        after_s, to, revert_kw = self._revert.after_s, self._revert.to, limit.revert_kw
-        if to != "share":
-            revert_kw = nan if to == "release" else to * self._rating_kw
-        is_as_before = abs(limit.kw - self.written_kw) < _SMALL_CHANGE * self._inverter.rating_kw
-        if is_as_before and time.monotonic() < self._written_at + after_s / 3.0:
-            return
-        with _timed(took):
-            self._inverter.limit(limit.kw, 0.0 if after_s == inf else after_s, revert_kw)
-        self.written_kw, self._written_at = limit.kw, time.monotonic()
-
-
 class _Link:
-    """The link to one device, with its thread."""
+    """The link to one device, with its thread, and what is measured and counted of it."""
 
     def __init__(self, plan: RunPlan, node: str, address: str, tell: Callable[[str], None]) -> None:
-        self._tell, self._said = tell, ""
+        self._tell, self._said, self._node = tell, "", node
         self._cycle_s = plan.timing.cycle_wall_ns / 1e9
-        self._node = node
-        self._tally = _Tally()
         self._commands: deque[Limit] = deque(maxlen=1)
         self._wake, self._over = threading.Event(), threading.Event()
+        self._late = self._refused = self._breaks = 0
+        self._gone_at: float | None = None
+        self._reads, self._writes = (HdrHistogram(1, _LONGEST_US, 2) for _ in range(2))
+        self._written_kw, self._written_at = nan, 0.0  # Any limit differs from NaN.
         self._device: SunSpecDevice
         if node == "meter":
             self.position = METER
-            self._device, self._writer = SunSpecMeter(address), None
-        else:
-            self.position = plan.tree.leaves.index(node)
-            revert = plan.site.settings_of(node).revert
-            self._device = inverter = SunSpecInverter(address, needs_revert=revert is not None)
-            self._writer = _LimitWriter(revert, plan.tree.rating_kw(node), inverter)
+            self._device = SunSpecMeter(address)
+            return
+        self.position = plan.tree.leaves.index(node)
+        revert = plan.site.settings_of(node).revert
+        self._rating_kw, self._revert = plan.tree.rating_kw(node), revert or _NO_REVERT
+        self._device = SunSpecInverter(address, needs_revert=revert is not None)
 
     def connect(self) -> Reading:
         """Connect and read once, before there is a run."""
@@ -159,7 +133,16 @@ class _Link:
         self._thread.join(_RETRY_S)
 
     def account(self) -> DeviceAccount:
-        return self._tally.account(self._node, self._device.address)
+        return DeviceAccount(
+            self._node,
+            self._device.address,
+            _latency(self._reads),
+            _latency(self._writes),
+            self._late,
+            self._refused,
+            self._breaks,
+            None if self._gone_at is None else time.monotonic() - self._gone_at,
+        )
 
     def _run(self, hand_over: Callable[[Reading], None]) -> None:
         read_at = time.monotonic() + self._cycle_s
@@ -167,41 +150,52 @@ class _Link:
             self._wake.wait(max(read_at - time.monotonic(), 0.0))
             self._wake.clear()
             try:
-                if self._commands and self._writer is not None:
+                if self._commands:
                     read_at = time.monotonic() + _READ_AT * self._cycle_s
-                    self._writer.write(self._commands.pop(), self._tally.writes)
+                    self._write(self._commands.pop())
                 if time.monotonic() >= read_at:
                     late_at = read_at + (1.0 - _READ_AT) * self._cycle_s
                     read_at = max(read_at + self._cycle_s, time.monotonic())
                     hand_over(self._read())
-                    self._tally.late += time.monotonic() > late_at
+                    self._late += time.monotonic() > late_at
             except DeviceRefusedError as error:
-                self._tally.refused += 1
-                self._forget_limit()
+                self._refused += 1
+                self._written_kw = nan  # The inverter may have lost the last limit.
                 self._say(str(error))
             except DeviceError as error:
+                self._written_kw = nan
                 self._reconnect(error)
 
     def _read(self) -> Reading:
         before = self._device.state
-        with _timed(self._tally.reads):
+        with _timed(self._reads):
             reading = self._device.read()
         state = self._device.state
         if state != before and not {before, state} <= {"MPPT", "RUNNING", "THROTTLED"}:
             self._say(f"{before or '-'} -> {state or '-'}")
         return reading
 
-    def _forget_limit(self) -> None:
-        """Write the next limit in any case: the inverter may have lost the last one."""
-        if self._writer is not None:
-            self._writer.written_kw = nan
+    def _write(self, limit: Limit) -> None:
+        """Write a limit that is new, or without which the inverter would revert before long."""
+        assert isinstance(self._device, SunSpecInverter)
+        after_s, to = self._revert.after_s, self._revert.to
+        is_as_before = abs(limit.kw - self._written_kw) < _SMALL_CHANGE * self._device.rating_kw
+        if is_as_before and time.monotonic() < self._written_at + after_s / 3.0:
+            return
+        revert_kw = limit.revert_kw
+        if not isinstance(to, str):
+            revert_kw = to * self._rating_kw
+        elif to == "release":
+            revert_kw = nan
+        with _timed(self._writes):
+            self._device.limit(limit.kw, 0.0 if after_s == inf else after_s, revert_kw)
+        self._written_kw, self._written_at = limit.kw, time.monotonic()
 
     def _reconnect(self, error: DeviceError) -> None:
         """Try until the device is back."""
-        self._tally.breaks += 1
-        self._tally.gone_at = time.monotonic()
+        self._breaks += 1
+        self._gone_at = time.monotonic()
         self._say(f"{error}; trying again")
-        self._forget_limit()
         while not self._over.is_set():
             try:
                 self._device.close()
@@ -209,7 +203,7 @@ class _Link:
             except DeviceError:
                 self._over.wait(_RETRY_S)
             else:
-                self._tally.gone_at = None
+                self._gone_at = None
                 self._say("connected again")
                 return
 
@@ -230,3 +224,31 @@ def _timed(took: HdrHistogram) -> Iterator[None]:
 def _latency(took: HdrHistogram) -> Latency:
     p50_us, p99_us = map(took.get_value_at_percentile, (50.0, 99.0))
     return Latency(took.get_total_count(), p50_us / 1e3, p99_us / 1e3)
+
+
+def _tell(text: str) -> None:
+    if text:
+        logging.info(text)
+    os.write(1, os.fsencode(" ".join(text.split())) + b"\n")
+
+
+def main() -> None:
+    """Connect to the inverters of a plan, then serve the run in a folder until the input ends."""
+    plan = msgspec.json.decode(sys.stdin.buffer.readline(), type=RunPlan)
+    try:
+        gateway = Gateway(plan, _tell)
+    except DeviceError as error:
+        _tell(str(error))
+        return
+    _tell("")
+    if line := sys.stdin.buffer.readline():
+        folder = Path(os.fsdecode(line.rstrip(b"\n")))
+        with log_in(folder).open("ab") as log:
+            os.dup2(log.fileno(), 2)
+        logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+        logging.info("connected: %s", ", ".join(node for node, _ in plan.site.devices))
+        gateway.serve(folder, sys.stdin.fileno())
+
+
+if __name__ == "__main__":
+    main()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from math import copysign, inf
-from typing import Annotated, Final, TypeAlias
+from typing import Annotated, Any, Final, Self, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -13,6 +13,11 @@ from msgspec import Meta
 LONGEST_REVERT_S: Final = 65_534
 """Most that the register of model 123 holds; that of 704 could hold more."""
 
+LIMIT_704: Final = {
+    "WMaxLimPctEna": "enabled",
+    "WMaxLimPct": "percent",
+    "WMaxLimPctRvrtTms": "revert_s",
+}
 LIMIT_POINTS: Final = {
     123: {
         "Conn": "connected",
@@ -21,9 +26,7 @@ LIMIT_POINTS: Final = {
         "WMaxLimPct_RvrtTms": "revert_s",
     },
     704: {
-        "WMaxLimPctEna": "enabled",
-        "WMaxLimPct": "percent",
-        "WMaxLimPctRvrtTms": "revert_s",
+        **LIMIT_704,
         "WMaxLimPctEnaRvrt": "revert_enabled",
         "WMaxLimPctRvrt": "revert_percent",
     },
@@ -31,6 +34,7 @@ LIMIT_POINTS: Final = {
 """Points of SunSpec models, with the fields of `LimitSettings` that they set."""
 
 Percent: TypeAlias = Annotated[float, Meta(ge=0.0, le=100.0)]
+RevertS: TypeAlias = Annotated[int, Meta(ge=0, le=LONGEST_REVERT_S)]
 
 _STEP_S: Final = 1.0
 
@@ -44,10 +48,15 @@ class LimitSettings(msgspec.Struct, frozen=True):
 
     enabled: bool = False
     percent: Percent = 100.0
-    revert_s: Annotated[int, Meta(ge=0, le=LONGEST_REVERT_S)] = 0
+    revert_s: RevertS = 0
     revert_enabled: bool = False
     revert_percent: Percent = 100.0
     connected: bool = True
+
+    def with_written(self, written: dict[str, Any]) -> Self:
+        """Return them with what a master has written. Raises ValidationError: out of range."""
+        present = msgspec.structs.asdict(self)
+        return msgspec.convert(present | written, type(self), strict=False)
 
     @property
     def target(self) -> float:

@@ -22,42 +22,33 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import ROOT
 from sim_plant.order_desk import GivenOrder, OrderLine, PlantStatus
 from sunspec.addresses import parse_address
-from sunspec.limited_inverter import LONGEST_REVERT_S, LimitedInverter, Percent
+from sunspec.limited_inverter import LIMIT_704, LimitedInverter, LimitSettings, RevertS
 from sunspec.registers import Points, Registers, common_points, inverter_points, meter_points
 from sunspec.server import listening
 
 _CONNECT_S: Final = 120.0
-_POINTS: Final = {
-    704: {
-        "WMaxLimPctEna": "enabled",
-        "WMaxLimPct": "percent",
-        "WMaxLimPctRvrtTms": "revert_s",
-        "WSetEna": "set_enabled",
-        "WSetMod": "set_in_w",
-        "WSet": "set_w",
-        "WSetRvrtTms": "set_revert_s",
-        "WRmp": "ramp_percent_per_s",
-    }
+_ORDER_POINTS: Final = {
+    "WSetEna": "set_enabled",
+    "WSetMod": "set_in_w",
+    "WSet": "set_w",
+    "WSetRvrtTms": "set_revert_s",
+    "WRmp": "ramp_percent_per_s",
 }
-"""Points of the unit that a master may write, with the fields of `UnitSettings`."""
+_WRITABLE: Final = {704: LIMIT_704 | _ORDER_POINTS}
+"""What a master may write, with the fields of `UnitSettings`."""
 
-_RevertS = Annotated[int, Meta(ge=0, le=LONGEST_REVERT_S)]
 
-
-class UnitSettings(msgspec.Struct, frozen=True):
-    """What a master has written: a power in W, or else in % of the rating.
+class UnitSettings(LimitSettings, frozen=True):
+    """What a master has written: a power in W, or else a limit in % of the rating.
 
     The revert times are those after which the schedule returns, unless the master writes again; 0:
     never. `ramp_percent_per_s` is 0 for none.
     """
 
-    enabled: bool = False
-    percent: Percent = 100.0
-    revert_s: _RevertS = 0
     set_enabled: bool = False
     set_in_w: Annotated[int, Meta(ge=1, le=1)] = 1
     set_w: Annotated[float, Meta(ge=0.0)] = 0.0
-    set_revert_s: _RevertS = 0
+    set_revert_s: RevertS = 0
     ramp_percent_per_s: Annotated[int, Meta(ge=0, le=1_000)] = 0
 
     def order(self, rating_kw: float) -> GivenOrder:
@@ -81,7 +72,7 @@ class PlantUnit(LimitedInverter):
 
     def __init__(self, plan: RunPlan, folder: Path) -> None:
         super().__init__(plan.tree.rating_kw(ROOT), lambda at: 0.0)
-        self.written = UnitSettings()
+        self.settings: UnitSettings = UnitSettings()
         self._name, self._cycle_s = plan.plant, plan.timing.cycle_s
         self._folder = folder
         self._status: PlantStatus | None = None
@@ -107,14 +98,13 @@ class PlantUnit(LimitedInverter):
 
     def points(self) -> Points:
         of_inverter = inverter_points(self, 0.0)
-        written = {name: getattr(self.written, field) for name, field in _POINTS[704].items()}
-        sf = {"WMaxLimPct_SF": -2, "WSet_SF": 0}
+        order = {name: getattr(self.settings, field) for name, field in _ORDER_POINTS.items()}
         return {
             **common_points("solar plant", self._name, 1),
             701: of_inverter[701],
             702: of_inverter[702],
             203: meter_points(1e3 * self.power_kw(0.0), self.energy_kwh, self.rating_kw),
-            704: {**sf, **written, "WRmpRef": 1},
+            704: {"WSet_SF": 0, **of_inverter[704], **order, "WRmpRef": 1},
         }
 
     def write(self, model: int, written: dict[str, Any]) -> None:
@@ -122,16 +112,15 @@ class PlantUnit(LimitedInverter):
 
         Raises ValidationError: A value is out of range, or there is no plant yet.
         """
-        present = msgspec.structs.asdict(self.written)
-        settings = msgspec.convert(present | written, UnitSettings, strict=False)
+        settings = self.settings.with_written(written)
         if settings.set_w > 1e3 * self.rating_kw:
             raise msgspec.ValidationError(f"WSet: expected up to {self.rating_kw:g} kW")
         if self._line is None or self._status is None:
             raise msgspec.ValidationError("the run has not begun")
-        is_order = {settings.enabled, settings.set_enabled, self.written.enabled} != {False}
-        if is_order or self.written.set_enabled:
+        last = self.settings
+        if any((settings.enabled, settings.set_enabled, last.enabled, last.set_enabled)):
             self._line.give(settings.order(self.rating_kw))
-        self.written = settings
+        self.settings = settings
 
 
 def main() -> None:
@@ -141,7 +130,7 @@ def main() -> None:
     options = parser.parse_args()
     host, port, unit = parse_address(options.address, "--operator")
     plant = PlantUnit(load_plan(options.folder / "plan.json"), options.folder)
-    device = Registers(unit, plant.points, plant.write, _POINTS).device
+    device = Registers(unit, plant.points, plant.write, _WRITABLE).device
     Thread(target=plant.follow, daemon=True).start()
     try:
         with (

@@ -7,6 +7,7 @@ user. It ends when its standard input does.
 
 from __future__ import annotations
 
+import importlib
 import os
 import select
 import subprocess
@@ -76,20 +77,22 @@ class PlantUnitProcess(SideProcess):
     """The process that serves the plant as one Modbus unit, beside a run."""
 
     def __init__(self, address: str, folder: Path) -> None:
+        importlib.import_module("sunspec2")  # Or the command names the extra to install.
         words = ("sunspec.plant_unit", address, str(folder.absolute()))
         super().__init__(*words, stdout=subprocess.PIPE)
         assert self.process.stdout is not None
         refusal = os.fsdecode(self.process.stdout.readline())
         if refusal != "\n":
             self.close()
-            raise InputError(refusal.strip() or "--operator: pip install 'heliarch[modbus]'")
+            raise InputError(refusal.strip())
 
 
 class GatewayProcess(SideProcess):
     """The gateway's process, as its launcher sees it. It ends with the context."""
 
     def __init__(self, plan: RunPlan) -> None:
-        super().__init__("sunspec", stdout=subprocess.PIPE)
+        importlib.import_module("sunspec2")  # Or the command names the extra to install.
+        super().__init__("sunspec.gateway", stdout=subprocess.PIPE)
         self._folder: Path | None = None
         try:
             self.tell(msgspec.json.encode(plan))

@@ -16,7 +16,7 @@ from pymodbus.constants import ExcCodes
 from pymodbus.simulator import DataType, SimData, SimDevice
 from sunspec2.device import Model
 
-from sunspec.limited_inverter import LIMIT_POINTS, LimitedInverter, LimitSettings
+from sunspec.limited_inverter import LIMIT_POINTS, LimitedInverter
 
 Points: TypeAlias = dict[int, dict[str, float | str]]
 """Points of each model of a unit, by the model's number; scale factors first."""
@@ -141,8 +141,7 @@ def inverter_device(
             written |= _NO_REVERT
         at = now()
         inverter.advance(at)  # It may have reverted meanwhile.
-        present = msgspec.structs.asdict(inverter.settings)
-        settings = msgspec.convert(present | written, LimitSettings, strict=False)
+        settings = inverter.settings.with_written(written)
         on_limit()
         inverter.apply(settings, at, renews=renews)
 

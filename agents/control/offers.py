@@ -55,7 +55,8 @@ FEATURES: Final = 4
 # Places in `OfferMemory.numbers`.
 _PAST, _SAMPLES, _CYCLES, _INDEX, _PROVEN = range(5)
 _DISPATCHED, _CLEAR, _MISSED, _LAST_DISPATCH, _LAST_CLEAR, _FACTOR, _INTERVAL = range(5, 12)
-_NUMBERS: Final = 12
+_LAST_POSSIBLE: Final = 12
+_NUMBERS: Final = 13
 
 _ROW: Final = FEATURES + 2
 
@@ -106,11 +107,21 @@ def nothing_offered(settings: OfferSettings) -> NDArray[np.float64]:
     window, within = _lengths(settings)
     values = np.zeros(window + within + MOST_PAST * _ROW + 2 * (FEATURES + 1) + _NUMBERS)
     memory = memory_of(values, settings)
-    memory.sky[:] = nan
     memory.open[:] = nan
-    memory.open[0, FEATURES] = settings.first_share
     memory.numbers[_FACTOR] = 1.0
+    begin_run(memory, settings)
     return values
+
+
+def begin_run(memory: OfferMemory, settings: OfferSettings) -> None:
+    """Close the last interval of the run before; of that, keep the past intervals alone."""
+    _close_interval(memory, settings)
+    past, factor = memory.numbers[_PAST], memory.numbers[_FACTOR]
+    memory.numbers[:] = 0.0
+    memory.numbers[_PAST], memory.numbers[_FACTOR] = past, factor
+    memory.sky[:] = nan
+    memory.open[:] = nan  # Nobody has offered the first interval.
+    memory.open[0, FEATURES] = settings.first_share
 
 
 def memory_of(values: NDArray[np.float64], settings: OfferSettings) -> OfferMemory:
@@ -165,6 +176,7 @@ def observe(
         _close_interval(memory, settings)
         numbers[_INTERVAL] = interval
     numbers[_LAST_DISPATCH], numbers[_LAST_CLEAR] = dispatch_kw, clear_sky_kw
+    numbers[_LAST_POSSIBLE] = impp_kw
     if clear_sky_kw > 0.0:
         numbers[_CYCLES] += 1.0
         numbers[_INDEX] += impp_kw / clear_sky_kw
@@ -230,7 +242,10 @@ def _take_meter(memory: OfferMemory, settings: OfferSettings, metered_kw: float)
         return
     numbers[_DISPATCHED] += numbers[_LAST_DISPATCH]
     numbers[_CLEAR] += numbers[_LAST_CLEAR]
-    numbers[_MISSED] += max(numbers[_LAST_DISPATCH] - metered_kw, 0.0)
+    missed_kw = max(numbers[_LAST_DISPATCH] - metered_kw, 0.0)
+    if settings.is_seen:  # A smaller promise would not mend what control missed.
+        missed_kw = min(missed_kw, max(numbers[_LAST_DISPATCH] - numbers[_LAST_POSSIBLE], 0.0))
+    numbers[_MISSED] += missed_kw
     numbers[_PROVEN] += metered_kw / numbers[_LAST_CLEAR]
 
 

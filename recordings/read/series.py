@@ -96,7 +96,7 @@ class RunSeries:
             **values,
         }
         arrays.setdefault("dispatch_kw", arrays["commitment_kw"] + arrays["regulation_kw"])
-        arrays |= _asked(plan, arrays["dispatch_kw"], arrays["frequency_hz"])
+        arrays |= desired_powers(plan, arrays["dispatch_kw"], arrays["frequency_hz"])
         return cls(label, plan, clusters or plan.tree.leaves, **arrays)
 
     @property
@@ -167,7 +167,7 @@ class RunSeries:
         return replace(self, first_cycle=self.first_cycle + first, **part)
 
 
-def _asked(
+def desired_powers(
     plan: RunPlan, dispatch_kw: NDArray[np.float64], frequency_hz: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
     """Return what the grid asks of a plant in each cycle, whatever its controllers know of it."""

@@ -31,6 +31,7 @@ from agents.control.offers import (
     NO_OFFERS,
     OfferMemory,
     OfferSettings,
+    begin_run,
     memory_of,
     nothing_offered,
     observe,
@@ -157,13 +158,15 @@ def _schedule(plan: RunPlan, profile: Profile, record: Floats | None) -> Schedul
     if offers is not None and plan.orders:
         raise InputError("orders: expected none in a study over arrays with offers")
     settings = NO_OFFERS if offers is None else offers
+    memory = memory_of(nothing_offered(settings) if record is None else record, settings)
+    begin_run(memory, settings)
     return Schedule(
         planned(plan, profile).dispatch_kw.copy(),
         profile.commitment_kw.copy(),
         profile.regulation_kw,
         np.zeros(profile.cycles) if offers is None else profile.clear_sky_kw,
         settings,
-        memory_of(nothing_offered(settings) if record is None else record, settings),
+        memory,
     )
 
 

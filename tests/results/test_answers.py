@@ -54,15 +54,9 @@ def test_cycles_without_the_sun_do_not_count_and_what_never_settles_says_so() ->
 
 
 def order(cycle: int, power_kw: float | None, source: str = "command", **more: Any) -> OrderInForce:
+    nothing: dict[str, Any] = dict.fromkeys(("ramp_kw_per_min", "hold_s", "renew_s"))
     return OrderInForce(
-        source=source,
-        cycle=cycle,
-        renewed=cycle,
-        power_kw=power_kw,
-        ramp_kw_per_min=None,
-        hold_s=None,
-        renew_s=None,
-        **more,
+        source=source, cycle=cycle, renewed=cycle, power_kw=power_kw, **(nothing | more)
     )
 
 
@@ -109,6 +103,35 @@ def test_orders_that_follow_each_other_are_one_signal_with_a_score() -> None:
     (found,) = answers(replace(still, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders))
     assert found.score is not None
     assert found.score < 0.4
+
+
+def test_a_program_that_promises_a_rhythm_gives_a_signal_at_that_rhythm() -> None:
+    at = range(0, 600, 40)
+    dispatch = np.repeat(np.tile([300.0, 500.0, 400.0], 5), 40)
+    run = run_of(np.full(600, 100.0), 1e4, dispatch)
+
+    def counts(**more: Any) -> list[int]:
+        orders = tuple((cycle, order(cycle, float(dispatch[cycle]), **more)) for cycle in at)
+        asked = replace(run, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders)
+        return [one.orders for one in answers(asked)]
+
+    assert counts() == [1] * 15
+    assert counts(renew_s=45.0) == [15]
+    assert counts(renew_s=39.0) == [1] * 15
+
+
+def test_an_order_that_the_frequency_cut_short_tells_what_it_asked_for() -> None:
+    dispatch = np.concatenate([np.full(10, 100.0), np.arange(110.0, 510.0, 20.0)])
+    response = np.where(np.arange(30) >= 20, 50.0, 0.0)
+    run = run_of(np.full(30, 100.0), 1e4, dispatch + response)
+    orders = ((10, order(10, 490.0)),)
+    asked: dict[str, Any] = {"dispatch_kw": dispatch, "desired_kw": dispatch + response}
+    cut, _ = judged(
+        answers(replace(run, response_kw=response, orders=orders, **asked)),
+        AnswerBudgets(settling_s=2.0),
+    )
+    assert (cut.asked, cut.to_kw, cut.end_cycle) == ("command", 490.0, 20)
+    assert (cut.settling_s, cut.overshoot_percent, cut.missed) == (None, None, ())
 
 
 def test_budgets_name_what_each_answer_missed() -> None:

@@ -148,7 +148,16 @@ def test_a_silent_inverter_takes_its_rating_away_and_neighbours_share_a_cluster(
     assert found.remarks[0].startswith("hour_a.csv: inverter 02: 120 of 120 currents")
 
 
-def test_currents_have_no_clear_sky_and_no_seed(plant: Folder) -> None:
+def test_currents_have_no_seed(plant: Folder) -> None:
     assert plant.complaint(seed=3).startswith("--seed: expected")
-    plant.change('"share-of-median"', '"share-of-clear-sky"')
-    assert "commitment.kind: expected" in plant.complaint()
+
+
+@pytest.mark.parametrize("commitment", ['"share-of-clear-sky"\nshare = 0.7', '"offered"'])
+def test_currents_have_a_clear_sky_where_the_place_of_the_plant_is_known(
+    plant: Folder, commitment: str
+) -> None:
+    plant.change('"share-of-median"\nshare = 0.7', commitment)
+    assert "irradiance.lat, lon: expected" in plant.complaint()
+    plant.change("full_power_current = 130", "full_power_current = 130\nlat = 40.0\nlon = -4.0")
+    found = plant.prepare()
+    assert found.plan.tree.rating_kw("") > found.profile.commitment_kw.min() > 0.0

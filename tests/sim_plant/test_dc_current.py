@@ -90,13 +90,6 @@ def test_a_combiner_without_a_column_is_missing_throughout(read: Read) -> None:
     assert line.startswith("hour.csv: inverter 02: 4 of 12 currents of its 3 combiners missing")
 
 
-def test_an_inverter_that_comes_and_goes_is_refused(read: Read) -> None:
-    gone = CURRENTS.replace("10,60,80,", "10,,,").replace("20,90,130,", "20,,,")
-    complaint = complaint_of(read, currents=gone)
-    assert complaint.startswith("hour.csv: expected")
-    assert complaint.endswith("for 01")
-
-
 # Bad files ----------------------------------------------------------------------------------------
 
 

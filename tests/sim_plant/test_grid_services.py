@@ -82,6 +82,9 @@ def test_upwards_it_responds_out_of_the_reserve_that_it_has_kept() -> None:
     assert series.desired_kw[99:101] == pytest.approx([340.0, 360.0])
     (found,) = answers(series)
     assert found.response_percent is None, "beyond what the sky gives nothing is judged"
+    faded, _ = run_of(**all_kw, hz=low_hz, droop=droop)
+    assert faded.delivered_kw[2] < 330.0
+    assert faded.delivered_kw[6:] == pytest.approx(340.0, abs=0.1), "a hidden maximum hides it"
     without, _ = run_of(**all_kw, hz=low_hz, available_bias=0.0, droop=Droop())
     assert without.delivered_kw[50:] == pytest.approx(340.0, abs=0.1)
     assert not answers(without)

@@ -13,7 +13,7 @@ from sim_plant.sites import (
     Grid,
     east_north_m,
     inverter_name,
-    placed_on_the_equator,
+    placed_around,
     read_sites,
 )
 
@@ -84,9 +84,9 @@ def test_the_sensors_of_oahu_are_as_far_apart_as_published() -> None:
     np.testing.assert_allclose(np.diff(north_m), -802.0, atol=2.0)
 
 
-def test_a_plant_without_a_place_keeps_its_distances() -> None:
+def test_inverters_around_a_place_keep_their_distances() -> None:
     x_m, y_m = np.array([700.0, 10.0, 300.0]), np.array([-20.0, 650.0, 300.0])
-    east_m, north_m = east_north_m(*placed_on_the_equator(x_m, y_m))
+    east_m, north_m = east_north_m(*placed_around((37.1, -4.2), x_m, y_m))
     for i, j in [(0, 1), (0, 2), (1, 2)]:
         np.testing.assert_allclose(
             np.hypot(east_m[i] - east_m[j], north_m[i] - north_m[j]),

@@ -112,7 +112,7 @@ def test_a_run_names_its_gateway_that_was_killed(
     run = heliarch("launch", scenario, "--pace", "1", "--duration", "5m", *served_inverters)
     run.until_running()
     children = psutil.Process(run.process.pid).children()
-    (gateway,) = [child for child in children if child.cmdline()[-1] == "sunspec"]
+    (gateway,) = [child for child in children if child.cmdline()[-1] == "sunspec.gateway"]
     gateway.kill()
     assert run.wait() == 1
     log = run.folder / "logs" / "gateway.log"

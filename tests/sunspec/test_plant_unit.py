@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import json
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
+from pathlib import Path
 
 import psutil
 import pytest
-from command_line import refusal
-from running import Start
+from command_line import done, refusal
+from running import REPOSITORY, Device, Heliarch, Start, small_plant
 
 from bus_schemas.messages import Dispatch
 from bus_schemas.signals import DISPATCH
 from bus_schemas.tcp_ports import reserved_ports
+from bus_schemas.tree import OPERATOR
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
 
 pytest.importorskip("sunspec2")
 
-from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Device
+from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Master
 
 pytestmark = pytest.mark.processes
 
@@ -29,9 +32,9 @@ WAIT_S = 60.0
 
 
 @contextmanager
-def master(port: int) -> Iterator[Device]:
+def master(port: int) -> Iterator[Master]:
     """A SunSpec master that has found the models of the unit."""
-    device = Device(slave_id=1, ipaddr="127.0.0.1", ipport=port)
+    device = Master(slave_id=1, ipaddr="127.0.0.1", ipport=port)
     device.scan()
     yield device
     device.close()
@@ -44,10 +47,16 @@ def until(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.1)
 
 
-def power_kw(device: Device) -> float:
+def power_kw(device: Master) -> float:
     model = device.models[701][0]
     model.read()
     return float(model.points["W"].cvalue) / 1e3
+
+
+def dispatches_of(run: Heliarch) -> list[Dispatch]:
+    with RunReader(run.folder) as reader:
+        found = [message for _, message in reader.messages(DISPATCH)]
+    return [message for message in found if isinstance(message, Dispatch)]
 
 
 def test_a_master_reads_the_plant_orders_a_power_with_a_ramp_and_it_reverts(
@@ -78,9 +87,7 @@ def test_a_master_reads_the_plant_orders_a_power_with_a_ramp_and_it_reverts(
         with pytest.raises(Exception, match=r"[Ee]xception|3"):
             control.points["WSet"].write()
     run.interrupt()
-    with RunReader(run.folder) as reader:
-        found = [message for _, message in reader.messages(DISPATCH)]
-    dispatches = [message for message in found if isinstance(message, Dispatch)]
+    dispatches = dispatches_of(run)
     states = {message.order_state for message in dispatches if message.order_source == "modbus"}
     assert states == {"holds", "silent", "over"}
     ramp_kw = [message.power_kw for message in dispatches if message.order_state == "holds"]
@@ -106,6 +113,44 @@ def test_the_end_of_the_units_process_is_named_and_the_run_goes_on(
     assert "Modbus unit" in run.error_text()
     document = json.loads((run.folder / "summary.json").read_bytes())
     assert (document["cycles"], [*document["launcher"]["given_up"]]) == (60, ["Modbus unit"])
+
+
+@pytest.mark.soak
+def test_orders_come_by_all_five_ways_in_one_run_and_verify_repeats_it(
+    heliarch: Start, device: Device, tmp_path: Path
+) -> None:
+    pytest.importorskip("cryptography")
+    scenario = small_plant(
+        tmp_path / "ordered", ("[time]", "orders = [{ at = 5, power_kw = 500 }]\n\n[time]")
+    )
+    done("keys", scenario, "--out", tmp_path / "keys")
+    with reserved_ports(["unit"]) as ports:
+        unit = ports["unit"]
+    run = heliarch(
+        *("launch", scenario, "--pace", "1", "--duration", "10m", "--scheme", "paper"),
+        *("--secure", "--keys", tmp_path / "keys", "--external", OPERATOR),
+        *("--page", "--orders", "--operator", f"modbus://127.0.0.1:{unit}"),
+    )
+    plan = run.folder / "plan.json"
+    device(REPOSITORY / "examples" / "agc.py", "--plan", plan, "--duration", "20")
+    page, _, token = run.until_said("page: ").split()[0].partition("?token=")
+    run.until_recorded(30)
+    assert "400 kW reached" in done("order", run.folder, "400kW")
+    headers = {"Origin": page.removesuffix("/"), "Content-Type": "application/json"}
+    headers |= {"Cookie": f"heliarch-page={token}"}
+    request = urllib.request.Request(f"{page}order", b'{"power_kw": 450}', headers)
+    with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
+        assert answer.read().startswith(b"450 kW reached")
+    with master(unit) as scada:
+        control = scada.models[704][0]
+        for name, value in {"WSet": 550_000, "WSetMod": 1, "WSetEna": 1}.items():
+            control.points[name].cvalue = value
+        control.write()
+        until(lambda: abs(power_kw(scada) - 550.0) < 1.0, "the power that was ordered")
+    run.interrupt()
+    given_by = {one.order_source for one in dispatches_of(run)} - {""}
+    assert given_by == {"scenario", OPERATOR, "command", "page", "modbus"}
+    assert verify(run.folder).equal
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:5030", "modbus://127.0.0.1:5030/300", "moon"])

@@ -111,23 +111,6 @@ def test_a_limit_acts_after_its_delay_along_its_ramp_and_reverts(site: Site, lim
     assert watts(device) == 80_000
 
 
-def test_model_704_reverts_to_the_limit_that_was_written_with_it(site: Site) -> None:
-    site.serve()
-    device = site.client()
-    model = device.models[704][0]
-    for name, value in {"WMaxLimPct": 50.0, "WMaxLimPctRvrt": 20.0}.items():
-        model.points[name].cvalue = value
-    for name in ("WMaxLimPctEna", "WMaxLimPctEnaRvrt"):
-        model.points[name].value = 1
-    model.WMaxLimPctRvrtTms.value = 30
-    model.write()
-    site.clock.sleep(10.0)
-    model.read()
-    assert model.WMaxLimPctRvrtRem.value == 20
-    site.clock.sleep(25.0)
-    assert watts(device) == 20_000
-
-
 def test_an_inverter_that_is_disconnected_stops_and_keeps_its_limit(site: Site) -> None:
     site.serve()
     device = site.client()
@@ -226,18 +209,6 @@ def test_each_family_of_models_is_read_and_limited(site: Site, models: Sequence[
 
     site.clock.sleep(61.0)
     assert inverter.read().power_kw == (80.0 if models is OLD else 20.0)
-
-
-@pytest.mark.parametrize("models", [OLD, NEW])
-def test_connecting_and_reading_leaves_a_limit_alone(site: Site, models: Sequence[int]) -> None:
-    inverter = served_with(site, models)
-    inverter.connect()
-    inverter.limit(40.0, 0.0)
-    site.sky.began_at = None  # The next write would set it.
-    another = SunSpecInverter(inverter.address)
-    another.connect()
-    assert another.read().limit_kw == 40.0
-    assert site.sky.began_at is None
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
 from recordings_by_hand import PLAN, cycle_of_the_plant, whole_run, write_run
 
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Notice
+from bus_schemas.messages import Dispatch, Notice
 from bus_schemas.signals import IMPP, NOTICE, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings.inspect.timeline import NodeCycle, timeline
@@ -69,6 +70,25 @@ def test_the_central_controller_has_the_dispatch_and_the_plant_s_production(
     expected_kw = {"dispatch": 240.0, "commitment": 230.0, "share": 240.0, "available": 280.0}
     expected_kw |= {"delivered": 239.0}
     assert {name: row.values[f"{name}_kw"] for name in expected_kw} == expected_kw
+
+
+def test_the_central_controller_has_the_orders_in_the_cycles_in_which_they_change(
+    tmp_path: Path,
+) -> None:
+    def ordered(cycle: int) -> Iterable[Delivery]:
+        for port, message in cycle_of_the_plant(cycle):
+            order: dict[str, Any] = {}
+            if isinstance(message, Dispatch) and cycle >= 2:
+                order = {"order_source": "operator", "order_cycle": 2, "order_power_kw": 150.0}
+                order["order_state"] = "silent" if cycle >= 4 else "holds"
+            yield port, replace(message, **order)
+
+    path = written(tmp_path, (pair for cycle in range(6) for pair in ordered(cycle)))
+    notices = [row.notices for row in rows_of(path, ROOT, range(6))]
+    said = ["operator orders 150 kW"], ["operator silent: its order is not renewed"]
+    assert notices == [[], [], said[0], [], said[1], []]
+    later = [row.notices for row in rows_of(path, ROOT, range(3, 6))]
+    assert later == [[], said[1], []], "an order that came before is no event"
 
 
 def test_messages_out_of_the_order_of_cycles_are_told_in_it(tmp_path: Path) -> None:

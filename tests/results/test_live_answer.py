@@ -1,0 +1,85 @@
+"""The answer to an order while it comes: what the grid asks beside it, what stands against it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from plans_by_hand import plan_of
+
+from agents.settings import Droop, GridSettings
+from bus_schemas.errors import FailureError
+from results.live_answer import answer_text, watched
+from sim_plant.order_desk import TAKEN, PlantStatus
+from sim_plant.orders import OrderInForce
+
+FROM_KW, TO_KW = 100.0, 200.0
+
+
+def text_of(grid: GridSettings, delivered_kw: Iterator[float], **status: Any) -> str:
+    """What is said of an order of 200 kW to a plant of 400 kW that delivered this, by second."""
+    plan = plan_of({"a": 200.0, "b": 200.0}, cycles=10_000, grid=grid)
+    order = OrderInForce(
+        source="command",
+        cycle=1,
+        renewed=1,
+        power_kw=TO_KW,
+        ramp_kw_per_min=None,
+        hold_s=None,
+        renew_s=None,
+    )
+
+    def statuses() -> Iterator[PlantStatus]:
+        for cycle, kw in enumerate((FROM_KW, *delivered_kw)):
+            yield PlantStatus(
+                cycle=cycle,
+                dispatch_kw=TO_KW if cycle else FROM_KW,
+                available_kw=400.0,
+                delivered_kw=kw,
+                order=order if cycle else None,
+                is_there=True,
+                answer=TAKEN if cycle == 1 else "",
+                **status,
+            )
+
+    found, remark = watched(statuses(), plan)
+    return answer_text(found) + remark
+
+
+def test_the_plants_own_ramp_limit_makes_a_ramp_of_a_step() -> None:
+    grid = GridSettings(ramp_up_kw_per_min=60.0)
+    along = [min(FROM_KW + second, TO_KW) for second in range(1, 120)]
+    found = text_of(grid, iter(along))  # 4 kW are 1 % of the rating: 196 kW in the 96th second.
+    assert found == "200 kW reached within 1 % after 96.0 s, 95.0 s of them a ramp, overshoot 0.0 %"
+    early = text_of(grid, iter(along[:50]))
+    assert "not reached" in early
+    assert "the grid's ramp limit is 60 kW/min; the run is over" in early
+
+
+def test_a_response_to_the_frequency_is_no_error_and_its_lack_is_named() -> None:
+    # 5 % beyond 36 mHz, upwards out of 40 kW: 0.136 Hz below 60 Hz ask for 13.3 kW.
+    grid = GridSettings(droop=Droop(reserve_percent=10.0))
+    answered = text_of(grid, iter([TO_KW + 40.0 / 3.0] * 20), frequency_hz=59.864)
+    assert "200 kW reached within 1 % after 1.0 s" in answered
+    silent = text_of(grid, iter([TO_KW] * 80), frequency_hz=59.864)
+    assert silent == "200 kW not reached within 1 %; the frequency is 59.864 Hz"
+
+
+def test_what_rounds_to_nothing_has_no_sign() -> None:
+    assert "overshoot 0.0 %" in text_of(GridSettings(), iter([TO_KW - 1e-9] * 20))
+
+
+def test_an_order_that_did_not_come_into_force_is_a_failure() -> None:
+    plan = plan_of({"a": 400.0}, cycles=10)
+    status = PlantStatus(
+        cycle=0,
+        dispatch_kw=1.0,
+        available_kw=1.0,
+        delivered_kw=1.0,
+        order=None,
+        is_there=True,
+        answer="replaced at once by an order of page",
+    )
+    with pytest.raises(FailureError, match="replaced at once"):
+        watched(iter([status]), plan)
