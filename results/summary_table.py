@@ -80,6 +80,11 @@ def _offset_rows(run: RunFacts) -> Iterator[Row]:
         yield "Offset", Number(run.offset_errors, 2), "", "mean errors aimed above the dispatch"
 
 
+def figures_table(title: str, figures: Figures | None) -> Table:
+    """Return the figures of merit of a run, or of a part of it."""
+    return Table(title, _COLUMNS, tuple(_rows_of(figures)))
+
+
 def _figure_rows(summary: RunSummary) -> Iterator[Row]:
     figures, planned = summary.figures, summary.run.planned_cycles
     if figures is not None and figures["cycles"] != planned:

@@ -7,7 +7,7 @@ from typing import Final
 
 from bus_schemas.messages import in_words
 from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name
-from recordings.inspect.agent_states import LOOK_BACK, AgentState
+from recordings.inspect.agent_states import AgentState
 from recordings.inspect.timeline import HelpLine, NodeCycle
 from results.tables import Cell, Column, Table, counted, key_column, word_column
 
@@ -74,9 +74,7 @@ def states_table(states: Mapping[str, AgentState]) -> Table:
     ]
     others = len(states) - len(told)
     note = f"{counted(others, 'agent')} fine, without missed inputs or restarts" if others else ""
-    return Table(
-        f"Agents in the {LOOK_BACK:,} cycles up to this one", columns, rows, (note,) if note else ()
-    )
+    return Table("Agents up to this cycle", columns, rows, (note,) if note else ())
 
 
 def _cells(columns: Sequence[Column], row: NodeCycle) -> Iterator[Cell]:

@@ -87,6 +87,9 @@ def _show_plant(run: RunReader, cycle: int, output: Output) -> dict[str, Any]:
     """Print the whole plant in one cycle; return the same as JSON."""
     from recordings.inspect.agent_states import states_at
     from recordings.inspect.timeline import timeline
+    from recordings.read.series import plant_series_of
+    from results.figures import run_figures
+    from results.summary_table import figures_table
     from results.timeline_tables import plant_table, states_table
 
     tree = run.plan.tree
@@ -97,12 +100,19 @@ def _show_plant(run: RunReader, cycle: int, output: Output) -> dict[str, Any]:
     central = nodes[0]
     date = f"{run.clock.local(cycle):%Y-%m-%d}"
     title = f"Cycle {cycle}, {date} {central.time}: {_plant_text(central)}"
-    followed = states_at(run, cycle)
+    output.show(plant_table(tree, title, nodes))
+    with progress_bar("reading what led to it") as run.follow:
+        followed = states_at(run, cycle)
     states = {agent: followed.at(agent, cycle) for agent in followed.agents}
-    output.show(plant_table(tree, title, nodes), states_table(states))
+    output.show(states_table(states))
+    # By cluster, as the live page adds up: both say the same to the last bit.
+    series = plant_series_of(run, most_inverters=0).between(0, cycle + 1)
+    figures = run_figures(series) if series.known.any() else None
+    output.show(figures_table("Figures of merit up to this cycle", figures))
     return {
         "cycle": cycle,
         "time": central.time,
+        "figures": figures,
         "agents": {agent: state.document() for agent, state in states.items()},
         "nodes": [node.document() for node in nodes],
     }

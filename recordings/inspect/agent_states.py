@@ -45,10 +45,6 @@ _CAUSES: Final[dict[str, Word]] = {"kill": "killed", "freeze": "frozen"}
 """What is said of a silent agent to which a fault rule did this."""
 
 
-LOOK_BACK: Final = 1000
-"""How many cycles before one are read to say how the agents are in it."""
-
-
 class AgentState(msgspec.Struct, frozen=True):
     """How an agent was in a cycle.
 
@@ -352,10 +348,9 @@ class AgentStates:
 
 
 def states_at(run: RunReader, cycle: int) -> AgentStates:
-    """Follow a recording to the end of a cycle, from some cycles before it on."""
-    first = max(cycle - LOOK_BACK, 0)
-    states = AgentStates(run.plan, first)
-    for record in run.records(cycles=range(first, cycle + 2)):
+    """Follow a recording to the end of a cycle."""
+    states = AgentStates(run.plan)
+    for record in run.records(cycles=range(cycle + 2)):
         states.see(record)
         if states.newest > cycle:
             break

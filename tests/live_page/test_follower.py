@@ -87,6 +87,7 @@ def test_the_page_and_inspect_say_the_same_of_each_cycle(plant: str, tmp_path: P
         rows = state.frame(cycle)["agents"]
         for place, one in enumerate(told["agents"].values()):
             assert {name: rows[name][place] for name in one} == one
+        assert follower.metrics(cycle + 1) == told["figures"]
 
 
 def test_a_frame_has_the_powers_the_help_and_the_shares(tmp_path: Path) -> None:
