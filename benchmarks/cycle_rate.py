@@ -44,7 +44,8 @@ def describe(scenario: str, folder: Path) -> Path:
             stage = record.port.publisher, stage_of(record.port, plan.tree)
             puts[stage].append(bare_graph.Put(str(record.port), record.payload))
     said = {put.key for of_stage in puts.values() for put in of_stage}
-    plant = Plant(plan, load_profile(folder / "run" / "profile.npz"))
+    shape = plan.timing.cycles, len(plan.inverters)
+    plant = Plant(plan, load_profile(folder / "run" / "profile.npz", *shape))
     agents = plant, *controllers(plan)
     processes = [
         bare_graph.Process(

@@ -49,7 +49,7 @@ def run_process(
 
 
 def _plant(plan: RunPlan, folder: Path) -> Plant:
-    profile = load_profile(folder / "profile.npz")
+    profile = load_profile(folder / "profile.npz", plan.timing.cycles, len(plan.inverters))
     if plan.site.devices:
         return PlantWithDevices(plan, profile, PlantPipes(plan, folder))
     return Plant(plan, profile)

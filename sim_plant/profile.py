@@ -10,6 +10,8 @@ import numpy as np
 from bus_schemas.errors import InputError
 from sim_plant import Floats
 
+_HEADER_BYTES = 4_096
+
 
 @dataclass(frozen=True, slots=True)
 class Profile:
@@ -49,13 +51,21 @@ class Profile:
         np.savez_compressed(path, **{one.name: getattr(self, one.name) for one in fields(self)})
 
 
-def load_profile(path: Path) -> Profile:
+def load_profile(path: Path, cycles: int, inverters: int) -> Profile:
+    """Read the profile of a run of so many cycles; a larger one is not unpacked."""
+    most_bytes = 8 * (cycles + 1) * inverters + _HEADER_BYTES
     try:
         with np.load(path) as archive:
+            if any(one.file_size > most_bytes for one in archive.zip.infolist()):
+                raise InputError(
+                    f"{path}: expected a profile of {cycles:,} cycles, got a larger one"
+                )
             names = [one.name for one in fields(Profile) if one.name in archive]
             found = {name: archive[name] for name in names}
         capacity_kw = float(found.pop("regulation_capacity_kw"))
         return Profile(**found, regulation_capacity_kw=capacity_kw)
+    except InputError:
+        raise
     except Exception as error:  # A damaged archive can fail in numpy, zip or anywhere below.
         got = type(error).__name__
         raise InputError(f"{path}: expected the profile.npz of a run, got: {got}") from None

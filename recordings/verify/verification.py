@@ -132,7 +132,7 @@ def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
     if not path.exists():
         return None
     shape = (plan.timing.cycles, len(plan.inverters))
-    profile = load_profile(path)
+    profile = load_profile(path, *shape)
     if profile.mpp_kw.shape != shape:
         raise InputError(
             f"{path}: expected {shape} cycles and inverters, as the recorded run has, "

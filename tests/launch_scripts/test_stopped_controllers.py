@@ -224,8 +224,8 @@ def test_a_recording_with_deaths_is_repeated_and_says_who_took_over_or_came_back
     done("verify", run)
     inspected = " ".join(done("inspect", run).split())
     for told in (
-        "c1: its standby took over in cycle 15",
-        "c1/inv01: nothing in cycle 5 (12:00:05), restarted in cycle 6",
+        "c1: frozen, its standby took over in cycle 15",
+        "c1/inv01: nothing in cycle 5 (12:00:05), killed, restarted in cycle 6",
         "kill=c1/inv05,at=500s: never acted",
     ):
         assert told in inspected
