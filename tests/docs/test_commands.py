@@ -62,6 +62,7 @@ def test_the_commands_of_a_document_run_in_order(
 ) -> None:
     """Their output is that of the document, whatever its spaces; `[...]` stands for what is cut."""
     monkeypatch.chdir(reader)
+    monkeypatch.setenv("COLUMNS", "100")  # as wide as the documents
     printed, was_run = "", False
     for block in blocks_of(document):
         if block.commands.strip():
