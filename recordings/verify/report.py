@@ -35,7 +35,7 @@ def verification_lines(
             f"{verification.unrecorded_cycles:,} cycles not recorded"
         )
     if later := verification.total("not_compared"):
-        yield f"{later:,} messages not compared: they rest on messages that are not recorded"
+        yield f"{later:,} messages not compared: they rest on what is not recorded"
     if count := messages.misplaced:
         yield f"{count:,} messages belong to no cycle of the run, or come long after it"
     yield from difference_lines(agents, RunClock(plan, plan.timing.cycles - 1))

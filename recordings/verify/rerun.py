@@ -226,8 +226,9 @@ class AgentRerun:
         turn = Turn(stage.name, cycle, sim_time_ns, stamp, used)
         before = process.state
         process.state, outputs = agent.step(before, turn)
-        if process.unknown_since is not None:
+        if process.unknown_since is not None or self._estimates_as_it_likes:
             is_known &= self._is_same_whatever_it_remembers(agent, before, turn, outputs)
+        if process.unknown_since is not None:
             self._learn(process, now, dispatch)
         new = dict(outputs)
         if not is_certain or (process.unknown_since is not None and missing):

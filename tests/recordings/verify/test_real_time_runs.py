@@ -25,7 +25,16 @@ from agents.faults import Kill
 from agents.plan import PlannedOrder, RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import Blackout, Disturbance
-from bus_schemas.messages import Dispatch, Impp, Order, Residual, Setpoint, Takeover, parse_missing
+from bus_schemas.messages import (
+    Command,
+    Dispatch,
+    Impp,
+    Order,
+    Residual,
+    Setpoint,
+    Takeover,
+    parse_missing,
+)
 from bus_schemas.signals import COMMAND, IMPP, ORDER, PRODUCTION, RESIDUAL, SETPOINT
 from bus_schemas.tree import OPERATOR, PLANT, ROOT
 from launch_scripts.simulation import MemoryRun
@@ -395,6 +404,28 @@ def test_a_device_may_have_an_estimate_of_its_own_but_by_the_paper(
     assert result.differences["differs"] >= len(wrong)
     assert result.first is not None
     assert result.first.message == f"c1/a/{min(wrong)}"
+
+
+def test_a_device_chooses_how_far_above_its_forecast_it_holds_its_inverter(tmp_path: Path) -> None:
+    network, external = Disturbance(loss=0.02), ("c1/a",)
+    plan = faulty_plan(network, external=external, scheme="predictive", actuator="limit")
+    messages = published(plan, cloudy_profile(plan))
+    rating_kw, held = dict(plan.inverters)["c1/a"], 0
+    for number, (port, message) in enumerate(messages):
+        if (
+            port == COMMAND.of("c1/a")
+            and isinstance(message, Command)
+            and message.alpha == 1.0
+            and message.power_kw < rating_kw
+        ):
+            messages[number] = port, replace(message, power_kw=rating_kw)
+            held += 1
+    assert held
+    assert "c1/a" not in first_differences(verified(tmp_path / "run", plan, messages))
+    ours = verified(
+        tmp_path / "ours", faulty_plan(LATE, scheme="predictive", actuator="limit"), messages
+    )
+    assert "c1/a" in first_differences(ours), "our own controllers have no such choice"
 
 
 def test_of_two_messages_in_one_cycle_the_first_one_was_used_and_none_of_no_cycle(
