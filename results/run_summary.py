@@ -43,7 +43,7 @@ class ProcessAccount(msgspec.Struct, frozen=True):
 
     dropped: Messages that it could not use, by cause.
     resident_mb: Its largest memory; 0 of one that did not end.
-    own_mb: What it shared with no other process at its end; 0 of one that was killed.
+    own_mb: What it shared with no other process at its end; 0: not known, or killed.
     skipped_cycles: Cycles that were over before it came to them.
     cpu_s: Processor time from cycle 0 on [s].
     """

@@ -145,7 +145,8 @@ def _process_rows(summary: RunSummary) -> Iterator[Row]:
             of_kind.setdefault(process.kind, []).append(process)
     for kind, processes in of_kind.items():
         median = f", the median of {len(processes)}" if len(processes) > 1 else ""
-        own_mb = statistics.median(process.own_mb for process in processes)
-        note = f"resident{median}; {own_mb:.1f} MB its own"
+        note = f"resident{median}"
+        if own_mb := [process.own_mb for process in processes if process.own_mb]:
+            note += f"; {statistics.median(own_mb):.1f} MB its own"
         resident_mb = statistics.median(process.resident_mb for process in processes)
         yield f"Memory, {kind}", Number(resident_mb, 1), "MB", note

@@ -28,7 +28,8 @@ _LARGEST_MB: Final = 60
 _MOST_MB: Final = 250
 """Of one answer, and of all; the longest unused make room for new ones."""
 
-_UNREADABLE: Final = (OSError, ValueError, KeyError, EOFError, BadZipFile)
+# What numpy and zipfile raise for a damaged file: RuntimeError, if it looks encrypted.
+_UNREADABLE: Final = (OSError, ValueError, KeyError, EOFError, RuntimeError, BadZipFile)
 
 
 def kept(times: pd.DatetimeIndex, *question: object, work_out: Callable[[], Floats]) -> Floats:

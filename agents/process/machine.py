@@ -79,8 +79,11 @@ def wake_precisely() -> None:
 
 
 def own_memory_mb() -> float:
-    """Return the memory of this process that it shares with no other [MB]."""
-    lines = Path("/proc/self/smaps_rollup").read_text(encoding="ascii").splitlines()
+    """Return the memory of this process that it shares with no other [MB]; 0: not known."""
+    try:
+        lines = Path("/proc/self/smaps_rollup").read_text(encoding="ascii").splitlines()
+    except OSError:  # A kernel may be built without it, and a container may hide it.
+        return 0.0
     return 1.024e-3 * sum(int(line.split()[1]) for line in lines if line.startswith("Private_"))
 
 

@@ -85,7 +85,7 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         with suppress(OSError, msgspec.DecodeError):
             kept = msgspec.json.decode((folder / OVERVIEW_NAME).read_bytes(), type=_Kept)
             overview = kept.overview
-            if kept.files == _files(run) and overview.run_id == run.plan.run_id:
+            if kept.files == _files(run) and overview.metadata == run.metadata:
                 return replace(overview, path=str(run.path), health=told(overview.health, run))
     return _go_through(run, cycles)
 

@@ -39,7 +39,7 @@ def rows_of(summary: RunSummary) -> dict[str, list[str]]:
 
 BUSY = (
     ProcessAccount("recorder", "recorder", {}, 40.0, cpu_s=3.6),
-    ProcessAccount("c1/a", "direct", {}, 40.0, cpu_s=3.6),
+    ProcessAccount("c1/a", "direct", {}, 40.0, 9.0, cpu_s=3.6),
     ProcessAccount("c1/b", "direct", {}, 40.0),
 )
 DEVICE = ExternalAccount("c1/inv01", {"impp": 5}, lost=100, expected=20, answered=5)
@@ -58,7 +58,7 @@ HALF = dict.fromkeys(FIGURES) | {
         ({"figures": HALF}, "Shortfall", ["0.00", "kWh", "0.000 % of dispatch"]),
         ({"figures": HALF}, "Energy of lost inverters", ["2.0", "kWh", "not among"]),
         ({"processes": BUSY}, "Processor time per cycle", ["2.00", "ms"]),
-        ({"processes": BUSY}, "Memory, direct", ["40.0", "MB", "the median of 2"]),
+        ({"processes": BUSY}, "Memory, direct", ["40.0", "MB", "the median of 2; 9.0 MB its own"]),
         ({}, "Cycle rate", ["360.0"]),
         ({}, "Offset", ["80.0", "kW", "aimed above the dispatch"]),
         ({"cycles": 9}, "Cycles", ["9", "", "ended early: 3,600 were planned"]),

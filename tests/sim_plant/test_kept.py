@@ -39,15 +39,25 @@ def test_a_question_is_worked_out_once_and_another_one_for_itself(cache: Path) -
     assert ask(1.0, TIMES + pd.Timedelta(seconds=1)) == (1.0 / 3.0, True)
 
 
-@pytest.mark.parametrize("damage", ["cut", "no folder"])
-def test_a_cache_that_cannot_be_used_only_costs_time(cache: Path, damage: str) -> None:
-    if damage == "no folder":
-        cache.write_text("in its way")
-    else:
-        ask(1.0)
-        (path,) = cache.iterdir()
-        path.write_bytes(path.read_bytes()[:-30])
+def test_a_cache_without_its_folder_only_costs_time(cache: Path) -> None:
+    cache.write_text("in its way")
     assert ask(1.0) == (1.0 / 3.0, True)
+
+
+def test_a_cut_answer_only_costs_time(cache: Path) -> None:
+    ask(1.0)
+    (path,) = cache.iterdir()
+    path.write_bytes(path.read_bytes()[:-30])
+    assert ask(1.0) == (1.0 / 3.0, True)
+
+
+def test_a_wrong_byte_anywhere_in_an_answer_only_costs_time(cache: Path) -> None:
+    ask(1.0)
+    (path,) = cache.iterdir()
+    whole = path.read_bytes()
+    for at, byte in enumerate(whole):
+        path.write_bytes(whole[:at] + bytes([byte ^ 1]) + whole[at + 1 :])
+        assert ask(1.0)[0] == 1.0 / 3.0, f"byte {at}"
 
 
 def test_what_was_used_last_has_room(cache: Path) -> None:

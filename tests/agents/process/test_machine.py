@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 from command_line import python
 
 from agents.cycle import Kind
-from agents.process.machine import MachineSettings, refusals, stand_back, take_machine
+from agents.process.machine import (
+    MachineSettings,
+    own_memory_mb,
+    refusals,
+    stand_back,
+    take_machine,
+)
 
 Place = tuple[int, int, set[int]]
 
@@ -85,3 +92,15 @@ def test_timers_are_exact_in_real_time() -> None:
         "print(ctypes.CDLL(None).prctl(30))"  # PR_GET_TIMERSLACK
     )
     assert done.stdout == "1\n"
+
+
+def test_memory_that_the_kernel_does_not_tell_ends_no_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert own_memory_mb() > 1.0
+
+    def missing(path: Path, encoding: str | None = None) -> str:
+        raise FileNotFoundError(path)
+
+    monkeypatch.setattr(Path, "read_text", missing)
+    assert own_memory_mb() == 0.0
