@@ -82,7 +82,8 @@ def shown_turns(delay_s: float, turn_s: float, response: Response) -> int:
     One more while inverters are on a ramp, which the light and their own targets delay.
     """
     is_slow = response.ramp_kw_per_s < inf
-    return 1 + ceil(delay_s / turn_s) + is_slow
+    # A quotient of whole cycles is whole: 3 cycles of 0.1 s divide to 3.0000000000000004.
+    return 1 + ceil(round(delay_s / turn_s, 6)) + is_slow
 
 
 def missing_kw(expected_kw: Sequence[float], metered_kw: float) -> float:

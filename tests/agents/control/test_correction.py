@@ -8,6 +8,7 @@ from agents.control.correction import (
     corrected,
     follows_kw,
     missing_kw,
+    shown_turns,
 )
 
 RATING_KW = 1000.0
@@ -57,6 +58,13 @@ def test_what_is_expected_follows_a_new_aim_as_fast_as_the_inverters_ramp() -> N
 )
 def test_what_is_still_on_its_way_is_not_missing(metered_kw: float, lacks_kw: float) -> None:
     assert missing_kw((4000.0, 1000.0), metered_kw) == lacks_kw
+
+
+@pytest.mark.parametrize("cycle_s", [0.1, 0.2, 0.7, 1.0])
+def test_a_delay_of_whole_cycles_lets_the_meter_show_one_aim_more_for_each(cycle_s: float) -> None:
+    shown = [shown_turns(cycles * cycle_s, cycle_s, Response()) for cycles in range(30)]
+    assert shown == list(range(1, 31))
+    assert shown_turns(2.5 * cycle_s, cycle_s, Response()) == 4
 
 
 def test_it_never_exceeds_its_share_of_the_rating() -> None:
