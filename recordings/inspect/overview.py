@@ -175,11 +175,12 @@ def facts(run: RunReader, overview: Overview) -> Iterator[tuple[str, str]]:
     scheme = f"scheme {plan.control.scheme}, actuator {plan.control.actuator}"
     yield "run", f"heliarch {origin.get('driver')}, plant {plan.plant}, {scheme}, {pace}"
     first, last = overview.first_cycle, max(overview.last_cycle, overview.first_cycle)
+    shown = f"{first:,} to {last:,}" if overview.last_cycle >= first else "none"
     begin, end = (f"{run.clock.local(cycle):%F %T}" for cycle in (first, last))
     yield "time", f"{begin} to {end}, {plan.timing.timezone}, recorded in {overview.wall_s:,.1f} s"
     yield (
         "cycles",
-        f"{first:,} to {overview.last_cycle:,} of {plan.timing.cycle_ns / 1e9:g} s, "
+        f"{shown} of {plan.timing.cycle_ns / 1e9:g} s, "
         f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned"
         + ", interrupted"
         * overview.interrupted,

@@ -80,6 +80,8 @@ class RunClock:
 
     def extent(self) -> str:
         """Say when the run begins and ends."""
+        if not self._end:
+            return "of which no cycle was recorded"
         last_cycle = self._end - 1
         first, last = self.local(0), self.local(last_cycle)
         return f"which goes from {first:%F %T} to {last:%F %T %Z} (cycles 0 to {last_cycle})"

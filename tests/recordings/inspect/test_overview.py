@@ -17,6 +17,7 @@ from recordings.inspect.overview import (
     OVERVIEW_NAME,
     Overview,
     SignalCount,
+    facts,
     keep_overview,
     read_overview,
 )
@@ -100,6 +101,13 @@ def test_a_part_is_counted_by_itself(look: Look) -> None:
     assert count_of(overview, "setpoint").messages == 10 * 4 + 5 * 2
     assert overview.complete_cycles == 10
     assert sum(count.lost for count in overview.signals) == 0
+
+
+def test_a_recording_without_a_cycle_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(CYCLES), is_kept=lambda pair: False)
+    with RunReader(path) as run:
+        assert dict(facts(run, read_overview(run)))["cycles"].startswith("none of 1 s, 0 complete")
 
 
 def test_what_is_missing_is_counted_up_to_where_the_plant_ended_the_run(look: Look) -> None:

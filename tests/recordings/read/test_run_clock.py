@@ -55,6 +55,11 @@ def test_a_span_ends_before_its_end() -> None:
     assert CLOCK.span("12:16:38", None) == CLOCK.span(998, "12:16:40") == range(998, 1000)
 
 
+def test_a_recording_without_a_cycle_has_no_end_before_its_beginning() -> None:
+    with pytest.raises(InputError, match="a time of the run, of which no cycle was recorded, got"):
+        RunClock(PLAN, last_cycle=-1).cycle(0, "--cycle")
+
+
 OUTSIDE = "a time of the run, which goes from 2010-04-01 12:00:00 to 2010-04-01 12:16:39 HST (cycle"
 NO_TIME = "a local time"
 
