@@ -78,8 +78,8 @@ COMMANDS: Final[dict[str, Callable[[Done], Found] | None]] = {
         for rate in (1, 20, 50)
     },
     "heliarch timing oahu --rate 80..320 --duration 10s --priority 20": fastest,
-    "heliarch launch thousand --duration 60": partial(launched, "thousand"),
-    "heliarch launch ten-thousand --duration 20": partial(launched, "ten-thousand"),
+    "heliarch launch thousand --duration 10m": partial(launched, "thousand"),
+    "heliarch launch ten-thousand --duration 10m": partial(launched, "ten-thousand"),
     "heliarch simulate oahu-day --duration 5h --out RUN": None,
     "heliarch inspect RUN": partial(used, "inspect"),
     "heliarch inspect RUN --nodes c1/inv01": partial(used, "inspect node"),
