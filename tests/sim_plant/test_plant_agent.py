@@ -203,8 +203,8 @@ def test_cycles_that_were_missed_count_for_delays_and_reverts() -> None:
 
 def test_what_is_no_profile_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "profile.npz"
-    assert complaint_of(load_profile, path).startswith(f"{path}: ")
+    assert complaint_of(load_profile, path, 2, 1).startswith(f"{path}: ")
     path.write_bytes(b"nope")
-    assert complaint_of(load_profile, path).startswith(f"{path}: ")
+    assert complaint_of(load_profile, path, 2, 1).startswith(f"{path}: ")
     np.savez_compressed(path, mpp_kw=np.zeros((2, 1)))
-    assert complaint_of(load_profile, path).startswith(f"{path}: ")
+    assert complaint_of(load_profile, path, 2, 1).startswith(f"{path}: ")
