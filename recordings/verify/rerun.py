@@ -42,7 +42,7 @@ from sim_plant.orders import Wanted, order_given
 
 Messages: TypeAlias = Mapping[Port[Message], Message]
 Outputs: TypeAlias = dict[str, dict[Port[Message], Message]]
-"""What one process published in a cycle, by stage."""
+"""By stage, the messages that a process published in one cycle."""
 
 
 class StatedEstimates(DirectController):
