@@ -174,13 +174,15 @@ class Loop(Generic[S]):
 
     def _join(self, dispatch: Message, now_ns: int) -> None:
         """Join a run that is under way: the dispatch says in which cycle it is, and since when."""
-        cycle, cycle_wall_ns = dispatch.cycle, self.times.timing.cycle_wall_ns
+        cycle, times = dispatch.cycle, self.times
         # A plant may be far behind: when it sent the dispatch tells whose clock it has.
-        began_ns = self.times.on_this_clock(
-            dispatch.ready_time_ns, now_ns, dispatch.publish_time_ns
-        )
+        began_ns = times.on_this_clock(dispatch.ready_time_ns, now_ns, dispatch.publish_time_ns)
+        start_ns = began_ns - cycle * times.timing.cycle_wall_ns
+        times.start(start_ns)
+        # A dispatch that was long on its way is of a cycle that is over: no stage of it is left.
+        cycle = times.goes_on_in(cycle, now_ns) or cycle
         self.standby.join(cycle)
-        self.begin(began_ns - cycle * cycle_wall_ns, now_ns, cycle)
+        self.begin(start_ns, now_ns, cycle)
 
     def end_before(self, cycle: int) -> None:
         """Let the run end before a cycle: those up to it are still completed."""

@@ -326,13 +326,23 @@ def test_the_plant_skips_only_after_a_long_stop_and_in_lockstep_nobody_does(
     assert (clerk.loop.cycle, clerk.loop.times.skipped_cycles) == (goes_to, goes_to)
 
 
-def test_one_that_joins_a_plant_that_is_far_behind_keeps_the_clock_of_the_run() -> None:
-    """The plant sends the dispatch of cycle 20, which began 30 s ago, only now."""
-    loop, start_ns, now_ns = Loop(Clerk(), ON_THE_CLOCK), 7, 50 * REAL_TIME
+@pytest.mark.parametrize(
+    ("sent_cycle", "under_way"),
+    [
+        (20, 23),  # The dispatch was long on its way;
+        (50, 50),  # the plant is far behind, and sends it only now.
+    ],
+)
+def test_one_that_joins_by_a_dispatch_of_a_cycle_that_is_over_begins_with_the_cycle_under_way(
+    sent_cycle: int, under_way: int
+) -> None:
+    loop, start_ns, now_ns = Loop(Clerk(), ON_THE_CLOCK), 7, 7 + under_way * REAL_TIME
     port, message = dispatch(20, 1.0, 200.0)
-    message.ready_time_ns, message.publish_time_ns = start_ns + 20 * REAL_TIME, now_ns
+    message.ready_time_ns = start_ns + 20 * REAL_TIME
+    message.publish_time_ns = start_ns + sent_cycle * REAL_TIME
     loop.hear(port, message, now_ns)
-    assert (loop.cycle, loop.times.start_ns) == (20, start_ns)
+    assert (loop.cycle, loop.times.start_ns) == (under_way, start_ns)
+    assert loop.standby.incarnation == under_way
 
 
 @pytest.mark.parametrize(

@@ -69,8 +69,8 @@ _PATCHES: Final = r"""
 - if residual is not None and residual.cycle == impp.cycle:
 + if residual is not None:
 # agents/loop.py: a late joiner takes its first dispatch for the start of the run
-- self.begin(began_ns - cycle * cycle_wall_ns, now_ns, cycle)
-+ self.begin(began_ns, now_ns, cycle)
+- start_ns = began_ns - cycle * times.timing.cycle_wall_ns
++ start_ns = began_ns
 # agents/control/correction.py: the correction has no bound
 - HIGHEST_CORRECTION: Final = 0.1
 + HIGHEST_CORRECTION: Final = 9.0
