@@ -40,7 +40,8 @@ class WrongAnswer(NamedTuple):
     """What is wrong in a cycle.
 
     requirement: What it fails; empty: what the cycle shows.
-    what: Signal, and field or kind of the difference.
+    what: Signal, and field or kind of the difference. Who is late at one stage is late at all that
+        follow in its cycle, so that lateness is of no signal.
     """
 
     cycle: int
@@ -187,7 +188,8 @@ def judge(
         if port.signal.is_cyclic and cycle not in not_judged:
             mine = ours.get((port, cycle))
             for of, what, text in _wrong(recorded, equality, port, cycle, mine, answers):
-                found.append(WrongAnswer(cycle, of, (port.signal.name, what), f"{where}, {text}"))
+                signal = "" if what == "late" else port.signal.name
+                found.append(WrongAnswer(cycle, of, (signal, what), f"{where}, {text}"))
     return found
 
 
@@ -219,10 +221,11 @@ def _wrong(
         yield "bounds", "bounds", wrong
     elif mine is None:
         yield "", "something", "published, expected nothing"
+    elif late_ms := recorded.late_ms(port, cycle, answers[0], mine):
+        # It was decided later than ours, maybe on other inputs.
+        yield "", "late", f"answered {late_ms:.0f} ms late"
     else:
         ignored = frozenset() if its.missing else frozenset({"missing"})  # It may be left empty.
         for one in Equality(equality.tolerance, ignored).differences(port, its, mine.message)[:1]:
             requirement = "head" if one.field in _OF_THE_HEAD else ""
             yield requirement, one.field, f"{one.field}: expected {one.new}, got {one.recorded}"
-    if mine is not None and (late_ms := recorded.late_ms(port, cycle, answers[0], mine)):
-        yield "", "late", f"answered {late_ms:.0f} ms late"

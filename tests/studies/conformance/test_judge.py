@@ -9,7 +9,8 @@ from command_line import done
 from msgspec.structs import replace
 from running import small_plant
 
-from bus_schemas.signals import COMMAND, IMPP, RESIDUAL
+from bus_schemas.messages import Message
+from bus_schemas.signals import COMMAND, IMPP, RESIDUAL, Port
 from recordings.verify.equality import BIT_FOR_BIT
 from studies.conformance.device import Device
 from studies.conformance.judge import Answer, DeviceRun, judge
@@ -43,15 +44,20 @@ def test_our_own_agent_answers_as_it_should(recorded: DeviceRun) -> None:
     assert judge(recorded, BIT_FOR_BIT) == []
 
 
-def test_a_late_answer_is_called_late_by_how_much(recorded: DeviceRun) -> None:
-    (answer,) = recorded.answers[IMPP.of(NODE), CYCLE]
-    late_ns = 500_000_000
-    message = replace(answer.message, publish_time_ns=answer.message.publish_time_ns + late_ns)
-    recorded.answers[IMPP.of(NODE), CYCLE] = [Answer(message, answer.heard_ns + late_ns)]
+@pytest.mark.parametrize("port", [IMPP.of(NODE), COMMAND.of(NODE)], ids=str)
+def test_a_late_answer_is_called_late_by_how_much_and_nothing_else(
+    recorded: DeviceRun, port: Port[Message]
+) -> None:
+    """One defect: late at any stage, and what it then decides on other inputs."""
+    (answer,) = recorded.answers[port, CYCLE]
+    late_ns = 950_000_000
+    late_at_ns = answer.message.publish_time_ns + late_ns
+    message = replace(answer.message, publish_time_ns=late_at_ns, power_kw=1.0)
+    recorded.answers[port, CYCLE] = [Answer(message, answer.heard_ns + late_ns)]
     (finding,) = judge(recorded, BIT_FOR_BIT)
     assert finding.cycle == CYCLE
-    assert finding.what == ("impp", "late")
-    assert "answered 500 ms late" in finding.text
+    assert finding.what == ("", "late")
+    assert "answered 950 ms late" in finding.text
 
 
 @pytest.mark.parametrize(
