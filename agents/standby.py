@@ -60,15 +60,23 @@ class Standby:
 
         If both took over in one cycle, the agent's first process goes on.
         """
-        yields = message.incarnation > self.incarnation
-        if message.incarnation == self.incarnation and not self._is_first:
+        taken_over_in = message.incarnation
+        if taken_over_in == self.incarnation and not self._is_first:
             own = self.sent.get(port)  # A process hears its own messages, too.
             if own is not None and own.cycle == message.cycle:
-                yields = own.publish_time_ns != message.publish_time_ns
-        if yields:
-            self.silent = True
-            log.info("falls silent: the other process took over in cycle %d", message.incarnation)
-        return yields
+                taken_over_in += own.publish_time_ns != message.publish_time_ns
+        return self.yield_after(taken_over_in)
+
+    def yield_after(self, taken_over_in: int) -> bool:
+        """Fall silent if the other process took over in this cycle, and this one joined earlier.
+
+        Listeners refuse it from then on, also if the other process dies before this one hears it.
+        """
+        if taken_over_in <= self.incarnation or self.silent:
+            return False
+        self.silent = True
+        log.info("falls silent: the other process took over in cycle %d", taken_over_in)
+        return True
 
     def awaited(self, stage: str, cycle: int) -> tuple[Port[Message], ...]:
         """Return the last port that the other process publishes on in a stage."""

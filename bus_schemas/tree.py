@@ -40,6 +40,12 @@ def agent_of(process: str) -> str:
     return process.removesuffix(_STANDBY)
 
 
+def other_process(process: str) -> str:
+    """Name of the other one of an agent's two processes."""
+    agent = agent_of(process)
+    return standby_of(agent) if process == agent else agent
+
+
 def agent_name(path: str) -> str:
     """Name of the agent at a node: its path, or `central` for the root."""
     return path or CENTRAL

@@ -29,7 +29,7 @@ from bus_schemas.errors import FailureError
 from bus_schemas.host_clock import HostClock
 from bus_schemas.messages import GivenUp, Message
 from bus_schemas.signals import GIVEN_UP, Port
-from bus_schemas.tree import PLANT, ROOT, agent_of
+from bus_schemas.tree import PLANT, ROOT, agent_of, other_process
 from bus_schemas.zenoh_bus import FaultyBus, ZenohBus
 
 log = logging.getLogger(__name__)
@@ -229,9 +229,15 @@ class AgentProcess:
                 return
 
     def beat(self) -> None:
-        """Show that the process is alive; as the plant, publish the agents given up since."""
+        """Show that the process is alive, and see what the others have noted.
+
+        An agent's other process may have taken over; the plant publishes the agents given up since.
+        """
         loop, table = self.loop, self.link.table
-        self.link.beat(loop.cycle)
+        standby = loop.standby
+        self.link.beat(loop.cycle, 0 if standby.silent else standby.incarnation)
+        if standby.heard and table is not None:
+            standby.yield_after(table.read(other_process(loop.name)).took_over_in)
         if loop.name != PLANT or table is None or loop.cycle < 0:
             return
         if table.number_given_up != self._given_up:

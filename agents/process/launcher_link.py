@@ -69,10 +69,10 @@ class LauncherLink:
     def _note_unheard(self, *_: object) -> None:
         self.unheard = True
 
-    def beat(self, cycle: int) -> None:
+    def beat(self, cycle: int, took_over_in: int = 0) -> None:
         """Show that the loop that does the work is at work, or waits in this cycle."""
         if self.table is not None:
-            self.table.beat(self._name, cycle)
+            self.table.beat(self._name, cycle, took_over_in)
 
     def expected_messages(self) -> int | None:
         """Return how many messages of the run were published in all; None: not known yet."""

@@ -280,6 +280,20 @@ def test_one_that_has_just_joined_leaves_its_standby_a_cycle_to_speak_first() ->
     assert spoke == {20: False, 21: False, 22: True}
 
 
+def test_one_whose_standby_took_over_unheard_falls_silent_until_it_takes_over_itself() -> None:
+    loop = Loop(Clerk(), plan(cycle_wall_ns=REAL_TIME, standby=("c1",)))
+    loop.begin(0, 0)
+    spoke = {}
+    for cycle in range(4):
+        if cycle == 1:
+            assert loop.standby.yield_after(1)  # The memory that both share says so.
+        for port, message in both(cycle):
+            loop.hear(port, message, 0)
+        sent = loop.close_stage(loop.deadline_ns or 0)
+        spoke[cycle] = [message.incarnation for port, message in sent if port == SENT]
+    assert spoke == {0: [0], 1: [], 2: [2], 3: [2]}
+
+
 def test_where_both_processes_of_an_agent_took_over_in_one_cycle_the_first_goes_on() -> None:
     run_plan = plan(cycle_wall_ns=REAL_TIME, standby=("c1",))
     pair = [Loop(controller(run_plan, "c1"), run_plan, process=n) for n in ("c1", "c1+standby")]
