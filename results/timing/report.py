@@ -76,8 +76,9 @@ class Budget(NamedTuple):
 class TimedRun(msgspec.Struct, frozen=True, kw_only=True):
     """What was run. `lost_messages` is None if that is not known.
 
-    `ended` is false if the recording does not show that the plant ended the run, and `interrupted`
-    is true if it did so before the last planned cycle.
+    In `late_stopped` of the late cycles the machine stood still. `ended` is false if the recording
+    does not show that the plant ended the run, and `interrupted` is true if it did so before the
+    last planned cycle.
     """
 
     scenario: str
@@ -87,6 +88,7 @@ class TimedRun(msgspec.Struct, frozen=True, kw_only=True):
     planned_cycles: int
     cycles: int
     late_cycles: int
+    late_stopped: int
     wall_s: float
     ended: bool
     interrupted: bool
@@ -179,6 +181,7 @@ def report_on(
             planned_cycles=plan.timing.cycles,
             cycles=len(timing.loop_ms),
             late_cycles=timing.late_cycles,
+            late_stopped=timing.late_stopped,
             wall_s=wall_s,
             ended=stop_cycle is not None,
             interrupted=interrupted,

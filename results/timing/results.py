@@ -55,6 +55,7 @@ def cycles_per_s(rate_hz: float) -> str:
 def timing_result(report: TimingReport) -> Result:
     """Return the timing of a run: what was run, how long it took, and whether it was in time."""
     run = report.run
+    stopped = f" ({run.late_stopped:,} while the machine stood still)"
     slowest = [
         f"{'next' if number else 'slowest'} {one.in_words()}"
         for number, one in enumerate(report.slowest)
@@ -67,6 +68,7 @@ def timing_result(report: TimingReport) -> Result:
         lines=[
             f"{run.scenario} at {cycles_per_s(run.rate_hz)} in real time: "
             f"{counted(run.cycles, 'cycle')} in {run.wall_s:.1f} s, {run.late_cycles:,} late"
+            f"{stopped if run.late_stopped else ''}"
             f"{', interrupted' if run.interrupted else ''}",
             *report.host,
             *report.remarks,

@@ -40,7 +40,9 @@ class RunTiming(NamedTuple):
     processes: Of each of Heliarch's agents: agent, and its counts missed_deadlines,
         missing_inputs, overruns, skipped_cycles.
     slowest: The slowest cycles, the slowest first.
-    late_cycles: In so many one of those agents missed a deadline, overran or published nothing.
+    late_cycles: How many cycles one of those agents missed a deadline in, overran or published
+        nothing.
+    late_stopped: In how many of them the machine stood still.
     loop_ms: How long the loop took, by cycle; only those that the plant ended.
     """
 
@@ -48,6 +50,7 @@ class RunTiming(NamedTuple):
     processes: pd.DataFrame
     slowest: tuple[CycleWaits, ...]
     late_cycles: int
+    late_stopped: int
     loop_ms: pd.Series
 
 
@@ -66,7 +69,7 @@ def run_timing(
     agents = pd.Index(graph.stages.agent[~graph.stages.device].unique(), name="agent")
     processes = pd.DataFrame(0, index=agents, columns=COUNTS)
     slowest: list[CycleWaits] = []
-    loops_ms, late_cycles = [pd.Series(dtype=float)], 0
+    loops_ms, late = [pd.Series(dtype=float)], [pd.Index([], dtype=np.int64)]
     before: pd.DataFrame | None = None
     for block in read_blocks(reader, graph, block_messages):
         ended = block.messages[block.messages.port == production].set_index("cycle")
@@ -80,21 +83,30 @@ def run_timing(
         before = closed.drop_duplicates("stage", keep="last")
         loop = ("loop", WHOLE_LOOP, ended[loop_from] * 1e6)
         durations = _merged(durations, [loop, *_durations(graph, block, closed)], names)
-        late_cycles += _count(processes, block)
+        late.append(_count(processes, block))
     durations["measure"] = np.array(MEASURES)[durations.measure]
     durations["of"] = names[durations.of]
-    start_ns, cycle_ns = start_ns_of(reader), graph.plan.timing.cycle_wall_ns
-    waits = tuple(
-        one._replace(stopped_ms=_stopped_ms(stops, start_ns + one.cycle * cycle_ns, cycle_ns))
-        for one in slowest
+    stopped = _stopped_ms(stops, start_ns_of(reader), graph.plan.timing.cycle_wall_ns)
+    return RunTiming(
+        durations,
+        processes.reset_index(),
+        tuple(one._replace(stopped_ms=stopped.get(one.cycle, 0.0)) for one in slowest),
+        sum(map(len, late)),
+        sum(cycle in stopped for cycles in late for cycle in cycles),
+        pd.concat(loops_ms),
     )
-    return RunTiming(durations, processes.reset_index(), waits, late_cycles, pd.concat(loops_ms))
 
 
-def _stopped_ms(stops: Sequence[MachineStop], begin_ns: int, length_ns: int) -> float:
-    """Return for how long the machine stood still in a time."""
-    parts = (min(one.ended_ns, begin_ns + length_ns) - max(one.began_ns, begin_ns) for one in stops)
-    return sum(part for part in parts if part > 0) / 1e6
+def _stopped_ms(stops: Sequence[MachineStop], start_ns: int, cycle_ns: int) -> dict[int, float]:
+    """Return for how long the machine stood still in each cycle in which it did [ms]."""
+    stopped_ms: dict[int, float] = {}
+    for began_ns, ended_ns in stops:
+        first, last = ((at_ns - start_ns) // cycle_ns for at_ns in (began_ns, ended_ns))
+        for cycle in range(first, last + 1):
+            begin_ns = start_ns + cycle * cycle_ns
+            part_ns = min(ended_ns, begin_ns + cycle_ns) - max(began_ns, begin_ns)
+            stopped_ms[cycle] = stopped_ms.get(cycle, 0.0) + part_ns / 1e6
+    return stopped_ms
 
 
 def row_names(graph: RunGraph) -> list[str]:
@@ -156,10 +168,10 @@ def _merged(
     return pd.concat(tables).groupby(by)["count"].sum().reset_index()
 
 
-def _count(processes: pd.DataFrame, block: Block) -> int:
-    """Add what went wrong in the cycles of a block; return how many of them were late."""
+def _count(processes: pd.DataFrame, block: Block) -> pd.Index:
+    """Add what went wrong in the cycles of a block; return those that were late."""
     closed = block.closed[~block.closed.device]
-    cycles, missing = len(block.cycles), block.closed.iloc[:0]
+    cycles = len(block.cycles)
     by_agent = closed.groupby("agent")
     missing = block.late.merge(closed[["cycle", "stage", "agent"]], on=["cycle", "stage"])
     counts = pd.DataFrame(
@@ -176,7 +188,7 @@ def _count(processes: pd.DataFrame, block: Block) -> int:
     processes[counts.columns] += counts
     wrong = (closed.lacking | closed.overran).groupby(closed.cycle).any()
     complete = closed.groupby("cycle").agent.nunique() == len(processes)
-    return cycles - int((complete & ~wrong).sum())
+    return pd.Index(block.cycles).difference(wrong.index[complete & ~wrong])
 
 
 def percentiles(durations: pd.DataFrame) -> pd.DataFrame:
