@@ -135,10 +135,10 @@ def cut(recording: Path, to: Path | None = None, share: float = 0.5) -> None:
 
 
 def zero_chunk(recording: Path, number: int, to: Path | None = None) -> Chunk:
-    """Zero the head of a chunk of a recording, by default in its place; return where it is."""
+    """Zero a part of a chunk of a recording, by default in its place; return where it is."""
     with RunReader(recording) as run:
         chunk = run.outline.chunks[number]
     content = bytearray(recording.read_bytes())
-    content[chunk.offset : chunk.offset + 60] = bytes(60)
+    content[chunk.offset + 60 : chunk.offset + 120] = bytes(60)
     (to or recording).write_bytes(content)
     return chunk

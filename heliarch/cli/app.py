@@ -18,7 +18,7 @@ COMMANDS: Final = {
     "Run": ("launch", "node", "simulate", "timing", "conform", "inverters", "scenarios", "order"),
     "Look": ("view", "report", "inspect", "verify", "replay"),
     "Compare": ("compare", "campaign"),
-    "Files": ("export", "recover"),
+    "Files": ("export",),
     "Set up": ("init", "doctor", "keys"),
 }
 """The commands under the headings of `heliarch --help`."""

@@ -1,4 +1,4 @@
-"""`heliarch export`: a recording as a file for viewers, or as tables."""
+"""`heliarch export`: a recording as one whole file, as a file for viewers, or as tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def export(
     run: Run,
     /,
     *,
-    form: Annotated[Literal["json-mcap", "parquet", "csv"], Parameter("--format")],
+    form: Annotated[Literal["mcap", "json-mcap", "parquet", "csv"], Parameter("--format")],
     start: Start = None,
     end: End = None,
     nodes: Nodes = None,
@@ -26,14 +26,14 @@ def export(
     out: Annotated[Path | None, Parameter(group=FILES)] = None,
     json: Json = None,
 ) -> None:
-    """Make a file for viewers, or tidy tables, from a recording.
+    """Make one whole file of a cut or damaged recording, a file for viewers, or tidy tables.
 
     Example: `heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*`
 
     Parameters
     ----------
     form
-        json-mcap is for Foxglove and Lichtblick.
+        mcap is all of the recording that can be read; json-mcap is for Foxglove and Lichtblick.
     clock
         Times in json-mcap: wall, as recorded (the default), or sim, simulated time.
     out

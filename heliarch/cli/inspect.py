@@ -64,7 +64,7 @@ def inspect(
         if not reader.whole:
             text = (
                 f"{reader.path} or one of the files that continue it was cut, is damaged, or is "
-                "still being recorded. `heliarch recover` makes a whole file of it."
+                "still being recorded. `heliarch export --format mcap` makes a whole file of it."
             )
             output.console.print(Text(text, "yellow"))
 

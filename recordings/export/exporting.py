@@ -12,15 +12,20 @@ from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Port, Signal
 from bus_schemas.whole_file import check_new, new_path
+from recordings.export.mcap_copies import Clock, ViewerFile, WholeRecording
 from recordings.export.tables import TableFolder
-from recordings.export.viewer_file import Clock, ViewerFile
 from recordings.read.reader import RunReader
 from recordings.record.writer import ClockAnchor
 
-Form: TypeAlias = Literal["json-mcap", "parquet", "csv"]
-"""A file for viewers of MCAP, or a folder with a file for each table."""
+Form: TypeAlias = Literal["mcap", "json-mcap", "parquet", "csv"]
+"""The recording itself as one whole file, a file for viewers of MCAP, or a folder of tables."""
 
-_ENDING: Final[dict[Form, str]] = {"json-mcap": ".json.mcap", "parquet": "-parquet", "csv": "-csv"}
+_ENDING: Final[dict[Form, str]] = {
+    "mcap": ".recovered.mcap",
+    "json-mcap": ".json.mcap",
+    "parquet": "-parquet",
+    "csv": "-csv",
+}
 
 
 class ExportSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -56,13 +61,18 @@ def export(
     """
     if clock is not None and form != "json-mcap":
         raise InputError(f"--clock: expected --format json-mcap with it, got {form}")
+    if form == "mcap" and (signals or nodes or cycles):
+        options = "--signals, --nodes, --from, --to"
+        raise InputError(f"{options}: expected another --format, since mcap is the whole recording")
     path = path or default_path(reader.path, form)
     check_new(path)
     signals = [one for one in SIGNALS if one.logged and (not signals or one in signals)]
     ports = reader.ports(*signals, nodes=nodes)
     with new_path(path) as beside:
-        out: ViewerFile | TableFolder
-        if form == "json-mcap":
+        out: WholeRecording | ViewerFile | TableFolder
+        if form == "mcap":
+            out = WholeRecording(beside, reader)
+        elif form == "json-mcap":
             out = ViewerFile(beside, reader, ports, clock or "wall")
         else:
             anchor = ClockAnchor.of(reader.metadata, reader.path)
@@ -82,7 +92,7 @@ def export(
 
 
 def _add_all(
-    out: ViewerFile | TableFolder,
+    out: WholeRecording | ViewerFile | TableFolder,
     reader: RunReader,
     ports: Collection[Port[Message]],
     cycles: range | None,

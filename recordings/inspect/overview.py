@@ -19,7 +19,7 @@ from recordings.inspect.health import Health, HealthWatch, told
 from recordings.read.counting import RecordingCount
 from recordings.read.gaps import PortGaps, gaps_of_ports
 from recordings.read.reader import RunReader
-from recordings.recover import RECOVERY_METADATA
+from recordings.read.run_file import RECOVERY_METADATA
 
 OVERVIEW_NAME: Final = "overview.json"
 

@@ -318,7 +318,7 @@ class RunReader:
         """Name the damaged chunks that were skipped and damaged attachments; empty: none."""
         parts = [f"chunk at byte {chunk.offset:,}" for chunk in sorted(self.damage)]
         parts += [f"attachment {name}" for name in self.outline.damaged_attachments]
-        what = f"a part of the file is damaged ({listed(parts)}): see heliarch recover"
+        what = f"a part of the file is damaged and left out ({listed(parts)})"
         return f"{self.path}: {what}" if parts else ""
 
     def check_chunks(self) -> None:

@@ -16,6 +16,9 @@ from recordings.read.mcap_file import Outline
 
 RECORDING_NAME: Final = "run.mcap"
 
+RECOVERY_METADATA: Final = "recovery"
+"""Name of the metadata of a recording that was made from a cut or damaged one."""
+
 
 def further_file(recording: Path, number: int) -> Path:
     """Return the file in which a recording goes on, the second or a later one of its recorders."""

@@ -99,7 +99,7 @@ def replay_bus(
         with ReplayBus(plan, ports, endpoint) as bus:
             say(out, f"{plan.run_id}, {reader.clock.extent()}")
             if not reader.whole:
-                say(out, "cut short: replayed up to the cut (`heliarch recover` repairs the file)")
+                say(out, "the recording was cut short: replayed up to the cut")
             say(out, f"endpoint {endpoint}\nkeys {plan.run_id}/{plan.plant}/**")
             yield bus
 

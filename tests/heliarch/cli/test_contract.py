@@ -50,7 +50,6 @@ QUICK: Final = {
     "compare": "small.toml --duration 5 --schemes paper",
     "campaign": "small.toml --seeds 1..2 --duration 145",
     "export": "RUN --format csv",
-    "recover": "RUN",
     "doctor": "",
     "keys": "small.toml",
 }
@@ -166,7 +165,6 @@ BAD: Final = {
     "campaign": "--seeds x, --duration 1m",
     "export": "--format xlsx, --signals residuals, --nodes c1/inv99, --from 18:00, --clock sim, "
     "--out run",
-    "recover": "--out run",
     "keys": "--days -1, --days 0, --days nan, --days 4000, --address moon",
     "doctor": "--out nowhere",
 }
@@ -180,8 +178,6 @@ BAD: Final = {
 def test_bad_input_is_one_line_and_leaves_nothing(
     name: str, option: str, value: str, folder: Path
 ) -> None:
-    if name == "recover":
-        cut(folder / "run" / "run.mcap")
     before = sorted(folder.rglob("*"))
     line = refusal(*words_of(name, folder), option, value)
     assert re.search(rf"(?<![\w-]){option}(?![\w-])", line), line
@@ -279,8 +275,8 @@ def test_without_a_command_the_help_is_shown() -> None:
 # A recording that is not whole --------------------------------------------------------------------
 
 CUT: Final = {
-    "inspect": "heliarch recover",
-    "replay": "heliarch recover",
+    "inspect": "heliarch export --format mcap",
+    "replay": "cut short",
     "export": "cut short",
     "report": "recording is incomplete",
 }
@@ -302,8 +298,7 @@ def test_a_damaged_part_is_left_out_and_named_in_one_line(name: str, folder: Pat
     result = heliarch(*words_of(name, folder))
     assert result.exit_code == 0, result.output
     (line,) = result.stderr.splitlines()
-    assert f"a part of the file is damaged (chunk at byte {place.offset:,})" in line
-    assert line.endswith("see heliarch recover")
+    assert f"damaged and left out (chunk at byte {place.offset:,})" in line
 
 
 # A full disk --------------------------------------------------------------------------------------
@@ -315,7 +310,7 @@ full_disk = pytest.mark.skipif(not FULL.exists(), reason="this system has no dev
 @pytest.mark.parametrize(
     ("name", "option"),
     [
-        *((name, "--json") for name in ("simulate", "timing", "inspect", "compare", "recover")),
+        *((name, "--json") for name in ("simulate", "timing", "inspect", "compare")),
         ("simulate", "--report"),
         ("compare", "--report"),
         ("compare", "--csv"),
@@ -324,8 +319,6 @@ full_disk = pytest.mark.skipif(not FULL.exists(), reason="this system has no dev
 def test_a_file_on_a_full_disk_is_a_failure_in_one_line_and_the_rest_is_written(
     name: str, option: str, folder: Path
 ) -> None:
-    if name == "recover":
-        cut(folder / "run" / "run.mcap")
     (folder / "full.html").symlink_to(FULL)
     words = [*words_of(name, folder), option, "full.html"]
     if name in {"simulate", "timing", "compare"} and option != "--report":
@@ -395,7 +388,7 @@ def test_a_reader_who_leaves_is_no_error_message(
 
 @pytest.fixture(scope="module")
 def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording that takes seconds to read, cut so that it can be recovered."""
+    """A recording that takes seconds to read."""
     path = tmp_path_factory.mktemp("long") / "long.mcap"
     write_run(path, whole_run(8_000), close=False)
     return path

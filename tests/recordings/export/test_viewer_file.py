@@ -18,7 +18,7 @@ from recording_by_hand import PLAN, written
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS, Signal
-from recordings.export.viewer_file import Clock, ViewerFile, object_schema
+from recordings.export.mcap_copies import Clock, ViewerFile, object_schema
 from recordings.read.reader import RunReader
 
 RECORDED = tuple(signal for signal in SIGNALS if signal.logged)

@@ -1,9 +1,9 @@
-"""A recording as an MCAP file for Foxglove and Lichtblick: JSON messages with JSON Schemas.
+"""A recording as a new MCAP file: whole, as a recorder closes it, or for Foxglove and Lichtblick.
 
-Foxglove and Lichtblick do not read JSON Schema as a whole. Each property must have one `type`: a
-string, a number, an integer, a boolean, an object with `properties`, or an array whose `items` are
-one of these. So there are no references here, no tuples and no nulls; what is an array on the wire
-to save bytes, such as a line of `help_given`, is an object with named fields.
+Viewers get JSON messages with JSON Schemas, which they do not read as a whole. Each property must
+have one `type`: a string, a number, an integer, a boolean, an object with `properties`, or an array
+whose `items` are one of these. So there are no references here, no tuples and no nulls; what is an
+array on the wire to save bytes, such as a line of `help_given`, is an object with named fields.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from importlib.metadata import version
 from inspect import getdoc
 from math import isfinite
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import BinaryIO, Final, Literal, Self, TypeAlias
 
 import msgspec
 from mcap.writer import CompressionType, Writer
@@ -23,6 +23,8 @@ from msgspec import inspect
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port, Signal
 from recordings.read.reader import RecordedMessage, RunReader
+from recordings.read.run_file import RECOVERY_METADATA, recorded_ports
+from recordings.record.chunk_writer import ChunkWriter
 from recordings.record.writer import declare
 
 JsonObject: TypeAlias = dict[str, object]
@@ -30,56 +32,98 @@ Clock: TypeAlias = Literal["wall", "sim"]
 """Which time a viewer shows: the wall clock, or the simulated time of the cycle."""
 
 EXPORT_METADATA: Final = "heliarch export"
-"""Name of the metadata. Not that of a recording, which this file is not."""
+"""Name of the metadata of a file for viewers. Not that of a recording, which it is not."""
+
+_LIBRARY: Final = f"heliarch {version('heliarch')}"
 
 
-class ViewerFile:
-    """A file for viewers that is being written; `rows` are the messages of each signal in it.
+class _McapCopy:
+    """A copy that is being written; `rows` are the messages of each signal in it.
 
     Keys, schema names, attachments and sequence numbers are those of the recording.
     """
 
-    def __init__(
-        self, path: Path, reader: RunReader, ports: Iterable[Port[Message]], clock: Clock
-    ) -> None:
+    def __init__(self, file: BinaryIO, writer: ChunkWriter | Writer, reader: RunReader) -> None:
         self.rows = Counter[str]()
-        self._sim = clock == "sim"
-        self._file = path.open("xb")
-        self._writer = Writer(self._file, compression=CompressionType.ZSTD)
-        self._writer.start(profile="", library=f"heliarch {version('heliarch')}")
-        self._write_origin(reader, clock)
-        in_order = sorted(ports, key=str)
-        self._channels = declare(self._writer, reader.plan, in_order, object_schema, "json")
+        self.writer = writer
+        self.channels: dict[Port[Message], int] = {}
+        self._file = file
+        for entry in reader.outline.attachments:
+            writer.add_attachment(
+                entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data
+            )
 
-    def add(self, record: RecordedMessage, message: Message) -> None:
+    def add_payload(
+        self, record: RecordedMessage, logged_ns: int, published_ns: int, payload: bytes
+    ) -> None:
         self.rows[record.port.signal.name] += 1
-        self._writer.add_message(
-            channel_id=self._channels[record.port],
-            log_time=message.sim_time_ns if self._sim else record.log_time_ns,
-            publish_time=message.sim_time_ns if self._sim else record.publish_time_ns,
-            sequence=record.sequence,
-            data=json_bytes(message),
-        )
+        channel = self.channels[record.port]
+        self.writer.add_message(channel, logged_ns, payload, published_ns, record.sequence)
 
-    def __enter__(self) -> ViewerFile:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         with self._file:
             if kind is None:
-                self._writer.finish()
+                self.writer.finish()
 
-    def _write_origin(self, reader: RunReader, clock: Clock) -> None:
-        for entry in reader.outline.attachments:
-            self._writer.add_attachment(
-                entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data
-            )
+
+class WholeRecording(_McapCopy):
+    """All of a recording that can be read, byte for byte, as a recorder would have closed it.
+
+    Metadata named `recovery` says what was damaged: in the copy all checksums are right.
+    """
+
+    def __init__(self, path: Path, reader: RunReader) -> None:
+        file = path.open("xb")
+        super().__init__(file, ChunkWriter(file, "heliarch", _LIBRARY), reader)
+        self._reader = reader
+        for name, entries in reader.metadata.items():
+            self.writer.add_metadata(name, entries)
+        self.channels = declare(self.writer, reader.plan, recorded_ports(reader.plan))
+
+    def add(self, record: RecordedMessage, message: Message) -> None:
+        self.add_payload(record, record.log_time_ns, record.publish_time_ns, record.payload)
+
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        if kind is None:
+            outline, losses = self._reader.outline, [self._reader.damage_text()]
+            if not outline.closed:
+                losses.append(f"cut at byte {outline.readable_end:,}")
+            recovery = {
+                "recovered_from": self._reader.path.name,
+                "damage": "; ".join(filter(None, losses)),
+            }
+            self.writer.add_metadata(RECOVERY_METADATA, recovery)
+        super().__exit__(kind, *error)
+
+
+class ViewerFile(_McapCopy):
+    """A file for viewers."""
+
+    def __init__(
+        self, path: Path, reader: RunReader, ports: Iterable[Port[Message]], clock: Clock
+    ) -> None:
+        file = path.open("xb")
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(profile="", library=_LIBRARY)
+        super().__init__(file, writer, reader)
+        self._sim = clock == "sim"
         origin = {
             f"{name}.{key}": value
             for name, entries in reader.metadata.items()
             for key, value in entries.items()
         }
-        self._writer.add_metadata(EXPORT_METADATA, {"clock": clock, **origin})
+        writer.add_metadata(EXPORT_METADATA, {"clock": clock, **origin})
+        in_order = sorted(ports, key=str)
+        self.channels = declare(writer, reader.plan, in_order, object_schema, "json")
+
+    def add(self, record: RecordedMessage, message: Message) -> None:
+        times_ns = record.log_time_ns, record.publish_time_ns
+        if self._sim:
+            times_ns = message.sim_time_ns, message.sim_time_ns
+        self.add_payload(record, *times_ns, json_bytes(message))
 
 
 def object_schema(signal: Signal[Message]) -> JsonObject:
