@@ -35,8 +35,8 @@ def conform(
     """Test your own device against each requirement of the wire document.
 
     Plays the agents around the device: a normal run, inputs at their limits, wrong, random, late or
-    missing inputs, random faults, links that close, a restart. Compares each answer with that of
-    Heliarch's own agent. Exit status 1: a requirement is not met.
+    missing inputs, random faults, a restart. Compares each answer with that of Heliarch's own
+    agent. Exit status 1: a requirement is not met.
 
     Example: `heliarch conform c2/inv07
     --command 'python examples/direct_controller.py --plan {plan} --node {node}'`

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -16,8 +15,7 @@ import numpy as np
 
 from agents.plan import RunPlan, changed
 from agents.process.events import Status
-from bus_schemas.errors import FailureError, InputError, listed
-from bus_schemas.tcp_ports import reserved_ports
+from bus_schemas.errors import FailureError, listed
 from bus_schemas.tree import PLANT
 from launch_scripts.launch import launch
 from launch_scripts.run_folder import RunFolder
@@ -27,7 +25,6 @@ from recordings.verify.agent_result import LOSSES
 from recordings.verify.equality import Equality
 from recordings.verify.verification import verify
 from results.run_summary import RunSummary
-from scenarios.elsewhere import listening
 from scenarios.preparation import Preparation
 from sim_plant import Floats
 from sim_plant.profile import Profile
@@ -48,23 +45,17 @@ _ARMING_S: Final = 10.0
 """How long nothing may come on a key in arming rounds."""
 
 
-class _LinksClosedError(Exception):
-    """The launch is to end now, without a stop."""
-
-
 @dataclass
 class _Attendant:
     """The view of a launch, which sees to the device meanwhile.
 
     away: Cycles in which the device is killed and started again.
-    closes_after: The cycle after which the links close; None: the launch goes on to its end.
     """
 
     say: Callable[[str], None]
     device: Device
     plan: Path
     away: range
-    closes_after: int | None
     silent_since: float = inf
     has_begun: bool = False
     was_killed: bool = False
@@ -80,8 +71,6 @@ class _Attendant:
         self.silent_since = min(now, self.silent_since) if status.unheard else inf
         if now > self.silent_since + _ARMING_S:
             raise FailureError(f"in arming rounds nothing came on {listed(status.unheard)}")
-        if status.cycle == self.closes_after:
-            raise _LinksClosedError
         if status.cycle in self.away and not self.was_killed:
             self.was_killed = True
             self.device.end(0.0)
@@ -102,20 +91,18 @@ class Conformance:
     say: Callable[[str], None]
 
     def __post_init__(self) -> None:
-        plan, options = self.preparation.plan, self.preparation.options
+        plan = self.preparation.plan
         (self._agent,) = plan.access.external
         self.findings = Findings(OF_PLANT if self._agent == PLANT else REQUIREMENTS)
         self._known: set[tuple[str, str]] = set()
-        # A device whose links have closed comes back to the ports and the namespace that it knows.
-        options = dataclasses.replace(options, base_port=options.base_port or _free_port(plan))
         plan = changed(
             plan,
             timing={"stall_timeout_s": _STALL_S},
-            access={"namespace": plan.bus_namespace, "keys_folder": ""},
+            access={"keys_folder": ""},
             faults={"rules": plan.faults.rules if self._agent == PLANT else ()},
             supervision={"standby": ()},
         )
-        self.preparation = dataclasses.replace(self.preparation, plan=plan, options=options)
+        self.preparation = dataclasses.replace(self.preparation, plan=plan)
 
     def run(self, seed: int) -> Findings:
         """Take the device through all situations; where it does not arm there is no further one."""
@@ -142,26 +129,9 @@ class Conformance:
             away = restart(script) if self.device.can_restart else away
         self._judge(script, *self._launch(name, script, away), away)
         self.device.end()
-        if script.plan.timing.lockstep:
-            self._close_links(script.plan)
-
-    def _close_links(self, plan: RunPlan) -> None:
-        """Close the links of a launch without a stop, and launch again."""
-        script, following = (Script(plan, self._agent, 0) for _ in range(2))
-        for each in (script, following):
-            each.undisturbed("links closed")
-        last_cycle = script.cycle - 1
-        script.lose("links closed", script.inputs, 1)  # So all wait, and no process says stop.
-        _, ended = self._launch("links-close", script, closes_after=last_cycle)
-        if not isinstance(ended, _LinksClosedError):
-            self.findings.fail("links closed", str(ended))
-        else:
-            with suppress(FailureError):
-                self._judge(following, *self._launch("next-run", following))
-        self.device.end()
 
     def _launch(
-        self, name: str, script: Script, away: range = range(0), closes_after: int | None = None
+        self, name: str, script: Script, away: range = range(0)
     ) -> tuple[RunFolder, RunSummary | Exception]:
         """Launch the plant around the device; return the folder, and how it ended."""
         cycles, folder = script.cycle, RunFolder(self.folder.path / name)
@@ -173,12 +143,12 @@ class Conformance:
             plan=msgspec.structs.replace(plan, run_id=f"{plan.run_id}-{name}"),
             profile=_of_cycles(self.preparation.profile, cycles),
         )
-        view = _Attendant(self.say, self.device, folder.plan, away, closes_after)
+        view = _Attendant(self.say, self.device, folder.plan, away)
         self.findings.note("token", "PASS")
         try:
             with ForkServerProcess() as server:
                 summary = launch(preparation, folder, view, time.monotonic(), server)
-        except (FailureError, _LinksClosedError) as failure:
+        except FailureError as failure:
             return folder, failure
         if summary.launcher.interrupted:
             raise KeyboardInterrupt
@@ -189,14 +159,14 @@ class Conformance:
         script: Script,
         folder: RunFolder,
         ended: RunSummary | Exception,
-        away: range = range(0),
+        away: range,
     ) -> None:
         """Judge a launch by its recording; raise its failure if it did not come to cycle 0."""
         recorded = DeviceRun.of(folder.path, self._agent)
         failure = "" if isinstance(ended, RunSummary) else str(ended).splitlines()[0]
         if not recorded.cycles:
             of = "token" if "no sign of" in failure else "arming"
-            self.findings.fail(of if script.shows[0] == "decisions" else script.shows[0], failure)
+            self.findings.fail(of, failure)
             raise FailureError(failure)
         shown = [*script.shows[: recorded.cycles], "stop"]
         for requirement in {"arming", "head", "bounds", "links", *shown} - {AWAY}:
@@ -257,16 +227,6 @@ class Conformance:
         elif difference is not None:
             text = f"cycle {difference.cycle}: {agent} decides otherwise on what was recorded"
             findings.fail("links", text)
-
-
-def _free_port(plan: RunPlan) -> int:
-    """Return the first of enough free ports in a row."""
-    count = sum(map(len, listening(plan)))
-    while True:
-        with reserved_ports(["any"]) as found:
-            first = found["any"]
-        with suppress(InputError, OverflowError), reserved_ports([""] * count, first):
-            return first
 
 
 def _of_cycles(profile: Profile, cycles: int) -> Profile:

@@ -20,7 +20,6 @@ REQUIREMENTS: Final[dict[str, str]] = {
     "expired": "an input older than `hold_cycles` counts for nothing",
     "late": "a late message is used in the next decision",
     "random faults": "all of this holds under random loss, delay, repetition and reordering",
-    "links closed": "forgets a run whose links close without a stop, and joins the next one",
     "restart": "a new process joins the run in the cycle under way, and counts from 0",
     "stop": "publishes nothing after the last cycle",
 }

@@ -68,10 +68,6 @@ class WrongDevice(direct_controller.DirectController):
             time.sleep(0.1)  # Before the session closes.
         super().end(cycles)
 
-    def leave(self) -> None:
-        if "links closed" not in FAULTS:
-            super().leave()
-
 
 def believes_all(signal: str, payload: bytes, source: str) -> dict[str, Any] | None:
     """Read a message without asking from whom it is."""
