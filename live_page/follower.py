@@ -17,15 +17,15 @@ from typing import Final, Literal, TypeAlias
 import msgspec
 import numpy as np
 
-from bus_schemas.codec import decode, decode_head
-from bus_schemas.messages import Dispatch, Head, Message, Meter, Notice, Production, Run
+from bus_schemas.codec import decode
+from bus_schemas.messages import Dispatch, Message, Meter, Notice, Production, Run
 from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT, parent_of
 from live_page.run_events import RunEvents
 from recordings.inspect.agent_states import AgentStates
 from recordings.inspect.health import FAILURE_NAME
 from recordings.read.mcap_file import Chunk, walk_on
-from recordings.read.reader import RecordedMessage, RunReader
+from recordings.read.reader import RunReader
 from recordings.read.series import SeriesCollector
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
@@ -139,27 +139,18 @@ class RunFollower:
         return outline.chunks[number] if number < len(outline.chunks) else None
 
     def _read(self, chunk: Chunk) -> None:
-        ports = self.run.channels
-        begin: Head | None = None
-        for channel, sequence, logged_ns, published_ns, payload in self.run.messages_of(
-            chunk, ports
-        ):
-            port = ports[channel]
-            with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
-                head = decode_head(payload)
-                begin = begin or head
-                times_ns = logged_ns, published_ns
-                record = RecordedMessage(
-                    port, head.cycle, sequence, *times_ns, payload, head.incarnation
-                )
-                self.states.see(record)
-                while self.states.changes:
-                    self.events.add(*self.states.changes.popleft())
-                if port.signal in _FOLLOWED:
-                    self._see(port, payload)
+        cycles = []
+        for record in self.run.records_of(chunk):
+            cycles.append(record.cycle)
+            self.states.see(record)
+            while self.states.changes:
+                self.events.add(*self.states.changes.popleft())
+            if record.port.signal in _FOLLOWED:
+                with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
+                    self._see(record.port, record.payload)
         if chunk in self.run.damage:
             self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
-        first = min(begin.cycle, head.cycle) if begin else self.cycles - 1
+        first = min(cycles[0], cycles[-1]) if cycles else self.cycles - 1
         self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
 
     def _see(self, port: Port[Message], payload: bytes) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Final, TypeAlias
 import msgspec
 
 from agents.dispatch import own_share_kw
-from bus_schemas.codec import decode, decode_head
+from bus_schemas.codec import decode
 from bus_schemas.messages import Dispatch, Impp, Message, Production, Setpoint, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import ROOT
@@ -55,11 +55,9 @@ class CycleReader:
     def _read_chunk(self, chunk: Chunk) -> dict[int, list[tuple[Port[Message], bytes]]]:
         """Return the messages in a chunk by their cycle."""
         by_cycle: dict[int, list[tuple[Port[Message], bytes]]] = {}
-        run = self._follower.run
-        for channel, _, _, _, payload in run.messages_of(chunk, run.channels):
-            port = run.channels[channel]
-            if port.signal is not RUN:
-                by_cycle.setdefault(decode_head(payload).cycle, []).append((port, payload))
+        for record in self._follower.run.records_of(chunk):
+            if record.port.signal is not RUN:
+                by_cycle.setdefault(record.cycle, []).append((record.port, record.payload))
         return by_cycle
 
 

@@ -17,7 +17,7 @@ from bus_schemas.tree import ROOT
 from bus_schemas.whole_file import whole_file
 from recordings.inspect.health import Health, HealthWatch, told
 from recordings.read.counting import RecordingCount
-from recordings.read.gaps import PortGaps, gaps_of_ports
+from recordings.read.gaps import PortGaps
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECOVERY_METADATA
 
@@ -96,13 +96,9 @@ def _files(run: RunReader) -> tuple[tuple[int, int], ...]:
 
 
 def _by_count(run: RunReader, count: RecordingCount) -> Overview:
-    gaps = gaps_of_ports(run.plan)
-    for port, messages in count.messages.items():
-        gaps[port].messages = messages
-    gaps[PRODUCTION.of(ROOT)].cycles = count.complete_cycles
     health = told(Health(stop_cycle=run.stop_cycle, launcher=None), run)
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0))
-    return _overview(run, wanted, gaps, health, count.wall_ns / 1e9)
+    return _overview(run, wanted, count.gaps, health, count.wall_ns / 1e9)
 
 
 def _go_through(run: RunReader, cycles: range | None) -> Overview:

@@ -13,29 +13,23 @@ from agents.process.events import ExternalAccount, Recorded
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, Port
-from bus_schemas.tree import ROOT
-from recordings.read.gaps import PortGaps, due_step
+from recordings.read.gaps import PortGaps, due_step, gaps_of_ports
 from recordings.read.reader import RunReader
 
 
 class RecordingCount(NamedTuple):
-    """Messages by port, what the heads of the plant's and external agents' say, and the time."""
+    """Messages by port, with gaps in those of external agents and productions, and the time."""
 
-    messages: Counter[Port[Message]]
     gaps: dict[Port[Message], PortGaps]
     wall_ns: int = 0
-
-    @property
-    def complete_cycles(self) -> int:
-        return self.gaps[PRODUCTION.of(ROOT)].cycles
 
     def by_signal(self, publisher: str | None = None) -> Counter[str]:
         """Return the messages of each signal, of one publisher or of all."""
         counts: Counter[str] = Counter()
-        for port, count in self.messages.items():
+        for port, gaps in self.gaps.items():
             if publisher in {None, port.publisher}:
-                counts[port.signal.name] += count
-        return counts
+                counts[port.signal.name] += gaps.messages
+        return +counts
 
 
 def count_messages(recording: Path) -> RecordingCount:
@@ -45,23 +39,21 @@ def count_messages(recording: Path) -> RecordingCount:
     messages a second. InputError: there is no such file, or it cannot be read.
     """
     with RunReader(recording) as run:
-        counts, first_ns, last_ns = Counter[int](), 0, 0
-        gaps = {
-            port: PortGaps()
-            for port in run.ports()
-            if port.publisher in run.plan.elsewhere or port == PRODUCTION.of(ROOT)
+        gaps, counts, first_ns, last_ns = gaps_of_ports(run.plan), Counter[int](), 0, 0
+        read = {
+            channel: port
+            for channel, port in run.channels.items()
+            if port.publisher in run.plan.elsewhere or port.signal is PRODUCTION
         }
-        gaps_of = {channel: gaps[port] for channel, port in run.channels.items() if port in gaps}
         for chunk in run.followed_chunks():
-            for raw in run.messages_of(chunk, run.channels):
-                channel = raw[0]
+            for channel, _, last_ns, _, _ in run.messages_of(chunk, run.channels):
                 counts[channel] += 1
-                last_ns = raw[2]
                 first_ns = first_ns or last_ns
-                if channel in gaps_of and (head := run.head(raw)) is not None:
-                    gaps_of[channel].see(head.cycle, raw[1], head.incarnation)
-        messages = Counter({run.channels[channel]: count for channel, count in counts.items()})
-    return RecordingCount(messages, gaps, last_ns - first_ns)
+            for record in run.records_of(chunk, read):
+                gaps[record.port].see(record.cycle, record.sequence, record.incarnation)
+        for channel, count in counts.items():
+            gaps[run.channels[channel]].messages = count
+    return RecordingCount(gaps, last_ns - first_ns)
 
 
 def checked(
@@ -90,12 +82,12 @@ def _completed(
     plan: RunPlan, account: ExternalAccount, cycles: int, count: RecordingCount
 ) -> ExternalAccount:
     """Return the account of an external agent with what its messages tell."""
-    own = {port: gaps for port, gaps in count.gaps.items() if port.publisher == account.agent}
+    own = {port: one for port, one in count.gaps.items() if port.publisher == account.agent}
     due = {port: -(-cycles // step) for port in own if (step := due_step(plan, port))}
     return replace(
         account,
         recorded=dict(count.by_signal(account.agent)),
-        lost=sum(gaps.lost for gaps in own.values()),
+        lost=sum(one.lost for one in own.values()),
         expected=sum(due.values()),
         answered=sum(min(own[port].cycles, number) for port, number in due.items()),
     )

@@ -136,7 +136,8 @@ def unrecorded_spans(run: RunReader) -> Iterator[tuple[str, range]]:
 
     The first and the last of them may be recorded in part, or as a whole.
     """
-    run.check_chunks()
+    for chunk in run.followed_chunks():
+        run.messages_of(chunk, ())  # So that all damaged chunks are known.
     if len(run.files) == 1 and not run.damage:
         return
     regular = {number: port for number, port in run.channels.items() if due_step(run.plan, port)}
@@ -147,10 +148,8 @@ def unrecorded_spans(run: RunReader) -> Iterator[tuple[str, range]]:
     for chunk in run.followed_chunks():
         if chunk.file != file or chunk in run.damage:
             file, part = chunk.file, part + 1
-        for raw in run.messages_of(chunk, regular):
-            if (head := run.head(raw)) is None:
-                continue
-            port, cycle = regular[raw[0]], head.cycle
+        for record in run.records_of(chunk, regular):
+            port, cycle = record.port, record.cycle
             if seen_in.get(port, 0) < part:
                 key = port.publisher, part
                 before = spans.get(key, range(cycle, cycle))

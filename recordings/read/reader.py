@@ -5,9 +5,10 @@ from __future__ import annotations
 import tomllib
 import warnings
 from bisect import bisect_left
-from collections.abc import Callable, Collection, Container, Iterator
+from collections.abc import Callable, Collection, Container, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
+from sys import maxsize
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -15,7 +16,7 @@ import msgspec
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode, decode_head
 from bus_schemas.errors import InputError, InputWarning, listed, printable
-from bus_schemas.messages import Head, Message, Run
+from bus_schemas.messages import Message, Run
 from bus_schemas.selection import find_nodes, find_signals
 from bus_schemas.signals import RUN, SIGNALS, Port, Signal
 from bus_schemas.tree import ROOT
@@ -45,9 +46,6 @@ _LATEST_S: Final = 30.0
 _FURTHEST_CYCLES: Final = 1000
 """The same in lockstep over processes, where a link can fall behind: as the recorder allows."""
 
-_MOST_CYCLES: Final = 1 << 40
-"""No run has as many."""
-
 
 class RecordedMessage(NamedTuple):
     """A message as it is in the file; times are wall clock [ns since 1970-01-01 UTC]."""
@@ -62,18 +60,14 @@ class RecordedMessage(NamedTuple):
 
     def message(self) -> Message:
         """Decode it; InputError if it is no message of its signal."""
-        return _decoded(self.port, self.sequence, self.payload)
+        try:
+            return decode(self.port.signal, self.payload)
+        except msgspec.DecodeError as error:
+            raise InputError(_wrong(self.port, self.sequence, error)) from None
 
 
-def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
-    try:
-        message = decode(port.signal, payload)
-    except msgspec.DecodeError as error:
-        expected = port.signal.type.__name__
-        raise InputError(f"{port} number {sequence}: expected a {expected}, got: {error}") from None
-    if not 0 <= message.cycle < _MOST_CYCLES:
-        raise InputError(f"{port} number {sequence} cycle: expected from 0 on, got {message.cycle}")
-    return message
+def _wrong(port: Port[Message], sequence: int, error: object) -> str:
+    return f"{port} number {sequence}: expected a {port.signal.type.__name__}, got: {error}"
 
 
 class RunReader:
@@ -171,15 +165,9 @@ class RunReader:
         self, ports: Collection[Port[Message]], cycles: range | None = None
     ) -> Iterator[Delivery]:
         """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
-        port_of = self._channels_of(ports)
-        for chunk in self._chunks_of(cycles):
-            for channel, sequence, _, _, payload in self.messages_of(chunk, port_of):
-                port = port_of[channel]
-                message = self.decoded(port, sequence, payload)
-                if message is not None and (
-                    cycles is None or cycles.start <= message.cycle < cycles.stop
-                ):
-                    yield port, message
+        for record in self.records(ports, cycles):
+            if (message := self.decoded(record)) is not None:
+                yield record.port, message
 
     def records(
         self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None
@@ -187,24 +175,31 @@ class RunReader:
         """Yield messages as they are in the file; only their head is decoded."""
         port_of = self._channels_of(self.ports() if ports is None else ports)
         for chunk in self._chunks_of(cycles):
-            for raw in self.messages_of(chunk, port_of):
-                head = self.head(raw)
-                if head is None:
-                    continue
-                cycle = head.cycle
-                if cycles is None or cycles.start <= cycle < cycles.stop:
-                    channel, sequence, logged_ns, published_ns, payload = raw
-                    yield RecordedMessage(
-                        port_of[channel],
-                        *(cycle, sequence, logged_ns, published_ns, payload, head.incarnation),
-                    )
+            for record in self.records_of(chunk, port_of):
+                if cycles is None or cycles.start <= record.cycle < cycles.stop:
+                    yield record
 
-    def decoded(self, port: Port[Message], sequence: int, payload: bytes) -> Message | None:
+    def records_of(
+        self, chunk: Chunk, port_of: Mapping[int, Port[Message]] | None = None
+    ) -> Iterator[RecordedMessage]:
+        """Yield the messages of some channels in a chunk, or of all; none if it is damaged."""
+        port_of = self.channels if port_of is None else port_of
+        for channel, sequence, logged_ns, published_ns, payload in self.messages_of(chunk, port_of):
+            port = port_of[channel]
+            try:
+                head = decode_head(payload)
+            except msgspec.DecodeError as error:
+                self.wrong.setdefault(port, _wrong(port, sequence, error))
+                continue
+            times_ns = logged_ns, published_ns
+            yield RecordedMessage(port, head.cycle, sequence, *times_ns, payload, head.incarnation)
+
+    def decoded(self, record: RecordedMessage) -> Message | None:
         """Return a message; None if it is wrong, which is then named at the end."""
         try:
-            return _decoded(port, sequence, payload)
+            return record.message()
         except InputError as error:
-            self.wrong.setdefault(port, str(error))
+            self.wrong.setdefault(record.port, str(error))
             return None
 
     def frame(
@@ -265,15 +260,14 @@ class RunReader:
         """Return the last cycle of which there is a message on some ports, -1 if there is none."""
         port_of = self._channels_of(ports)
         for chunk in reversed(self.outline.chunks):
-            heads = map(self.head, self.messages_of(chunk, port_of))
-            if cycles := [head.cycle for head in heads if head is not None]:
+            if cycles := [record.cycle for record in self.records_of(chunk, port_of)]:
                 return max(cycles)
         return -1
 
     @cached_property
     def stop_cycle(self) -> int | None:
         """The cycle before which the plant ended the run; None: that is not recorded."""
-        runs = self.on([RUN.of(ROOT)], range(max(self.last_cycle, 0), _MOST_CYCLES))
+        runs = self.on([RUN.of(ROOT)], range(max(self.last_cycle, 0), maxsize))
         stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
         # Another program may have said so before a cycle that took place. Controllers that did not
         # wait for the plant may have begun the cycle of its own stop.
@@ -301,30 +295,12 @@ class RunReader:
             self.damage.add(chunk)
             return iter(())
 
-    def head(self, raw: RawMessage) -> Head | None:
-        """Return the head of a message; None if it has none, which is then named at the end."""
-        try:
-            head = decode_head(raw[4])
-            if 0 <= head.cycle < _MOST_CYCLES:
-                return head
-            error = f"cycle {head.cycle}"
-        except msgspec.DecodeError as why:
-            error = str(why)
-        port = self.channels[raw[0]]
-        self.wrong.setdefault(port, f"{port} number {raw[1]}: expected a message, got: {error}")
-        return None
-
     def damage_text(self) -> str:
         """Name the damaged chunks that were skipped and damaged attachments; empty: none."""
         parts = [f"chunk at byte {chunk.offset:,}" for chunk in sorted(self.damage)]
         parts += [f"attachment {name}" for name in self.outline.damaged_attachments]
         what = f"a part of the file is damaged and left out ({listed(parts)})"
         return f"{self.path}: {what}" if parts else ""
-
-    def check_chunks(self) -> None:
-        """Unpack every chunk, so that `damage` holds all that are damaged."""
-        for chunk in self.followed_chunks():
-            self.messages_of(chunk, ())
 
     def close(self) -> None:
         self._close_files()
@@ -369,8 +345,8 @@ class RunReader:
     def _first_cycle(self, chunk: Chunk) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if chunk not in self._first_cycles:
-            heads = map(self.head, self.messages_of(chunk, self.channels))
-            self._first_cycles[chunk] = next((head.cycle for head in heads if head), None)
+            cycles = (record.cycle for record in self.records_of(chunk))
+            self._first_cycles[chunk] = next(cycles, None)
         return self._first_cycles[chunk]
 
     @cached_property

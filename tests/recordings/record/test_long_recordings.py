@@ -10,6 +10,8 @@ from recordings_by_hand import PLAN, SCENARIO, whole_run, write_messages
 
 from agents.process.events import Recorded
 from bus_schemas.codec import encode
+from bus_schemas.signals import PRODUCTION
+from bus_schemas.tree import ROOT
 from recordings.read.counting import checked, count_messages
 from recordings.read.reader import RunReader
 from recordings.record.recorder import next_file
@@ -86,7 +88,7 @@ def test_recorders_that_were_killed_before_a_message_leave_a_recording_that_says
     assert (found, fault) == (account, "")
     path, anchor = next_file(first)
     write_messages(path, whole_run(3), anchor=anchor)
-    assert count_messages(first).complete_cycles == 3
+    assert count_messages(first).gaps[PRODUCTION.of(ROOT)].cycles == 3
 
 
 # The end of a run ---------------------------------------------------------------------------------
@@ -96,10 +98,11 @@ def test_an_account_is_completed_with_what_the_recording_holds(tmp_path: Path) -
     path = tmp_path / "run.mcap"
     write_messages(path, whole_run(5))
     count = count_messages(path)
-    assert (count.complete_cycles, count.messages.total()) == (5, len(list(whole_run(5))))
+    assert count.gaps[PRODUCTION.of(ROOT)].cycles == 5
+    assert count.by_signal().total() == len(list(whole_run(5)))
     account = Recorded(dict(count.by_signal()), 0, 5)
     found, again, fault = checked(path, PLAN, account)
-    assert (found, again and again.messages, fault) == (account, count.messages, "")
+    assert (found, again and again.by_signal(), fault) == (account, count.by_signal(), "")
 
 
 @pytest.mark.parametrize("lost", ["the file", "its plan", "its second half"])
