@@ -22,7 +22,6 @@ from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.simulation import simulate
 from launch_scripts.supervision import ForkServerProcess, RunFailure
 from live_page.process import PageProcess
-from results.busy import busy
 from results.run_summary import RunSummary
 from results.summary_table import print_summary
 from scenarios.run_options import RunOptions
@@ -100,7 +99,8 @@ def run(
     Without a server, which starts the processes, the run stays in this process. `began_at` is the
     monotonic time at which the user asked for it [s].
     """
-    with busy(Console(stderr=True), "preparing"):  # Thousands of inverters take minutes to cluster.
+    # Thousands of inverters take minutes to cluster.
+    with Console(stderr=True).status("preparing"):
         preparation, folder = prepare_run(request)
     if server is not None:
         check_processes(preparation.plan)  # Before anything is printed.

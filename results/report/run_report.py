@@ -22,7 +22,6 @@ from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, series_of
 from results.answers import answers, answers_tables, judged
-from results.busy import busy
 from results.figures import run_figures
 from results.report.clusters import clusters_map, clusters_table
 from results.report.help import HelpBetween, help_figure, help_table
@@ -48,7 +47,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         path, plan = out or reader.path.with_name(REPORT_NAME), reader.plan
         notes = _notes(reader)
         size_mb = reader.path.stat().st_size / 1e6
-        with busy(console, escape(f"reading {size_mb:,.0f} MB of {run}")):
+        with console.status(escape(f"reading {size_mb:,.0f} MB of {run}")):
             found = HelpBetween(plan, _nodes_drawn(plan))
             series = series_of(reader, MOST_INVERTERS, [found])
             series = replace(series, label=f"hierarchical ({plan.control.scheme})")
@@ -64,7 +63,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
                 *devices_tables(read_accounts(reader.path.parent)),
             ]
             marks = run_marks(reader, health, series)
-    with busy(console, "drawing"):
+    with console.status("drawing"):
         title, lines = f"{plan.plant}: run {plan.run_id}", [run_line(plan), *notes]
         more = [clusters_map(plan), help_figure(found)]
         page = html_page(runs_result(title, [series], tables, lines, marks=marks, more=more))

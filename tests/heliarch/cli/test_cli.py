@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import time
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,6 @@ from rich.console import Console
 
 from heliarch.cli.app import COMMANDS
 from heliarch.cli.live_view import PlainView
-from results.busy import busy
 from results.figures import FIGURES
 from results.tables import Table, key_column, print_table
 from scenarios.scenario import shipped_scenarios
@@ -103,13 +101,3 @@ def test_a_run_ends_with_the_commands_that_look_at_it(plant: str, tmp_path: Path
     text = done("simulate", plant, "--duration", "5", "--out", tmp_path / "run")
     for command in ("view", "report", "inspect"):
         assert f"{command} {tmp_path / 'run'}" in text
-
-
-def test_what_takes_long_is_said_without_a_terminal() -> None:
-    said = io.StringIO()
-    console = Console(file=said, width=80)
-    with busy(console, "drawing", first_s=0.01):
-        give_up_at = time.monotonic() + 20.0
-        while "drawing" not in said.getvalue():
-            assert time.monotonic() < give_up_at
-            time.sleep(0.01)
