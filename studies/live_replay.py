@@ -11,7 +11,7 @@ import shutil
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from operator import attrgetter
@@ -198,29 +198,28 @@ class MessagePairs:
         self.results = {agent: AgentResult() for agent in agents}
         self.replaced = defaultdict[str, set[int]](set)
         self._tree = tree
-        self._waiting: dict[tuple[Port[Message], int, bool], Message] = {}
+        # The first is the recorded message, the second the new one.
+        self._waiting: dict[tuple[Port[Message], int], list[Message | None]] = {}
 
     def take(self, port: Port[Message], message: Message, *, is_recorded: bool) -> None:
         """Compare a message with its counterpart, now or when that comes."""
-        self.results[port.publisher].recorded += is_recorded
-        if is_recorded and message.incarnation:
-            self.replaced[port.publisher].add(message.incarnation)
-        other = self._waiting.pop((port, message.cycle, not is_recorded), None)
-        if other is None:
-            self._waiting[port, message.cycle, is_recorded] = message
-        else:
-            self._compare(port, message, other, is_recorded=is_recorded)
+        if is_recorded:
+            self.results[port.publisher].recorded += 1
+            if message.incarnation:
+                self.replaced[port.publisher].add(message.incarnation)
+        pair = self._waiting.setdefault((port, message.cycle), [None, None])
+        pair[not is_recorded] = message
+        if None not in pair:
+            self._compare(port, message.cycle)
 
     def finish(self, before_cycle: int) -> None:
         """Count the messages without a counterpart in the cycles before one."""
-        for (port, cycle, is_recorded), message in self._waiting.items():
+        for port, cycle in list(self._waiting):
             if cycle < before_cycle:
-                self._compare(port, message, None, is_recorded=is_recorded)
+                self._compare(port, cycle)
 
-    def _compare(
-        self, port: Port[Message], one: Message, other: Message | None, *, is_recorded: bool
-    ) -> None:
-        recorded, new = (one, other) if is_recorded else (other, one)
+    def _compare(self, port: Port[Message], cycle: int) -> None:
+        recorded, new = self._waiting.pop((port, cycle))
         stage = stage_of(port, self._tree)
         self.results[port.publisher].compare(_EQUAL, port, recorded, new, stage)
 
@@ -241,14 +240,26 @@ class LiveBus(ReplayBus):
         children: Children,
         interruption: Interruption,
     ) -> None:
-        self._names = children.by_agent.keys()
-        others = [port for port in plan.wiring.ports if port.publisher not in self._names]
-        without_clock = [port for port in others if port.publisher != REPLAYER]
-        super().__init__(plan, without_clock, f"tcp/127.0.0.1:{tcp_port}")
-        self.pairs = MessagePairs(plan.tree, self._names)
+        live, ports = children.by_agent.keys(), plan.wiring.ports
+        unsent = {*live, REPLAYER}
+        others = [port for port in ports if port.publisher not in unsent]
+        super().__init__(plan, others, f"tcp/127.0.0.1:{tcp_port}")
+        self.pairs = MessagePairs(plan.tree, live)
         self.cycles = 0
         self._observers = observers
-        self._live = LiveControllers(plan, children, self.session, interruption, self._take_new)
+        self._children = children
+        self._interruption = interruption
+        self._inbox = Inbox()
+        self._newest = dict.fromkeys((one for one in ports if one.publisher in live), FIRST_ROUND)
+        self._received = 0
+        self._subscribers = [
+            self.session.declare_subscriber(
+                plan.wiring.key(port),
+                zenoh.handlers.Callback(self._inbox.callback(port), indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+            for port in self._newest
+        ]
 
     def arm(self, reader: RunReader) -> None:
         """Send arming rounds until the live controllers are there and answer a whole one.
@@ -263,10 +274,10 @@ class LiveBus(ReplayBus):
             for port, message in first.items():
                 stamped = replace(message, cycle=cycle, sim_time_ns=sim_time_ns, missing=())
                 super().put(port, encode(stamped))
-            silent = self._live.await_cycle(cycle, longest_round_s(number))
+            silent = self._await_cycle(cycle, longest_round_s(number))
             if not silent:
                 return
-            if self._live.interruption:
+            if self._interruption:
                 raise KeyboardInterrupt
             if time.monotonic() > give_up_at:
                 names = listed(sorted(map(str, silent)))
@@ -280,7 +291,7 @@ class LiveBus(ReplayBus):
                 lead_ns = run.start_time_ns - run.publish_time_ns
                 self._publish_run(replace(run, start_time_ns=time.monotonic_ns() + lead_ns))
             return False
-        if port.publisher in self._names:
+        if port in self._newest:
             self.pairs.take(port, decode(port.signal, payload), is_recorded=True)
             return False
         self._observers.put(port, payload)
@@ -294,42 +305,26 @@ class LiveBus(ReplayBus):
 
     def listen(self, seconds: float) -> None:
         """Take in what the live controllers publish, until something has come or a time is over."""
-        self._live.receive(1, seconds)
+        self._receive(1, seconds)
 
     def finish(self) -> None:
         """End the run, unless the user did, and compare what is left."""
         self._complete(self._plan.timing.cycles)
-        if not self._live.interruption:
+        if not self._interruption:
             self._publish_run(self._plan.run_message("stop", self.cycles, 0))
-            self._live.receive_the_last()
+            self._receive_the_last()
         self.pairs.finish(self.cycles)
 
     def _first_messages(self, reader: RunReader) -> dict[Port[Message], Message]:
         """Return the first message of each port on which the others publish in every cycle."""
-        ports = self._plan.wiring.ports
-        others = (port for port in ports if port.publisher not in self._names)
-        wanted = {port for port in others if due_step(self._plan, port)}
+        ports = (port for port in self._plan.wiring.ports if port not in self._newest)
+        wanted = {port for port in ports if due_step(self._plan, port)}
         first: dict[Port[Message], Message] = {}
         for port, message in reader.on(wanted, range(_EARLY_CYCLES)):
             first.setdefault(port, message)
             if len(first) == len(wanted):
                 break
         return first
-
-    def _complete(self, cycles: int) -> None:
-        """Go on to some number of cycles: in lockstep, wait until they are over."""
-        while self.cycles < cycles and not self._live.interruption:
-            # The live controllers themselves report what they wait for.
-            patience_s = self._plan.timing.stall_timeout_s + 1.0
-            if self._plan.timing.lockstep and self._live.await_cycle(self.cycles, patience_s):
-                if self._live.interruption:
-                    return
-                raise self._live.stall(self.cycles)
-            self.cycles += 1
-
-    def _take_new(self, port: Port[Message], message: Message, payload: bytes) -> None:
-        self._observers.put(port, payload)
-        self.pairs.take(port, message, is_recorded=False)
 
     def _publish_run(self, run: Run) -> None:
         """Publish to all that the run begins or ends."""
@@ -338,42 +333,37 @@ class LiveBus(ReplayBus):
         for put in (super().put, self._observers.put):
             put(port, encode(run))
 
+    def _complete(self, cycles: int) -> None:
+        """Go on to some number of cycles: in lockstep, wait until they are over."""
+        # The live controllers themselves report what they wait for.
+        patience_s = self._plan.timing.stall_timeout_s + 1.0
+        while self.cycles < cycles and not self._interruption:
+            is_silent = self._plan.timing.lockstep and self._await_cycle(self.cycles, patience_s)
+            if is_silent and self._interruption:
+                return
+            if is_silent:
+                is_known = any(child.waiting for child in self._children)
+                text = f"stalled in cycle {self.cycles}"
+                raise RunFailure(stall(self._children, self._plan)[0] if is_known else text)
+            self.cycles += 1
 
-class LiveControllers:
-    """The processes of some controllers, and what they publish on a session.
+    def _await_cycle(self, cycle: int, patience_s: float) -> set[Port[Message]]:
+        """Return the ports of a cycle, or a round, on which nothing came for a time of silence."""
+        awaited = {
+            port
+            for port in self._newest
+            if (step := due_step(self._plan, port)) and (cycle < 0 or cycle % step == 0)
+        }
+        until = time.monotonic() + patience_s
+        while awaited := {port for port in awaited if self._newest[port] < cycle}:
+            if self._receive(len(awaited), _LOOK_S):
+                until = time.monotonic() + patience_s
+            if self._interruption or time.monotonic() > until:
+                break
+        return awaited
 
-    `on_message` is called with each message of the run, and with its payload.
-    """
-
-    def __init__(
-        self,
-        plan: RunPlan,
-        children: Children,
-        session: zenoh.Session,
-        interruption: Interruption,
-        on_message: Callable[[Port[Message], Message, bytes], None],
-    ) -> None:
-        self.interruption = interruption
-        self._children = children
-        self._on_message = on_message
-        self._plan = plan
-        self._inbox = Inbox()
-        ports = [port for port in plan.wiring.ports if port.publisher in children.by_agent]
-        self._steps = {port: step for port in ports if (step := due_step(plan, port))}
-        self._newest: dict[Port[Message], int] = {}
-        self._received = 0
-        self._look_at = 0.0
-        self._subscribers = [
-            session.declare_subscriber(
-                plan.wiring.key(port),
-                zenoh.handlers.Callback(self._inbox.callback(port), indirect=False),
-                allowed_origin=zenoh.Locality.REMOTE,
-            )
-            for port in ports
-        ]
-
-    def receive(self, wanted: int, timeout_s: float) -> int:
-        """Take in what is published within a time; return how many messages came."""
+    def _receive(self, wanted: int, timeout_s: float) -> int:
+        """Take in what the live controllers publish within a time; return how many messages."""
         arrivals = self._inbox.take(wanted, timeout_s)
         for port, received, _ in arrivals:
             payload = received.to_bytes()
@@ -385,30 +375,12 @@ class LiveControllers:
             self._newest[port] = message.cycle
             if message.cycle >= 0:
                 self._received += 1
-                self._on_message(port, message, payload)
-        if time.monotonic() >= self._look_at:
-            self._look_at = time.monotonic() + _LOOK_S
-            self._children.events(0.0)
+                self._observers.put(port, payload)
+                self.pairs.take(port, message, is_recorded=False)
+        self._children.events(0.0)
         return len(arrivals)
 
-    def await_cycle(self, cycle: int, patience_s: float) -> set[Port[Message]]:
-        """Return the ports of a cycle, or a round, on which nothing came for a time of silence."""
-        awaited = {port for port, step in self._steps.items() if cycle < 0 or cycle % step == 0}
-        until = time.monotonic() + patience_s
-        while awaited := {p for p in awaited if self._newest.get(p, FIRST_ROUND) < cycle}:
-            if self.receive(len(awaited), _LOOK_S):
-                until = time.monotonic() + patience_s
-            if self.interruption or time.monotonic() > until:
-                break
-        return awaited
-
-    def stall(self, cycle: int) -> RunFailure:
-        """Return why a cycle does not end: the controllers say what they wait for."""
-        is_known = any(child.waiting for child in self._children)
-        text = f"stalled in cycle {cycle}"
-        return RunFailure(stall(self._children, self._plan)[0] if is_known else text)
-
-    def receive_the_last(self) -> None:
+    def _receive_the_last(self) -> None:
         """Let the controllers end, and receive all that they have sent."""
         self._children.table.close_recording()
         if late := self._children.await_end(list(self._children), _END_S):
@@ -418,4 +390,4 @@ class LiveControllers:
         sent = sum(sum(finished.published.values()) for finished in ended)
         until = time.monotonic() + _END_S
         while self._received < sent and time.monotonic() < until:
-            self.receive(sent - self._received, _LOOK_S)
+            self._receive(sent - self._received, _LOOK_S)

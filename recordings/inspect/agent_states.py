@@ -83,27 +83,20 @@ class Change(NamedTuple):
     times: int = 1
 
 
-class _Spans:
+class _Spans(list[range]):
     """Spans of cycles that follow each other; those that adjoin become one."""
 
-    def __init__(self) -> None:
-        self._starts, self._stops = array("q"), array("q")
-
     def add(self, span: range) -> None:
-        if self._stops and span.start <= self._stops[-1]:
-            self._stops[-1] = max(span.stop, self._stops[-1])
-        else:
-            self._starts.append(span.start)
-            self._stops.append(span.stop)
+        if self and span.start <= self[-1].stop:
+            last = self.pop()
+            span = range(last.start, max(span.stop, last.stop))
+        self.append(span)
 
     def length(self, cycle: int) -> int:
         """Return how long the span that a cycle is in had lasted by then, 0 if it is in none."""
-        number = bisect_right(self._starts, cycle) - 1
-        is_in = number >= 0 and cycle < self._stops[number]
-        return cycle - self._starts[number] + 1 if is_in else 0
-
-    def __iter__(self) -> Iterator[range]:
-        return map(range, self._starts, self._stops)
+        number = bisect_right(self, cycle, key=lambda span: span.start) - 1
+        is_in = number >= 0 and cycle in self[number]
+        return cycle - self[number].start + 1 if is_in else 0
 
 
 class _Agent:
