@@ -20,7 +20,7 @@ import numpy as np
 from bus_schemas.codec import decode
 from bus_schemas.messages import Dispatch, Message, Meter, Notice, Production, Run
 from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
-from bus_schemas.tree import PLANT, RECORDER, ROOT, parent_of
+from bus_schemas.tree import PLANT, RECORDER, parent_of
 from live_page.run_events import RunEvents
 from recordings.inspect.agent_states import AgentStates
 from recordings.inspect.health import FAILURE_NAME
@@ -29,7 +29,7 @@ from recordings.read.reader import RunReader
 from recordings.read.series import SeriesCollector
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
-from sim_plant.orders import OrderEvents
+from sim_plant.orders import order_event
 
 State: TypeAlias = Literal["waiting", "running", "stalled", "over", "interrupted", "failed"]
 """Before the first cycle; going on; nothing new for a while; ended as planned, or before; given up
@@ -62,7 +62,7 @@ class RunFollower:
         self._firsts: list[int] = []
         clusters = tuple(dict.fromkeys(map(parent_of, self.plan.tree.leaves)))
         self._powers = SeriesCollector(self.plan, clusters)
-        self._orders = OrderEvents(self.plan.tree.rating_kw(ROOT))
+        self._dispatch: Dispatch | None = None
 
     def advance(self, budget_s: float) -> bool:
         """Read on for a while; return whether all that is in the file has been read."""
@@ -159,8 +159,9 @@ class RunFollower:
         match message:
             case Dispatch():
                 self._powers.see(port, message)
-                if event := self._orders.see(message):
+                if event := order_event(message, self._dispatch):
                     self.events.add("order", cycle, *event)
+                self._dispatch = message
             case Production() if 0 <= cycle < self.plan.timing.cycles:
                 self._powers.see(port, message)
                 self.cycles = max(self.cycles, cycle + 1)

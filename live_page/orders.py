@@ -20,7 +20,7 @@ from agents.plan import load_plan
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import ROOT
 from results.live_answer import answer_text, watched
-from sim_plant.order_desk import GivenOrder, OrderLine
+from sim_plant.order_desk import OrderLine
 
 _LARGEST_BYTES: Final = 1_000
 
@@ -53,11 +53,8 @@ def _give(folder: Path, asked: _Asked) -> str:
     rating_kw = plan.tree.rating_kw(ROOT)
     if asked.power_kw is not None and asked.power_kw > rating_kw:
         raise InputError(f"power: expected up to {rating_kw:,.10g} kW, got {asked.power_kw:,.10g}")
-    given = GivenOrder(
-        source="page", power_kw=asked.power_kw, ramp_kw_per_min=asked.ramp_kw_per_min
-    )
     with OrderLine(folder) as line:
-        line.give(given)
+        line.give("page", power_kw=asked.power_kw, ramp_kw_per_min=asked.ramp_kw_per_min)
         found, remark = watched(line.statuses(), plan)
     return answer_text(found) + remark
 

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.control.grid import desired_kw
-from agents.control.share import usable_dispatch_kw
+from bus_schemas.messages import Dispatch
 from recordings.read.series import RunSeries
 from results.regulation import performance_score
 from results.tables import Column, Table, attributes, key_column
 from scenarios.scenario import AnswerBudgets
-from sim_plant.orders import OrderInForce
+from sim_plant.orders import is_ordered, target_kw
 
 TOLERANCE_PERCENT: Final = 1.0
 """Of the plant's rating: within it a power has settled. A step of the schedule is larger."""
@@ -245,16 +245,16 @@ def _groups(series: RunSeries, rating_kw: float) -> Iterator[list[_Asked]]:
     steps_kw = np.abs(np.diff(series.commitment_kw, prepend=series.commitment_kw[:1]))
     steps = np.flatnonzero(steps_kw > rating_kw * TOLERANCE_PERCENT / 100.0).tolist()
     found = {cycle: _Asked(cycle) for cycle in steps if _is_scheduled(series.orders, cycle)}
-    for cycle, order in series.orders:
-        if order.state == "over":
+    for dispatch in series.orders:
+        cycle = dispatch.cycle
+        if dispatch.order_state == "over":
             found[cycle] = _Asked(cycle)
-        elif cycle == order.cycle:
-            signal_s = min(max(order.renew_s or 0.0, _SIGNAL_S), _LONGEST_SIGNAL_S)
-            power_kw = order.power_kw
-            if power_kw is not None:
-                usable_kw = usable_dispatch_kw(power_kw, rating_kw)
-                power_kw = desired_kw(usable_kw, 0.0, inf, series.plan.grid_law)
-            found[cycle] = _Asked(cycle, order.source, power_kw, signal_s)
+        elif cycle == dispatch.order_cycle:
+            signal_s = min(max(dispatch.order_renew_s or 0.0, _SIGNAL_S), _LONGEST_SIGNAL_S)
+            power_kw = None
+            if is_ordered(dispatch):
+                power_kw = desired_kw(target_kw(dispatch), 0.0, inf, series.plan.grid_law)
+            found[cycle] = _Asked(cycle, dispatch.order_source, power_kw, signal_s)
     group: list[_Asked] = []
     for one, after in pairwise([*sorted(found.values()), _Asked(series.cycles)]):
         group.append(one)
@@ -264,10 +264,10 @@ def _groups(series: RunSeries, rating_kw: float) -> Iterator[list[_Asked]]:
         group = []
 
 
-def _is_scheduled(orders: tuple[tuple[int, OrderInForce], ...], cycle: int) -> bool:
+def _is_scheduled(orders: tuple[Dispatch, ...], cycle: int) -> bool:
     """Whether the schedule holds in a cycle."""
-    newest = next((order for since, order in reversed(orders) if since <= cycle), None)
-    return newest is None or newest.power_kw is None or newest.state == "over"
+    newest = next((one for one in reversed(orders) if one.cycle <= cycle), None)
+    return newest is None or not is_ordered(newest)
 
 
 def _scored(step: Answer, series: RunSeries, cycles: slice) -> Answer:

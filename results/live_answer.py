@@ -15,6 +15,7 @@ from bus_schemas.tree import ROOT
 from recordings.read.series import desired_powers
 from results.answers import TOLERANCE_PERCENT, Answer, answer
 from sim_plant.order_desk import TAKEN, PlantStatus
+from sim_plant.orders import order_of, target_kw
 
 _REST_S: Final = 10.0
 _LONGEST_S: Final = 60.0
@@ -43,12 +44,12 @@ def watched(statuses: Iterator[PlantStatus], plan: RunPlan) -> tuple[Answer, str
             before = status
             continue
         seen.append(status)
-        if _of(status) != _of(seen[0]):
+        if _order(status) != _order(seen[0]):
             remark = "; then another order came, or its time was over"
             seen.pop()
             break
         found = _answer(before, seen, plan)
-        there_s = found.duration_s - found.ramp_s if status.is_there else 0.0
+        there_s = found.duration_s - found.ramp_s if _is_there(status) else 0.0
         if there_s >= (_LONGEST_S if found.settling_s is None else _REST_S):
             remark = ""
             break
@@ -63,7 +64,7 @@ def _answer(before: PlantStatus | None, seen: list[PlantStatus], plan: RunPlan) 
     statuses, after = [before or seen[0], *seen], slice(1, None)
     dispatch_kw, delivered_kw, available_kw, frequency_hz = np.array(
         [
-            (one.dispatch_kw, one.delivered_kw, one.available_kw, one.frequency_hz or nan)
+            (one.dispatch.power_kw, one.delivered_kw, one.available_kw, one.frequency_hz or nan)
             for one in statuses
         ]
     ).T
@@ -87,7 +88,7 @@ def _reasons(found: Answer, seen: list[PlantStatus], plan: RunPlan) -> str:
     reasons = []
     if found.unable_percent:
         reasons.append("; the sun gave less")
-    if found.ramp_s == found.duration_s and seen[-1].is_there:
+    if found.ramp_s == found.duration_s and _is_there(seen[-1]):
         up = found.to_kw > found.from_kw
         limit = (law.ramp_up_kw if up else law.ramp_down_kw) * 60.0 / plan.timing.cycle_s
         reasons.append(f"; the grid's ramp limit is {limit:,.0f} kW/min")
@@ -96,7 +97,12 @@ def _reasons(found: Answer, seen: list[PlantStatus], plan: RunPlan) -> str:
     return "".join(reasons)
 
 
-def _of(status: PlantStatus) -> tuple[object, ...]:
-    """Return what tells one order from the next."""
-    order = status.order
-    return () if order is None else (order.source, order.cycle, order.state == "over")
+def _is_there(status: PlantStatus) -> bool:
+    """Whether the dispatch is what was asked for, and no step of a ramp to it."""
+    return status.dispatch.power_kw == target_kw(status.dispatch)
+
+
+def _order(status: PlantStatus) -> tuple[object, ...]:
+    """Return what tells one order from the next; one that is silent still holds."""
+    source, cycle, state = order_of(status.dispatch)
+    return source, cycle, state == "over"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from agents.faults import Fault, Freeze, Kill, Trip, check_fault
-from bus_schemas.errors import InputError, not_one_of
+from bus_schemas.errors import InputError, listed, not_one_of
 from bus_schemas.faults import Blackout, Disturbance, Partition
 from bus_schemas.tree import ControlTree
 from scenarios.fields import checked
@@ -54,7 +54,24 @@ def fault_rules(
 
 def parse_fault(text: str) -> Fault:
     """Read a fault, `WORD=VALUE,...`; whether it fits the run is checked by `check_fault`."""
-    where, words = f"--fault {text}", dict[str, str]()
+    where = f"--fault {text}"
+    words = _words(text, where)
+    kinds = [word for word in words if word in _KINDS]
+    if len(kinds) > 1:
+        raise InputError(f"{where}: expected one kind of fault, got {listed(kinds)}")
+    kind, values = _KINDS[kinds[0]][0] if kinds else Disturbance, dict[str, object]()
+    for word, value in words.items():
+        field = _KINDS[word][1] if word in _KINDS else _TIMES.get(word, word)
+        if field in values or field not in kind.__struct_fields__:
+            having = [name for name, (one, _) in _KINDS.items() if field in one.__struct_fields__]
+            needed = f"no {kinds[0]}" if kinds else listed(having)
+            raise InputError(f"{where}: {word}: expected {needed} with it")
+        values[field] = _read(kind, word, value, f"{where}: {word}")
+    return checked(values, kind, where)
+
+
+def _words(text: str, where: str) -> dict[str, str]:
+    words: dict[str, str] = {}
     for part in text.split(","):
         word, _, value = (piece.strip() for piece in part.partition("="))
         if not value:
@@ -64,14 +81,7 @@ def parse_fault(text: str) -> Fault:
         if word not in _WORDS:
             raise InputError(f"{where}: {not_one_of(_WORDS, word, 'the words ')}")
         words[word] = value
-    kind = next((_KINDS[word][0] for word in words if word in _KINDS), Disturbance)
-    values: dict[str, object] = {}
-    for word, value in words.items():
-        field = _KINDS[word][1] if word in _KINDS else _TIMES.get(word, word)
-        if field in values:
-            raise InputError(f"{where}: expected one kind of fault, got {word} as well")
-        values[field] = _read(kind, word, value, f"{where}: {word}")
-    return checked(values, kind, where)
+    return words
 
 
 def _read(kind: type[Fault], word: str, value: str, where: str) -> object:

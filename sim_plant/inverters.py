@@ -13,9 +13,8 @@ from agents.control.allocation import total
 from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan, Site
 from agents.settings import Revert
-from bus_schemas.messages import Command
+from bus_schemas.messages import Command, Dispatch
 from sim_plant import Floats
-from sim_plant.orders import Wanted
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,7 @@ class PlantState:
 
     `ordered_alpha` and `ordered_kw` are its commands of the last intervals, the newest first, shape
     (1 + longest delay, n). `renewed` is the cycle of the last command, `revert_kw` the limit that
-    it goes to when its revert time is over. `cycle` is that of the interval. `wanted` is what the
+    it goes to when its revert time is over. `cycle` is that of the interval. `dispatch` is what the
     operator wants in it, and `promise` what was offered for it.
     """
 
@@ -48,7 +47,7 @@ class PlantState:
     ordered_kw: Floats
     renewed: NDArray[np.int64]
     revert_kw: Floats
-    wanted: Wanted
+    dispatch: Dispatch
     promise: Promise = Promise()
     cycle: int = -1
 
@@ -71,7 +70,7 @@ class Inverters:
         self._delay = np.array(delays, dtype=np.int64)
         self._step = np.array(ramps) / 100.0 * cycle_s
 
-    def uncurtailed(self, power_kw: Floats, dispatch_kw: float) -> PlantState:
+    def uncurtailed(self, power_kw: Floats, dispatch: Dispatch) -> PlantState:
         """Return the state before a run: every inverter has delivered its maximum.
 
         From now on, and until it hears a command, it holds its share of the first dispatch.
@@ -79,7 +78,7 @@ class Inverters:
         free = np.ones_like(power_kw)
         kept = (1 + max(self._delay), 1)
         plant_kw = total(self.rating_kw.tolist())
-        share_kw = self.rating_kw * (usable_dispatch_kw(dispatch_kw, plant_kw) / plant_kw)
+        share_kw = self.rating_kw * (usable_dispatch_kw(dispatch.power_kw, plant_kw) / plant_kw)
         return PlantState(
             alpha=free,
             limit_kw=self.rating_kw,
@@ -88,7 +87,7 @@ class Inverters:
             ordered_kw=np.tile(share_kw, kept),
             renewed=np.zeros(len(power_kw), dtype=np.int64),
             revert_kw=self._revert_kw,
-            wanted=Wanted(dispatch_kw),
+            dispatch=dispatch,
         )
 
     def obey(self, state: PlantState, commands: Iterable[Command | None], cycle: int) -> PlantState:

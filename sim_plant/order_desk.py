@@ -11,20 +11,18 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Final, Literal, Self
+from typing import Final, Self
 
 import msgspec
-from msgspec import Meta
 
 from agents.agent import Turn
-from bus_schemas.bounds import LARGEST
+from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Meter, Order, Production
+from bus_schemas.messages import Dispatch, Meter, Order, Production
 from bus_schemas.signals import ORDER
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant.inverters import PlantState
-from sim_plant.orders import OrderInForce
 from sim_plant.plant import Plant
 
 SOCKET_NAME: Final = "orders.sock"
@@ -33,34 +31,21 @@ TAKEN: Final = "taken"
 _MOST_CLIENTS: Final = 16
 _LARGEST_BYTES: Final = 4_096
 
-_Positive = Annotated[float, Meta(gt=0.0, le=LARGEST)]
-
-
-class GivenOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An order as a program gives it; see `Order` for its fields."""
-
-    source: Literal["command", "page", "modbus"]
-    power_kw: Annotated[float, Meta(ge=-LARGEST, le=LARGEST)] | None
-    ramp_kw_per_min: _Positive | None = None
-    hold_s: _Positive | None = None
-    renew_s: _Positive | None = None
+_SOURCES: Final = {"command", "page", "modbus"}
+_BOUNDS: Final = bounds_of(Order, 1.0)
 
 
 class PlantStatus(msgspec.Struct, frozen=True, kw_only=True):
-    """What the plant did in a cycle. Powers in kW.
+    """What the plant was asked for and did in a cycle. Powers in kW.
 
-    is_there: Whether the dispatch is what was asked for, and no step of a ramp to it.
     answer: To the client that hears this: `taken` if its order came into force in the cycle, or
         why an order of it did not; empty if there was none.
     """
 
-    cycle: int
-    dispatch_kw: float
+    dispatch: Dispatch
     available_kw: float
     delivered_kw: float
     frequency_hz: float | None = None
-    order: OrderInForce | None
-    is_there: bool
     answer: str = ""
 
 
@@ -88,7 +73,7 @@ class OrderDesk:
             one.close()
         (self._folder / SOCKET_NAME).unlink(missing_ok=True)
 
-    def take(self, turn: Turn) -> Order | None:
+    def take(self) -> Order | None:
         """Return the newest order that has come since the last cycle."""
         with suppress(BlockingIOError):
             while len(self._answers) < _MOST_CLIENTS:
@@ -100,9 +85,7 @@ class OrderDesk:
             for given in self._given_by(client):
                 if giver is not None:
                     self._answers[giver] = f"replaced at once by an order of {given.source}"
-                fields = msgspec.structs.asdict(given)
-                source = fields.pop("source")
-                newest, giver = Order(turn.cycle, turn.sim_time_ns, source, (), **fields), client
+                newest, giver = given, client
                 self._answers[client] = TAKEN
         return newest
 
@@ -117,13 +100,13 @@ class OrderDesk:
                 except (BrokenPipeError, ConnectionResetError):
                     self._forget(client)
 
-    def _given_by(self, client: socket.socket) -> Iterator[GivenOrder]:
+    def _given_by(self, client: socket.socket) -> Iterator[Order]:
         packet = b"-"
         while packet:
             try:
                 packet = client.recv(_LARGEST_BYTES)
                 if packet:
-                    yield msgspec.json.decode(packet, type=GivenOrder)
+                    yield _read_order(packet)
             except BlockingIOError:
                 return
             except ConnectionResetError:
@@ -135,6 +118,14 @@ class OrderDesk:
     def _forget(self, client: socket.socket) -> None:
         del self._answers[client]
         client.close()
+
+
+def _read_order(packet: bytes) -> Order:
+    """Read an order of a program. Raises DecodeError: It is none."""
+    order = msgspec.json.decode(packet, type=Order)
+    if order.source not in _SOURCES or not is_within(order, _BOUNDS):
+        raise msgspec.ValidationError("its source, or a number of it, cannot be")
+    return order
 
 
 class PlantAtDesk:
@@ -149,7 +140,7 @@ class PlantAtDesk:
         self.initial_state, self.stages = plant.initial_state, plant.stages
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
-        if turn.stage == "sense" and turn.cycle >= 0 and (order := self._desk.take(turn)):
+        if turn.stage == "sense" and turn.cycle >= 0 and (order := self._desk.take()):
             turn = msgspec.structs.replace(turn, inputs=turn.inputs | {ORDER.of(ROOT): order})
         state, outputs = self._plant.step(state, turn)
         for _, message in outputs:
@@ -157,13 +148,10 @@ class PlantAtDesk:
                 self._frequency_hz = message.frequency_hz
             if isinstance(message, Production) and turn.cycle >= 0:
                 status = PlantStatus(
-                    cycle=turn.cycle,
-                    dispatch_kw=message.dispatch_kw,
+                    dispatch=state.dispatch,
                     available_kw=message.available_kw,
                     delivered_kw=message.delivered_kw,
                     frequency_hz=self._frequency_hz,
-                    order=state.wanted.order,
-                    is_there=state.wanted.is_there,
                 )
                 self._desk.tell(status)
         return state, outputs
@@ -194,8 +182,23 @@ class OrderLine:
     def fileno(self) -> int:
         return self._socket.fileno()
 
-    def give(self, order: GivenOrder) -> None:
-        """Send an order; the plant answers at the end of its next cycle."""
+    def give(
+        self,
+        source: str,
+        *,
+        power_kw: float | None,
+        ramp_kw_per_min: float | None = None,
+        hold_s: float | None = None,
+        renew_s: float | None = None,
+    ) -> None:
+        """Send an order, see `Order`; the plant answers at the end of its next cycle."""
+        order = Order(
+            *(0, 0, source, ()),
+            power_kw=power_kw,
+            ramp_kw_per_min=ramp_kw_per_min,
+            hold_s=hold_s,
+            renew_s=renew_s,
+        )
         self._socket.send(msgspec.json.encode(order))
 
     def statuses(self) -> Iterator[PlantStatus]:

@@ -1,187 +1,155 @@
 """What the operator wants from the plant, cycle by cycle: the schedule, or what an order asks for.
 
-The newest order that is accepted counts, whatever its source. It is part of the dispatch, so that a
-recording tells all that the plant went by.
+The newest order that is accepted counts, whatever its source. The dispatch states it, so that a
+recording tells all that the plant went by: the next dispatch follows from the last one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-import msgspec
 import numpy as np
-from msgspec.structs import asdict, replace
+from msgspec.structs import replace
 
 from agents.control.share import usable_dispatch_kw
-from agents.plan import PlannedOrder, RunPlan
-from bus_schemas.messages import Dispatch, Order, OrderState
-from bus_schemas.tree import ROOT
+from agents.plan import RunPlan
+from bus_schemas.messages import Dispatch, Order, Stamp
+from bus_schemas.tree import PLANT, ROOT
 from sim_plant import Floats
 from sim_plant.profile import Profile
 
 SCENARIO: Final = "scenario"
 """Source of the orders that a scenario states."""
 
+BEFORE_RUN: Final[Stamp] = (-1, 0, PLANT, (), 0, 0, 0, 0)
+"""The head of the dispatch before cycle 0, which nobody hears."""
 
-class OrderInForce(msgspec.Struct, frozen=True, kw_only=True, gc=False):
-    """The newest order that the plant has accepted: see the fields `order_...` of `Dispatch`."""
-
-    source: str
-    state: OrderState = "holds"
-    cycle: int
-    renewed: int
-    power_kw: float | None
-    ramp_kw_per_min: float | None
-    hold_s: float | None
-    renew_s: float | None
-
-    @classmethod
-    def by(cls, dispatch: Dispatch) -> OrderInForce | None:
-        """Return the order that a dispatch states, if it states one."""
-        if not dispatch.order_source:
-            return None
-        names = cls.__struct_fields__
-        return cls(**{name: getattr(dispatch, f"order_{name}") for name in names})
-
-    @property
-    def what(self) -> tuple[object, ...]:
-        """What tells it from another order, and from itself in another state."""
-        return self.source, self.cycle, self.state
-
-    def text(self, rating_kw: float) -> str:
-        """Say what it asks for, and what became of it."""
-        if self.state == "over":
-            return "its order is over: back to the schedule"
-        if self.state == "silent":
-            return "silent: its order is not renewed"
-        ramp = "" if self.ramp_kw_per_min is None else f", {self.ramp_kw_per_min:,.10g} kW/min"
-        if self.power_kw is None:
-            return f"orders the schedule back{ramp}"
-        is_within = 0.0 <= self.power_kw <= rating_kw
-        clamped = "" if is_within else f", clamped to 0 to {rating_kw:,.10g} kW"
-        return f"orders {self.power_kw:,.10g} kW{clamped}{ramp}"
-
-    def stated(self) -> dict[str, Any]:
-        """Return the fields of a dispatch that state it."""
-        return {f"order_{name}": value for name, value in asdict(self).items()}
+_ASKED: Final = ("source", "power_kw", "ramp_kw_per_min", "hold_s", "renew_s")
+"""Fields of an order; a dispatch states them with `order_` before them."""
 
 
-class OrderEvents:
-    """What became of the orders of a run, dispatch by dispatch."""
-
-    def __init__(self, rating_kw: float) -> None:
-        self._rating_kw = rating_kw
-        self._last: OrderInForce | None = None
-
-    def see(self, dispatch: Dispatch) -> tuple[str, str] | None:
-        """Return source and text of a new order, and of one that is silent or over."""
-        order, last = OrderInForce.by(dispatch), self._last
-        self._last = order
-        if order is None or (last is not None and order.what == last.what):
-            return None
-        if last is None and order.cycle != dispatch.cycle:
-            return None  # It came into force before the first dispatch that is looked at.
-        goes_on = last is not None and (last.source, last.state) == (order.source, "holds")
-        if goes_on and order.state == "holds" and order.renew_s is not None:
-            return None  # A signal: an order every few seconds.
-        return order.source, order.text(self._rating_kw)
+def is_ordered(dispatch: Dispatch) -> bool:
+    """Whether an order holds, and not the schedule."""
+    return dispatch.order_power_kw is not None and dispatch.order_state != "over"
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What the operator wanted in the last cycle.
+def target_kw(dispatch: Dispatch) -> float:
+    """Return where a dispatch goes, maybe by a ramp: the power of its order, or the schedule's."""
+    if dispatch.order_power_kw is not None and is_ordered(dispatch):
+        return usable_dispatch_kw(dispatch.order_power_kw, dispatch.plant_rating_kw)
+    return dispatch.commitment_kw + dispatch.regulation_kw
 
-    order: The newest order.
-    power_kw: The power that the plant was to give.
-    is_scheduled: Whether that was what the schedule asked for.
-    is_there: Whether it was what the order, or the schedule, asks for, and not a step of a ramp.
-    """
 
-    power_kw: float
-    order: OrderInForce | None = None
-    is_scheduled: bool = True
-    cycle: int = -1
-    is_there: bool = True
+def order_of(dispatch: Dispatch) -> tuple[str, int, str]:
+    """Return what tells an order from another one, and from itself in another state."""
+    return dispatch.order_source, dispatch.order_cycle, dispatch.order_state
 
-    @classmethod
-    def by(cls, dispatch: Dispatch) -> Wanted:
-        """Return what a dispatch says."""
-        scheduled_kw = dispatch.commitment_kw + dispatch.regulation_kw
-        is_scheduled = dispatch.power_kw == scheduled_kw
-        return cls(dispatch.power_kw, OrderInForce.by(dispatch), is_scheduled, dispatch.cycle)
+
+def order_text(dispatch: Dispatch) -> str:
+    """Say what the newest order asks for, or what became of it."""
+    if dispatch.order_state == "over":
+        return "its order is over: back to the schedule"
+    if dispatch.order_state == "silent":
+        return "silent: its order is not renewed"
+    power_kw, ramp = dispatch.order_power_kw, dispatch.order_ramp_kw_per_min
+    asked = "the schedule back" if power_kw is None else f"{power_kw:,.10g} kW"
+    if power_kw is not None and power_kw != target_kw(dispatch):
+        asked += f", clamped to 0 to {dispatch.plant_rating_kw:,.10g} kW"
+    return f"orders {asked}" + ("" if ramp is None else f", {ramp:,.10g} kW/min")
+
+
+def order_event(dispatch: Dispatch, last: Dispatch | None) -> tuple[str, str] | None:
+    """Return source and text of an order that is new, silent or over since the last dispatch."""
+    source, began, state = order_of(dispatch)
+    source_before, _, state_before = order_of(last) if last is not None else ("", 0, "none")
+    if not source or (last is not None and order_of(last) == order_of(dispatch)):
+        return None
+    if not source_before and began != dispatch.cycle:
+        return None  # It came into force before the first dispatch that is looked at.
+    is_signal = dispatch.order_renew_s is not None  # An order every few seconds.
+    if is_signal and state == state_before == "holds" and source == source_before:
+        return None
+    return source, order_text(dispatch)
 
 
 class Orders:
     """The orders of a run: those that its scenario states, and those given meanwhile."""
 
-    def __init__(self, planned: Iterable[PlannedOrder], cycle_s: float, rating_kw: float) -> None:
-        self._cycle_s, self._rating_kw = cycle_s, rating_kw
-        self._planned = {order.cycle(cycle_s): order for order in planned}
+    def __init__(self, plan: RunPlan) -> None:
+        self._cycle_s, self._rating_kw = plan.timing.cycle_s, plan.tree.rating_kw(ROOT)
+        self._planned = {
+            one.cycle(self._cycle_s): Order(
+                *(0, 0, SCENARIO, ()),
+                power_kw=one.power_kw,
+                ramp_kw_per_min=one.ramp_kw_per_min,
+                hold_s=one.hold_s,
+            )
+            for one in plan.orders
+        }
 
-    def next(self, last: Wanted, given: Order | None, scheduled_kw: float, cycle: int) -> Wanted:
-        """Return what is wanted in a cycle, from the last one and an order given since."""
-        order = last.order
-        missed = range(max(cycle, 0), max(last.cycle, -1), -1)  # A plant may have missed cycles.
-        planned = next((self._planned[of] for of in missed if of in self._planned), None)
-        if planned is not None:
-            order = _accepted(planned, SCENARIO, None, order, cycle)
-        elif given is not None:
-            order = _accepted(given, given.source, given.renew_s, order, cycle)
-        elif order is not None:
-            order = self._aged(order, cycle)
-        return self._wanted(last, order, scheduled_kw, cycle, len(missed))
+    def scheduled(
+        self,
+        stamp: Stamp,
+        commitment_kw: float,
+        regulation_kw: float,
+        clear_sky_kw: float | None = None,
+    ) -> Dispatch:
+        """Return the dispatch of a cycle by the schedule alone."""
+        return Dispatch(
+            *stamp,
+            power_kw=commitment_kw + regulation_kw,
+            plant_rating_kw=self._rating_kw,
+            commitment_kw=commitment_kw,
+            regulation_kw=regulation_kw,
+            clear_sky_kw=clear_sky_kw,
+        )
 
-    def _aged(self, order: OrderInForce, cycle: int) -> OrderInForce:
-        age_s = (cycle - order.renewed) * self._cycle_s
-        if order.power_kw is None or order.state == "over":
-            return order
-        if order.hold_s is not None and age_s >= order.hold_s:
-            return replace(order, state="over")
-        if order.renew_s is not None and age_s > order.renew_s:
-            return replace(order, state="silent")
-        return order
+    def next(self, last: Dispatch, given: Order | None, scheduled: Dispatch) -> Dispatch:
+        """Return the dispatch of a cycle: what is `scheduled`, or what an order makes of it.
 
-    def _wanted(
-        self, last: Wanted, order: OrderInForce | None, scheduled_kw: float, cycle: int, passed: int
-    ) -> Wanted:
-        """Return what is wanted in a cycle, so many cycles after the last one."""
-        power_kw = target_kw = scheduled_kw
-        is_ordered = order is not None and order.power_kw is not None and order.state != "over"
-        if order is not None and (is_ordered or not last.is_scheduled):
-            if is_ordered and order.power_kw is not None:
-                target_kw = usable_dispatch_kw(order.power_kw, self._rating_kw)
-            power_kw = target_kw
-            if order.ramp_kw_per_min is not None:
-                step_kw = order.ramp_kw_per_min * passed * self._cycle_s / 60.0
-                power_kw = min(max(target_kw, last.power_kw - step_kw), last.power_kw + step_kw)
-        is_there = power_kw == target_kw
-        return Wanted(power_kw, order, is_there and not is_ordered, cycle, is_there)
+        The last one is of an earlier cycle: a plant may have missed some. `given` is an order that
+        came since.
+        """
+        cycle = scheduled.cycle
+        passed = range(cycle, max(last.cycle, -1), -1)  # None in an arming round.
+        planned = next((self._planned[of] for of in passed if of in self._planned), None)
+        order = planned or given
+        asked = self._aged(last, cycle) if order is None else _accepted(order, last, cycle)
+        dispatch = replace(scheduled, **asked)
+        power_kw = aim_kw = target_kw(dispatch)
+        ramp = dispatch.order_ramp_kw_per_min
+        is_scheduled = not is_ordered(last) and last.power_kw == target_kw(last)
+        if ramp is not None and (is_ordered(dispatch) or not is_scheduled):
+            step_kw = ramp * len(passed) * self._cycle_s / 60.0
+            power_kw = min(max(aim_kw, last.power_kw - step_kw), last.power_kw + step_kw)
+        if is_ordered(dispatch) or power_kw != aim_kw:
+            dispatch.regulation_kw = 0.0
+        dispatch.power_kw = power_kw
+        return dispatch
+
+    def _aged(self, last: Dispatch, cycle: int) -> dict[str, Any]:
+        """Return the fields that state an order if none came, or a like one, since the last."""
+        stated = {name: getattr(last, name) for name in _STATED}
+        age_s = (cycle - last.order_renewed) * self._cycle_s
+        if is_ordered(last):
+            if last.order_hold_s is not None and age_s >= last.order_hold_s:
+                stated["order_state"] = "over"
+            elif last.order_renew_s is not None and age_s > last.order_renew_s:
+                stated["order_state"] = "silent"
+        return stated
 
 
-def _accepted(
-    given: Order | PlannedOrder,
-    source: str,
-    renew_s: float | None,
-    last: OrderInForce | None,
-    cycle: int,
-) -> OrderInForce:
-    """Return an order as it comes into force; one like the last one renews that."""
-    order = OrderInForce(
-        source=source,
-        cycle=cycle,
-        renewed=cycle,
-        power_kw=given.power_kw,
-        ramp_kw_per_min=given.ramp_kw_per_min,
-        hold_s=given.hold_s,
-        renew_s=renew_s,
+_STATED: Final = tuple(name for name in Dispatch.__struct_fields__ if name.startswith("order_"))
+
+
+def _accepted(order: Order, last: Dispatch, cycle: int) -> dict[str, Any]:
+    """Return the fields that state an order from now on; one like the last one renews that."""
+    asked = {f"order_{name}": getattr(order, name) for name in _ASKED}
+    is_renewal = last.order_state in {"holds", "silent"} and all(
+        getattr(last, name) == value for name, value in asked.items()
     )
-    if last is not None and last.state != "over":
-        renewed = replace(order, cycle=last.cycle)
-        if replace(last, state="holds", renewed=cycle) == renewed:
-            return renewed
-    return order
+    began = last.order_cycle if is_renewal else cycle
+    return {**asked, "order_state": "holds", "order_cycle": began, "order_renewed": cycle}
 
 
 class Planned(NamedTuple):
@@ -195,28 +163,20 @@ def planned(plan: RunPlan, profile: Profile) -> Planned:
     scheduled_kw = profile.commitment_kw + profile.regulation_kw
     if not plan.orders:
         return Planned(scheduled_kw, profile.regulation_kw)
-    orders = Orders(plan.orders, plan.timing.cycle_s, plan.tree.rating_kw(ROOT))
-    wanted = [Wanted(float(scheduled_kw[0]))]
-    for cycle, power_kw in enumerate(scheduled_kw.tolist()):
-        wanted.append(orders.next(wanted[-1], None, power_kw, cycle))
-    return Planned(
-        np.array([one.power_kw for one in wanted[1:]]),
-        np.where([one.is_scheduled for one in wanted[1:]], profile.regulation_kw, 0.0),
-    )
+    orders, found = Orders(plan), []
+    last = orders.scheduled(BEFORE_RUN, float(scheduled_kw[0]), 0.0)
+    schedule = zip(profile.commitment_kw.tolist(), profile.regulation_kw.tolist(), strict=True)
+    for cycle, (commitment_kw, regulation_kw) in enumerate(schedule):
+        scheduled = orders.scheduled((cycle, *BEFORE_RUN[1:]), commitment_kw, regulation_kw)
+        last = orders.next(last, None, scheduled)
+        found.append((last.power_kw, last.regulation_kw))
+    return Planned(*np.array(found).T)
 
 
 def order_given(dispatch: Dispatch) -> Order | None:
     """Return the order that a plant must have been given to send a dispatch; None: none."""
-    order = OrderInForce.by(dispatch)
-    if order is None or order.renewed != dispatch.cycle or order.source == SCENARIO:
+    is_given = dispatch.order_source not in {"", SCENARIO}
+    if not is_given or dispatch.order_renewed != dispatch.cycle:
         return None
-    return Order(
-        dispatch.cycle,
-        dispatch.sim_time_ns,
-        order.source,
-        (),
-        power_kw=order.power_kw,
-        ramp_kw_per_min=order.ramp_kw_per_min,
-        hold_s=order.hold_s,
-        renew_s=order.renew_s,
-    )
+    asked = {name: getattr(dispatch, f"order_{name}") for name in _ASKED}
+    return Order(dispatch.cycle, dispatch.sim_time_ns, missing=(), **asked)

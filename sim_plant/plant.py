@@ -20,12 +20,12 @@ from agents.faults import Trip, trips
 from agents.plan import RunPlan
 from agents.team import offer_settings
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
+from bus_schemas.messages import Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, OFFER, ORDER, PRODUCTION, TELEMETRY
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant import Floats
 from sim_plant.inverters import Inverters, PlantState, Promise, stated_kw
-from sim_plant.orders import Orders
+from sim_plant.orders import BEFORE_RUN, Orders
 from sim_plant.profile import Profile
 
 STANDBY_SHARE: Final = 0.001
@@ -48,12 +48,11 @@ class Plant:
         self._site = plan.site
         self._trips = [fault for fault in plan.faults.rules if isinstance(fault, Trip)]
         self._tree, self._cycle_s = plan.tree, plan.timing.cycle_s
-        self._plant_rating_kw = plan.tree.rating_kw(ROOT)
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in plan.tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
         self._grid = plan.grid_law
         self._meter_error = plan.grid.meter_error_percent / 100.0
-        self._orders = Orders(plan.orders, self._cycle_s, self._plant_rating_kw)
+        self._orders = Orders(plan)
         self._offers = offer_settings(plan)
         sense = Stage("sense", (), (ORDER.of(ROOT),), timed=True)
         self._stages = (sense, Stage("apply", self._commands))
@@ -61,8 +60,9 @@ class Plant:
 
     def initial_state(self) -> PlantState:
         profile = self._profile
-        dispatch_kw = float(profile.commitment_kw[0] + profile.regulation_kw[0])
-        state = self._inverters.uncurtailed(profile.mpp_kw[0], dispatch_kw)
+        schedule_kw = float(profile.commitment_kw[0]), float(profile.regulation_kw[0])
+        dispatch = self._orders.scheduled(BEFORE_RUN, *schedule_kw)
+        state = self._inverters.uncurtailed(profile.mpp_kw[0], dispatch)
         if self._offers is None:
             return state
         first_share = self._offers.first_share
@@ -86,17 +86,9 @@ class Plant:
             promise = promise.at(cycle // self._offers.interval_cycles)
             clear_sky_kw = float(self._profile.clear_sky_kw[cycle])
             commitment_kw = promise.share * clear_sky_kw
-        order, scheduled_kw = turn.get(ORDER.of(ROOT)), commitment_kw + regulation_kw
-        wanted = self._orders.next(state.wanted, order, scheduled_kw, turn.cycle)
-        dispatch = Dispatch(
-            *turn.stamp,
-            power_kw=wanted.power_kw,
-            plant_rating_kw=self._plant_rating_kw,
-            commitment_kw=commitment_kw,
-            regulation_kw=regulation_kw if wanted.is_scheduled else 0.0,
-            clear_sky_kw=clear_sky_kw,
-            **(wanted.order.stated() if wanted.order is not None else {}),
-        )
+        schedule_kw = commitment_kw, regulation_kw, clear_sky_kw
+        scheduled = self._orders.scheduled(turn.stamp, *schedule_kw)
+        dispatch = self._orders.next(state.dispatch, turn.get(ORDER.of(ROOT)), scheduled)
         fed_in_kw = net_kw(total(state.power_kw.tolist()), self._grid)
         meter = Meter(
             *turn.stamp,
@@ -116,7 +108,7 @@ class Plant:
                 available_kw=available_kw[position],
             )
             outputs.append((port, telemetry))
-        return replace(state, wanted=wanted, promise=promise), outputs
+        return replace(state, dispatch=dispatch, promise=promise), outputs
 
     def _available_kw(self, cycle: int) -> list[float | None]:
         """Return what each inverter states that it could have given in the last interval."""
@@ -143,7 +135,7 @@ class Plant:
                 state = replace(state, promise=replace(state.promise, coming=offer.share))
         production = Production(
             *turn.stamp,
-            dispatch_kw=state.wanted.power_kw,
+            dispatch_kw=state.dispatch.power_kw,
             available_kw=net_kw(float(mpp_kw.sum()), self._grid),
             delivered_kw=net_kw(float(power_kw.sum()), self._grid),
             inverter_mpp_kw=tuple(mpp_kw.tolist()),

@@ -20,7 +20,7 @@ from msgspec import Meta
 from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ROOT
-from sim_plant.order_desk import GivenOrder, OrderLine, PlantStatus
+from sim_plant.order_desk import OrderLine, PlantStatus
 from sunspec.addresses import parse_address
 from sunspec.limited_inverter import LIMIT_704, LimitedInverter, LimitSettings, RevertS
 from sunspec.registers import Points, Registers, common_points, inverter_points, meter_points
@@ -51,20 +51,20 @@ class UnitSettings(LimitSettings, frozen=True):
     set_revert_s: RevertS = 0
     ramp_percent_per_s: Annotated[int, Meta(ge=0, le=1_000)] = 0
 
-    def order(self, rating_kw: float) -> GivenOrder:
+    def asked(self, rating_kw: float) -> dict[str, float | None]:
+        """Return the fields of the order that they mean."""
         power_kw, hold_s = None, 0
         if self.set_enabled:
             power_kw, hold_s = self.set_w / 1e3, self.set_revert_s
         elif self.enabled:
             power_kw, hold_s = self.percent / 100.0 * rating_kw, self.revert_s
         ramp = self.ramp_percent_per_s * 60.0 / 100.0 * rating_kw
-        return GivenOrder(
-            source="modbus",
-            power_kw=power_kw,
-            ramp_kw_per_min=ramp or None,
-            hold_s=hold_s or None,
-            renew_s=hold_s / 2.0 or None,
-        )
+        return {
+            "power_kw": power_kw,
+            "ramp_kw_per_min": ramp or None,
+            "hold_s": hold_s or None,
+            "renew_s": hold_s / 2.0 or None,
+        }
 
 
 class PlantUnit(LimitedInverter):
@@ -119,7 +119,7 @@ class PlantUnit(LimitedInverter):
             raise msgspec.ValidationError("the run has not begun")
         last = self.settings
         if any((settings.enabled, settings.set_enabled, last.enabled, last.set_enabled)):
-            self._line.give(settings.order(self.rating_kw))
+            self._line.give("modbus", **settings.asked(self.rating_kw))
         self.settings = settings
 
 

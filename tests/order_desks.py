@@ -8,11 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agents.agent import Turn
 from agents.plan import RunPlan
-from bus_schemas.tree import ROOT
 from sim_plant.order_desk import OrderDesk, PlantStatus
-from sim_plant.orders import Orders, Wanted
+from sim_plant.orders import BEFORE_RUN, Orders
 
 SCHEDULED_KW = 100.0
 
@@ -31,20 +29,12 @@ def obeying_plant(folder: Path, plan: RunPlan, able_kw: float = 1e9) -> Iterator
 
 
 def _obey(desk: OrderDesk, plan: RunPlan, able_kw: float, over: threading.Event) -> None:
-    orders = Orders((), plan.timing.cycle_s, plan.tree.rating_kw(ROOT))
-    wanted, cycle = Wanted(SCHEDULED_KW), 0
+    orders, cycle = Orders(plan), 0
+    dispatch = orders.scheduled(BEFORE_RUN, SCHEDULED_KW, 0.0)
     while not over.is_set():
-        given = desk.take(Turn("sense", cycle, 0, (cycle, 0, "plant", (), 0, 0, 0, 0), {}))
-        wanted = orders.next(wanted, given, SCHEDULED_KW, cycle)
-        desk.tell(
-            PlantStatus(
-                cycle=cycle,
-                dispatch_kw=wanted.power_kw,
-                available_kw=able_kw,
-                delivered_kw=min(wanted.power_kw, able_kw),
-                order=wanted.order,
-                is_there=wanted.is_there,
-            )
-        )
+        scheduled = orders.scheduled((cycle, *BEFORE_RUN[1:]), SCHEDULED_KW, 0.0)
+        dispatch = orders.next(dispatch, desk.take(), scheduled)
+        delivered_kw = min(dispatch.power_kw, able_kw)
+        desk.tell(PlantStatus(dispatch=dispatch, available_kw=able_kw, delivered_kw=delivered_kw))
         cycle += 1
         time.sleep(0.01)

@@ -11,7 +11,8 @@ from heliarch.cli.boundary import FAILED, OK
 from heliarch.cli.options import Json, Run
 from heliarch.cli.output import Output
 
-_Power = Annotated[str, Parameter(help="A power such as 2MW or 1500kW, or the word `schedule`.")]
+_POWER = "A power such as 2MW or 1500kW, or the word `schedule`."
+_Power = Annotated[str, Parameter(allow_leading_hyphen=True, help=_POWER)]
 
 
 def order(
@@ -41,7 +42,7 @@ def order(
     from results.live_answer import answer_text, watched
     from scenarios.powers import parse_power_kw, parse_ramp_kw_per_min
     from scenarios.times import parse_duration_s
-    from sim_plant.order_desk import GivenOrder, OrderLine
+    from sim_plant.order_desk import OrderLine
 
     if power == "schedule" and hold is not None:
         raise InputError("--hold: expected a power with it, got schedule")
@@ -50,14 +51,13 @@ def order(
         raise InputError(f"{run}: expected the folder of a run, got none")
     plan = load_plan(folder / "plan.json")
     rating_kw = plan.tree.rating_kw(ROOT)
-    given = GivenOrder(
-        source="command",
-        power_kw=None if power == "schedule" else parse_power_kw(power, "order", rating_kw),
-        ramp_kw_per_min=None if ramp is None else parse_ramp_kw_per_min(ramp, "--ramp"),
-        hold_s=None if hold is None else parse_duration_s(hold, "--hold"),
-    )
+    asked = {
+        "power_kw": None if power == "schedule" else parse_power_kw(power, "order", rating_kw),
+        "ramp_kw_per_min": None if ramp is None else parse_ramp_kw_per_min(ramp, "--ramp"),
+        "hold_s": None if hold is None else parse_duration_s(hold, "--hold"),
+    }
     with OrderLine(folder) as line:
-        line.give(given)
+        line.give("command", **asked)
         answer, remark = watched(line.statuses(), plan)
     output.say(answer_text(answer) + remark)
     output.write(answer)

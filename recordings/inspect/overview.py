@@ -124,6 +124,7 @@ def _overview(
     health: Health,
     wall_s: float,
 ) -> Overview:
+    sent = {port.signal for port in gaps}
     return Overview(
         path=str(run.path),
         run_id=run.plan.run_id,
@@ -136,7 +137,7 @@ def _overview(
         interrupted=(run.stop_cycle or run.plan.timing.cycles) < run.plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
-            _count(signal, gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
+            _count(signal, gaps, len(wanted), wall_s) for signal in SIGNALS if signal in sent
         ),
         health=health,
     )

@@ -13,7 +13,7 @@ from bus_schemas.messages import Dispatch, Help, Message, Notice, Setpoint
 from bus_schemas.signals import DISPATCH, HELP, SETPOINT, Port
 from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name, parent_of
 from recordings.read.reader import RunReader
-from sim_plant.orders import OrderEvents
+from sim_plant.orders import order_event
 
 _LAG_CYCLES: Final = 1000
 """How many cycles are kept open for messages that stand further back in the file."""
@@ -72,7 +72,7 @@ def timeline(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[
     """Yield each cycle in order: what the recording says of some nodes in it."""
     tree = run.plan.tree
     opened: dict[int, dict[str, NodeCycle]] = {}
-    orders = OrderEvents(tree.rating_kw(ROOT))
+    last: Dispatch | None = None
     newest = -1
     for port, message in run.on(_ports_about(run, nodes), cycles):
         number = message.cycle
@@ -83,8 +83,10 @@ def timeline(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[
             time = run.clock.text(number)
             opened[number] = {node: NodeCycle(number, time, agent_name(node)) for node in nodes}
         _add(opened[number], tree, port, message)
-        if isinstance(message, Dispatch) and (event := orders.see(message)) and ROOT in nodes:
-            opened[number][ROOT].notices.append(" ".join(event))
+        if isinstance(message, Dispatch):
+            if (event := order_event(message, last)) and ROOT in nodes:
+                opened[number][ROOT].notices.append(" ".join(event))
+            last = message
     yield from _pop_before(cycles.stop, opened)
 
 

@@ -24,7 +24,7 @@ from bus_schemas.messages import Command, Dispatch, Impp, Message, Meter, Produc
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, METER, PRODUCTION, RESIDUAL, Port
 from bus_schemas.tree import ROOT, parent_of
 from recordings.read.reader import RunReader
-from sim_plant.orders import OrderInForce
+from sim_plant.orders import order_of
 
 _MOST_COLUMNS: Final = 100
 
@@ -51,7 +51,7 @@ class RunSeries:
     unlisted_kw: What the plant's own meter reads beyond the sum of its inverters, (T,).
     first_cycle: Cycle of the run that the first row stands for.
     of_agents: Figures of merit that only a run of agents in a study counts, by name.
-    orders: Orders, each with the cycle in which it came into force or in which its state changed.
+    orders: The dispatches with which an order came into force, or its state changed.
     """
 
     label: str
@@ -72,7 +72,7 @@ class RunSeries:
     response_kw: NDArray[np.float64]
     first_cycle: int = 0
     of_agents: Mapping[str, float] = field(default_factory=dict)
-    orders: tuple[tuple[int, OrderInForce], ...] = ()
+    orders: tuple[Dispatch, ...] = ()
 
     @classmethod
     def of(
@@ -203,7 +203,7 @@ class SeriesCollector:
         self._heard = defaultdict[Port[Message], NDArray[np.bool_]](
             lambda: np.zeros(plan.timing.cycles, bool)
         )
-        self._orders: list[tuple[int, OrderInForce]] = []
+        self._orders: list[Dispatch] = []
         self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
@@ -219,7 +219,9 @@ class SeriesCollector:
                     regulation_kw=message.regulation_kw,
                     dispatch_kw=message.power_kw,
                 )
-                self._enter_order(message)
+                last = order_of(self._orders[-1]) if self._orders else None
+                if message.order_source and order_of(message) != last:
+                    self._orders.append(message)
             case Production():
                 self._enter_production(port, message)
             case Meter() if message.frequency_hz is not None:
@@ -230,12 +232,6 @@ class SeriesCollector:
                 self._enter_of_node(port, "residual_kw", message.cycle, message.power_kw)
             case Command():
                 self._enter_of_node(port, "alpha", message.cycle, message.alpha)
-
-    def _enter_order(self, dispatch: Dispatch) -> None:
-        order = OrderInForce.by(dispatch)
-        last = self._orders[-1][1].what if self._orders else None
-        if order is not None and order.what != last:
-            self._orders.append((dispatch.cycle, order))
 
     def _enter_production(self, port: Port[Message], message: Production) -> None:
         self._cycles = max(self._cycles, message.cycle + 1)

@@ -38,7 +38,7 @@ from bus_schemas.tree import PLANT, ROOT
 from recordings.verify.agent_result import AgentResult, Difference
 from recordings.verify.equality import Equality
 from recordings.verify.recorded_cycles import RecordedCycles
-from sim_plant.orders import Wanted, order_given
+from sim_plant.orders import order_given
 
 Messages: TypeAlias = Mapping[Port[Message], Message]
 Outputs: TypeAlias = dict[str, dict[Port[Message], Message]]
@@ -273,7 +273,7 @@ class AgentRerun:
     def _learn(self, process: Process, now: CycleUnderWay, dispatch: Message | None) -> None:
         """Take from what was published what a process of unknown memory remembers since then."""
         if isinstance(dispatch, Dispatch):
-            process.state = replace(process.state, wanted=Wanted.by(dispatch))
+            process.state = replace(process.state, dispatch=dispatch)
         elif isinstance(process.state, DirectState):
             process.state = replaced(process.state, telemetry_cycle=now.cycle)
 

@@ -7,12 +7,12 @@ from typing import Final, NamedTuple
 
 import plotly.graph_objects as go
 
-from bus_schemas.tree import ROOT
 from recordings.inspect.agent_states import fault_changes
 from recordings.inspect.health import Health
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries
 from results.report import style
+from sim_plant.orders import order_text
 
 _MOST: Final = 60
 
@@ -44,9 +44,9 @@ def _marks(reader: RunReader, health: Health, series: RunSeries) -> Iterator[Mar
             yield Mark(absence.back_in, f"{absence.agent}: {how}", style.GREEN)
     for agent, cycle in (health.launcher.given_up if health.launcher else {}).items():
         yield Mark(cycle, f"{agent}: given up", style.VERMILLION)
-    for cycle, order in series.orders:
-        text = f"{order.source}: {order.text(reader.plan.tree.rating_kw(ROOT))}"
-        yield Mark(cycle, text, style.BLUE)
+    for dispatch in series.orders:
+        text = f"{dispatch.order_source}: {order_text(dispatch)}"
+        yield Mark(dispatch.cycle, text, style.BLUE)
 
 
 def mark(figure: go.Figure, series: RunSeries, marks: Sequence[Mark]) -> None:

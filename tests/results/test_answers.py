@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from runs_by_hand import RATING_KW, run_of
 
+from bus_schemas.messages import Dispatch
+from bus_schemas.tree import PLANT
 from results.answers import Answer, answer, answers, judged
 from scenarios.scenario import AnswerBudgets
-from sim_plant.orders import OrderInForce
 
 CYCLE_S = 2.0
 
@@ -53,10 +54,18 @@ def test_cycles_without_the_sun_do_not_count_and_what_never_settles_says_so() ->
     assert (found.settling_s, found.error_percent, found.unable_percent) == (None, None, 100.0)
 
 
-def order(cycle: int, power_kw: float | None, source: str = "command", **more: Any) -> OrderInForce:
-    nothing: dict[str, Any] = dict.fromkeys(("ramp_kw_per_min", "hold_s", "renew_s"))
-    return OrderInForce(
-        source=source, cycle=cycle, renewed=cycle, power_kw=power_kw, **(nothing | more)
+def order(cycle: int, power_kw: float | None, **more: Any) -> Dispatch:
+    """The dispatch with which an order comes into force."""
+    stated: dict[str, Any] = {"order_state": "holds", "order_cycle": cycle, **more}
+    return Dispatch(
+        *(cycle, 0, PLANT, ()),
+        power_kw=power_kw or 0.0,
+        plant_rating_kw=RATING_KW,
+        commitment_kw=0.0,
+        regulation_kw=0.0,
+        order_source="command",
+        order_power_kw=power_kw,
+        **stated,
     )
 
 
@@ -64,7 +73,7 @@ def test_each_order_and_each_step_of_the_schedule_has_its_answer() -> None:
     commitment = np.array([100.0] * 10 + [300.0] * 30)
     dispatch = commitment.copy()
     dispatch[20:30] = 200.0
-    orders = ((20, order(20, 200.0)), (30, order(20, 200.0, state="over")))
+    orders = (order(20, 200.0), order(30, 200.0, order_cycle=20, order_state="over"))
     run = run_of(commitment, 1e4, dispatch, start="2010-04-01T12:00:00")
     found = answers(replace(run, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders))
     assert [(one.asked, one.cycle, one.end_cycle) for one in found] == [
@@ -83,7 +92,7 @@ def test_a_step_of_the_schedule_under_an_order_is_none_of_the_plant() -> None:
     commitment = np.array([100.0] * 10 + [300.0] * 10)
     run = run_of(commitment, 1e4, np.full(20, 200.0))
     asked_kw = np.full(20, 200.0)
-    orders = ((5, order(5, 200.0)),)
+    orders = (order(5, 200.0),)
     ordered = replace(run, dispatch_kw=asked_kw, desired_kw=asked_kw, orders=orders)
     assert [one.asked for one in answers(ordered)] == ["command"]
 
@@ -92,9 +101,7 @@ def test_orders_that_follow_each_other_are_one_signal_with_a_score() -> None:
     at = np.arange(0, 600, 4)
     powers = 500.0 + 200.0 * np.sin(2.0 * np.pi * at / 200.0)
     dispatch = np.repeat(powers, 4)
-    orders = tuple(
-        (int(cycle), order(int(cycle), kw)) for cycle, kw in zip(at, powers, strict=True)
-    )
+    orders = tuple(order(int(cycle), kw) for cycle, kw in zip(at, powers, strict=True))
     run = run_of(np.full(600, 100.0), 1e4, dispatch)
     (found,) = answers(replace(run, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders))
     assert found.orders == 150
@@ -111,20 +118,20 @@ def test_a_program_that_promises_a_rhythm_gives_a_signal_at_that_rhythm() -> Non
     run = run_of(np.full(600, 100.0), 1e4, dispatch)
 
     def counts(**more: Any) -> list[int]:
-        orders = tuple((cycle, order(cycle, float(dispatch[cycle]), **more)) for cycle in at)
+        orders = tuple(order(cycle, float(dispatch[cycle]), **more) for cycle in at)
         asked = replace(run, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders)
         return [one.orders for one in answers(asked)]
 
     assert counts() == [1] * 15
-    assert counts(renew_s=45.0) == [15]
-    assert counts(renew_s=39.0) == [1] * 15
+    assert counts(order_renew_s=45.0) == [15]
+    assert counts(order_renew_s=39.0) == [1] * 15
 
 
 def test_an_order_that_the_frequency_cut_short_tells_what_it_asked_for() -> None:
     dispatch = np.concatenate([np.full(10, 100.0), np.arange(110.0, 510.0, 20.0)])
     response = np.where(np.arange(30) >= 20, 50.0, 0.0)
     run = run_of(np.full(30, 100.0), 1e4, dispatch + response)
-    orders = ((10, order(10, 490.0)),)
+    orders = (order(10, 490.0),)
     asked: dict[str, Any] = {"dispatch_kw": dispatch, "desired_kw": dispatch + response}
     cut, _ = judged(
         answers(replace(run, response_kw=response, orders=orders, **asked)),

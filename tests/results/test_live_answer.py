@@ -10,35 +10,34 @@ from plans_by_hand import plan_of
 
 from agents.settings import Droop, GridSettings
 from bus_schemas.errors import FailureError
+from bus_schemas.messages import Dispatch
+from bus_schemas.tree import PLANT
 from results.live_answer import answer_text, watched
 from sim_plant.order_desk import TAKEN, PlantStatus
-from sim_plant.orders import OrderInForce
 
 FROM_KW, TO_KW = 100.0, 200.0
+
+
+def dispatch_of(cycle: int) -> Dispatch:
+    """The dispatch of a cycle: an order of 200 kW comes into force in cycle 1."""
+    order: dict[str, Any] = {"power_kw": FROM_KW}
+    if cycle:
+        order = {"power_kw": TO_KW, "order_power_kw": TO_KW, "order_state": "holds"}
+        order |= {"order_source": "command", "order_cycle": 1}
+    schedule = {"plant_rating_kw": 400.0, "commitment_kw": FROM_KW, "regulation_kw": 0.0}
+    return Dispatch(cycle, 0, PLANT, (), **schedule, **order)
 
 
 def text_of(grid: GridSettings, delivered_kw: Iterator[float], **status: Any) -> str:
     """What is said of an order of 200 kW to a plant of 400 kW that delivered this, by second."""
     plan = plan_of({"a": 200.0, "b": 200.0}, cycles=10_000, grid=grid)
-    order = OrderInForce(
-        source="command",
-        cycle=1,
-        renewed=1,
-        power_kw=TO_KW,
-        ramp_kw_per_min=None,
-        hold_s=None,
-        renew_s=None,
-    )
 
     def statuses() -> Iterator[PlantStatus]:
         for cycle, kw in enumerate((FROM_KW, *delivered_kw)):
             yield PlantStatus(
-                cycle=cycle,
-                dispatch_kw=TO_KW if cycle else FROM_KW,
+                dispatch=dispatch_of(cycle),
                 available_kw=400.0,
                 delivered_kw=kw,
-                order=order if cycle else None,
-                is_there=True,
                 answer=TAKEN if cycle == 1 else "",
                 **status,
             )
@@ -73,12 +72,9 @@ def test_what_rounds_to_nothing_has_no_sign() -> None:
 def test_an_order_that_did_not_come_into_force_is_a_failure() -> None:
     plan = plan_of({"a": 400.0}, cycles=10)
     status = PlantStatus(
-        cycle=0,
-        dispatch_kw=1.0,
+        dispatch=dispatch_of(0),
         available_kw=1.0,
         delivered_kw=1.0,
-        order=None,
-        is_there=True,
         answer="replaced at once by an order of page",
     )
     with pytest.raises(FailureError, match="replaced at once"):

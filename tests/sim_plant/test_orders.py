@@ -11,12 +11,12 @@ from msgspec.structs import replace
 from plans_by_hand import plan_of
 
 from agents.loop import Loop
-from agents.plan import PlannedOrder, check_plan
+from agents.plan import PlannedOrder, RunPlan, check_plan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Dispatch, Order
 from bus_schemas.signals import DISPATCH, ORDER
 from bus_schemas.tree import OPERATOR, ROOT
-from sim_plant.orders import Orders, Wanted, planned
+from sim_plant.orders import BEFORE_RUN, Orders, is_ordered, planned
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
@@ -28,89 +28,94 @@ def order(power_kw: float | None = None, source: str = "command", **fields: Any)
     return Order(0, 0, source, (), power_kw=power_kw, **fields)
 
 
-def wanted(
+def after(last: Dispatch | None, cycle: int, given: Order | None, plan: RunPlan) -> Dispatch:
+    """The dispatch of a cycle, where the schedule is 100 kW of commitment."""
+    orders = Orders(plan)
+    last = last or orders.scheduled(BEFORE_RUN, SCHEDULED_KW, 0.0)
+    scheduled = orders.scheduled((cycle, *BEFORE_RUN[1:]), SCHEDULED_KW, 0.0)
+    return orders.next(last, given, scheduled)
+
+
+def dispatched(
     given: dict[int, Order], *of_scenario: PlannedOrder, cycles: int = 8, cycle_s: float = 1.0
-) -> list[Wanted]:
-    """What is wanted in each cycle, from the orders that the plant finds in some of them."""
-    orders, last = Orders(of_scenario, cycle_s, RATING_KW), Wanted(SCHEDULED_KW)
-    found = []
+) -> list[Dispatch]:
+    """The dispatch of each cycle, from the orders that the plant finds in some of them."""
+    plan = plan_of({"a": RATING_KW}, orders=of_scenario, cycle_ns=round(cycle_s * 1e9))
+    found: list[Dispatch] = []
     for cycle in range(cycles):
-        last = orders.next(last, given.get(cycle), SCHEDULED_KW, cycle)
-        found.append(last)
+        found.append(after(found[-1] if found else None, cycle, given.get(cycle), plan))
     return found
 
 
-def powers_kw(found: list[Wanted]) -> list[float]:
+def powers_kw(found: list[Dispatch]) -> list[float]:
     return [one.power_kw for one in found]
 
 
-def states(found: list[Wanted]) -> list[str]:
-    return [one.order.state if one.order is not None else "" for one in found]
+def states(found: list[Dispatch]) -> list[str]:
+    return [one.order_state for one in found]
 
 
 def test_an_order_holds_until_the_schedule_is_ordered_back() -> None:
-    found = wanted({2: order(50.0), 5: order()})
+    found = dispatched({2: order(50.0), 5: order()})
     assert powers_kw(found) == [100.0, 100.0, 50.0, 50.0, 50.0, 100.0, 100.0, 100.0]
-    assert [one.is_scheduled for one in found] == [
-        True,
-        True,
-        False,
-        False,
-        False,
-        True,
-        True,
-        True,
-    ]
+    assert [is_ordered(one) for one in found] == [False] * 2 + [True] * 3 + [False] * 3
 
 
 def test_the_dispatch_ramps_to_an_order_and_back_and_then_follows_the_schedule_at_once() -> None:
     ramp: dict[str, Any] = {"ramp_kw_per_min": 60.0 * 20.0}
-    found = wanted({1: order(50.0, **ramp), 5: order(**ramp)}, cycles=10)
+    found = dispatched({1: order(50.0, **ramp), 5: order(**ramp)}, cycles=10)
     assert powers_kw(found) == [100.0, 80.0, 60.0, 50.0, 50.0, 70.0, 90.0, 100.0, 100.0, 100.0]
-    orders = Orders((), 1.0, RATING_KW)
-    assert orders.next(found[-1], None, 180.0, 10).power_kw == 180.0
+    orders = Orders(plan_of({"a": RATING_KW}))
+    scheduled = orders.scheduled((10, *BEFORE_RUN[1:]), 180.0, 0.0)
+    assert orders.next(found[-1], None, scheduled).power_kw == 180.0
 
 
 def test_a_ramp_is_in_simulated_time_whatever_the_cycle() -> None:
-    found = wanted({0: order(0.0, ramp_kw_per_min=600.0)}, cycle_s=0.1, cycles=3)
+    found = dispatched({0: order(0.0, ramp_kw_per_min=600.0)}, cycle_s=0.1, cycles=3)
     assert powers_kw(found) == pytest.approx([99.0, 98.0, 97.0])
 
 
 def test_the_newest_order_wins_whatever_its_source() -> None:
     at_three = PlannedOrder(at=3.0, power_kw=30.0)
-    found = wanted({1: order(10.0), 2: order(20.0, "modbus"), 5: order(40.0, "page")}, at_three)
+    found = dispatched({1: order(10.0), 2: order(20.0, "modbus"), 5: order(40.0, "page")}, at_three)
     assert powers_kw(found) == [100.0, 10.0, 20.0, 30.0, 30.0, 40.0, 40.0, 40.0]
-    sources = [one.order.source for one in found if one.order is not None]
-    assert sources == ["command", "modbus", "scenario", "scenario", "page", "page", "page"]
+    sources = [one.order_source for one in found]
+    assert sources == ["", "command", "modbus", "scenario", "scenario", "page", "page", "page"]
 
 
 def test_an_order_that_is_not_renewed_is_silent_then_over_and_the_schedule_returns() -> None:
-    found = wanted({1: order(50.0, renew_s=2.0, hold_s=4.0)})
-    assert states(found) == ["", "holds", "holds", "holds", "silent", "over", "over", "over"]
+    found = dispatched({1: order(50.0, renew_s=2.0, hold_s=4.0)})
+    assert states(found) == ["none", "holds", "holds", "holds", "silent", "over", "over", "over"]
     assert powers_kw(found) == [100.0, 50.0, 50.0, 50.0, 50.0, 100.0, 100.0, 100.0]
 
 
 def test_the_same_order_again_renews_it() -> None:
     agc = order(50.0, renew_s=2.0, hold_s=4.0)
-    found = wanted({1: agc, 4: agc})
-    assert states(found) == ["", "holds", "holds", "holds", "holds", "holds", "holds", "silent"]
-    assert [(one.order.cycle, one.order.renewed) for one in found if one.order][-1] == (1, 4)
+    found = dispatched({1: agc, 4: agc})
+    assert states(found) == ["none", "holds", "holds", "holds", "holds", "holds", "holds", "silent"]
+    assert (found[-1].order_cycle, found[-1].order_renewed) == (1, 4)
 
 
 @pytest.mark.parametrize(("asked_kw", "given_kw"), [(-5.0, 0.0), (1e9, RATING_KW)])
 def test_an_order_out_of_range_is_clamped_and_recorded_as_it_was_asked(
     asked_kw: float, given_kw: float
 ) -> None:
-    last = wanted({1: order(asked_kw)})[-1]
+    last = dispatched({1: order(asked_kw)})[-1]
     assert last.power_kw == given_kw
-    assert last.order is not None
-    assert last.order.power_kw == asked_kw
+    assert last.order_power_kw == asked_kw
 
 
 def test_a_plant_that_missed_cycles_obeys_the_order_that_they_had() -> None:
-    orders = Orders([PlannedOrder(at=2.0, power_kw=40.0, ramp_kw_per_min=600.0)], 1.0, RATING_KW)
-    before = orders.next(Wanted(SCHEDULED_KW), None, SCHEDULED_KW, 0)
-    assert orders.next(before, None, SCHEDULED_KW, 3).power_kw == 70.0
+    order_at_two = PlannedOrder(at=2.0, power_kw=40.0, ramp_kw_per_min=600.0)
+    plan = plan_of({"a": RATING_KW}, orders=(order_at_two,))
+    assert after(after(None, 0, None, plan), 3, None, plan).power_kw == 70.0
+
+
+def test_an_order_at_the_beginning_comes_into_force_in_cycle_0_and_in_no_arming_round() -> None:
+    plan = plan_of({"a": RATING_KW}, orders=(PlannedOrder(at=0.0, power_kw=40.0),))
+    assert after(None, -999_999, None, plan).power_kw == SCHEDULED_KW
+    found = after(None, 0, None, plan)
+    assert (found.power_kw, found.order_cycle) == (40.0, 0)
 
 
 def test_arrays_want_what_the_plant_wants() -> None:
