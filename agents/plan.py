@@ -16,6 +16,7 @@ from msgspec.structs import asdict, replace
 from agents.control.correction import Response
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.control.grid import GridLaw
+from agents.control.offers import OfferSettings
 from agents.cycle import Deadlines, Periods
 from agents.device_faults import DeviceFault
 from agents.faults import Fault, ProcessFault, check_fault
@@ -24,6 +25,7 @@ from agents.settings import (
     Actuator,
     GridSettings,
     InverterSettings,
+    OfferedCommitment,
     RestartPolicy,
     Revert,
     Scheme,
@@ -107,20 +109,6 @@ class Timing(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return self.start_time_ns + cycle * self.cycle_ns
 
 
-class Offers(msgspec.Struct, frozen=True, kw_only=True):
-    """What the plant promises for coming intervals, which begin with the run.
-
-    interval_cycles, lead_cycles: Length of an interval, and how long before it the offer is made.
-    reliability: Share of the intervals that are to be kept.
-    first_share: Share of clear sky that is promised until the first offer.
-    """
-
-    interval_cycles: int
-    lead_cycles: int
-    reliability: float
-    first_share: float
-
-
 class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     """How the controllers decide.
 
@@ -141,7 +129,7 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     correction: bool = False
     offset_kw: float = 0.0
     offset_errors: float = 0.0
-    offers: Offers | None = None
+    offers: OfferedCommitment | None = None
 
     @cached_property
     def periods(self) -> Periods:
@@ -343,6 +331,13 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return self.grid.law(self.tree.rating_kw(ROOT), self.timing.cycle_s)
 
     @cached_property
+    def offer_law(self) -> OfferSettings | None:
+        # Only an inverter that knows its maximum shows it where it is curtailed.
+        is_seen = self.control.actuator == "fraction" or self.site.states_all
+        offers = self.control.offers
+        return None if offers is None else offers.law(self.timing.cycle_s, is_seen=is_seen)
+
+    @cached_property
     def wiring(self) -> Wiring:
         return Wiring(
             self.plant,
@@ -495,6 +490,8 @@ def check_plan(plan: RunPlan) -> None:
         got = f"got {plan.timing.cycle_ns:,}"
         raise InputError(f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, {got}")
     _check_orders(plan)
+    if plan.control.offers is not None:  # Refuse an interval that is not of whole cycles.
+        plan.control.offers.law(plan.timing.cycle_s, is_seen=True)
     for number, entry in enumerate(plan.site.settings):
         if not fnmatch.filter(leaves, entry.nodes):
             known = f"inverters ({listed(leaves)}) or a pattern such as c1/*"

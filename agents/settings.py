@@ -10,6 +10,8 @@ import msgspec
 from msgspec import Meta
 
 from agents.control.grid import GridLaw
+from agents.control.offers import SAMPLE_S, WINDOW_S, OfferSettings
+from bus_schemas.errors import InputError
 
 Scheme: TypeAlias = Literal["paper", "predictive"]
 """`paper`: the IMPP is the last cycle's (eq. 1). `predictive`: it is a forecast of this cycle's."""
@@ -46,6 +48,7 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return min(self.backoff_s * 2.0 ** (recent - 1), self.within_s) if recent else 0.0
 
 
+Share: TypeAlias = Annotated[float, Meta(gt=0.0, le=1.2)]
 Ramp: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e6)]
 Delay: TypeAlias = Annotated[float, Meta(ge=0.0, le=600.0)]
 
@@ -75,6 +78,53 @@ class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     revert: Revert | None = None
     ramp_percent_per_s: Ramp | None = None
     delay_s: Delay | None = None
+
+
+class OfferedCommitment(
+    msgspec.Struct,
+    frozen=True,
+    forbid_unknown_fields=True,
+    kw_only=True,
+    tag_field="kind",
+    tag="offered",
+):
+    """What the central controller offers for each interval, from what it knows before it begins.
+
+    The first interval begins with the run. Within an interval the commitment follows the power
+    under a clear sky.
+
+    interval_s: Length of an interval [s].
+    lead_s: How long before an interval begins its offer is made [s]. Default: 60 s, or the interval
+        if that is shorter.
+    reliability: Share of the intervals that are to be kept: at most 1 % of their energy is missing.
+    first_share: Share of the clear-sky power that is promised until the first offer.
+    """
+
+    interval_s: Annotated[float, Meta(ge=1.0, le=14400.0)] = 900.0
+    lead_s: Annotated[float, Meta(gt=0.0, le=14400.0)] | None = None
+    reliability: Annotated[float, Meta(ge=0.5, le=0.999)] = 0.95
+    first_share: Share = 0.3
+
+    def law(self, cycle_s: float, *, is_seen: bool) -> OfferSettings:
+        """Return the same in cycles of a length; `is_seen`: see `OfferSettings`."""
+        lead_s = min(60.0, self.interval_s) if self.lead_s is None else self.lead_s
+        cycles, lead_cycles = round(self.interval_s / cycle_s), max(round(lead_s / cycle_s), 1)
+        if abs(cycles * cycle_s - self.interval_s) > 1e-9 or cycles == 0:
+            expected = f"whole cycles of {cycle_s:g} s"
+            raise InputError(f"commitment.interval_s: expected {expected}, got {self.interval_s:g}")
+        if lead_cycles > cycles:
+            expected = f"at most interval_s, {self.interval_s:g}"
+            raise InputError(f"commitment.lead_s: expected {expected}, got {lead_s:g}")
+        sample_cycles = min(max(round(SAMPLE_S / cycle_s), 1), cycles)
+        return OfferSettings(
+            interval_cycles=cycles,
+            lead_cycles=lead_cycles,
+            sample_cycles=sample_cycles,
+            window_samples=max(round(WINDOW_S / (sample_cycles * cycle_s)), 1),
+            miss_rate=1.0 - self.reliability,
+            first_share=self.first_share,
+            is_seen=is_seen,
+        )
 
 
 _Limit: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e12)]

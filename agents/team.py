@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 from agents.agent import Agent, Stage
-from agents.control.offers import SAMPLE_S, WINDOW_S, OfferSettings
 from agents.cycle import kind_of
 from agents.direct import DirectController
 from agents.parent import CentralController, Supervisor
@@ -21,29 +20,11 @@ def controller(plan: RunPlan, name: str) -> Controller:
     """Return the controller of a name: `central`, or the path of a cluster or an inverter."""
     tree, control, cycle_s = plan.tree, plan.control, plan.timing.cycle_s
     if name == CENTRAL:
-        response, offers = plan.site.response(tree, cycle_s), offer_settings(plan)
-        return CentralController(tree, control, cycle_s, response, plan.grid_law, offers)
+        response = plan.site.response(tree, cycle_s)
+        return CentralController(tree, control, cycle_s, response, plan.grid_law, plan.offer_law)
     if kind_of(name, tree) == "supervisor":
         return Supervisor(name, tree, control)
     return direct_controller(plan, name)
-
-
-def offer_settings(plan: RunPlan) -> OfferSettings | None:
-    """Return how the central controller offers; None if the commitment is given."""
-    offers, cycle_s = plan.control.offers, plan.timing.cycle_s
-    if offers is None:
-        return None
-    sample_cycles = min(max(round(SAMPLE_S / cycle_s), 1), offers.interval_cycles)
-    return OfferSettings(
-        interval_cycles=offers.interval_cycles,
-        lead_cycles=offers.lead_cycles,
-        sample_cycles=sample_cycles,
-        window_samples=max(round(WINDOW_S / (sample_cycles * cycle_s)), 1),
-        miss_rate=1.0 - offers.reliability,
-        first_share=offers.first_share,
-        # Only an inverter that knows its maximum shows it where it is curtailed.
-        is_seen=plan.control.actuator == "fraction" or plan.site.states_all,
-    )
 
 
 def direct_controller(

@@ -26,8 +26,8 @@ import pandas as pd
 from agents.control.clusters import geographic_clusters, search_clusters
 from agents.control.correlation import hourly_correlation
 from agents.control.offers import MISSED_SHARE, firm_share, nothing_offered
-from agents.plan import Offers, RunPlan, changed
-from agents.team import offer_settings
+from agents.plan import RunPlan, changed
+from agents.settings import OfferedCommitment
 from bus_schemas.tree import ROOT
 from docs.shown import Found, fill, keep, write
 from heliarch import compare, load_scenario, simulate
@@ -341,18 +341,13 @@ def offered_rows(runs: Runs, interval_s: int, reliability: float) -> Lines:
     cycles = round(interval_s / cycle_s)
     if all(profile.cycles < 2 * cycles for _, profile in runs):
         return
-    offered = Offers(
-        interval_cycles=cycles,
-        lead_cycles=round(60 / cycle_s),
-        reliability=reliability,
-        first_share=0.3,
-    )
+    offered = OfferedCommitment(interval_s=interval_s, lead_s=60.0, reliability=reliability)
     for actuator in BOTH:
         figures = promise_figures(*promised(runs, offered, actuator), cycles)
         yield [interval_s, reliability, actuator, *figures]
 
 
-def promised(runs: Runs, offered: Offers, actuator: Any) -> list[Any]:
+def promised(runs: Runs, offered: OfferedCommitment, actuator: Any) -> list[Any]:
     """Return commitment, regulation, available and clear-sky power of runs in a row, by cycle.
 
     The first interval of each is left out, since nobody has offered it, and what is no whole one.
@@ -360,11 +355,11 @@ def promised(runs: Runs, offered: Offers, actuator: Any) -> list[Any]:
     found, record = [], None
     for of_run, profile in runs:
         plan = changed(of_run, control={"offers": offered, "actuator": actuator})
-        settings = offer_settings(plan)
+        settings = plan.offer_law
         assert settings is not None
         record = nothing_offered(settings) if record is None else record
         result = run_loop(plan, profile, "predictive", actuator, record)
-        cycles = offered.interval_cycles
+        cycles = settings.interval_cycles
         whole = slice(cycles, profile.cycles // cycles * cycles)
         powers_kw = (
             result.commitment_kw,

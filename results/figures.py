@@ -260,9 +260,9 @@ def _offer_figures(series: RunSeries) -> Figures:
     in hindsight. An interval that is not known as a whole, or in which nothing is promised, is left
     out, and so is the first: nobody has offered it.
     """
-    if series.plan.control.offers is None:
+    if (offers := series.plan.offer_law) is None:
         return {}
-    length = series.plan.control.offers.interval_cycles
+    length = offers.interval_cycles
     intervals = kept = 0
     promised_kw = firm_kw = 0.0
     for begin in range(length, series.cycles - length + 1, length):

@@ -18,7 +18,6 @@ from agents.plan import (
     Access,
     Control,
     Faults,
-    Offers,
     RunPlan,
     Site,
     Supervision,
@@ -26,7 +25,7 @@ from agents.plan import (
     check_plan,
     check_size,
 )
-from agents.settings import Revert
+from agents.settings import OfferedCommitment, Revert
 from bus_schemas.errors import InputError
 from bus_schemas.tree import OPERATOR, ROOT, ControlTree, agent_name
 from scenarios.clustering import control_tree, neighbourhoods
@@ -54,12 +53,7 @@ from scenarios.scenario import (
     local_start,
 )
 from scenarios.times import on_day, parse_duration_s, parse_time
-from sim_plant.commitment import (
-    CommitmentSettings,
-    OfferedCommitment,
-    commitment_kw,
-    is_hindsight,
-)
+from sim_plant.commitment import commitment_kw, is_hindsight
 from sim_plant.frequency import ConstantFrequency, frequency_hz
 from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw
@@ -216,29 +210,6 @@ def _day(
     return _Day(times, source, available_kw, commitment, deviations, tree)
 
 
-def _offers(commitment: CommitmentSettings, cycle_s: float) -> Offers | None:
-    """Return how the commitment is offered, in cycles."""
-    if not isinstance(commitment, OfferedCommitment):
-        return None
-    interval_cycles = round(commitment.interval_s / cycle_s)
-    lead_s = min(60.0, commitment.interval_s) if commitment.lead_s is None else commitment.lead_s
-    lead_cycles = max(round(lead_s / cycle_s), 1)
-    if abs(interval_cycles * cycle_s - commitment.interval_s) > 1e-9 or interval_cycles == 0:
-        expected = f"whole cycles of {cycle_s:g} s"
-        raise InputError(
-            f"commitment.interval_s: expected {expected}, got {commitment.interval_s:g}"
-        )
-    if lead_cycles > interval_cycles:
-        expected = f"at most interval_s, {commitment.interval_s:g}"
-        raise InputError(f"commitment.lead_s: expected {expected}, got {lead_s:g}")
-    return Offers(
-        interval_cycles=interval_cycles,
-        lead_cycles=lead_cycles,
-        reliability=commitment.reliability,
-        first_share=commitment.first_share,
-    )
-
-
 def _frequency_hz(
     scenario_file: ScenarioFile, scenario: Scenario, cycles: int
 ) -> NDArray[np.float64]:
@@ -287,10 +258,9 @@ def _plan(
     keys_folder: str,
 ) -> RunPlan:
     """Return what all agents of the run agree on."""
-    control = scenario.control
+    control, offered = scenario.control, scenario.commitment
     with scenario_file.named():
         groups = process_groups(scenario.processes, day.tree)
-        offers = _offers(scenario.commitment, scenario.time.cycle_s)
     external = external_agents(options.external or (), day.tree)
     if OPERATOR in external and not keys_folder:
         raise InputError(
@@ -330,7 +300,7 @@ def _plan(
             correction=scheme == "predictive" if control.correction is None else control.correction,
             offset_kw=control.offset * day.tree.rating_kw(ROOT),
             offset_errors=control.offset_errors,
-            offers=offers,
+            offers=offered if isinstance(offered, OfferedCommitment) else None,
         ),
         site=Site(
             seed=seed,

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from msgspec import Meta
 
+from agents.settings import OfferedCommitment, Share
 from bus_schemas.errors import InputError
 from sim_plant import Floats
 from sim_plant.csv_tables import read_csv
@@ -16,8 +17,6 @@ from sim_plant.time_steps import check_coverage, step_ns
 
 _LARGEST_KW = 1e8
 _COLUMN = "commitment_kw"
-
-Share = Annotated[float, Meta(gt=0.0, le=1.2)]
 
 
 class _Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -70,25 +69,6 @@ class BelowAvailable(_Rule, frozen=True, tag="below-available"):
 
     share: Share
     window_s: Annotated[float, Meta(gt=0.0, le=86400.0)]
-
-
-class OfferedCommitment(_Rule, frozen=True, tag="offered"):
-    """What the central controller offers for each interval, from what it knows before it begins.
-
-    The first interval begins with the run. Within an interval the commitment follows the power
-    under a clear sky.
-
-    interval_s: Length of an interval [s].
-    lead_s: How long before an interval begins its offer is made [s]. Default: 60 s, or the interval
-        if that is shorter.
-    reliability: Share of the intervals that are to be kept: at most 1 % of their energy is missing.
-    first_share: Share of the clear-sky power that is promised until the first offer.
-    """
-
-    interval_s: Annotated[float, Meta(ge=1.0, le=14400.0)] = 900.0
-    lead_s: Annotated[float, Meta(gt=0.0, le=14400.0)] | None = None
-    reliability: Annotated[float, Meta(ge=0.5, le=0.999)] = 0.95
-    first_share: Share = 0.3
 
 
 class ScheduledCommitment(_Rule, frozen=True, tag="file"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -121,46 +121,28 @@ class CsvTable:
     ) -> None:
         """Refuse the times of a column unless they are two or more that keep one step above 0.
 
-        All lines that break the step are named at once. Times may be missing with `may_lack`.
+        Times may be missing with `may_lack`.
         """
         self.check_length()
         step_ns = np.diff(time_ns)
         # The median, so that one gap at the top of the file is not taken for its step.
         usual_ns = max(float(np.median(step_ns)), 1.0)
-        lacks = (step_ns > usual_ns) & (step_ns % usual_ns == 0)
-        repeated, back = step_ns == 0, step_ns < 0
-        out_of_step = (step_ns != usual_ns) & ~(lacks | repeated | back)
-        kinds = {"repeated": repeated, "earlier": back, "out of step": out_of_step}
-        if not may_lack:
-            kinds["after missing times"] = lacks
-        if np.any(list(kinds.values())):
-            expected = "times in one step above 0"
-            if usual_ns > 1.0:
-                expected += f", here mostly {usual_ns / 1e9:g} s"
-            raise self._all_lines(column, expected, kinds)
+        is_late = (step_ns % usual_ns != 0) if may_lack else (step_ns != usual_ns)
+        expected = "times in one step above 0"
+        if usual_ns > 1.0:
+            expected += f", here mostly {usual_ns / 1e9:g} s"
+        self._refuse((step_ns <= 0) | is_late, column, expected)
 
     def check_ascending(self, column: str, time_ns: NDArray[np.int64]) -> None:
         """Refuse the times of a column unless each is later than the one before it."""
-        step_ns = np.diff(time_ns)
-        if (step_ns <= 0).any():
-            expected = "a time after that of the line before"
-            raise self._all_lines(
-                column, expected, {"repeated": step_ns == 0, "earlier": step_ns < 0}
-            )
+        self._refuse(np.diff(time_ns) <= 0, column, "a time after that of the line before")
 
-    def _all_lines(
-        self, column: str, expected: str, kinds: Mapping[str, NDArray[np.bool_]]
-    ) -> InputError:
-        """Return the error of the first bad line, with all bad lines by kind."""
-        lines = self.fields.index[1:].to_numpy() + 1
-        told = [
-            f"{kind}: {listed(list(map(str, lines[rows])))}"
-            for kind, rows in kinds.items()
-            if rows.any()
-        ]
-        first = int(np.any(list(kinds.values()), axis=0).argmax())
-        error = self.error(first + 1, column, expected)
-        return InputError(f"{error} (all such lines: {'; '.join(told)})")
+    def _refuse(self, bad: NDArray[np.bool_], column: str, expected: str) -> None:
+        """Name the lines after the first whose time is bad."""
+        if bad.any():
+            lines = listed([str(line + 1) for line in self.fields.index[1:][bad]])
+            error = self.error(int(bad.argmax()) + 1, column, expected)
+            raise InputError(f"{error} (all such lines: {lines})")
 
 
 def read_csv(path: Path, header: tuple[str, ...] = ()) -> CsvTable:

@@ -18,7 +18,6 @@ from agents.control.grid import net_kw
 from agents.control.offers import is_due
 from agents.faults import Trip, trips
 from agents.plan import RunPlan
-from agents.team import offer_settings
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, OFFER, ORDER, PRODUCTION, TELEMETRY
@@ -53,7 +52,7 @@ class Plant:
         self._grid = plan.grid_law
         self._meter_error = plan.grid.meter_error_percent / 100.0
         self._orders = Orders(plan)
-        self._offers = offer_settings(plan)
+        self._offers = plan.offer_law
         sense = Stage("sense", (), (ORDER.of(ROOT),), timed=True)
         self._stages = (sense, Stage("apply", self._commands))
         self._with_offer = (sense, Stage("apply", (*self._commands, OFFER.of(ROOT))))

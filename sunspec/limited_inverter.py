@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from math import copysign, inf
+from math import inf
 from typing import Annotated, Any, Final, Self, TypeAlias
 
 import msgspec
 from msgspec import Meta
+from msgspec.structs import asdict, replace
 
 LONGEST_REVERT_S: Final = 65_534
 """Most that the register of model 123 holds; that of 704 could hold more."""
@@ -55,7 +56,7 @@ class LimitSettings(msgspec.Struct, frozen=True):
 
     def with_written(self, written: dict[str, Any]) -> Self:
         """Return them with what a master has written. Raises ValidationError: out of range."""
-        present = msgspec.structs.asdict(self)
+        present = asdict(self)
         return msgspec.convert(present | written, type(self), strict=False)
 
     @property
@@ -65,7 +66,7 @@ class LimitSettings(msgspec.Struct, frozen=True):
 
 
 class LimitedInverter:
-    """An inverter that is asked what it does now.
+    """An inverter that is asked what it does now, after it was moved on to that time.
 
     sun_kw: What the sun allows at a time.
     delay_s: Time from a limit until the inverter begins to follow it.
@@ -90,7 +91,7 @@ class LimitedInverter:
         self._delay_s = delay_s
         self._pending: deque[tuple[float, float]] = deque()
         self._revert_at = inf
-        self._began_at, self._from, self._to = -inf, 100.0, 100.0
+        self._limit = self._target = 100.0
         self._at: float | None = None
 
     def apply(self, settings: LimitSettings, at: float, *, renews: bool = True) -> None:
@@ -111,46 +112,34 @@ class LimitedInverter:
         return self._revert_at - at if self._revert_at < inf else 0.0
 
     def power_kw(self, at: float) -> float:
-        return min(self.available_kw(at), self._limit(at) / 100.0 * self.rating_kw)
+        return min(self.available_kw(at), self._limit / 100.0 * self.rating_kw)
 
     def advance(self, until: float) -> None:
-        while True:
-            pending_at = self._pending[0][0] if self._pending else inf
-            event_at = min(pending_at, self._revert_at)
-            if event_at > until:
-                break
-            self._integrate(event_at)
-            if pending_at <= self._revert_at:
-                self._follow(self._pending.popleft()[1], event_at)
+        """Move on to a time [s]."""
+        while (event_at := min([self._revert_at, *(at for at, _ in self._pending)])) <= until:
+            self._move(event_at)
+            if self._pending and self._pending[0][0] == event_at:
+                self._target = self._pending.popleft()[1]
             else:
                 self._revert_at = inf
-                settings = self.settings
-                self.settings = msgspec.structs.replace(
-                    settings, enabled=settings.revert_enabled, percent=settings.revert_percent
-                )
+                enabled, percent = self.settings.revert_enabled, self.settings.revert_percent
+                self.settings = replace(self.settings, enabled=enabled, percent=percent)
+                self._target = self.settings.target
                 self._pending.clear()
-                self._follow(self.settings.target, event_at)
-        self._integrate(until)
+            # Downwards from the power that it holds back, not from above.
+            held = max(100.0 * self.power_kw(event_at) / self.rating_kw, self._target)
+            self._limit = min(self._limit, held)
+        self._move(until)
 
-    def _follow(self, target: float, at: float) -> None:
-        """Begin to move the limit; downwards from the power that it holds back, not from above."""
-        start = self._limit(at)
-        if target < start:
-            start = max(min(start, 100.0 * self.power_kw(at) / self.rating_kw), target)
-        self._began_at, self._from, self._to = at, start, target
-
-    def _limit(self, at: float) -> float:
-        distance = self._to - self._from
-        if not distance or self.ramp_percent_per_s == inf:
-            return self._to
-        moved = min(self.ramp_percent_per_s * (at - self._began_at), abs(distance))
-        return self._from + copysign(moved, distance)
-
-    def _integrate(self, until: float) -> None:
-        """Count the energy in steps, since the sky changes between two requests."""
+    def _move(self, until: float) -> None:
+        """Follow the target and count the energy, in steps: the sky changes meanwhile."""
         at = until if self._at is None else self._at
         while at < until:
             step_s = min(until - at, _STEP_S)
             self.energy_kwh += self.power_kw(at) * step_s / 3600.0
+            reach = self.ramp_percent_per_s * step_s
+            self._limit = min(max(self._target, self._limit - reach), self._limit + reach)
             at += step_s
+        if self.ramp_percent_per_s == inf:
+            self._limit = self._target
         self._at = until

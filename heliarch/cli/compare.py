@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal, cast, get_args
 
 from cyclopts import Parameter
 
-from agents.settings import Actuator
+from agents.settings import Actuator, OfferedCommitment
 from bus_schemas.errors import InputError
 from bus_schemas.whole_file import whole_file
 from heliarch.cli.options import (
@@ -113,7 +113,6 @@ def compare(
     from results.figures import FIGURES
     from scenarios.scenario import load_scenario
     from scenarios.settings import Setting, parse_setting, with_settings
-    from sim_plant.commitment import OfferedCommitment
     from studies.arrays.schemes import SCHEMES
     from studies.compare import results
     from studies.compare.cases import cases, parse_days, parse_seeds

@@ -39,7 +39,6 @@ from agents.control.offers import (
 from agents.control.share import share_kw, usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
-from agents.team import offer_settings
 from bus_schemas.errors import InputError
 from sim_plant.inverters import stated_kw
 from sim_plant.orders import planned
@@ -154,7 +153,7 @@ def loop_inputs(
 
 
 def _schedule(plan: RunPlan, profile: Profile, record: Floats | None) -> Schedule:
-    offers = offer_settings(plan)
+    offers = plan.offer_law
     if offers is not None and plan.orders:
         raise InputError("orders: expected none in a study over arrays with offers")
     settings = NO_OFFERS if offers is None else offers

@@ -76,6 +76,7 @@ class ServedInverters:
         if self._read_at is not None:
             for position, one in enumerate(self._inverters):
                 limit_kw = one.settings.target / 100.0 * one.rating_kw
+                one.advance(self._read_at)
                 power_kw = one.power_kw(self._read_at)
                 self._readings[position] = Reading(0, power_kw, SUN_KW, limit_kw)
             self._read_at = None

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from plans_by_hand import plan_of
 from runs_by_hand import RATING_KW, run_of, sine_of_an_hour
 
-from agents.plan import Offers
+from agents.settings import OfferedCommitment
 from recordings.read.series import RunSeries
 from results.figures import (
     FIGURES,
@@ -230,7 +230,7 @@ def test_offers_are_kept_where_one_per_cent_is_missing_and_measured_against_firm
         available_kw=[10.0, 10.0, 120.0, 120.0, 100.0, 97.0],
         delivered_kw=[10.0, 10.0, 100.0, 100.0, 100.0, 97.0],
         cycle_s=1800.0,
-        offers=Offers(interval_cycles=2, lead_cycles=1, reliability=0.9, first_share=0.3),
+        offers=OfferedCommitment(interval_s=3600.0),
     )
     found = run_figures(run)
     assert (found["intervals"], found["kept-intervals"]) == (2, 50.0)

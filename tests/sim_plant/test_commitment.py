@@ -104,7 +104,7 @@ def test_all_times_out_of_order_are_told_at_once(tmp_path: Path) -> None:
     times = ("02", "01", "03", "03")
     rows = [f"2010-04-01T22:00:{second}Z,1000" for second in times]
     text = "\n".join(["begins,commitment_kw", *rows])
-    assert "repeated: 5; earlier: 3" in complaint_of(scheduled, tmp_path, text)
+    assert "all such lines: 3, 5" in complaint_of(scheduled, tmp_path, text)
 
 
 @pytest.mark.parametrize(

@@ -127,9 +127,9 @@ def test_a_file_without_gaps_is_read_the_same_whether_gaps_are_filled_or_not(rea
         (GAPS.replace("804,", ",").replace("801,", ",").replace("805,", ","), ["6 s of DH3"]),
         (
             GAPS.replace("00:01Z", "00:00Z").replace("00:05Z", "00:03Z"),
-            ["repeated: 3", "earlier: 5"],
+            ["all such lines: 3, 5"],
         ),
-        (GAPS.replace("00:04Z", "00:03.5Z"), ["out of step: 3"]),
+        (GAPS.replace("00:04Z", "00:03.5Z"), ["all such lines: 3"]),
     ],
 )
 def test_what_cannot_be_filled_is_refused(read: Read, ghi: str, named: list[str]) -> None:
