@@ -24,7 +24,11 @@ def dispatch_of(cycle: int) -> Dispatch:
     if cycle:
         order = {"power_kw": TO_KW, "order_power_kw": TO_KW, "order_state": "holds"}
         order |= {"order_source": "command", "order_cycle": 1}
-    schedule: dict[str, Any] = {"plant_rating_kw": 400.0, "commitment_kw": FROM_KW, "regulation_kw": 0.0}
+    schedule: dict[str, Any] = {
+        "plant_rating_kw": 400.0,
+        "commitment_kw": FROM_KW,
+        "regulation_kw": 0.0,
+    }
     return Dispatch(cycle, 0, PLANT, (), **schedule, **order)
 
 
