@@ -32,7 +32,7 @@ from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import RunFailure, who_waits
 from launch_scripts.view import View
-from recordings.record.phases import RunMonitor
+from recordings.record.phases import RunProgress
 from recordings.record.writer import ClockAnchor, RunWriter
 from results.run_summary import ProcessAccount, RunSummary
 from scenarios.preparation import Preparation
@@ -231,7 +231,7 @@ def simulate(
     account = RunAccount(preparation, folder, "simulate", began_at)
     if plan.supervision.standby and not plan.faults.rules:
         view.say("no standby: without a --fault nothing has a deadline here")
-    monitor = RunMonitor()
+    progress = RunProgress(plan)
     # A virtual clock stands at 0 when the run begins.
     anchor = ClockAnchor(0, time.time_ns()) if plan.faults.rules else ClockAnchor.now()
     writer = RunWriter(
@@ -248,12 +248,12 @@ def simulate(
             account.takeovers[port.publisher] += 1
         if port.signal.logged:
             writer.add(port, message, encode(message), message.publish_time_ns)
-            monitor.see(port, message)
+            progress.hear(port, message)
 
     run = MemoryRun(plan, preparation.profile, record)
     account.armed_at = time.monotonic()
     try:
-        interrupted = _follow(run, plan, monitor, writer, view)
+        interrupted = _follow(run, plan, progress, writer, view)
         run.close()
     finally:
         writer.close()
@@ -265,12 +265,12 @@ def simulate(
     account.processes.append(ProcessAccount("simulation", "simulation", {}, *memory_mb))
     for loop in run.loops.values():
         account.dropped += [(*of, number) for of, number in loop.inputs.dropped.items()]
-    recorded = Recorded(dict(writer.recorded), 0, monitor.cycles, writer.ended_early)
+    recorded = Recorded(dict(writer.recorded), 0, progress.completed, writer.ended_early)
     return account.summary(recorded, wall_s, interrupted=interrupted)
 
 
 def _follow(
-    run: MemoryRun, plan: RunPlan, monitor: RunMonitor, writer: RunWriter, view: View
+    run: MemoryRun, plan: RunPlan, progress: RunProgress, writer: RunWriter, view: View
 ) -> bool:
     """Run to the end, or to Ctrl-C. Return whether it was interrupted."""
     began_at = status_at = time.monotonic()
@@ -284,7 +284,7 @@ def _follow(
                 interruption.wait(began_at + (cycle + 1) * cycle_s - time.monotonic())
             if time.monotonic() >= status_at:
                 status_at = time.monotonic() + _STATUS_S
-                view.show(monitor.status(writer.recorded.total()))
+                view.show(progress.status(writer.recorded.total()))
                 if cycle_s:
                     writer.flush()  # So that the recording can be read meanwhile.
         return bool(interruption)

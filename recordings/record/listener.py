@@ -25,7 +25,7 @@ from recordings.record.complaints import (
     WRONG_SENDER,
     Complaints,
 )
-from recordings.record.phases import ArmingRound, RunMonitor, RunPosition
+from recordings.record.phases import ArmingRound, RunProgress
 from recordings.record.plausibility import out_of_range
 from recordings.record.reach import Reach
 from recordings.record.senders import ExternalAgents, SecondSenders
@@ -75,8 +75,7 @@ class RunListener:
         *,
         joins_late: bool = False,
     ) -> None:
-        self.monitor = RunMonitor()
-        self.position = RunPosition(plan)
+        self.progress = RunProgress(plan)
         self.external = ExternalAgents(plan, tokens)
         self.senders = SecondSenders(plan)
         self.complaints = Complaints(tell)
@@ -118,14 +117,14 @@ class RunListener:
             if head.cycle <= (self._last_cycle_of(port) if last_cycle is None else last_cycle):
                 self._record(key, known, head, message, payload)
             else:
-                text = f"it is of cycle {head.cycle}, not {self.position.newest_cycle}"
+                text = f"it is of cycle {head.cycle}, not {self.progress.newest_cycle}"
                 self.complaints.add(key, WRONG_CYCLE, text)
         return None
 
     def status(self) -> Status:
         """Return where the run stands, and the agents that are unresponsive or not heard yet."""
-        status = self.monitor.status(self._writer.recorded.total())
-        if self._plan.elsewhere and self.position.newest_cycle < 0:
+        status = self.progress.status(self._writer.recorded.total())
+        if self._plan.elsewhere and self.progress.newest_cycle < 0:
             status = replace(status, unheard=self._arming.unheard(self._plan.elsewhere))
         if not self._plan.timing.lockstep:
             now_ns = self._now_ns()
@@ -139,7 +138,7 @@ class RunListener:
             return inf
         if not self._arming.answered:
             return -1
-        newest = self.position.newest_cycle
+        newest = self.progress.newest_cycle
         return inf if newest < 0 else newest + _FAR_AHEAD
 
     def _record(
@@ -161,17 +160,12 @@ class RunListener:
 
     def _follow(self, port: Port[Message], message: Message, heard_ns: int) -> None:
         """Follow the course of the run."""
-        false_stop = None
-        if isinstance(message, Run):
-            if message.state == "stop":
-                false_stop = self.position.hear_stop(message.cycle, heard_ns / 1e9)
-            elif PLANT in self._plan.access.external:
-                self._tell(Armed(message.start_time_ns))
-        elif port.signal is DISPATCH:
-            false_stop = self.position.hear_dispatch(message.cycle)
-        self.monitor.see(port, message)
+        is_external = PLANT in self._plan.access.external
+        if is_external and isinstance(message, Run) and message.state == "start":
+            self._tell(Armed(message.start_time_ns))
+        false_stop = self.progress.hear(port, message, heard_ns / 1e9)
         if false_stop is not None:
-            begun = self.position.newest_cycle
+            begun = self.progress.newest_cycle
             text = f"it stops the run before cycle {false_stop}, and cycle {begun} has begun"
             self.complaints.add(self._plan.wiring.key(RUN.of(ROOT)), CONFLICTING, text)
             self.senders.note_extra(RUN.of(ROOT))

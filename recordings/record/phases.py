@@ -11,8 +11,8 @@ from typing import Final
 
 from agents.plan import RunPlan
 from agents.process.events import Status
-from bus_schemas.messages import Message, Production
-from bus_schemas.signals import HELP, Port, ports
+from bus_schemas.messages import Dispatch, Help, Message, Production, Run
+from bus_schemas.signals import Port, ports
 from bus_schemas.tree import PLANT
 from recordings.read.gaps import due_step
 
@@ -67,44 +67,50 @@ class ArmingRound:
         return sorted(str(port) for port in self._open if port.publisher in agents)
 
 
-class RunPosition:
-    """The newest cycle of a dispatch, and the stop that the plant has announced.
+class RunProgress:
+    """Where a run stands: what the plant has begun, completed and said of its end.
 
     A stop before a cycle that the plant has begun is false: another program sent it.
 
-    `stop_cycle` is the first cycle that does not take place; None: it is not known.
+    newest_cycle: Of a dispatch. completed: Number of cycles.
+    stop_cycle: The first cycle that does not take place; None: it is not known.
     """
 
     def __init__(self, plan: RunPlan) -> None:
         self.newest_cycle = -1
+        self.completed = 0
         self.stop_cycle: int | None = None
         self._plan = plan
         self._over_at_s = inf
+        self._last: Production | None = None
+        self._needy: dict[str, int] = {}
 
     @property
     def cycles(self) -> int:
         """How many cycles there are, as far as that is known."""
         return self.newest_cycle + 1 if self.stop_cycle is None else self.stop_cycle
 
-    def hear_dispatch(self, cycle: int) -> int | None:
-        """Take in a dispatch; return the cycle of a stop that it shows to be false."""
-        self.newest_cycle = max(cycle, self.newest_cycle)
-        stop = self.stop_cycle
-        if stop is None or stop > cycle:
+    def hear(self, port: Port[Message], message: Message, now_s: float = 0.0) -> int | None:
+        """Take in a message; return the cycle of a stop that is, or so turns out to be, false."""
+        match message:
+            case Production():
+                self.completed += 1
+                self._last = message
+            case Help():
+                self._needy[port.node] = message.cycle
+            case Dispatch():
+                self.newest_cycle = max(message.cycle, self.newest_cycle)
+            case Run(state="stop"):
+                self.stop_cycle = message.cycle
+                if PLANT in self._plan.access.external:
+                    wait_s = _STOP_WAIT_S + 1.5e-9 * self._plan.timing.cycle_wall_ns
+                    is_early = message.cycle < self._plan.timing.cycles
+                    self._over_at_s = now_s + wait_s * is_early
+        false_stop = self.stop_cycle
+        if false_stop is None or false_stop > self.newest_cycle:
             return None
         self.stop_cycle, self._over_at_s = None, inf
-        return stop
-
-    def hear_stop(self, cycle: int, now_s: float) -> int | None:
-        """Take in a stop; return its cycle if it is false."""
-        if cycle <= self.newest_cycle:
-            self.stop_cycle, self._over_at_s = None, inf
-            return cycle
-        self.stop_cycle = cycle
-        if PLANT in self._plan.access.external:
-            wait_s = _STOP_WAIT_S + 1.5e-9 * self._plan.timing.cycle_wall_ns
-            self._over_at_s = now_s + wait_s * (cycle < self._plan.timing.cycles)
-        return None
+        return false_stop
 
     def is_newly_over(self, now_s: float) -> bool:
         """Whether an external plant's stop counts since the last call."""
@@ -112,22 +118,6 @@ class RunPosition:
             return False
         self._over_at_s = inf
         return self.stop_cycle is not None
-
-
-class RunMonitor:
-    """The newest state of a run, and how many cycles the plant has completed."""
-
-    def __init__(self) -> None:
-        self.cycles = 0
-        self._last: Production | None = None
-        self._needy: dict[str, int] = {}
-
-    def see(self, port: Port[Message], message: Message) -> None:
-        if isinstance(message, Production):
-            self.cycles += 1
-            self._last = message
-        elif port.signal is HELP:
-            self._needy[port.node] = message.cycle
 
     def status(self, recorded: int) -> Status:
         """Return where the run stands; its cycle is -1 before the first one is over."""

@@ -111,7 +111,7 @@ class Recorder:
 
     def run(self) -> None:
         """Record until the launcher ends it, then close the file and report."""
-        closing, listener, position = self._closing, self._listener, self._listener.position
+        closing, listener, progress = self._closing, self._listener, self._listener.progress
         now = flush_at = status_at = self._now_s()
         while not closing.is_over(now, listener.own_heard, others_done=self._others_done()):
             if self._link.unheard:
@@ -129,12 +129,12 @@ class Recorder:
                 self._ask_launcher()
                 self._sleep(_NAP_S)
             now = self._now_s()
-            self._link.beat(position.newest_cycle)
+            self._link.beat(progress.newest_cycle)
             if now >= flush_at:
                 self._writer.flush()
                 flush_at = now + FLUSH_S
-            if position.is_newly_over(now) and position.stop_cycle is not None:
-                self._link.tell(Over(position.stop_cycle))
+            if progress.is_newly_over(now) and progress.stop_cycle is not None:
+                self._link.tell(Over(progress.stop_cycle))
             if now >= status_at:
                 self._tell_status()
                 self._ask_launcher()
@@ -152,26 +152,27 @@ class Recorder:
         if expected is not None:
             closing.expected = expected
         # A recorder that was started by hand is not asked to end: it ends with the run.
-        is_over = link.by_hand and self._listener.position.stop_cycle is not None
+        is_over = link.by_hand and self._listener.progress.stop_cycle is not None
         if expected is not None or link.dismissed or is_over:
             closing.ask(self._now_s())
 
     def _others_done(self) -> bool:
         """Whether the last messages of external agents have come."""
-        stop_cycle = self._listener.position.stop_cycle
+        stop_cycle = self._listener.progress.stop_cycle
         return stop_cycle is None or self._listener.external.have_answered(stop_cycle)
 
     def _tell_status(self) -> None:
-        position = self._listener.position
-        if position.stop_cycle is None:  # At the end of the run all of them go.
-            for presence in self._listener.external.presence(position.newest_cycle):
+        progress = self._listener.progress
+        if progress.stop_cycle is None:  # At the end of the run all of them go.
+            for presence in self._listener.external.presence(progress.newest_cycle):
                 self._link.tell(presence)
         self._link.tell(self._listener.status())
 
     def _account(self) -> Recorded:
         """Return what is in this recorder's file; `checked` counts the whole recording."""
         listener = self._listener
-        cycles = listener.position.cycles if self._link.starts else listener.monitor.cycles
+        progress = listener.progress
+        cycles = progress.cycles if self._link.starts else progress.completed
         return Recorded(
             recorded=dict(self._writer.recorded),
             foreign=listener.complaints.set_aside,
