@@ -316,7 +316,6 @@ class LiveBus(ReplayBus):
         self.pairs.finish(self.cycles)
 
     def _first_messages(self, reader: RunReader) -> dict[Port[Message], Message]:
-        """Return the first message of each port on which the others publish in every cycle."""
         ports = (port for port in self._plan.wiring.ports if port not in self._newest)
         wanted = {port for port in ports if due_step(self._plan, port)}
         first: dict[Port[Message], Message] = {}
@@ -327,7 +326,6 @@ class LiveBus(ReplayBus):
         return first
 
     def _publish_run(self, run: Run) -> None:
-        """Publish to all that the run begins or ends."""
         port = RUN.of(ROOT)
         self._outbox.stamp(port, run, time.monotonic_ns())
         for put in (super().put, self._observers.put):

@@ -70,7 +70,6 @@ def prepare_at(
 
 
 def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor) -> TimingReport:
-    """Run a plant that `prepare_at` has prepared, and report on it."""
     plan, scenario = preparation.plan, preparation.scenario.scenario
     duration_s = plan.timing.cycles * plan.timing.cycle_wall_ns / 1e9
     began_at, load_before = time.monotonic(), psutil.getloadavg()[0]
@@ -210,7 +209,6 @@ def rate_row(report: TimingReport) -> RateRow:
 
 
 def sweep_result(done: Sweep, scenario: str) -> Result:
-    """Return the rates, the machine, and the highest clean rate."""
     hosts = [row.host for row in done.rows if row.host]
     reasons = [
         f"{cycles_per_s(row.rate_hz)} {row.outcome}: {row.reason}"

@@ -109,7 +109,6 @@ _OF_WORKER: Final[dict[str, Callable[[Any], Any]]] = {}
 
 
 def _begin(function: Callable[[Any], Any]) -> None:
-    """Prepare a worker."""
     die_with_parent()
     parent = multiprocessing.parent_process()
     if parent is None or os.getppid() != parent.pid:  # It died before the kernel was asked.

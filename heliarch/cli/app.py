@@ -25,7 +25,6 @@ COMMANDS: Final = {
 
 
 def _default_text(value: object) -> str | None:
-    """Return how the help shows a default; None: it does not."""
     if value is None or value is False:
         return None
     return f"{value:g}" if isinstance(value, float) else str(value)

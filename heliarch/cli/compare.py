@@ -155,7 +155,6 @@ def compare(
 
 
 def _names(option: str, text: str | None, known: Collection[str]) -> tuple[str, ...]:
-    """Return the names of a text with commas, each once."""
     names = [name.strip() for name in (text or "").split(",") if name.strip()]
     check_names(option, names, known)
     return tuple(dict.fromkeys(names))
@@ -214,7 +213,6 @@ def _json(results: Sequence[Sequence[Row]]) -> list[Row]:
 
 
 def _two_runs(*paths: Path) -> Result:
-    """Put two recordings side by side."""
     from results.two_runs import compare_runs
 
     for path in paths:

@@ -64,7 +64,6 @@ class PlainView:
         self._line.end()
 
     def say(self, text: str) -> None:
-        """Show a line that stays."""
         self._line.end()
         self._console.print(printable(text), highlight=False, soft_wrap=True, markup=False)
 

@@ -13,7 +13,6 @@ _LEAST_MEMORY_MB = 1200
 
 
 def main() -> None:
-    """Run the command that the user named."""
     allowed_mb = resource.getrlimit(resource.RLIMIT_AS)[0] / 1e6
     if 0.0 <= allowed_mb < _LEAST_MEMORY_MB:  # OpenBLAS would wait for memory without an end.
         sys.exit(

@@ -177,7 +177,6 @@ def is_run(path: Path) -> bool:
 def changed_scenario(
     scenario: str, data: Path | None, settings: Sequence[str] | None
 ) -> ScenarioFile:
-    """Load a scenario, and change the fields that `--set` names."""
     from scenarios.scenario import load_scenario
     from scenarios.settings import with_single_settings
 

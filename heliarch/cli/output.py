@@ -48,7 +48,6 @@ class Output:
             print_table(self.console, table)
 
     def write(self, document: object) -> None:
-        """Write the result as JSON."""
         if self._json is not None:
             content = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
             if self._json == "-":

@@ -30,7 +30,6 @@ from scenarios.run_options import RunOptions
 def run_request(
     scenario: str, settings: list[str] | None, files: FileOptions, options: RunOptions
 ) -> RunRequest:
-    """Return what the options of a command ask for."""
     return RunRequest(changed_scenario(scenario, files.data, settings), options, files.out)
 
 

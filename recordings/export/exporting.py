@@ -42,7 +42,6 @@ class ExportSummary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def default_path(recording: Path, form: Form) -> Path:
-    """Return where an export is put by default: beside its recording, with a similar name."""
     return recording.with_name(f"{recording.stem}{_ENDING[form]}")
 
 

@@ -125,11 +125,9 @@ class TableFolder:
 
     @property
     def rows(self) -> dict[str, int]:
-        """Rows of each table."""
         return {name: file.rows for name, file in self.files.items()}
 
     def add(self, record: RecordedMessage, message: Message) -> None:
-        """Add the rows of a message to the table of its signal, and to those of its lists."""
         name, files = record.port.signal.name, self.files
         node, when = agent_name(record.port.node), (message.sim_time_ns, message.cycle)
         logged_ns = record.log_time_ns + self._monotonic_less_wall_ns

@@ -125,7 +125,6 @@ class _Agent:
         return self.missed[number - 1] if number else 0
 
     def silent_cycles(self, cycle: int) -> int:
-        """Return for how many cycles up to one nothing of it came."""
         if cycle > self.heard_in:
             return cycle - self.heard_in
         return self.silent.length(cycle)
@@ -194,7 +193,6 @@ class AgentStates:
             self._listeners.lack(name, keys)
 
     def at(self, name: str, cycle: int) -> AgentState:
-        """Return how an agent was in a cycle that has been recorded."""
         agent = self._agents[name]
         silent, cut_off = agent.silent_cycles(cycle), agent.cut_off.length(cycle)
         if not cut_off and cycle == self.newest and name in self._cut_off():
@@ -209,7 +207,6 @@ class AgentStates:
         )
 
     def absences(self, end: int) -> list[Absence]:
-        """Return the absences of a run that ended before a cycle; nothing more is taken in."""
         self._end_cycle()
         found, hold = self._absences, self._plan.control.hold_cycles
         for span in self._nobody:
@@ -240,7 +237,6 @@ class AgentStates:
         return self._process_word(agent, name, cycle)
 
     def _process_word(self, agent: _Agent, name: str, cycle: int) -> Word:
-        """Return which process speaks for an agent that is heard."""
         number = bisect_right(agent.restarts, cycle)
         if number and name in self._plan.standbys:
             return "standby in charge"
@@ -253,7 +249,6 @@ class AgentStates:
         return self._listeners.cut_off(newest, lambda name: agents[name].heard_in == newest)
 
     def _begin(self, cycle: int) -> None:
-        """Begin a cycle, which ends the one before it."""
         self._end_cycle()
         if cycle > self.newest + 1:
             self._nobody.append(range(self.newest + 1, cycle))

@@ -37,7 +37,6 @@ class Listeners:
         self._cut_off: dict[str, int] | None = {}
 
     def lack(self, listener: str, keys: Collection[str]) -> None:
-        """Take in the keys that a listener missed in the cycle."""
         self._lacked.setdefault(listener, set()).update(self._publisher[key] for key in keys)
         self._cut_off = None
 

@@ -151,7 +151,6 @@ class HealthWatch:
                 self._see_faults(record.port, record.message())
 
     def health(self, run: RunReader, cycle: int) -> Health:
-        """Return the health of the run, which ended before `cycle`."""
         ports, missed, external = self.states.gaps, self.states.missed, self._plan.access.external
         for one in ports.values():
             one.end(cycle)
@@ -175,7 +174,6 @@ class HealthWatch:
         return told(health, run)
 
     def _effects(self, last_cycle: int) -> Iterator[FaultEffect]:
-        """Yield what each fault did in a run of so many cycles."""
         for number, fault in enumerate(self._plan.faults.rules):
             if isinstance(fault, ProcessFault):
                 begin_s = fault.at if isinstance(fault, Kill) else fault.at[0]
@@ -201,7 +199,6 @@ def told(health: Health, run: RunReader) -> Health:
 
 
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
-    """Yield the health of a run as text: pairs of a name and a value."""
     launcher = health.launcher
     touched = f"messages: {counts_text(health.faults) or 'none touched'}"
     yield "faults", touched if health.fault_effects else "none injected"

@@ -146,7 +146,6 @@ def _overview(
 def _count(
     signal: Signal[Message], gaps: dict[Port[Message], PortGaps], cycles: int, wall_s: float
 ) -> SignalCount:
-    """Add up what there is of one signal."""
     own = [one for port, one in gaps.items() if port.signal is signal]
     messages = sum(one.messages for one in own)
     return SignalCount(
@@ -162,7 +161,6 @@ def _count(
 
 
 def facts(run: RunReader, overview: Overview) -> Iterator[tuple[str, str]]:
-    """Yield what the recording is as text: names and facts."""
     plan, origin = run.plan, overview.metadata["run"]
     size_mb = sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6
     size = f"{size_mb:,.1f} MB, files: {len(run.files)}, chunks: {len(run.outline.chunks):,}"

@@ -130,7 +130,6 @@ def _add(
 
 
 def _add_help(cycle: dict[str, NodeCycle], node: str, setpoint: Setpoint) -> None:
-    """Enter which siblings a node helped, and by how much."""
     given = [HelpLine(line.needy, line.power_kw) for line in setpoint.help_given]
     if node in cycle:
         cycle[node].help_for = given

@@ -77,7 +77,6 @@ class PortGaps:
 
 
 def gaps_of_ports(plan: RunPlan, first_cycle: int = 0) -> dict[Port[Message], PortGaps]:
-    """Return what to count the messages of a run with, port by port."""
     logged = sorted((port for port in plan.wiring.ports if port.signal.logged), key=str)
     return {port: PortGaps(due_step(plan, port), first_cycle) for port in logged}
 

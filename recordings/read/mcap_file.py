@@ -97,7 +97,6 @@ class Outline:
         return not self.closed and not self.chunks
 
     def append(self, other: Outline) -> None:
-        """Add the outline of a further file."""
         self.file += 1
         self.chunks += [chunk._replace(file=self.file) for chunk in other.chunks]
         self.channels = self.channels or other.channels
@@ -145,7 +144,6 @@ def walk_on(outline: Outline, file: BinaryIO, *, chunks: bool = True) -> None:
 
 
 def _take(outline: Outline, file: BinaryIO, opcode: int, length: int) -> None:
-    """Enter a record of the data section into the outline."""
     offset = outline.readable_end
     if opcode == Opcode.CHUNK:
         chunk = Chunk(offset, length, outline.file)

@@ -111,7 +111,6 @@ class RunReader:
         return self.outline.whole
 
     def scenario_table(self) -> dict[str, Any]:
-        """Return the scenario as its TOML says it."""
         try:
             return tomllib.loads(self.scenario)
         except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -238,7 +237,6 @@ class RunReader:
 
     @cached_property
     def channels(self) -> dict[int, Port[Message]]:
-        """Ports by the numbers of their channels."""
         if not self.outline.channels:  # The first chunk has them, and is damaged.
             return dict(enumerate(recorded_ports(self.plan), start=1))
         port_at = self.plan.wiring.port
@@ -247,7 +245,6 @@ class RunReader:
 
     @cached_property
     def clock(self) -> RunClock:
-        """Turns local time and time since the start into cycles of this run."""
         return RunClock(self.plan, self.last_cycle)
 
     @cached_property
@@ -343,7 +340,6 @@ class RunReader:
             yield chunk
 
     def _first_cycle(self, chunk: Chunk) -> int | None:
-        """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if chunk not in self._first_cycles:
             cycles = (record.cycle for record in self.records_of(chunk))
             self._first_cycles[chunk] = next(cycles, None)

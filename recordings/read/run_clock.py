@@ -60,7 +60,6 @@ class RunClock:
         return range(first, stop)
 
     def local(self, cycle: int) -> datetime:
-        """Return the local time at the beginning of a cycle."""
         seconds, rest_ns = divmod(self.plan.timing.sim_time_ns(cycle), _SECOND_NS)
         # Adding to a local time would be ambiguous where clocks are put back.
         local = datetime.fromtimestamp(seconds, self._zone)
@@ -73,13 +72,11 @@ class RunClock:
         return self.local(cycle).strftime("%H:%M:%S" if whole else "%H:%M:%S.%f")[:12]
 
     def span_text(self, first: int, last: int) -> str:
-        """Name some cycles with their local times."""
         if first == last:
             return f"in cycle {first:,} ({self.text(first)})"
         return f"in cycles {first:,} to {last:,} ({self.text(first)} to {self.text(last)})"
 
     def extent(self) -> str:
-        """Say when the run begins and ends."""
         if not self._end:
             return "of which no cycle was recorded"
         last_cycle = self._end - 1
@@ -87,7 +84,6 @@ class RunClock:
         return f"which goes from {first:%F %T} to {last:%F %T %Z} (cycles 0 to {last_cycle})"
 
     def _cycle_at(self, text: str) -> int:
-        """Return the cycle of a time that is not a cycle's number."""
         since_start_s = duration_s(text)
         if since_start_s is not None:
             since_start_s = min(since_start_s, 2 * LONGEST_S)

@@ -63,7 +63,6 @@ class NothingRecordedError(InputError):
 
 
 def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
-    """Return the scenario and the plan of the recording at a path."""
     _check_version(outline, path)
     attachments = {entry.name: entry.data for entry in outline.attachments}
     document = attachments.get("plan.json")

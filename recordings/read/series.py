@@ -101,7 +101,6 @@ class RunSeries:
 
     @property
     def noun(self) -> str:
-        """What the columns stand for."""
         return "inverter" if self.inverters == self.plan.tree.leaves else "cluster"
 
     @property
@@ -255,7 +254,6 @@ class SeriesCollector:
         return np.bincount(leaves, powers_kw, len(self._column)).astype(np.float64, copy=False)
 
     def _rows_of(self, name: str, *shape: int) -> NDArray[np.float64]:
-        """Return the rows of a field, of all cycles planned."""
         if name not in self._values:
             self._values[name] = np.full((self._plan.timing.cycles, *shape), nan)
         return self._values[name]

@@ -85,7 +85,6 @@ class PlaybackClock:
         self._moment_ns = now_ns()
 
     def move_to(self, position_ns: int) -> None:
-        """Make a position due now."""
         self._position_ns, self._moment_ns = position_ns, self.now_ns()
 
     def due_ns(self, position_ns: int) -> int:

@@ -70,7 +70,6 @@ class AgentResult:
         stage: str,
         inputs: Mapping[Port[Message], Message] | None = None,
     ) -> None:
-        """Compare a recorded message with a new one; either may be None."""
         message = recorded or new
         if message is None or message.cycle < self.from_cycle:
             return

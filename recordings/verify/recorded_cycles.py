@@ -62,7 +62,6 @@ class RecordedCycles:
         self._newest: dict[str, dict[int, int]] = {agent: {} for agent in plan.tree.agents()}
 
     def on(self, port: Port[Message], cycle: int) -> Sequence[Message]:
-        """Return what came on a port in one of the newest cycles."""
         return self._messages.get(cycle, {}).get(port, ())
 
     def may_lack(self, publisher: str, cycle: int) -> bool:

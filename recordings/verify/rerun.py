@@ -174,7 +174,6 @@ class AgentRerun:
         return outputs or {self._newest_incarnation: {}}
 
     def _begin(self, incarnation: int) -> Process:
-        """Let a process of the agent join the run."""
         agent = self._make()
         inputs = Inputs(self._plan, agent.name, 0, lambda count, why: None)
         process = Process(agent, inputs, incarnation, agent.initial_state())
@@ -189,7 +188,6 @@ class AgentRerun:
         return process
 
     def _run(self, incarnation: int, now: CycleUnderWay) -> None:
-        """Run a cycle of one process again."""
         if incarnation not in self._processes:
             self._processes[incarnation] = self._begin(incarnation)
         process = self._processes[incarnation]

@@ -54,7 +54,6 @@ class Verification:
 
     @property
     def differences(self) -> int:
-        """Number of differences of all agents."""
         return sum(result.differences.total() for result in self.agents.values())
 
     @property
@@ -127,7 +126,6 @@ def verify(
 
 
 def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
-    """Return the profile that lies beside a recording, None if there is none."""
     path = recording.with_name(PROFILE_NAME)
     if not path.exists():
         return None

@@ -33,7 +33,6 @@ class Device:
         self.end(0.0)
 
     def words(self, plan: Path) -> list[str]:
-        """Return the command's words for a plan."""
         words: list[str] = []
         with suppress(ValueError, KeyError, IndexError):
             words = [word.format(plan=plan, node=self._node) for word in shlex.split(self._command)]

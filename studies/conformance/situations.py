@@ -61,7 +61,6 @@ class Script:
 
     @property
     def cycle(self) -> int:
-        """The next cycle."""
         return len(self.shows)
 
     def due(self, port: Port[Message]) -> bool:
@@ -230,7 +229,6 @@ def _wrong(script: Script, port: Port[Message]) -> list[tuple[Copy, ...]]:
 
 
 def _random(script: Script, port: Port[Message]) -> Copy:
-    """Return a message with random powers, mostly within their bounds."""
     rating_kw, kind, draw = script.plan.tree.rating_kw(port.node), port.signal.type, script.draw
     ranges = {Dispatch: (-0.2, 1.2), Residual: (-1.0, 1.0), Telemetry: (0.0, 1.1)}
     changes: Changes = {"power_kw": draw.uniform(*ranges.get(kind, (0.0, 1.0))) * rating_kw}
