@@ -129,8 +129,6 @@ def _external_rows(summary: RunSummary) -> Iterator[Row]:
         counts = {"lost": account.lost, "late": late, "refused": summary.refused(account)}
         notes = ["messages recorded", answered]
         notes += [f"{count:,} {name}" for name, count in counts.items() if count]
-        for gone, back in account.outages:
-            notes.append(f"gone from cycle {gone:,} to {'the end' if back is None else back}")
         yield f"External {account.agent}", sum(account.recorded.values()), "", "; ".join(notes)
 
 

@@ -107,15 +107,12 @@ class Complaint(Event, frozen=True):
 
 
 class ExternalAccount(msgspec.Struct, frozen=True):
-    """What was heard of an external agent, which gives no account of itself.
-
-    The recorder knows its outages; the counts are of the recording, at the end of the run.
+    """What the recording of a run that is over holds of an external agent.
 
     recorded: Its messages in the recording, by signal.
     lost: Its messages that their sequence numbers show to be missing.
     expected, answered: How many messages should have come on the keys with one in each cycle, and
         how many came.
-    outages: Cycles in which it went away and came back; None: it did not.
     differing: How many of its messages are not what a direct controller must decide; 0 if it is
         none.
     """
@@ -125,7 +122,6 @@ class ExternalAccount(msgspec.Struct, frozen=True):
     lost: int = 0
     expected: int = 0
     answered: int = 0
-    outages: tuple[tuple[int, int | None], ...] = ()
     differing: int = 0
 
 
@@ -136,7 +132,8 @@ class Recorded(Event, frozen=True):
     foreign: Payloads on the run's keys that are no messages of the run.
     cycles: How many cycles the plant completed.
     ended_early: Why the file does not go up to the end of the run; empty if it does.
-    external: External agents. Their messages are among the others in `recorded`.
+    external: External agents, once the recording has been counted; their messages are among the
+        others in `recorded`.
     complaints: What was wrong with foreign messages, those of external agents, and those that
         contradict others of their key.
     extra: Messages of `recorded` that came second on keys of the launcher's own processes.

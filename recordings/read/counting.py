@@ -69,7 +69,7 @@ def checked(
     except (InputError, OSError) as error:
         return replace(account, recorded={}), None, f"the recording cannot be read: {error}"
     recorded = count.by_signal()
-    external = tuple(_completed(plan, one, account.cycles, count) for one in account.external)
+    external = tuple(_external(plan, agent, account.cycles, count) for agent in plan.elsewhere)
     fault = ""
     if Counter(account.recorded) - recorded:
         reported = sum(account.recorded.values())
@@ -78,15 +78,12 @@ def checked(
     return replace(account, recorded=dict(recorded), external=external), count, fault
 
 
-def _completed(
-    plan: RunPlan, account: ExternalAccount, cycles: int, count: RecordingCount
-) -> ExternalAccount:
-    """Return the account of an external agent with what its messages tell."""
-    own = {port: one for port, one in count.gaps.items() if port.publisher == account.agent}
+def _external(plan: RunPlan, agent: str, cycles: int, count: RecordingCount) -> ExternalAccount:
+    own = {port: one for port, one in count.gaps.items() if port.publisher == agent}
     due = {port: -(-cycles // step) for port in own if (step := due_step(plan, port))}
-    return replace(
-        account,
-        recorded=dict(count.by_signal(account.agent)),
+    return ExternalAccount(
+        agent,
+        recorded=dict(count.by_signal(agent)),
         lost=sum(one.lost for one in own.values()),
         expected=sum(due.values()),
         answered=sum(min(own[port].cycles, number) for port, number in due.items()),

@@ -178,7 +178,6 @@ class Recorder:
             foreign=listener.complaints.set_aside,
             cycles=cycles,
             ended_early=self._writer.ended_early,
-            external=listener.external.accounts(),
             complaints=listener.complaints.all(),
             extra=dict(listener.senders.extra),
             own_mb=own_memory_mb(),

@@ -15,7 +15,7 @@ from dataclasses import astuple
 import msgspec
 
 from agents.plan import RunPlan
-from agents.process.events import ExternalAccount, Presence
+from agents.process.events import Presence
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port, ports
@@ -42,20 +42,12 @@ class ExternalAgents:
         )
         # Ports whose messages come regularly, with the cycles from one to the next.
         self._steps = {port: step for port in self._newest if (step := due_step(plan, port))}
-        self._outages: dict[str, list[tuple[int, int | None]]] = {}
 
     def presence(self, cycle: int) -> Iterator[Presence]:
-        """Yield which of them have come or gone; before cycle 0 that is no outage."""
+        """Yield which of them have come or gone."""
         for key, alive in self._tokens.changes() if self._tokens is not None else ():
-            agent = self._agent_of.get(key)
-            if agent is None:
-                continue
-            outages = self._outages.setdefault(agent, [])
-            if not alive and cycle >= 0:
-                outages.append((cycle, None))
-            elif alive and outages:
-                outages[-1] = (outages[-1][0], cycle)
-            yield Presence(agent, alive, cycle)
+            if (agent := self._agent_of.get(key)) is not None:
+                yield Presence(agent, alive, cycle)
 
     def hear(self, port: Port[Message], cycle: int) -> None:
         """Count a message that is recorded."""
@@ -66,13 +58,6 @@ class ExternalAgents:
         """Return whether the last message due in so many cycles has come on each port."""
         return all(
             self._newest[port] >= (cycles - 1) // step * step for port, step in self._steps.items()
-        )
-
-    def accounts(self) -> tuple[ExternalAccount, ...]:
-        """Return the outages of each of them; the recording tells the rest."""
-        return tuple(
-            ExternalAccount(agent, outages=tuple(self._outages.get(agent, ())))
-            for agent in self._agent_of.values()
         )
 
 
