@@ -15,7 +15,6 @@ from bus_schemas.codec import decode, decode_head
 from bus_schemas.messages import Head, Message, Ready, Run
 from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT
-from bus_schemas.zenoh_session import TokenWatch
 from recordings.record.complaints import (
     CONFLICTING,
     OUT_OF_RANGE,
@@ -28,7 +27,7 @@ from recordings.record.complaints import (
 from recordings.record.phases import ArmingRound, RunProgress
 from recordings.record.plausibility import out_of_range
 from recordings.record.reach import Reach
-from recordings.record.senders import ExternalAgents, SecondSenders
+from recordings.record.senders import SecondSenders
 from recordings.record.writer import RunWriter
 
 _FAR_AHEAD: Final = 1000
@@ -70,17 +69,16 @@ class RunListener:
         plan: RunPlan,
         writer: RunWriter,
         tell: Callable[[Event], None],
-        tokens: TokenWatch | None,
         now_ns: Callable[[], int],
         *,
         joins_late: bool = False,
     ) -> None:
         self.progress = RunProgress(plan)
-        self.external = ExternalAgents(plan, tokens)
         self.senders = SecondSenders(plan)
         self.complaints = Complaints(tell)
         self._plan = plan
         self._writer = writer
+        self._heard_elsewhere = 0
         self._tell = tell
         self._now_ns = now_ns
         self._arming = ArmingRound(plan, answered=joins_late)
@@ -90,7 +88,7 @@ class RunListener:
     @property
     def own_heard(self) -> int:
         """Messages of the launcher's processes that have come."""
-        return self._writer.heard - self.external.heard - self.senders.extra.total()
+        return self._writer.heard - self._heard_elsewhere - self.senders.extra.total()
 
     def hear(self, key: str, payload: bytes) -> Ready | None:
         """Take in a message; return an answer if it completes an arming round."""
@@ -150,7 +148,7 @@ class RunListener:
             self._reach.hear(head, payload, heard_ns)
         complaint = self.senders.hear(port, head.cycle, head.incarnation, payload)
         if known.is_elsewhere and message is not None:
-            self.external.hear(port, head.cycle)
+            self._heard_elsewhere += 1
             if complaint is None and (text := out_of_range(self._plan, port, message, heard_ns)):
                 complaint = OUT_OF_RANGE, text
         if complaint is not None:

@@ -22,11 +22,8 @@ time, before it counts."""
 
 _QUIET_S: Final = 0.5
 _LONGEST_QUIET_S: Final = 2.0
-"""How long in all the recorder waits at the end for messages that do not come: where nobody says
-how many to expect, and where somebody does."""
-
-_QUIET_DEVICES_S: Final = 0.3
-"""How long the recorder listens whether a device goes on after the run's end."""
+"""How long in all the recorder waits at the end for messages that do not come: of those who do not
+say how many to expect, as devices, and of those who do."""
 
 _MOST_OF_OTHERS: Final = 100_000
 """How many messages from outside the launcher's processes are still recorded at the end: more than
@@ -146,8 +143,8 @@ class Closing:
     `expected`: Messages of the launcher's processes; None: not known.
     """
 
-    def __init__(self, *, has_devices: bool = False) -> None:
-        self._least_quiet_s = _QUIET_DEVICES_S if has_devices else 0.0
+    def __init__(self, *, has_others: bool = False) -> None:
+        self._least_quiet_s = _QUIET_S if has_others else 0.0
         self.expected: int | None = None
         self._asked_at_s: float | None = None
         self._quiet_s = 0.0
@@ -163,16 +160,12 @@ class Closing:
             self._others_left -= others
             self._quiet_s += quiet_s
 
-    def is_over(self, now_s: float, own_heard: int, *, others_done: bool) -> bool:
-        """Whether the recording may end, when so many messages of the launcher's have come.
-
-        Devices do not say how much they published, and their messages come on other links:
-        `others_done` says whether the last of them have come.
-        """
+    def is_over(self, now_s: float, own_heard: int) -> bool:
+        """Whether the recording may end, when so many messages of the launcher's have come."""
         if self._asked_at_s is None:
             return False
         if self.expected is None:
             return self._quiet_s > _QUIET_S or now_s > self._asked_at_s + _LONGEST_QUIET_S
-        if own_heard >= self.expected and others_done and self._quiet_s >= self._least_quiet_s:
+        if own_heard >= self.expected and self._quiet_s >= self._least_quiet_s:
             return True
         return self._quiet_s > _LONGEST_QUIET_S or self._others_left <= 0

@@ -17,7 +17,7 @@ from typing import Final
 
 from agents.plan import RunPlan
 from agents.process.agent_process import run_guarded, set_up_process
-from agents.process.events import Joined, Over, Recorded, RecordingEnded
+from agents.process.events import Joined, Over, Presence, Recorded, RecordingEnded
 from agents.process.launcher_link import LauncherLink
 from agents.process.machine import own_memory_mb, stand_back
 from agents.process.session import session_settings
@@ -103,17 +103,16 @@ class Recorder:
         self._link = link
         self._now_ns = now_ns
         self._sleep = sleep
-        self._closing = Closing(has_devices=bool(plan.access.external))
-        tokens = subscriber.watch_tokens() if plan.elsewhere else None
-        self._listener = RunListener(
-            plan, writer, link.tell, tokens, now_ns, joins_late=link.starts > 0
-        )
+        self._closing = Closing(has_others=bool(plan.elsewhere))
+        self._tokens = subscriber.watch_tokens() if plan.elsewhere else None
+        self._agent_of = {plan.wiring.alive_key(agent): agent for agent in plan.elsewhere}
+        self._listener = RunListener(plan, writer, link.tell, now_ns, joins_late=link.starts > 0)
 
     def run(self) -> None:
         """Record until the launcher ends it, then close the file and report."""
         closing, listener, progress = self._closing, self._listener, self._listener.progress
         now = flush_at = status_at = self._now_s()
-        while not closing.is_over(now, listener.own_heard, others_done=self._others_done()):
+        while not closing.is_over(now, listener.own_heard):
             if self._link.unheard:
                 self._link.unheard = False
                 self._subscriber.reopen()
@@ -156,16 +155,12 @@ class Recorder:
         if expected is not None or link.dismissed or is_over:
             closing.ask(self._now_s())
 
-    def _others_done(self) -> bool:
-        """Whether the last messages of external agents have come."""
-        stop_cycle = self._listener.progress.stop_cycle
-        return stop_cycle is None or self._listener.external.have_answered(stop_cycle)
-
     def _tell_status(self) -> None:
         progress = self._listener.progress
-        if progress.stop_cycle is None:  # At the end of the run all of them go.
-            for presence in self._listener.external.presence(progress.newest_cycle):
-                self._link.tell(presence)
+        if self._tokens is not None and progress.stop_cycle is None:  # At the end all of them go.
+            for key, alive in self._tokens.changes():
+                if (agent := self._agent_of.get(key)) is not None:
+                    self._link.tell(Presence(agent, alive, progress.newest_cycle))
         self._link.tell(self._listener.status())
 
     def _account(self) -> Recorded:

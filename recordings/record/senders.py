@@ -1,4 +1,4 @@
-"""Who sends: external agents, which report nothing themselves, and second senders on a key.
+"""Second senders on a key.
 
 A publisher sends one message in a cycle, and numbers its messages upwards. A process that replaces
 it has a higher incarnation, and the replaced one publishes nothing more. Only in lockstep may it be
@@ -9,18 +9,14 @@ the same messages once more.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import astuple
 
 import msgspec
 
 from agents.plan import RunPlan
-from agents.process.events import Presence
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message
-from bus_schemas.signals import RUN, Port, ports
-from bus_schemas.zenoh_session import TokenWatch
-from recordings.read.gaps import due_step
+from bus_schemas.signals import RUN, Port
 from recordings.record.complaints import CONFLICTING, DUPLICATE
 from recordings.verify.equality import Equality, FieldDifference
 
@@ -28,37 +24,6 @@ _MOST_KEPT = 4
 """Messages of a key that are kept: one of the cycle under way, and of those beside it."""
 
 _CONTENT = Equality(ignored=frozenset({"incarnation", "missing"}))
-
-
-class ExternalAgents:
-    """The external agents of a run: which are present, by their tokens, and in which cycle."""
-
-    def __init__(self, plan: RunPlan, tokens: TokenWatch | None = None) -> None:
-        self.heard = 0
-        self._tokens = tokens
-        self._agent_of = {plan.wiring.alive_key(agent): agent for agent in plan.elsewhere}
-        self._newest = dict.fromkeys(
-            (port for port in ports(plan.tree) if port.publisher in plan.elsewhere), -1
-        )
-        # Ports whose messages come regularly, with the cycles from one to the next.
-        self._steps = {port: step for port in self._newest if (step := due_step(plan, port))}
-
-    def presence(self, cycle: int) -> Iterator[Presence]:
-        """Yield which of them have come or gone."""
-        for key, alive in self._tokens.changes() if self._tokens is not None else ():
-            if (agent := self._agent_of.get(key)) is not None:
-                yield Presence(agent, alive, cycle)
-
-    def hear(self, port: Port[Message], cycle: int) -> None:
-        """Count a message that is recorded."""
-        self.heard += 1
-        self._newest[port] = max(cycle, self._newest[port])
-
-    def have_answered(self, cycles: int) -> bool:
-        """Return whether the last message due in so many cycles has come on each port."""
-        return all(
-            self._newest[port] >= (cycles - 1) // step * step for port, step in self._steps.items()
-        )
 
 
 class SecondSenders:
