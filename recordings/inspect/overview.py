@@ -71,7 +71,7 @@ def keep_overview(recording: Path, count: RecordingCount | None = None) -> Overv
     count: Of a run in which nothing can be late or missing: it says all that there is to say.
     """
     with RunReader(recording) as run:
-        overview = _go_through(run, None) if count is None else _by_count(run, count)
+        overview = _overview(run, None, count)
         kept = msgspec.json.encode(_Kept(_files(run), overview))
     with whole_file(recording.parent / OVERVIEW_NAME) as file:
         file.write(kept)
@@ -84,10 +84,10 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     if cycles is None:
         with suppress(OSError, msgspec.DecodeError):
             kept = msgspec.json.decode((folder / OVERVIEW_NAME).read_bytes(), type=_Kept)
-            overview = kept.overview
-            if kept.files == _files(run) and overview.metadata == run.metadata:
-                return replace(overview, path=str(run.path), health=told(overview.health, run))
-    return _go_through(run, cycles)
+            if kept.files == _files(run):
+                health = told(kept.overview.health, run)
+                return replace(kept.overview, path=str(run.path), health=health)
+    return _overview(run, cycles)
 
 
 def _files(run: RunReader) -> tuple[tuple[int, int], ...]:
@@ -95,36 +95,15 @@ def _files(run: RunReader) -> tuple[tuple[int, int], ...]:
     return tuple((state.st_size, state.st_mtime_ns) for state in states)
 
 
-def _by_count(run: RunReader, count: RecordingCount) -> Overview:
-    health = told(Health(stop_cycle=run.stop_cycle, launcher=None), run)
-    wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0))
-    return _overview(run, wanted, count.gaps, health, count.wall_ns / 1e9)
-
-
-def _go_through(run: RunReader, cycles: range | None) -> Overview:
-    """Go through a recording, message by message but without decoding them, and count."""
-    wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
-    watch = HealthWatch(run.plan, wanted)
-    first_ns = last_ns = 0
-    for record in run.records(cycles=cycles):
-        watch.see(record)
-        first_ns = first_ns or record.log_time_ns
-        last_ns = record.log_time_ns
-    production = watch.states.gaps[PRODUCTION.of(ROOT)]
-    # If the run's end was not recorded, the cycles up to the last production were due.
-    end = production.newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
-    health = watch.health(run, end)
-    return _overview(run, wanted, watch.states.gaps, health, (last_ns - first_ns) / 1e9)
-
-
 def _overview(
-    run: RunReader,
-    wanted: range,
-    gaps: dict[Port[Message], PortGaps],
-    health: Health,
-    wall_s: float,
+    run: RunReader, cycles: range | None, count: RecordingCount | None = None
 ) -> Overview:
-    sent = {port.signal for port in gaps}
+    wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
+    if count is None:
+        count, health = _go_through(run, cycles, wanted)
+    else:
+        health = told(Health(stop_cycle=run.stop_cycle, launcher=None), run)
+    wall_s, sent = count.wall_ns / 1e9, {port.signal for port in count.gaps}
     return Overview(
         path=str(run.path),
         run_id=run.plan.run_id,
@@ -132,15 +111,32 @@ def _overview(
         whole=run.whole,
         first_cycle=wanted.start,
         last_cycle=wanted.stop - 1,
-        complete_cycles=gaps[PRODUCTION.of(ROOT)].cycles,
+        complete_cycles=count.gaps[PRODUCTION.of(ROOT)].cycles,
         planned_cycles=run.plan.timing.cycles,
         interrupted=(run.stop_cycle or run.plan.timing.cycles) < run.plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
-            _count(signal, gaps, len(wanted), wall_s) for signal in SIGNALS if signal in sent
+            _count(signal, count.gaps, len(wanted), wall_s) for signal in SIGNALS if signal in sent
         ),
         health=health,
     )
+
+
+def _go_through(
+    run: RunReader, cycles: range | None, wanted: range
+) -> tuple[RecordingCount, Health]:
+    """Go through a recording message by message, most of them without decoding them."""
+    watch = HealthWatch(run.plan, wanted)
+    first_ns = last_ns = 0
+    for record in run.records(cycles=cycles):
+        watch.see(record)
+        last_ns = record.log_time_ns
+        first_ns = first_ns or last_ns
+    gaps = watch.states.gaps
+    # If the run's end was not recorded, the cycles up to the last production were due.
+    newest = gaps[PRODUCTION.of(ROOT)].newest
+    end = newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
+    return RecordingCount(gaps, last_ns - first_ns), watch.health(run, end)
 
 
 def _count(

@@ -7,14 +7,12 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
 import pytest
 from recordings_by_hand import whole_run, write_run
 
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputWarning
 from recordings.inspect.overview import (
-    OVERVIEW_NAME,
     Overview,
     SignalCount,
     facts,
@@ -157,17 +155,3 @@ def test_the_overview_of_the_end_of_a_run_is_read_as_long_as_its_file_is_the_sam
     os.utime(path, ns=times)
     with RunReader(path) as run:
         assert read_overview(run) == read, "the same one is not"
-
-
-def test_a_kept_overview_with_other_metadata_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    write_run(path, whole_run(CYCLES))
-    keep_overview(path)
-    kept = path.parent / OVERVIEW_NAME
-    document = msgspec.json.decode(kept.read_bytes())
-    document["overview"] |= {"metadata": {}, "wall_s": 0.0}
-    kept.write_bytes(msgspec.json.encode(document))
-    with RunReader(path) as run:
-        found = read_overview(run)
-    assert found.metadata == run.metadata
-    assert found.wall_s > 0.0
