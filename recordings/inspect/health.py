@@ -21,7 +21,7 @@ from bus_schemas.errors import InputError, listed
 from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from bus_schemas.tree import RECORDER, standby_of
+from bus_schemas.tree import RECORDER
 from recordings.inspect.absences import Absence
 from recordings.inspect.agent_states import AgentStates
 from recordings.read.reader import RecordedMessage, RunReader
@@ -209,15 +209,14 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", _dropped(launcher)
     yield "inputs", _missed_text(health, clock)
-    absences = list(_true_absences(health, clock.plan))
-    for absence in absences[:_NAMED]:
+    for absence in health.absences[:_NAMED]:
         yield "absent", absence.text(clock)
-    if others := len(absences[_NAMED:]) + health.more_absences:
+    if others := len(health.absences[_NAMED:]) + health.more_absences:
         yield "absent", f"and {others:,} more"
     # Messages show which agents restarted; the recorder publishes none.
     if recorder := launcher.restarts.get(RECORDER) if launcher else None:
         yield "absent", f"{RECORDER}: restarted ({recorder:,})"
-    elif not absences:
+    elif not health.absences:
         yield "absent", "none"
     yield from _lacks(launcher, clock) if launcher else ()
     end, planned = "ended in order", clock.plan.timing.cycles
@@ -228,21 +227,6 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     elif health.stop_cycle < planned:
         end = f"interrupted after {health.stop_cycle:,} of {planned:,} cycles"
     yield "run", launcher.recording_ended if launcher and launcher.recording_ended else end
-
-
-def _true_absences(health: Health, plan: RunPlan) -> Iterator[Absence]:
-    """Yield the absences, without restarts that another program has made up.
-
-    The launcher knows which of its own processes it started again, and which took over.
-    """
-    launcher = health.launcher
-    replaced = {*launcher.restarts, *launcher.takeovers, *plan.elsewhere} if launcher else set()
-    for absence in health.absences:
-        is_known = launcher is None or replaced & {absence.agent, standby_of(absence.agent)}
-        if is_known or absence.how not in {"restarted", "standby took over"}:
-            yield absence
-        elif absence.cycles:
-            yield replace(absence, how="back")
 
 
 def _lacks(launcher: LauncherAccount, clock: RunClock) -> Iterator[tuple[str, str]]:

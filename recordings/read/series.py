@@ -335,8 +335,7 @@ def _read(
     collector = SeriesCollector(reader.plan, clusters)
     own = reader.ports(DISPATCH, METER, PRODUCTION) | ports
     for port, message in reader.on(own.union(*(one.ports for one in also))):
-        if port in own:
-            collector.see(port, message)
+        collector.see(port, message)
         for one in also:
             if port in one.ports:
                 one.see(port, message)

@@ -110,17 +110,6 @@ def test_a_restart_is_told_once_whenever_a_rare_message_follows(tmp_path: Path) 
     assert "c1/a: restarted in cycle 20" in text
 
 
-@pytest.mark.parametrize(("restarts", "is_named"), [({"c1/a": 1}, True), ({}, False)])
-def test_a_restart_that_the_launcher_does_not_know_is_forged(
-    tmp_path: Path, restarts: dict[str, int], is_named: bool
-) -> None:
-    document = {"run_id": PLAN.run_id, "launcher": {"restarts": restarts}}
-    (tmp_path / SUMMARY_NAME).write_text(json.dumps(document))
-    write_messages(tmp_path / "run.mcap", joined_in_cycle_20("c1/a", lambda pair: True))
-    _, text = health_of(tmp_path)
-    assert ("c1/a: restarted in cycle 20" in text) == is_named
-
-
 @pytest.mark.parametrize(("cycles", "text"), [(1000, "ended in order"), (60, "60 of 1,000")])
 def test_a_run_that_ended_before_its_last_cycle_was_interrupted(
     tmp_path: Path, cycles: int, text: str
