@@ -76,15 +76,13 @@ class Outline:
     should. Otherwise it was cut, is damaged at `readable_end`, or is still being written. The
     checksums of `damaged_attachments` are wrong.
 
-    A recording may go on in further files. Then `size`, `closed` and `readable_end` are those of
-    the last one, of the number `file`, and it is `whole` if all of them are.
+    A recording may go on in further files. Then `closed` and `readable_end` are those of the last
+    one, of the number `file`, and it is `whole` if all of them are.
     """
 
-    size: int = 0
     closed: bool = False
     whole: bool = False
     readable_end: int = len(MAGIC)
-    header: records.Header | None = None
     attachments: list[records.Attachment] = field(default_factory=list)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
@@ -100,7 +98,7 @@ class Outline:
         self.file += 1
         self.chunks += [chunk._replace(file=self.file) for chunk in other.chunks]
         self.channels = self.channels or other.channels
-        self.size, self.readable_end, self.closed = other.size, other.readable_end, other.closed
+        self.readable_end, self.closed = other.readable_end, other.closed
         self.whole &= other.whole
 
 
@@ -123,7 +121,7 @@ def walk_on(outline: Outline, file: BinaryIO, *, chunks: bool = True) -> None:
 
     A second call goes on from there, since a file that is being written grows.
     """
-    outline.size = size = file.seek(0, SEEK_END)
+    size = file.seek(0, SEEK_END)
     while not outline.closed:
         offset = outline.readable_end
         file.seek(offset)
@@ -153,12 +151,10 @@ def _take(outline: Outline, file: BinaryIO, opcode: int, length: int) -> None:
             for entry in _records_in(unpack_chunk(file, chunk)):
                 if isinstance(entry, records.Channel):
                     outline.channels[entry.id] = entry
-    elif opcode in {Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA}:
+    elif opcode in {Opcode.ATTACHMENT, Opcode.METADATA}:
         file.seek(offset)
         content = file.read(_RECORD_HEAD.size + length)
         match next(_records_in(content), None):
-            case records.Header() as header:
-                outline.header = header
             case records.Metadata() as entry:
                 outline.metadata[entry.name] = entry.metadata
             case records.Attachment() as attachment:

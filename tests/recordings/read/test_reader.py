@@ -150,7 +150,7 @@ def test_a_torn_file_never_breaks_the_reading(
     torn = bytearray(recording[0].read_bytes())
     for place, value in damage:
         torn[int(place * len(torn))] = value
-    assert read_outline(BytesIO(torn)).size == len(torn)
+    assert read_outline(BytesIO(torn)).readable_end <= len(torn)
 
 
 def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one(
