@@ -98,25 +98,25 @@ class Inputs:
             one.forget()
             one.ahead = kept
 
-    def admits(self, one: Input, message: Message, cycle: int, enters: bool) -> bool:
+    def admits(self, one: Input, message: Message, cycle: int) -> bool:
         """Whether a message can be of its publisher's newest process, and of a cycle near by.
 
-        Nothing changes before. `enters`: The message takes the agent into its cycle.
+        Nothing changes before.
         """
         of, incarnation = message.cycle, message.incarnation
-        is_ahead = of > cycle
+        is_ahead, is_far = of > cycle, of > max(cycle, 0) + self._horizon
         if incarnation < one.incarnation:
             cause, why = "wrong_sender", f"{_JOINED} {incarnation}, since replaced"
         elif 0 < incarnation > of:
             cause, why = "out_of_range", f"{_JOINED} {incarnation}, which is yet to come"
-        elif of >= self._cycles or (is_ahead and of > max(cycle, 0) + self._horizon and not enters):
+        elif of >= self._cycles or (is_far and cycle >= 0):
             cause, why = "wrong_cycle", f"is too far from {cycle}"
         elif of <= one.newest_cycle:
             cause = "duplicate" if of == one.newest_cycle else "late"
             why = f"came after that of cycle {one.newest_cycle}"
         elif of in one.ahead:
             cause, why = "duplicate", "came twice"
-        elif is_ahead and len(one.ahead) > self._horizon:
+        elif is_ahead and not is_far and len(one.ahead) > self._horizon:
             cause, why = "wrong_cycle", "is one of too many that are ahead"
         elif of >= 0 and of % one.period:
             cause, why = "wrong_cycle", "is not of a turn of its sender"
@@ -124,6 +124,15 @@ class Inputs:
             return True
         self.drop(cause, one.port, message, why, cycle)
         return False
+
+    def keep(self, one: Input, message: Message, cycle: int) -> None:
+        """Keep a message of a cycle to come: it may overtake the dispatch that lets an agent join.
+
+        Before that an agent does not know which cycle is under way, and keeps the newest message.
+        """
+        if cycle < 0 and message.cycle > self._horizon:
+            one.ahead.clear()
+        one.ahead[message.cycle] = message
 
     def take(self, one: Input, message: Message, cycle: int) -> None:
         """Make a message the newest of its input; with a bad number it keeps no agent waiting."""

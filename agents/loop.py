@@ -116,20 +116,20 @@ class Loop(Generic[S]):
 
     def _hear_input(self, one: Input, message: Message, time_ns: int) -> None:
         inputs, standby, port = self.inputs, self.standby, one.port
-        # A dispatch takes a controller into another round, or into a run that is under way.
-        enters = port is _DISPATCH and self.cycle < 0 and message.cycle > self.cycle
-        if not inputs.admits(one, message, self.cycle, enters):
+        if not inputs.admits(one, message, self.cycle):
             return
         if port in standby.heard and not standby.silent:
             silences = is_within(message, one.bounds) and standby.yield_to(port, message)
             if not silences:
                 return
+        # A dispatch takes a controller into another round, or into a run that is under way.
+        enters = port is _DISPATCH and self.cycle < 0 and message.cycle > self.cycle
         if enters and is_within(message, one.bounds):
             self._follow(message, time_ns)
         if message.cycle <= self.cycle:
             inputs.take(one, message, self.cycle)
         else:
-            one.ahead[message.cycle] = message
+            inputs.keep(one, message, self.cycle)
         if port is _DISPATCH and self.times.end_cycle <= message.cycle:
             self._forget_false_stop(message, time_ns)
         if message.cycle == self.cycle and port in self.waiting:

@@ -267,6 +267,15 @@ def test_messages_of_cycle_0_may_overtake_the_beginning_of_the_run() -> None:
     assert (loop.cycle, loop.is_complete) == (0, True)
 
 
+def test_messages_of_the_cycle_in_which_one_joins_may_overtake_its_dispatch() -> None:
+    loop = Loop(Clerk(), ON_THE_CLOCK)
+    for cycle in range(5, 21):
+        for delivery in both(cycle):
+            loop.hear(*delivery, 0)
+    loop.hear(*dispatch(20, 1.0, 200.0), 0)
+    assert (loop.cycle, loop.is_complete, loop.inputs.dropped) == (20, True, {})
+
+
 def test_one_that_has_just_joined_leaves_its_standby_a_cycle_to_speak_first() -> None:
     loop = Loop(Clerk(), plan(cycle_wall_ns=REAL_TIME, standby=("c1",)))
     loop.hear(*dispatch(20, 1.0, 200.0), 0)
