@@ -261,9 +261,8 @@ class _Launch:
         recorder = children[RECORDER]
         if recorder.ready and not self._is_present(recorder):
             return
-        expired = _key_trouble(self._plan)
-        if expired or not self._restarts.mends(to_blame):
-            raise children.failure(to_blame[0], f"{line}{expired}")
+        if not self._restarts.mends(to_blame):
+            raise children.failure(to_blame[0], line)
         for child in waiting:
             child.waiting = None
 
@@ -362,19 +361,6 @@ def check_processes(plan: RunPlan) -> None:
         expected = "a kind that has processes of its own (see `processes` in the scenario)"
         raise InputError(f"--cpus {kind}: expected {expected}")
     check_devices(plan)
-    _check_keys(plan)
-
-
-def _key_trouble(plan: RunPlan) -> str:
-    """Say why no link can be opened any more, if the run has outlived its certificates."""
-    try:
-        _check_keys(plan)
-    except InputError as error:
-        return f"; {error}"
-    return ""
-
-
-def _check_keys(plan: RunPlan) -> None:
     if plan.access.keys_folder:
         from scenarios.plant_keys import check_keys  # noqa: PLC0415 - optional
 

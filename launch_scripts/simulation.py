@@ -9,7 +9,6 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
 from heapq import heapify, heappop, heappush
-from math import isfinite
 from resource import RUSAGE_SELF, getrusage
 from typing import Any, Final
 
@@ -56,9 +55,7 @@ def on_the_clock(plan: RunPlan) -> RunPlan:
 class MemoryRun:
     """A run in memory: in lockstep, or on a virtual clock where its network has faults.
 
-    `on_publish` is called with every message, with its port. `restart_takes_s` is the time from the
-    death of a controller until its successor hears messages [s]; infinite: there is none. `make`
-    makes the controller of a name, `make_plant` the plant.
+    `on_publish` is called with every message, with its port; `make_plant` makes the plant.
     """
 
     def __init__(
@@ -66,8 +63,6 @@ class MemoryRun:
         plan: RunPlan,
         profile: Profile,
         on_publish: Callable[[Port[Message], Message], None] | None = None,
-        restart_takes_s: float = RESTART_TAKES_S,
-        make: Callable[[RunPlan, str], Agent[Any]] = controller,
         make_plant: Callable[[RunPlan, Profile], Plant] = Plant,
     ) -> None:
         clock = VirtualClock() if plan.faults.rules else None
@@ -75,14 +70,12 @@ class MemoryRun:
         self.plan = changed(plan, timing={"cycle_wall_ns": 0}) if clock is None else plan
         faults = self.plan.network_faults() if plan.faults.rules else None
         self._incidents = incidents(plan.faults.rules, plan.tree, plan.wiring)
-        self._restart_takes_s = restart_takes_s
-        self._make = make
         self._frozen: dict[str, tuple[Loop[Any], int]] = {}
         self._restarted_s: dict[str, list[float]] = {}
         self.given_up: dict[str, int] = {}
         self.bus = MemoryBus(self.plan.wiring.hearers, on_publish, clock, faults)
         team: list[Agent[Any]] = [make_plant(self.plan, profile)]
-        team += [make(self.plan, agent_name(node)) for node in self.plan.tree.nodes]
+        team += [controller(self.plan, agent_name(node)) for node in self.plan.tree.nodes]
         loops = [
             *(Loop(agent, self.plan) for agent in team),
             *(self._loop(standby_of(agent)) for agent in self.plan.standbys),
@@ -171,8 +164,6 @@ class MemoryRun:
             self._driver.leave(name)
         self._frozen.pop(name, None)
         self.bus.hold(name, keep=False)
-        if not isfinite(self._restart_takes_s):
-            return
         if incident.until_s:
             yield incident.until_s - incident.time_s, incident._replace(what="start")
             return
@@ -182,10 +173,10 @@ class MemoryRun:
             self.given_up[name] = max(self.loops[PLANT].cycle, 0)
             return
         earlier_s.append(now_s)
-        yield wait_s + self._restart_takes_s, incident._replace(what="start")
+        yield wait_s + RESTART_TAKES_S, incident._replace(what="start")
 
     def _loop(self, name: str) -> Loop[Any]:
-        return Loop(self._make(self.plan, agent_of(name)), self.plan, process=name)
+        return Loop(controller(self.plan, agent_of(name)), self.plan, process=name)
 
     def _process_of(self, incident: Incident) -> str:
         """Return the process that a rule means: of an agent with a standby, the one that speaks."""

@@ -62,12 +62,14 @@ def failed(found: dict[str, str]) -> set[str]:
     return {name for name, result in found.items() if result == "FAIL"}
 
 
+@pytest.mark.timeout(600)  # On a busy machine it is tried at three paces.
 def test_the_example_controller_meets_every_requirement(tmp_path: Path) -> None:
     rarely = "[control]\nhold_cycles = 2\nperiod_cycles = [4, 2]\n"
     plant = small_plant(tmp_path / "plant", ("[control]\n", rarely))
     assert in_real_time(plant, NODE, CONTROLLER) == dict.fromkeys(REQUIREMENTS, "PASS")
 
 
+@pytest.mark.timeout(600)
 def test_the_example_plant_meets_every_requirement(plant: str) -> None:
     command = f"{sys.executable} {EXAMPLES / 'plant.py'} --plan {{plan}}"
     assert in_real_time(plant, "plant", command) == dict.fromkeys(OF_PLANT, "PASS")
@@ -150,6 +152,7 @@ def controller_in_c(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build / "controller"
 
 
+@pytest.mark.timeout(600)
 def test_the_controller_in_c_meets_every_requirement(controller_in_c: Path, plant: str) -> None:
     found = in_real_time(plant, NODE, f"{controller_in_c} {{plan}} {{node}}")
     assert found == dict.fromkeys(REQUIREMENTS, "PASS")

@@ -178,16 +178,13 @@ def judged(run: Heliarch, plan: RunPlan, status: int, healed_ns: int) -> Outcome
 def test_a_controller_that_is_killed_while_its_links_look_whole_is_heard_again_and_so_are_all(
     heliarch: Start, network: Network, plant: str
 ) -> None:
-    run = heliarch("launch", plant, "--pace", "5", "--duration", "100", network=network.name)
+    run = heliarch("launch", plant, "--pace", "5", "--duration", "1h", network=network.name)
     run.until_recorded(5)
     network.cut_links(run.process_of(LEAF).pid)
     run.process_of(LEAF).kill()
     run.until_back(LEAF)  # Its old links are closed once nothing has come over them for 8 s.
-
-    assert run.wait() == 0, run.error_text()
-    summary = summary_of(run.folder)
-    assert summary.launcher.restarts == {LEAF: 1}
-    assert summary.cycles == 100
+    assert run.interrupt() == 130, run.error_text()
+    assert summary_of(run.folder).launcher.restarts == {LEAF: 1}
 
 
 def test_a_parent_whose_links_were_cut_is_heard_again_also_if_its_standby_has_died_meanwhile(
@@ -209,16 +206,18 @@ def test_a_parent_whose_links_were_cut_is_heard_again_also_if_its_standby_has_di
 
 
 def test_a_plant_that_opens_its_sessions_anew_is_heard_by_all(heliarch: Start) -> None:
-    run = heliarch("launch", "oahu", "--pace", "5", "--duration", "70")
+    run = heliarch("launch", "oahu", "--pace", "5", "--duration", "1h")
     run.until_recorded(5)
     open_anew(run, PLANT, lambda: None)
-    run.wait()
+    first = run.recorded_cycles() + 10
+    run.until_recorded(first + 10)
+    run.interrupt()
     with RunReader(run.folder) as reader:
         lacking = [
             f"{message.source} in cycle {message.cycle}: {missing}"
             for _, message in reader.messages()
             for missing in message.missing
-            if message.cycle >= 50 and parse_missing(missing)[1] is None
+            if message.cycle >= first and parse_missing(missing)[1] is None
         ]
     assert lacking == []
 
@@ -226,15 +225,15 @@ def test_a_plant_that_opens_its_sessions_anew_is_heard_by_all(heliarch: Start) -
 def test_who_opens_its_sessions_anew_beats_and_goes_on_meanwhile(
     heliarch: Start, network: Network, plant: str
 ) -> None:
-    words = ("--pace", "5", "--duration", "100", "--set", "restart.frozen_s=1")
+    words = ("--pace", "5", "--duration", "1h", "--set", "restart.frozen_s=1")
     run = heliarch("launch", plant, *words, network=network.name)
     run.until_recorded(5)
     network.refuse()
     open_anew(run, "c1", network.heal, after_s=5.0)
-    run.wait()
-    summary = summary_of(run.folder)
-    assert summary.launcher.restarts == {}
-    assert summary.launcher.skipped_cycles == 0
+    run.interrupt()
+    launcher = summary_of(run.folder).launcher
+    assert launcher.restarts == {}
+    assert launcher.skipped_cycles < 10, "of 25"
 
 
 def open_anew(run: Heliarch, agent: str, meanwhile: Callable[[], None], after_s: float = 0) -> None:

@@ -15,11 +15,13 @@ from command_line import python
 from rich.console import Console
 from running import Heliarch, Start, assert_none_left
 from test_launch import summary_of
+from test_restarts import GROUPED
 from verifying import assert_equal_as_far_as_recorded
 
+from agents.plan import load_plan
 from agents.process import events
 from bus_schemas.errors import InputError
-from bus_schemas.messages import GivenUp
+from bus_schemas.messages import GivenUp, parse_missing
 from bus_schemas.signals import GIVEN_UP, IMPP
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import RECORDER
@@ -59,34 +61,35 @@ def test_a_killed_plant_ends_the_run_and_is_named(run: Heliarch) -> None:
     assert run.recorded_cycles() > 0
 
 
-@pytest.mark.parametrize("words", [("--pace", "20", "--set", "restart.when=never"), ()])
-def test_a_controller_that_is_not_started_again_is_given_up_and_the_run_goes_on(
-    heliarch: Start, plant: str, words: tuple[str, ...]
+@pytest.mark.parametrize(
+    ("words", "victims"),
+    [
+        (("--pace", "20", "--set", "restart.when=never"), (INVERTER, "c1", "central", RECORDER)),
+        ((), (INVERTER, "c1", "central")),
+        (GROUPED, ("c2",)),
+    ],
+)
+def test_a_process_that_is_not_started_again_is_given_up_and_the_run_goes_on(
+    heliarch: Start, plant: str, words: tuple[str, ...], victims: tuple[str, ...]
 ) -> None:
     run = heliarch("launch", plant, "--duration", "10h", *words)
     run.until_recorded()
-    for victim in (INVERTER, "c1", "central"):
+    for victim in victims:
+        run.until_recorded(run.recorded_cycles() + 3)
         run.process_of(victim).send_signal(signal.SIGTERM)
         run.until_shown(f"without {victim}")
+    if RECORDER not in victims:
         run.until_recorded(run.recorded_cycles() + 3)
     assert run.interrupt() == 1
-    assert INVERTER in run.error_text()
-    assert list(summary_of(run.folder).launcher.given_up) == [INVERTER, "c1", "central"]
+    assert victims[0] in run.error_text()
+    wiring = load_plan(run.folder / "plan.json").wiring
+    agents = [agent for victim in victims for agent in wiring.members_of(victim)]
+    assert list(summary_of(run.folder).launcher.given_up) == agents
     with RunReader(run.folder) as reader:
         (*_, (_, told)) = reader.messages(GIVEN_UP)
         assert isinstance(told, GivenUp)
-        assert set(told.agents) == {INVERTER, "c1", "central"}
+        assert set(told.agents) == {*agents} - {RECORDER}
     assert_equal_as_far_as_recorded(run, verify(run.folder))
-
-
-def test_a_recorder_that_is_not_started_again_is_given_up_and_the_run_goes_on(
-    run: Heliarch,
-) -> None:
-    run.process_of(RECORDER).send_signal(signal.SIGTERM)
-    run.until_shown("without recorder")
-    assert run.interrupt() == 1
-    assert list(summary_of(run.folder).launcher.given_up) == [RECORDER]
-    assert run.recorded_cycles() > 0
 
 
 def test_a_process_that_dies_before_cycle_0_is_started_again(
@@ -228,6 +231,24 @@ def test_a_run_over_a_bad_network_with_a_supervisor_that_stood_still_verifies_eq
     assert reports[-1] > 14, "it goes on in the cycle under way"
     assert len(reports) < 18
     assert_equal_as_far_as_recorded(run, verify(run.folder))
+
+
+def test_faults_act_on_the_links_inside_a_group(heliarch: Start, plant: str) -> None:
+    rule = "partition=c1/inv01|c1,at=5s..15s"
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", *GROUPED, "--fault", rule)
+    run.until_recorded(25)
+    assert run.interrupt() == 130, run.error_text()
+    with RunReader(run.folder) as reader:
+        lacks = {
+            message.cycle: any(
+                key == "c1/inv01/residual" for key, _ in map(parse_missing, message.missing)
+            )
+            for _, message in reader.messages(IMPP, nodes="c1")
+        }
+    during = [lacks[cycle] for cycle in lacks if 5 <= cycle < 15]
+    assert during
+    assert all(during)
+    assert not all(lacks.values())
 
 
 # What a run takes of the machine ------------------------------------------------------------------

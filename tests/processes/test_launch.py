@@ -1,4 +1,4 @@
-"""The whole plant as real processes over real Zenoh."""
+"""The whole plant as real processes over real Zenoh, each with one agent or with several."""
 
 from __future__ import annotations
 
@@ -102,11 +102,17 @@ def launched(plant: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     return folder, result
 
 
+@pytest.fixture(scope="module")
+def ours(plant: str, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, int], Message]:
+    """What the same agents decide in one process."""
+    folder = tmp_path_factory.mktemp("simulated") / "run"
+    return decided(folder, "simulate", plant, "--duration", str(CYCLES))
+
+
 def test_processes_decide_bit_for_bit_what_one_process_decides_and_all_is_recorded(
-    launched: tuple[Path, Result], plant: str, tmp_path: Path
+    launched: tuple[Path, Result], ours: dict[tuple[str, int], Message]
 ) -> None:
     folder, result = launched
-    ours = decided(tmp_path / "simulated", "simulate", plant, "--duration", str(CYCLES))
     assert decisions(folder) == ours
     dispatch = [ours["dispatch", cycle] for cycle in (19, 30)]
     ordered_kw = [one.power_kw for one in dispatch if isinstance(one, Dispatch)]
@@ -119,6 +125,22 @@ def test_processes_decide_bit_for_bit_what_one_process_decides_and_all_is_record
     counts = {count.signal: count.recorded for count in summary.messages}
     assert counts["telemetry"] == counts["command"] == CYCLES * 4
     assert {name: recorded.count(name) for name in counts} == counts
+    assert (summary.lost, summary.launcher.dropped) == (0, {})
+
+
+@pytest.mark.parametrize(("processes", "number"), [("cluster", 8), ('["z2"]', 9)])
+def test_several_agents_in_one_process_decide_what_they_decide_alone(
+    plant: str,
+    tmp_path: Path,
+    processes: str,
+    number: int,
+    ours: dict[tuple[str, int], Message],
+) -> None:
+    words = (plant, "--duration", str(CYCLES), "--set", f"processes={processes}")
+    assert decided(tmp_path / "run", "launch", *words) == ours
+    summary = summary_of(tmp_path / "run")
+    assert len(load_plan(tmp_path / "run" / "plan.json").processes) == number
+    assert len(summary.processes) == number
     assert (summary.lost, summary.launcher.dropped) == (0, {})
 
 

@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import psutil
@@ -15,6 +16,7 @@ from command_line import done
 from running import REPOSITORY, Heliarch, Start
 from test_external import our_decisions
 from test_launch import decisions, summary_of
+from test_restarts import GROUPED
 
 from recordings.verify.verification import verify
 from results.timing.report import report_on
@@ -33,14 +35,18 @@ def node(heliarch: Start, run: Heliarch, host: str) -> Heliarch:
     return heliarch("node", "--plan", str(plan), "--host", host)
 
 
+@pytest.mark.parametrize(
+    ("grouped", "logs"), [((), {"c2", "c2.inv03", "c2.inv04"}), (GROUPED, {"c2"})]
+)
 def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
-    heliarch: Start, plant: str
+    heliarch: Start, plant: str, grouped: Sequence[str], logs: set[str]
 ) -> None:
-    lockstep = ("--duration", "25", "--seed", "3", "--scheme", "paper")
+    lockstep = ("--duration", "25", "--seed", "3", "--scheme", "paper", *grouped)
     run = heliarch("launch", plant, *lockstep, "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)
     assert run.wait() == 0, run.error_text()
     assert other.wait() == 0, other.error_text()
+    assert {path.stem for path in (other.folder / "logs").iterdir()} == logs
     assert decisions(run.folder) == our_decisions(plant)
     found = verify(run.folder)
     assert found.equal

@@ -12,6 +12,7 @@ from running import Heliarch, Start, small_plant
 from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded
 
+from agents.plan import load_plan
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
@@ -34,24 +35,32 @@ def ended(run: Heliarch) -> None:
 REAL_TIME = ("--duration", "1h", "--pace", "10")
 LOCKSTEP = ("--duration", "2h", "--set", "restart.when=on-failure")
 VICTIMS = ("c2/inv03", "c2", "central")
+GROUPED = ("--set", "processes=cluster")
 
 
 @pytest.mark.parametrize("words", [REAL_TIME, LOCKSTEP])
-def test_killed_controllers_are_started_again_and_the_run_goes_on(
-    heliarch: Start, plant: str, words: Sequence[str]
+@pytest.mark.parametrize(("grouped", "victims"), [((), VICTIMS), (GROUPED, ("c2",))])
+def test_killed_controllers_are_started_again_with_all_of_their_process_and_the_run_goes_on(
+    heliarch: Start,
+    plant: str,
+    words: Sequence[str],
+    grouped: Sequence[str],
+    victims: Sequence[str],
 ) -> None:
-    run = heliarch("launch", plant, *words)
+    run = heliarch("launch", plant, *words, *grouped)
     run.until_recorded()
-    for victim in VICTIMS:
+    for victim in victims:
         process = run.process_of(victim)
         process.send_signal(signal.SIGKILL)
         until_joined(run, victim)
         assert f"{victim} (process {process.pid}) was killed by signal 9" in run.output.read_text()
         run.until_recorded(run.recorded_cycles() + 1)
-    for victim in VICTIMS:
-        run.until_back(victim)
+    wiring = load_plan(run.folder / "plan.json").wiring
+    agents = [agent for victim in victims for agent in wiring.members_of(victim)]
+    for agent in agents:
+        run.until_back(agent)
     ended(run)
-    assert summary_of(run.folder).launcher.restarts == dict.fromkeys(VICTIMS, 1)
+    assert summary_of(run.folder).launcher.restarts == dict.fromkeys(agents, 1)
     assert_equal_as_far_as_recorded(run, verify(run.folder))
 
 

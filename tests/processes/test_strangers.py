@@ -9,7 +9,7 @@ import pytest
 from attacker import attacker_of
 from command_line import done
 from memory_runs import timeless
-from running import Device, Heliarch, Start, small_plant
+from running import Device, Heliarch, Start
 from test_external import NODE, controller
 from test_launch import summary_of
 
@@ -117,17 +117,3 @@ def test_a_process_that_is_started_again_reads_renewed_certificates(
     run.process_of("c1").kill()
     run.until_back("c1")
     assert ended(run).launcher.wrong == ()
-
-
-@pytest.mark.soak
-@pytest.mark.timeout(600)
-def test_a_run_in_lockstep_that_outlives_its_certificates_says_so(
-    heliarch: Start, tmp_path: Path
-) -> None:
-    pytest.importorskip("cryptography")
-    plant = small_plant(tmp_path / "plant", ("stall_timeout_s = 60", "stall_timeout_s = 5"))
-    done("keys", plant, "--out", tmp_path / "keys", "--days", str(60 / 86_400))
-    words = ("--duration", LONG, "--secure", "--keys", str(tmp_path / "keys"))
-    run = heliarch("launch", plant, *words)
-    assert run.wait() == 1
-    assert "`heliarch keys` renews it" in run.error_text()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from math import inf
 from pathlib import Path
 
 import pytest
@@ -358,9 +357,9 @@ def test_a_difference_after_the_recorder_was_away_is_found(tmp_path: Path) -> No
 def test_a_run_that_broke_off_is_compared_up_to_there_also_without_a_dead_agent(
     dead: str | None, periods: tuple[int, int], share: float, tmp_path: Path
 ) -> None:
-    kills = (Kill(dead, 0.01),) if dead else ()
+    kills = (Kill(dead, 0.01, until=1e6),) if dead else ()
     plan, sent = faulty_plan(*kills, LATE, period_cycles=periods), Sent()
-    run = MemoryRun(plan, cloudy_profile(plan), sent, restart_takes_s=inf)
+    run = MemoryRun(plan, cloudy_profile(plan), sent)
     assert len(list(run.cycles())) == plan.timing.cycles
     cut = sent.messages[: round(len(sent.messages) * share)]
     found = verified(tmp_path / "run", plan, cut)
