@@ -86,8 +86,7 @@ def measured_scenario(positions_csv: Path, ghi_csv: Path, out: Path) -> tuple[st
         ""
         if not found.report
         else f"""\
-fill = "interpolate"  # {found.report[0]}
-max_gap_s = {found.longest_gap_s:g}
+max_gap_s = {found.longest_gap_s:g}  # {found.report[0]}
 """
     )
     remarks = [

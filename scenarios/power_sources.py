@@ -70,7 +70,7 @@ def _cloudy_sky(
 
 def _measured_sky(scenario_file: ScenarioFile, table: MeasuredIrradiance) -> MeasuredPlant:
     path, positions = (scenario_file.data_path(name) for name in (table.ghi, table.positions))
-    irradiance = read_measured_ghi(path, positions, table.stations, table.longest_filled_s)
+    irradiance = read_measured_ghi(path, positions, table.stations, table.max_gap_s)
     sky = _at_the_sensors(scenario_file, irradiance, len(irradiance.sensors))
     return measured_sky(sky, irradiance)
 
@@ -87,9 +87,8 @@ def _oahu_sky(
             f"there or in the folder of --data, got none in {folder}"
         )
     positions = scenario_file.data_path(table.positions)
-    most_missing = None if table.gaps == "refuse" else table.most_missing
     day = times[0].tz_convert(oahu_grid.TIMEZONE).date()
-    irradiance = oahu_grid.read_day(folder, day, positions, table.stations, most_missing)
+    irradiance = oahu_grid.read_day(folder, day, positions, table.stations, table.most_missing)
     stations = len(oahu_grid.HORIZONTAL if table.stations is None else table.stations)
     sky = _at_the_sensors(scenario_file, irradiance, stations)
     plant = measured_sky(sky, irradiance)
@@ -97,8 +96,7 @@ def _oahu_sky(
         return plant
     before = oahu_grid.latest_day_before(folder, day)
     # The plant is that of the run's day, however little of a sensor the earlier day has.
-    fill = None if most_missing is None else 1.0
-    past = oahu_grid.read_day(folder, before, positions, irradiance.sensors, fill)
+    past = oahu_grid.read_day(folder, before, positions, irradiance.sensors, most_missing=1.0)
     return replace(plant, earlier=measured_sky(sky, past), earlier_by=day - before)
 
 
@@ -125,7 +123,6 @@ def _measured_plant(scenario_file: ScenarioFile, table: DcCurrents) -> MeasuredP
         table.full_power_current,
         pd.Timestamp(local_start(scenario.time)).tz_convert("UTC").as_unit("ns"),
         scenario.plant.rating_kw,
-        table.longest_filled_s,
         table.place,
     )
     if table.place is None:

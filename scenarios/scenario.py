@@ -131,35 +131,19 @@ class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
     clear_until: datetime | None = None
 
 
-class _MeasuredSeries(_Table, frozen=True):
-    """What is done with the gaps of a measured series.
-
-    fill: Fill gaps on straight lines in time, or refuse them.
-    max_gap_s: A longer gap is refused [s].
-    """
-
-    fill: Literal["refuse", "interpolate"] = "refuse"
-    max_gap_s: Annotated[float, Meta(gt=0.0, le=LONGEST_S)] = 60.0
-
-    @property
-    def longest_filled_s(self) -> float | None:
-        """The longest gap that is filled [s]; None: none is."""
-        return self.max_gap_s if self.fill == "interpolate" else None
-
-
-class MeasuredIrradiance(
-    _MeasuredSeries, frozen=True, kw_only=True, tag="measured", tag_field="kind"
-):
+class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
     """Measured irradiance: a CSV of GHI with one column for each station, and their positions.
 
     ghi: CSV: time stamps, then one column of GHI [W/m^2] for each station.
     positions: CSV with the columns `station, lat, lon`.
     stations: Stations to use. Default: all listed ones.
+    max_gap_s: Gaps of up to this time are filled on straight lines [s]. Default: none is.
     """
 
     ghi: str
     positions: str
     stations: tuple[str, ...] | None = None
+    max_gap_s: Annotated[float, Meta(gt=0.0, le=LONGEST_S)] | None = None
 
 
 class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind"):
@@ -168,18 +152,17 @@ class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind")
     positions: CSV with the columns `station, lat, lon`.
     folder: Folder of YYYYMMDD.txt. Default: `--data`.
     stations: Default: all 17 horizontal sensors.
-    gaps: Fill missing values from neighbours, or refuse them.
-    most_missing: Leave a sensor out if a larger share of its day is missing.
+    most_missing: Leave a sensor out if a larger share of its day is missing; what is missing of the
+        others is filled from their neighbours.
     """
 
     positions: str
     folder: str | None = None
     stations: tuple[str, ...] | None = None
-    gaps: Literal["neighbours", "refuse"] = "neighbours"
     most_missing: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.1
 
 
-class DcCurrents(_MeasuredSeries, frozen=True, kw_only=True, tag="dc-current", tag_field="kind"):
+class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
     """Power from the measured DC currents of a real plant's combiners, without irradiance.
 
     currents: CSV: `t_s` (0 at `time.start`), then one column for each combiner.

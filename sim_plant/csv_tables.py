@@ -105,11 +105,11 @@ class CsvTable:
             raise self.error(int(times.isna().argmax()), column, expected)
         return pd.DatetimeIndex(times.dt.as_unit("ns")).rename(None)
 
-    def seconds_ns(self, column: str, *, may_lack: bool = False) -> NDArray[np.int64]:
+    def seconds_ns(self, column: str) -> NDArray[np.int64]:
         """Return a column of two or more seconds that keep one step, in ns; see `check_steady`."""
         second = self.numbers((column,), "a number of seconds", -1e9, 1e9)[:, 0]
         time_ns: NDArray[np.int64] = np.rint(second * 1e9).astype(np.int64)
-        self.check_steady(column, time_ns, may_lack=may_lack)
+        self.check_steady(column, time_ns)
         return time_ns
 
     def check_length(self) -> None:

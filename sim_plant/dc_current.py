@@ -19,7 +19,6 @@ from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.sites import Sites, equal_ratings_kw, inverter_name, placed_around
 from sim_plant.sources import MeasuredPlant
-from sim_plant.time_gaps import without_gaps
 
 # Sensors at rest read a little off zero; the brightest edge of a cloud does not double the sun.
 _LOWEST_SHARE: Final = -0.02
@@ -36,7 +35,6 @@ def read_currents(
     full_power_current: float,
     begins: pd.Timestamp,
     plant_rating_kw: float | None,
-    max_gap_s: float | None = None,
     place: tuple[float, float] | None = None,
 ) -> MeasuredPlant:
     """Read the currents of combiners; an inverter's power is their mean, clipped at full power.
@@ -46,9 +44,9 @@ def read_currents(
     x_m, y_m`, metres east and north of an arbitrary point.
 
     If some combiners of an inverter are missing, the mean is over the others. An inverter without
-    any current is left out, with its rating. Where all currents of another are missing, gaps of at
-    most `max_gap_s` are filled; by default there may be none. The middle of the plant stands at
-    `place`, latitude and longitude; one whose place is unknown on the equator, at any longitude.
+    any current is left out, with its rating; all currents of another must not be missing at once.
+    The middle of the plant stands at `place`, latitude and longitude; one whose place is unknown on
+    the equator, at any longitude.
     """
     table = read_csv(currents_csv)
     table.check_header(("t_s",))
@@ -65,19 +63,18 @@ def read_currents(
     # Combiners of the positions file that the currents lack are missing throughout.
     share = pd.DataFrame(np.maximum(current / full_power_current, 0.0), columns=columns)
     share = share.reindex(columns=combiners.index)
-    means, report = _means(table.name, share, combiners["inverter"], max_gap_s)
-    second_ns = table.seconds_ns("t_s", may_lack=max_gap_s is not None)
-    means, _, filled = without_gaps(table, "t_s", second_ns, means, max_gap_s)
+    means, report = _means(table.name, share, combiners["inverter"])
+    times = begins + pd.to_timedelta(table.seconds_ns("t_s"), unit="ns")
     positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()
     x_m, y_m = positions.loc[means.columns].to_numpy().T
     rating_kw = equal_ratings_kw(plant_rating_kw, len(positions), "plant")[: len(x_m)]
     names = tuple(inverter_name(str(inverter)) for inverter in means)
     return MeasuredPlant(
         Sites(names, *placed_around(place or (0.0, 0.0), x_m, y_m), rating_kw),
-        begins + pd.to_timedelta(means.index, unit="ns"),
+        times,
         np.minimum(np.ascontiguousarray(means), 1.0) * rating_kw,
         str(currents_csv),
-        (*report, *filled),
+        tuple(report),
     )
 
 
@@ -107,7 +104,7 @@ def _currents(table: CsvTable, columns: list[str], full_power_current: float) ->
 
 
 def _means(
-    name: str, share: pd.DataFrame, inverter_of: pd.Series, max_gap_s: float | None
+    name: str, share: pd.DataFrame, inverter_of: pd.Series
 ) -> tuple[pd.DataFrame, list[str]]:
     """Return the mean of each inverter that has currents, and lines on what was missing."""
     found, report = {}, []
@@ -124,7 +121,7 @@ def _means(
             )
     means = pd.DataFrame(found)
     incomplete = list(means.columns[means.isna().any()])
-    if means.empty or (incomplete and max_gap_s is None):
+    if means.empty or incomplete:
         raise InputError(
             f"{name}: expected currents of an inverter in every line or in none, got lines without "
             f"for {listed(incomplete) or 'all'}"

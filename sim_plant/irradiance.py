@@ -10,7 +10,6 @@ import pandas as pd
 from bus_schemas.errors import InputError, listed
 from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
-from sim_plant.time_gaps import without_gaps
 
 GHI_MIN_WM2 = -10.0
 GHI_MAX_WM2 = 2000.0
@@ -78,12 +77,54 @@ def read_measured_ghi(
     coordinates = read_coordinates(positions_csv, wanted)
     may_lack, expected = max_gap_s is not None, "a number in W/m2"
     if not may_lack:
-        expected += " (irradiance.fill = 'interpolate' fills gaps)"
+        expected += " (irradiance.max_gap_s fills gaps)"
     numbers = table.numbers(wanted, expected, empty_is_missing=may_lack)
-    ghi_wm2, times = checked_ghi(table, wanted, numbers), table.times(stamp)
-    filled = without_gaps(table, stamp, times.asi8, ghi_wm2, max_gap_s)
-    complete = filled.values.set_axis(pd.DatetimeIndex(filled.values.index, tz="UTC"))
-    return Irradiance(complete, coordinates, str(ghi_csv), filled.report, filled.longest_gap_s)
+    times = table.times(stamp)
+    table.check_steady(stamp, times.asi8, may_lack=may_lack)
+    found = checked_ghi(table, wanted, numbers).set_axis(times)
+    if max_gap_s is None:
+        return Irradiance(found, coordinates, str(ghi_csv))
+    complete, longest_s, report = _without_gaps(table, found, max_gap_s)
+    return Irradiance(complete, coordinates, str(ghi_csv), report, longest_s)
+
+
+def _without_gaps(
+    table: CsvTable, found: pd.DataFrame, max_gap_s: float
+) -> tuple[pd.DataFrame, float, tuple[str, ...]]:
+    """Return values in one step, the longest gap in them [s], and a line if any was filled.
+
+    A gap, missing values or missing lines, is as long as the steps that it lacks. It is filled on
+    the straight line from the value before it to the one after it; at the ends the nearest value
+    holds.
+    """
+    times = pd.DatetimeIndex(found.index)
+    step_s = float(np.diff(times.asi8).min()) / 1e9
+    every = found.reindex(pd.date_range(times[0], times[-1], freq=pd.Timedelta(seconds=step_s)))
+    steps = every.apply(_steps_of_gaps)  # Of the gap that each missing value is in.
+    longest, missing = steps.max(), (steps > 0).sum()
+    limit = min(max_gap_s / step_s, len(every) - 1)
+    too_long = []
+    for name in longest.index[longest > limit]:
+        row = times.searchsorted(every.index[(steps[name] > limit).argmax()])
+        line = table.fields.index[max(int(row) - 1, 0)] + 1
+        too_long.append(f"{longest[name] * step_s:g} s of {name} (see line {line})")
+    if too_long:
+        expected = f"gaps of at most {max_gap_s:g} s, as max_gap_s says"
+        raise InputError(f"{table.name}: expected {expected}, got {listed(too_long)}")
+    if not missing.any():
+        return every, 0.0, ()
+    of_each = listed([f"{name} {count:,}" for name, count in missing.items() if count])
+    quality = (
+        f"{table.name}: {missing.sum():,} of {every.size:,} values were missing, in gaps of at "
+        f"most {longest.max() * step_s:g} s, and are interpolated: {of_each}"
+    )
+    return every.interpolate(limit_direction="both"), longest.max() * step_s, (quality,)
+
+
+def _steps_of_gaps(values: pd.Series) -> pd.Series:
+    """Return, at each missing value, how many are missing in a row; 0 where there is a value."""
+    missing = values.isna()
+    return missing.groupby(missing.ne(missing.shift()).cumsum()).transform("sum")
 
 
 def read_coordinates(path: Path, stations: Sequence[str]) -> pd.DataFrame:

@@ -45,14 +45,14 @@ def read_day(
     day: date,
     positions_csv: Path,
     stations: Sequence[str] | None = None,
-    most_missing: float | None = None,
+    most_missing: float = 0.0,
 ) -> Irradiance:
     """Read one day, in Hawaii, and see to its missing values.
 
     Values from -10 to 0 W/m^2, which the sensors show at night, are set to 0. By default all 17
-    horizontal sensors are read, and a missing value is an error. A sensor of which a larger share
-    of the day than `most_missing` is missing is left out; what is missing of the others is filled
-    from their neighbours among the sensors that are used.
+    horizontal sensors are read. One of which a larger share of the day than `most_missing` is
+    missing is left out; what is missing of the others is filled from their neighbours among the
+    sensors that are used.
     """
     wanted = HORIZONTAL if stations is None else tuple(stations)
     check_stations(wanted, HORIZONTAL, "stations")
@@ -62,14 +62,9 @@ def read_day(
     if table.fields.shape[1] != len(_FIELDS):
         raise InputError(f"{path}: expected {len(_FIELDS)} fields, got {table.fields.shape[1]}")
     times = _times(table, day)
-    expected, lowest = f"a number, {MISSING:g} where it is missing", -np.inf
-    if most_missing is None:
-        expected, lowest = "no missing value, as irradiance.gaps is 'refuse'", MISSING + 1.0
-    ghi_wm2 = table.numbers(wanted, expected, lowest)
+    ghi_wm2 = table.numbers(wanted, f"a number, {MISSING:g} where it is missing")
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
     found = Irradiance(checked_ghi(table, wanted, ghi_wm2).set_index(times), coordinates, str(path))
-    if most_missing is None:
-        return found
     complete = fill_from_neighbours(_without_sparse(found, most_missing))
     return replace(complete, report=tuple(f"{path.name}: {line}" for line in complete.report))
 

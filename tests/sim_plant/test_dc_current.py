@@ -39,7 +39,6 @@ def read(tmp_path: Path) -> Read:
         currents: str = CURRENTS,
         positions: str = POSITIONS,
         full_power_current: float = 100.0,
-        max_gap_s: float | None = None,
     ) -> MeasuredPlant:
         (tmp_path / "hour.csv").write_text(currents)
         (tmp_path / "positions.csv").write_text(positions)
@@ -49,7 +48,6 @@ def read(tmp_path: Path) -> Read:
             full_power_current,
             BEGINS,
             plant_rating_kw=200.0,
-            max_gap_s=max_gap_s,
         )
 
     return read_texts
@@ -116,13 +114,8 @@ def test_currents_in_another_unit_are_recognised(read: Read) -> None:
         assert "full_power_current" in complaint_of(read, full_power_current=current)
 
 
-def test_a_gap_of_all_combiners_of_an_inverter_is_filled_and_told(read: Read) -> None:
-    currents = CURRENTS.replace("10,60,80,", "10,,,")
-    assert "lines without" in complaint_of(read, currents=currents)
-    found = read(currents=currents, max_gap_s=10.0)
-    # Between 60 and 110 % of the full current: an inverter clips, its currents do not.
-    np.testing.assert_allclose(found.power_kw[:3, 0], [60.0, 85.0, 100.0])
-    assert found.repairs[-1].startswith("hour.csv: 1 of 8 values were missing")
+def test_a_line_without_currents_of_an_inverter_is_refused(read: Read) -> None:
+    assert "lines without" in complaint_of(read, currents=CURRENTS.replace("10,60,80,", "10,,,"))
 
 
 def test_a_file_without_any_current_is_refused(read: Read) -> None:
