@@ -54,7 +54,7 @@ from scenarios.scenario import (
 )
 from scenarios.times import on_day, parse_duration_s, parse_time
 from sim_plant.commitment import commitment_kw, is_hindsight
-from sim_plant.frequency import ConstantFrequency, frequency_hz
+from sim_plant.frequency import frequency_hz
 from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw
 from sim_plant.sites import east_north_m
@@ -218,11 +218,7 @@ def _frequency_hz(
     if settings is None and scenario.grid.droop is None:
         return np.zeros(0)
     return frequency_hz(
-        settings or ConstantFrequency(hz=nominal_hz),
-        cycles,
-        scenario.time.cycle_s,
-        nominal_hz,
-        scenario_file.data_path,
+        settings, cycles, scenario.time.cycle_s, nominal_hz, scenario_file.data_path
     )
 
 

@@ -1,10 +1,10 @@
-"""The grid's frequency: constant, from a file, or with events of a stated depth and rate."""
+"""The grid's frequency: from a file, or nominal with events of a stated depth and rate."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -14,25 +14,10 @@ from bus_schemas.faults import Second
 from sim_plant import Floats
 from sim_plant.csv_tables import held_values
 
-_Hz: TypeAlias = Annotated[float, Meta(ge=10.0, le=110.0)]
 
-
-class _Settings(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"
+class FrequencyFile(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="file"
 ):
-    pass
-
-
-class ConstantFrequency(_Settings, frozen=True, tag="constant"):
-    """The same frequency throughout.
-
-    hz: Frequency [Hz].
-    """
-
-    hz: _Hz
-
-
-class FrequencyFile(_Settings, frozen=True, tag="file"):
     """A measured frequency.
 
     path: CSV of two columns with a header: seconds since cycle 0, frequency [Hz].
@@ -65,7 +50,9 @@ class FrequencyEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
         return np.asarray(np.sign(self.depth_hz) * size_hz)
 
 
-class FrequencyEvents(_Settings, frozen=True, tag="events"):
+class FrequencyEvents(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="events"
+):
     """The nominal frequency, with events.
 
     events: The events; where several overlap, their departures add up.
@@ -74,28 +61,24 @@ class FrequencyEvents(_Settings, frozen=True, tag="events"):
     events: tuple[FrequencyEvent, ...]
 
 
-FrequencySettings = ConstantFrequency | FrequencyFile | FrequencyEvents
+FrequencySettings = FrequencyFile | FrequencyEvents
 
 
 def frequency_hz(
-    settings: FrequencySettings,
+    settings: FrequencySettings | None,
     cycles: int,
     cycle_s: float,
     nominal_hz: float,
     find_file: Callable[[str], Path],
 ) -> Floats:
-    """Return the frequency at the beginning of each cycle, shape (T,).
+    """Return the frequency at the beginning of each cycle, shape (T,); by default the nominal one.
 
     `find_file` returns the path of a file that the settings name.
     """
     time_s = np.arange(cycles, dtype=np.float64) * cycle_s
-    match settings:
-        case ConstantFrequency():
-            return np.full(cycles, settings.hz)
-        case FrequencyFile():
-            time_ns = np.rint(time_s * 1e9).astype(np.int64)
-            what = "the frequency of every cycle"
-            return held_values(find_file(settings.path), time_ns, (10.0, 110.0), what)
-        case FrequencyEvents():
-            away_hz = [event.deviation_hz(time_s) for event in settings.events]
-            return np.asarray(sum(away_hz, start=np.full(cycles, nominal_hz)))
+    if isinstance(settings, FrequencyFile):
+        time_ns = np.rint(time_s * 1e9).astype(np.int64)
+        what = "the frequency of every cycle"
+        return held_values(find_file(settings.path), time_ns, (10.0, 110.0), what)
+    away_hz = [event.deviation_hz(time_s) for event in settings.events] if settings else []
+    return np.asarray(sum(away_hz, start=np.full(cycles, nominal_hz)))

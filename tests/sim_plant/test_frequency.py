@@ -7,7 +7,6 @@ from pathlib import Path
 from complaints import complaint_of
 
 from sim_plant.frequency import (
-    ConstantFrequency,
     FrequencyEvent,
     FrequencyEvents,
     FrequencyFile,
@@ -16,19 +15,16 @@ from sim_plant.frequency import (
 )
 
 
-def seen(settings: FrequencySettings, cycles: int, cycle_s: float = 1.0) -> list[float]:
+def seen(settings: FrequencySettings | None, cycles: int, cycle_s: float = 1.0) -> list[float]:
     found = frequency_hz(settings, cycles, cycle_s, 50.0, Path)
     return [round(float(hz), 9) for hz in found]
-
-
-def test_a_constant_frequency_need_not_be_the_nominal_one() -> None:
-    assert seen(ConstantFrequency(hz=49.9), 3) == [49.9] * 3
 
 
 def test_an_event_goes_to_its_depth_at_its_rate_and_returns_at_the_same_rate() -> None:
     event = FrequencyEvent(at=2.0, depth_hz=-0.3, rate_hz_per_s=0.1, duration_s=5.0)
     expected = [50.0, 50.0, 50.0, 49.9, 49.8, 49.7, 49.7, 49.7, 49.8, 49.9, 50.0, 50.0]
     assert seen(FrequencyEvents(events=(event,)), 12) == expected
+    assert seen(None, 3) == [50.0] * 3
     # One that is over before it has come to its depth returns from where it is.
     short = FrequencyEvent(at=0.0, depth_hz=1.0, rate_hz_per_s=0.1, duration_s=2.0)
     assert seen(FrequencyEvents(events=(short,)), 6) == [50.0, 50.1, 50.2, 50.1, 50.0, 50.0]
