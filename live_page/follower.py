@@ -23,7 +23,7 @@ from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, parent_of
 from live_page.run_events import RunEvents
 from recordings.inspect.agent_states import AgentStates
-from recordings.inspect.health import FAILURE_NAME
+from recordings.inspect.health import failure_in
 from recordings.read.mcap_file import Chunk, walk_on
 from recordings.read.reader import RunReader
 from recordings.read.series import SeriesCollector
@@ -75,7 +75,9 @@ class RunFollower:
             self._read(chunk)
             if time.monotonic() >= until:
                 break
-        self._look_for_failure()
+        if not self._failed and (failure := failure_in(self.run.path.parent)):
+            self._failed = True
+            self.events.add("failure", self.cycles, "launcher", failure)
         return self._next_chunk() is None
 
     @property
@@ -175,13 +177,6 @@ class RunFollower:
                 self._stop_cycle = cycle
                 how = "over" if cycle >= self.plan.timing.cycles else "interrupted"
                 self.events.add("run", cycle, PLANT, f"the run is {how}")
-
-    def _look_for_failure(self) -> None:
-        failure = self.run.path.parent / FAILURE_NAME
-        if not self._failed and failure.exists():
-            self._failed = True
-            text = failure.read_text(encoding="utf-8", errors="replace").partition("\n")[0]
-            self.events.add("failure", self.cycles, "launcher", text)
 
 
 _FOLLOWED: Final = frozenset({DISPATCH, METER, PRODUCTION, NOTICE, RUN})

@@ -25,42 +25,6 @@ Messages: TypeAlias = dict[Port[Message], Message]
 _CACHED_CHUNKS: Final = 40
 
 
-class CycleReader:
-    """Reads the cycles of a recording, in any order."""
-
-    def __init__(self, follower: RunFollower) -> None:
-        self._follower = follower
-        self._by_cycle = lru_cache(_CACHED_CHUNKS)(self._read_chunk)
-
-    def read(self, cycle: int, ports: Collection[Port[Message]] | None = None) -> Messages:
-        """Return the messages of a cycle, on some ports alone if they are given.
-
-        A setpoint that is not due in it is that of its parent's last turn.
-        """
-        period = self._follower.plan.control.period
-        messages: Messages = {}
-        for turn in {cycle // length * length for length in self._periods} | {cycle}:
-            chunks = map(self._by_cycle, self._follower.chunks_with(turn))
-            for port, payload in chain.from_iterable(one.get(turn, ()) for one in chunks):
-                is_due = cycle // period(port) * period(port) == turn or turn == cycle
-                if is_due and port not in messages and (ports is None or port in ports):
-                    with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
-                        messages[port] = decode(port.signal, payload)
-        return messages
-
-    @property
-    def _periods(self) -> set[int]:
-        return set(self._follower.plan.control.period_cycles)
-
-    def _read_chunk(self, chunk: Chunk) -> dict[int, list[tuple[Port[Message], bytes]]]:
-        """Return the messages in a chunk by their cycle."""
-        by_cycle: dict[int, list[tuple[Port[Message], bytes]]] = {}
-        for record in self._follower.run.records_of(chunk):
-            if record.port.signal is not RUN:
-                by_cycle.setdefault(record.cycle, []).append((record.port, record.payload))
-        return by_cycle
-
-
 class PlantState:
     """Works out the state of the plant in a recording. Nodes are numbered in the order of the tree.
 
@@ -71,15 +35,40 @@ class PlantState:
         plan = follower.plan
         self.frame = lru_cache(32)(self._frame)
         self._follower = follower
-        self._reader = CycleReader(follower)
+        self._by_cycle = lru_cache(_CACHED_CHUNKS)(self._read_chunk)
         self._plan = plan
         self._tree = plan.tree
         self._number = {node: number for number, node in enumerate(plan.tree.nodes)}
         self._leaves_below = {node: plan.tree.leaves_below(node) for node in plan.tree.nodes}
 
+    def _messages(self, cycle: int, ports: Collection[Port[Message]] | None = None) -> Messages:
+        """Return the messages of a cycle, on some ports alone if they are given.
+
+        A setpoint that is not due in it is that of its parent's last turn.
+        """
+        control, messages = self._plan.control, Messages()
+        turns = {cycle // length * length for length in (1, *control.period_cycles)}
+        for turn in turns:
+            chunks = map(self._by_cycle, self._follower.chunks_with(turn))
+            for port, payload in chain.from_iterable(one.get(turn, ()) for one in chunks):
+                period = control.period(port)
+                is_due = cycle // period * period == turn or turn == cycle
+                if is_due and port not in messages and (ports is None or port in ports):
+                    with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
+                        messages[port] = decode(port.signal, payload)
+        return messages
+
+    def _read_chunk(self, chunk: Chunk) -> dict[int, list[tuple[Port[Message], bytes]]]:
+        """Return the messages in a chunk by their cycle."""
+        by_cycle: dict[int, list[tuple[Port[Message], bytes]]] = {}
+        for record in self._follower.run.records_of(chunk):
+            if record.port.signal is not RUN:
+                by_cycle.setdefault(record.cycle, []).append((record.port, record.payload))
+        return by_cycle
+
     def _frame(self, cycle: int) -> dict[str, Any]:
         """Return a list for each quantity."""
-        messages = self._reader.read(cycle)
+        messages = self._messages(cycle)
         devices = [node for node, _ in self._plan.site.devices]
         unread = [self._number[node] for node in devices if TELEMETRY.of(node) not in messages]
         return {
@@ -95,7 +84,7 @@ class PlantState:
         ports = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
         if node != ROOT:
             ports.add(SETPOINT.of(node))
-        return self._powers(self._reader.read(cycle, ports), node)
+        return self._powers(self._messages(cycle, ports), node)
 
     def _powers(self, messages: Messages, node: str) -> dict[str, float | None]:
         """Return the powers of a node [kW]; None: no message states it.

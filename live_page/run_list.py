@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 
 from bus_schemas.errors import InputError, listed
-from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME, LauncherAccount
+from recordings.inspect.health import SUMMARY_NAME, LauncherAccount, failure_in
 from recordings.read.mcap_file import read_outline
 from recordings.read.run_file import RECORDING_NAME, read_origin
 from results.figures import Shown, shown_in
@@ -83,10 +83,8 @@ def _row(name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
 
 def _end(folder: Path, summary: _Summary | None, *, is_growing: bool) -> str:
     """Say how a run ended, in a few words."""
-    failure = folder / FAILURE_NAME
-    if failure.exists():
-        text = failure.read_text(encoding="utf-8", errors="replace").partition("\n")[0]
-        return f"failed: {text}"
+    if failure := failure_in(folder):
+        return f"failed: {failure}"
     if summary is None:
         return "running" if is_growing else "unfinished"
     launcher, planned = summary.launcher, summary.run.planned_cycles

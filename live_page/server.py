@@ -130,7 +130,6 @@ class PageServer:
             Route("/window", self._window),
             Route("/node", self._node),
             Route("/stream", self._stream),
-            Route("/orders", self._takes_orders),
         ]
         routes: list[BaseRoute] = [Mount("/static", StaticFiles(directory=_STATIC))]
         if not self._several:
@@ -185,11 +184,9 @@ class PageServer:
         page = await asyncio.to_thread(_comparison, (first, second))
         return HTMLResponse(page, headers={_CONTENT_POLICY: _ONE_FILE_ONLY})
 
-    async def _takes_orders(self, request: Request) -> Response:
-        return _json(self._orders)
-
     async def _plan(self, request: Request) -> Response:
-        return _json(self._view(request).plan())
+        plan = self._view(request).plan()
+        return _json(plan and plan | {"takes_orders": self._orders})
 
     async def _window(self, request: Request) -> Response:
         points = int(_number(request, "points", 1000))

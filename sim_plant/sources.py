@@ -34,17 +34,18 @@ class PlantUnderSky:
     altitude_m: float
     pv: PvSettings
 
+    @property
+    def place(self) -> tuple[Floats, Floats, float]:
+        return self.sites.lat_deg, self.sites.lon_deg, self.altitude_m
+
     def power_kw(self, ghi_wm2: Floats, times: pd.DatetimeIndex) -> Floats:
         sites = self.sites
         return ac_power_kw(ghi_wm2, times, sites.lat_deg, sites.lon_deg, sites.rating_kw, self.pv)
 
     def cloudless_kw(self, times: pd.DatetimeIndex, turbidity: float) -> Floats:
-        """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""
-        sites = self.sites
-        ghi_wm2 = clear_sky_ghi(times, sites.lat_deg, sites.lon_deg, self.altitude_m, turbidity)
-        everywhere = np.repeat(ghi_wm2[:, None], len(sites.names), axis=1)
-        total_kw: Floats = self.power_kw(everywhere, times).sum(axis=1)
-        return total_kw
+        """Return the AC power of each inverter under a cloudless sky, shape (T, n)."""
+        ghi_wm2 = clear_sky_ghi(times, *self.place, turbidity)
+        return self.power_kw(np.repeat(ghi_wm2[:, None], len(self.sites.names), axis=1), times)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +68,7 @@ class CloudySky(PlantUnderSky):
         cloudy_kw = self._drawn_kw(times, self.seed)
         if self.clear_until is None:
             return cloudy_kw
-        ghi_wm2 = clear_sky_ghi(
-            times,
-            self.sites.lat_deg,
-            self.sites.lon_deg,
-            self.altitude_m,
-            self.clouds.linke_turbidity,
-        )
-        clear_kw = self.power_kw(np.repeat(ghi_wm2[:, None], len(self.sites.names), 1), times)
+        clear_kw = self.cloudless_kw(times, self.clouds.linke_turbidity)
         return np.where((times < self.clear_until)[:, None], clear_kw, cloudy_kw)
 
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
@@ -82,14 +76,16 @@ class CloudySky(PlantUnderSky):
         return self._drawn_kw(times, self.history_seed + _ANOTHER_DAY)
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
-        return self._kept(times, -1, lambda: self.cloudless_kw(times, self.clouds.linke_turbidity))
+        """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""
+
+        def total() -> Floats:
+            return np.asarray(self.cloudless_kw(times, self.clouds.linke_turbidity).sum(axis=1))
+
+        return self._kept(times, -1, total)
 
     def _drawn_kw(self, times: pd.DatetimeIndex, seed: int) -> Floats:
-        sites = self.sites
-
         def draw() -> Floats:
-            place = sites.lat_deg, sites.lon_deg, self.altitude_m
-            return self.power_kw(synthetic_ghi(times, *place, self.clouds, seed), times)
+            return self.power_kw(synthetic_ghi(times, *self.place, self.clouds, seed), times)
 
         return self._kept(times, seed, draw)
 
@@ -97,9 +93,8 @@ class CloudySky(PlantUnderSky):
         """Work out what the clouds of a seed leave of the power, or all of it (-1: no clouds)."""
         if not self.is_kept:
             return work_out()
-        sites = self.sites
-        places = sites.lat_deg, sites.lon_deg, sites.rating_kw, self.altitude_m
-        return kept(times, seed, self.pv, self.clouds, *places, work_out=work_out)
+        question = self.pv, self.clouds, *self.place, self.sites.rating_kw
+        return kept(times, seed, *question, work_out=work_out)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +131,7 @@ class MeasuredPlant:
                 "irradiance.lat, lon: expected both, the place of the plant, since its commitment "
                 "is a share of the clear-sky power"
             )
-        return self.sky.cloudless_kw(times, _CLEAN_AIR_TURBIDITY)
+        return np.asarray(self.sky.cloudless_kw(times, _CLEAN_AIR_TURBIDITY).sum(axis=1))
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ import {chartGroup} from "./chart.js";
 import {$, json} from "./dom.js";
 import {eventList} from "./events.js";
 import {plantMap} from "./map.js";
+import {showOrders} from "./order_panel.js";
 import {nodePanel} from "./node_panel.js";
 import {figures} from "./panels.js";
 import {playback} from "./playback.js";
@@ -42,6 +43,7 @@ function inTurn(act) {
 
 function showRun(plan) {
   showHeader(plan);
+  if (plan.takes_orders) showOrders();
   const time = runTime(plan);
   const {at, connect, seek, keys} = playback(update);
   const reload = inTurn(async () => {

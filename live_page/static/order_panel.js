@@ -1,6 +1,6 @@
 // Orders to the plant, on a page that may give them.
 
-import {$, json} from "./dom.js";
+import {$} from "./dom.js";
 
 function number(id) {
   const text = $(id).value.trim();
@@ -21,8 +21,7 @@ async function give(order) {
   for (const button of form.querySelectorAll("button")) button.disabled = false;
 }
 
-export async function showOrders() {
-  if (!(await json("orders"))) return;
+export function showOrders() {
   $("orders").hidden = false;
   $("order-form").onsubmit = event => {
     event.preventDefault();
@@ -30,5 +29,3 @@ export async function showOrders() {
   };
   $("order-schedule").onclick = () => give({power_kw: null, ramp_kw_per_min: number("order-ramp")});
 }
-
-showOrders();

@@ -195,7 +195,7 @@ def told(health: Health, run: RunReader) -> Health:
     """Return the health of a run with what its folder tells."""
     document = summary_in(run.path.parent, run.plan, RunDocument)
     launcher = document.launcher if document else None
-    return replace(health, failure=_failure(run.path.parent), launcher=launcher)
+    return replace(health, failure=failure_in(run.path.parent), launcher=launcher)
 
 
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
@@ -287,8 +287,10 @@ def summary_in(folder: Path, plan: RunPlan, kind: type[Document]) -> Document | 
     return summary if summary.run_id == plan.run_id else None
 
 
-def _failure(folder: Path) -> str:
+def failure_in(folder: Path) -> str:
+    """Return in a line why the run in a folder failed; empty: it did not."""
     try:
-        return " ".join((folder / FAILURE_NAME).read_text(encoding="utf-8").split())
-    except (OSError, UnicodeDecodeError):
+        text = (folder / FAILURE_NAME).read_text(encoding="utf-8", errors="replace")
+    except OSError:
         return ""
+    return " ".join(text.split())
