@@ -62,7 +62,6 @@ class RunAccount:
     def add_process(self, child: Child) -> None:
         """Take in the resources of a process that has ended, and what it dropped."""
         finished = child.finished or Finished({}, [])
-        cpu_s, before_s = child.cpu_s(), child.cpu_at_start_s
         self.dropped += finished.dropped
         self.processes.append(
             ProcessAccount(
@@ -72,7 +71,7 @@ class RunAccount:
                 child.exited.resident_mb if child.exited else 0.0,
                 (child.recorded or finished).own_mb,
                 skipped_cycles=finished.skipped_cycles,
-                cpu_s=None if before_s is None or cpu_s is None else cpu_s - before_s,
+                cpu_s=child.cpu_in_run_s(),
             )
         )
 

@@ -152,8 +152,8 @@ class Child:
         return self.row.state == "present"
 
     def begin_again(self) -> None:
-        """Forget all events of its process, which has ended."""
-        self.pid, self.cpu_at_start_s = 0, 0.0
+        """Forget all events of its process, which has ended, but not its processor time."""
+        self.pid, self.cpu_at_start_s = 0, -(self.cpu_in_run_s() or 0.0)
         self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 
     def note(self, event: Event) -> None:
@@ -173,6 +173,13 @@ class Child:
         except psutil.Error:
             return None
         return float(times.user + times.system)
+
+    def cpu_in_run_s(self) -> float | None:
+        """Return its processor time from cycle 0 on, also of processes that it replaced."""
+        cpu_s = self.cpu_s()
+        if cpu_s is None or self.cpu_at_start_s is None:
+            return None
+        return cpu_s - self.cpu_at_start_s
 
     def is_stopped(self) -> bool:
         try:

@@ -6,6 +6,7 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
+from bus_schemas.tree import RECORDER
 from recordings.read.run_clock import RunClock
 
 How: TypeAlias = Literal[
@@ -48,6 +49,8 @@ class Absence(msgspec.Struct, frozen=True):
 
     def text(self, clock: RunClock) -> str:
         span = clock.span_text(self.first_cycle, self.end - 1) if self.cycles else ""
+        if self.agent == RECORDER:
+            return f"{self.agent}: recorded nothing {span}"
         if self.how == "not heard":
             return f"{self.agent}: not heard {span}, though it published"
         if self.how == "cut off":

@@ -168,6 +168,18 @@ def test_in_lockstep_who_waits_to_send_is_not_silent(watched: Make) -> None:
     assert run.got(SIGKILL) == []
 
 
+def test_the_processor_time_of_an_agent_is_that_of_all_its_processes(watched: Make) -> None:
+    run = watched()
+    run[NODE].cpu_at_start_s = 0.5
+    for cpu_s in (2.5, 1.0):
+        run[NODE].exited = Exited(-9, cpu_s)
+        assert run.restarts.on_death(run[NODE], "it ended")
+        run.pass_by(2.0)
+        run.joins(NODE)
+    run[NODE].exited = Exited(0, 0.25)
+    assert run[NODE].cpu_in_run_s() == pytest.approx(2.0 + 1.0 + 0.25)
+
+
 def test_a_fork_server_that_stands_still_is_named_once(watched: Make) -> None:
     run = watched()
     run.pass_by(1.0)

@@ -125,11 +125,12 @@ def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(
     plan = with_changes(PLAN, standby=standby, cycle_wall_ns=PLAN.timing.cycle_ns)
     deliveries = joined_in_cycle_20("c2", lambda pair: not 15 <= pair[1].cycle < 30)
     write_messages(tmp_path / "run.mcap", deliveries, plan=plan)
-    health, _ = health_of(tmp_path)
+    health, text = health_of(tmp_path)
     assert set(health.absences) == {
         Absence("c2", 20, 0, 20, how),
         Absence("recorder", 15, 15, 30, "not heard"),
     }
+    assert "recorder: recorded nothing in cycles 15 to 29" in text
 
 
 def test_a_device_that_runs_ahead_does_not_make_the_recorder_absent(tmp_path: Path) -> None:
