@@ -10,8 +10,8 @@ shortfall. The direct controller reduces it in three ways:
   cloud leaves;
 * where the inverter holds a power limit below its maximum, the maximum cannot be measured. Unless
   the inverter states what it could give, it is then assumed to grow from the last value that was
-  seen: a slow probe, as in extremum seeking. The inverter's own meter, whose error is learned,
-  shows whether the limit or a cloud holds it.
+  seen: a slow probe, as in extremum seeking. The inverter's own meter shows whether the limit or a
+  cloud holds it: how it reads a limit is learned.
 """
 
 from __future__ import annotations
@@ -57,19 +57,26 @@ BOUND_TOLERANCE: Final = 0.005
 """Nearer to its limit than this share of it, an inverter counts as held by the limit: so exactly
 inverters hold theirs."""
 
-BOUND_SPREADS: Final = 10.0
-"""An inverter also counts as held if it is nearer than this many times its mean reading above its
-limits. What lies above a limit can only be the meter's error, while below it a cloud may be. Of
-normal errors that is 4 standard deviations."""
+BOUND_ERRORS: Final = 5.0
+"""One that is asked for less than it has also counts as held if it is nearer than this many times
+its meter's mean error. Of normal errors that is 4 standard deviations."""
 
-METER_MEMORY_S: Final = 100.0
-"""Time constant of that mean [s]."""
+WIDEST_BOUND_TOLERANCE: Final = 0.1
+"""An inverter that is further from its limit is not held by it, however bad its meter. One that
+reads so far from what it states is not believed."""
+
+METER_MEMORY_S: Final = 30.0
+"""Time constant with which is learned how a meter reads a limit [s]."""
 
 METER_READINGS: Final = 30.0
-"""Least number of readings for that mean: fewer say too little about a noisy meter."""
+"""Least number of readings for that: fewer say too little about a noisy meter."""
 
-WIDEST_BOUND_TOLERANCE: Final = 0.05
-"""An inverter that is further from its limit is not held by it, however bad its meter."""
+MOST_LEARNED_ERRORS: Final = 2.0
+"""A reading that is further off than so many mean errors counts as if it were not: a shadow that
+is taken for the limit must not teach that the meter reads low."""
+
+MOST_BIAS: Final = 0.03
+"""A meter is believed to read a limit wrong by this share at most."""
 
 STATED_MEMORY_S: Final = 20.0
 """Time constant with which the bias of a stated available power is learned [s], from readings that
@@ -78,19 +85,6 @@ no limit holds down."""
 LEAST_STATED_SHARE: Final = 0.5
 MOST_STATED_SHARE: Final = 2.0
 """Bounds of what one such reading may say: near 0 kW it says nothing."""
-
-LOW_READING: Final = 0.03
-"""A held inverter may read below its limit by up to this share. The controller learns it from the
-power of the released inverter; otherwise an error of 1 % releases all again and again."""
-
-RELEASE_JUMP: Final = 1.03
-"""A reading below the limit was wrong if the free inverter then gives so many times as much."""
-
-LOW_READING_SAFETY: Final = 1.5
-"""So many times as far below its limit as that reading, an inverter then counts as held."""
-
-LOW_READING_MEMORY_S: Final = 3600.0
-"""Time constant after which that is forgotten [s]."""
 
 
 def forecast_impp(
@@ -120,32 +114,44 @@ def forecast_impp(
     """
     if not is_plausible(power_kw, alpha, rating_kw):
         return stale(last)
-    power_kw = max(power_kw, 0.0)
-    states = is_stated(available_kw, rating_kw)
-    maximum_kw = min(power_kw / alpha, rating_kw)
-    low = _reads_low(maximum_kw, cycle_s, last)
-    is_held = limit_kw < rating_kw and power_kw >= limit_kw * (
-        1.0 - _tolerance(limit_kw, low, last)
-    )
-    meter = _learned(maximum_kw, available_kw, limit_kw, rating_kw, low, is_held, cycle_s, last)
-    if states and (is_held or alpha < 1.0):
+    maximum_kw = min(max(power_kw, 0.0) / alpha, rating_kw)
+    asked_for_all = limit_kw >= last.power_kw * (1.0 - ROUNDING)
+    believes = False
+    if is_stated(available_kw, rating_kw):
+        # What the inverter says it could give decides, and not a reading that noise moves.
+        stated_kw = min(available_kw * last.meter.stated_share, rating_kw)
+        given_kw = min(stated_kw, limit_kw)
+        believes = abs(maximum_kw - given_kw) <= WIDEST_BOUND_TOLERANCE * given_kw
+        is_held = believes and limit_kw < rating_kw and limit_kw <= stated_kw
+    else:
+        lowest_kw = limit_kw * last.meter.reads * (1.0 - _tolerance(asked_for_all, last.meter))
+        is_held = limit_kw < rating_kw and maximum_kw >= lowest_kw
+    meter = last.meter
+    if not is_held and maximum_kw > 0.0 and 0.0 < available_kw <= rating_kw:
+        meter = _learned_share(maximum_kw / available_kw, cycle_s, meter)
+    if is_held and limit_kw > 0.0 and not asked_for_all:
+        meter = _learned_reading(maximum_kw / limit_kw, cycle_s, meter)
+    is_seen = believes or not is_held
+    if believes:
         maximum_kw = min(available_kw * meter.stated_share, rating_kw)
-    is_seen = states or not is_held
-    if not is_seen:
+    elif is_seen:
+        maximum_kw = min(maximum_kw / meter.reads, rating_kw)
+    else:
         growth = 1.0 + HIDDEN_GROWTH_PER_S * cycle_s
         maximum_kw = min(max(last.maximum_kw, limit_kw) * growth, rating_kw)
     trend_kw_per_s, spread_kw = 0.0, last.spread_kw
-    if is_seen and last.is_seen:
+    # A statement after a reading, or the reverse, is no change of the sky.
+    if is_seen and last.is_seen and believes == last.is_stated:
         change_kw_per_s = (maximum_kw - last.maximum_kw) / cycle_s
         trend_kw_per_s = last.trend_kw_per_s
         trend_kw_per_s += (change_kw_per_s - trend_kw_per_s) * _gain(cycle_s, TREND_TIME_S)
         error_kw = abs(maximum_kw - last.power_kw)
         spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
     return Estimate(
-        power_kw=min(max(maximum_kw + DAMPING * trend_kw_per_s * cycle_s, 0.0), rating_kw),
+        power_kw=min(_ahead(maximum_kw, DAMPING * trend_kw_per_s * cycle_s), rating_kw),
         stale_cycles=0,
         is_seen=is_seen,
-        is_stated=states,
+        is_stated=believes,
         maximum_kw=maximum_kw,
         trend_kw_per_s=trend_kw_per_s,
         spread_kw=spread_kw,
@@ -157,7 +163,7 @@ def held_kw(setpoint_kw: float, rating_kw: float, known: Estimate) -> float:
     """Return the power limit of an inverter that is asked for all it has, or for more.
 
     Asked for its forecast, it is held near that; asked for more, since the whole plant lacks
-    power, it is free. One that states its available power needs no room in which it would show.
+    power, it is free. One whose statement is believed needs no room in which its maximum shows.
     """
     if setpoint_kw > known.power_kw * (1.0 + ROUNDING):
         return rating_kw
@@ -167,49 +173,38 @@ def held_kw(setpoint_kw: float, rating_kw: float, known: Estimate) -> float:
     return min(known.power_kw + room_kw, rating_kw)
 
 
-def _tolerance(limit_kw: float, reads_low: float, last: Estimate) -> float:
+def _ahead(maximum_kw: float, change_kw: float) -> float:
+    """Add a change; a fall takes a share of what is left, so that no error forecasts 0 kW."""
+    if change_kw >= 0.0 or maximum_kw <= 0.0:
+        return maximum_kw + max(change_kw, 0.0)
+    return maximum_kw * maximum_kw / (maximum_kw - change_kw)
+
+
+def _tolerance(asked_for_all: bool, meter: Meter) -> float:
     """How far below its limit, as a share of it, an inverter that it holds may read.
 
-    An inverter that was asked for all it has is expected just below its limit: there, only a meter
-    that is known to read low may take it for held.
+    An inverter that was asked for all it has is expected just below its limit.
     """
-    if limit_kw >= last.power_kw * (1.0 - ROUNDING):
-        return max(BOUND_TOLERANCE, reads_low)
-    widest = max(BOUND_TOLERANCE, BOUND_SPREADS * last.meter.error, reads_low)
-    return min(widest, WIDEST_BOUND_TOLERANCE)
+    if asked_for_all:
+        return BOUND_TOLERANCE
+    return min(max(BOUND_TOLERANCE, BOUND_ERRORS * meter.error), WIDEST_BOUND_TOLERANCE)
 
 
-def _reads_low(maximum_kw: float, cycle_s: float, last: Estimate) -> float:
-    """Learn from an inverter that had far more than it seemed to have below its limit."""
-    reads_low = last.meter.reads_low * (1.0 - _gain(cycle_s, LOW_READING_MEMORY_S))
-    below = last.meter.below_limit
-    if 0.0 < below <= LOW_READING and maximum_kw > RELEASE_JUMP * last.maximum_kw:
-        reads_low = max(reads_low, LOW_READING_SAFETY * below)
-    return reads_low
+def _learned_reading(share: float, cycle_s: float, last: Meter) -> Meter:
+    """Learn how the meter reads a limit that holds the inverter far below its maximum."""
+    gain = min(_gain(cycle_s, METER_MEMORY_S), 1.0 / METER_READINGS)
+    apart = share - last.reads
+    error = last.error + (abs(apart) - last.error) * gain
+    most = MOST_LEARNED_ERRORS * error
+    reads = last.reads + min(max(apart, -most), most) * gain
+    return Meter(min(max(reads, 1.0 - MOST_BIAS), 1.0 + MOST_BIAS), error, last.stated_share)
 
 
-def _learned(
-    maximum_kw: float,
-    stated_kw: float,
-    limit_kw: float,
-    rating_kw: float,
-    reads_low: float,
-    is_held: bool,
-    cycle_s: float,
-    last: Estimate,
-) -> Meter:
-    """Learn what it reads above its limit, or what it gives of the stated power when free."""
-    error, stated_share = last.meter.error, last.meter.stated_share
-    above = 0.0
-    if 0.0 < limit_kw < rating_kw:
-        above = maximum_kw / limit_kw - 1.0
-        if is_held:
-            gain = min(_gain(cycle_s, METER_MEMORY_S), 1.0 / METER_READINGS)
-            error += (max(above, 0.0) - error) * gain
-    if not is_held and maximum_kw > 0.0 and 0.0 < stated_kw <= rating_kw:
-        share = min(max(maximum_kw / stated_kw, LEAST_STATED_SHARE), MOST_STATED_SHARE)
-        stated_share += (share - stated_share) * _gain(cycle_s, STATED_MEMORY_S)
-    return Meter(error, 0.0 if is_held else -above, reads_low, stated_share)
+def _learned_share(share: float, cycle_s: float, last: Meter) -> Meter:
+    """Learn how much of its stated power the inverter gives while no limit holds it."""
+    apart = min(max(share, LEAST_STATED_SHARE), MOST_STATED_SHARE) - last.stated_share
+    stated_share = last.stated_share + apart * _gain(cycle_s, STATED_MEMORY_S)
+    return Meter(last.reads, last.error, stated_share)
 
 
 def _gain(cycle_s: float, time_constant_s: float) -> float:

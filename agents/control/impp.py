@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from bus_schemas.bounds import METER_TOLERANCE
 
-FIRST_METER_ERROR: Final = 0.002
+FIRST_METER_ERROR: Final = 0.008
 """Assumed error of an inverter's meter before anything is known of it, as a share."""
 
 ROUNDING: Final = 1e-9
@@ -18,19 +18,16 @@ class Meter(NamedTuple):
 
     Attributes
     ----------
+    reads
+        What it reads while a limit holds it, as a share of that limit.
     error
-        Mean of what it read above the limit that held it, as a share of that.
-    below_limit
-        By what share of the limit its last reading lay below it; 0 if the limit held it.
-    reads_low
-        By what share of a limit readings may lie below it although it holds the inverter.
+        Mean deviation of such a reading from this, as a share of the limit.
     stated_share
         How much of its stated available power it gave when no limit held it.
     """
 
+    reads: float = 1.0
     error: float = FIRST_METER_ERROR
-    below_limit: float = 0.0
-    reads_low: float = 0.0
     stated_share: float = 1.0
 
 
@@ -47,7 +44,7 @@ class Estimate(NamedTuple):
     is_seen
         Whether the last measurement showed the maximum, and no limit hid it.
     is_stated
-        Whether the inverter states its available power: then no limit hides the maximum.
+        Whether the maximum is what the inverter states of it, so that no limit hides it.
     maximum_kw
         The maximum as it was last measured; while it is hidden, what is assumed.
     trend_kw_per_s

@@ -13,12 +13,11 @@ from agents.control.forecast import (
     DAMPING,
     ERROR_MEMORY_S,
     HIDDEN_GROWTH_PER_S,
-    LOW_READING_SAFETY,
     TREND_TIME_S,
     forecast_impp,
     held_kw,
 )
-from agents.control.impp import FIRST_METER_ERROR, NOTHING_KNOWN, Estimate
+from agents.control.impp import NOTHING_KNOWN, Estimate
 
 RATING_KW = 100.0
 CYCLES_S = (0.1, 1.0, 10.0)
@@ -162,9 +161,9 @@ def test_whatever_is_measured_the_forecast_lies_between_zero_and_the_rating(
         # 30 s at 1 % a second; what compound interest makes of longer steps is little.
         ((40.0,), 20.0, 20.0, 30.0, "power_kw", 1.01**30, 0.02),
         ((40.0, *[60.0] * 3), 60.0, RATING_KW, 2 * ERROR_MEMORY_S, "spread_kw", math.exp(-2), 0.5),
-        ((80.0,), 40.8, 40.0, 900.0, "meter.error", 0.02 / FIRST_METER_ERROR, 0.1),
+        ((80.0,), 40.8, 40.0, 900.0, "meter.reads", 1.02, 0.002),
     ],
-    ids=["a hidden maximum grows", "a forecast error is forgotten", "a meter's error is learned"],
+    ids=["a hidden maximum grows", "a forecast error is forgotten", "a meter's bias is learned"],
 )
 def test_what_time_does_is_alike_whatever_the_cycle(
     maxima_kw: tuple[float, ...],
@@ -200,13 +199,18 @@ def test_short_cycles_do_not_make_a_trend_of_the_meters_noise() -> None:
 # Limit or cloud? ----------------------------------------------------------------------------------
 
 
-def test_a_noisy_meter_is_learned_from_what_it_reads_above_the_limit() -> None:
-    noise = 0.01 * np.random.default_rng(2).standard_normal(600)
-    found = readings(40.0, noise.tolist(), measured(80.0))
+@pytest.mark.parametrize("noise", [0.005, 0.01, 0.02])
+@pytest.mark.parametrize("bias", [-0.01, 0.0, 0.01])
+def test_how_a_noisy_meter_reads_a_limit_is_learned_while_the_limit_holds(
+    bias: float, noise: float
+) -> None:
+    errors = bias + noise * np.random.default_rng(2).standard_normal(600)
+    found = readings(40.0, errors.tolist(), measured(80.0))
     # Once it is known, no reading is taken for the maximum, and what is assumed of it only grows.
     assert not any(estimate.is_seen for estimate in found[300:])
     assert found[-1].power_kw == RATING_KW
-    assert found[-1].meter.error == pytest.approx(0.01 * 0.4, rel=0.4)  # E max(0, e) = 0.4 sigma
+    assert found[-1].meter.reads == pytest.approx(1.0 + bias, abs=0.3 * noise)
+    assert found[-1].meter.error == pytest.approx(0.8 * noise, rel=0.3)  # E |e| = 0.8 sigma
 
 
 def test_an_inverter_shaded_to_just_below_its_limit_does_not_count_as_held_by_it() -> None:
@@ -217,13 +221,39 @@ def test_an_inverter_shaded_to_just_below_its_limit_does_not_count_as_held_by_it
     assert shaded[-1].power_kw == pytest.approx(40.0 * 0.99, rel=1e-3)
 
 
-def test_a_meter_that_reads_low_is_known_by_what_the_inverter_gives_once_it_is_free() -> None:
-    deceived = forecast(39.0, 40.0, measured(80.0))
-    assert deceived.maximum_kw == 39.0, "2.5 % below its limit it seems to be in the shade"
-    free = forecast(78.0, RATING_KW, deceived)
-    assert free.meter.reads_low == pytest.approx(LOW_READING_SAFETY * 0.025)
-    again = forecast(39.0, 40.0, free)
-    assert again.power_kw >= 78.0, "the same reading deceives it no more"
+@pytest.mark.parametrize("bias", [-0.02, 0.02])
+def test_what_a_free_inverter_gives_is_measured_by_how_its_meter_reads_a_limit(
+    bias: float,
+) -> None:
+    known = readings(40.0, [bias] * 200, measured(80.0))[-1]
+    free = forecast(60.0 * (1.0 + bias), RATING_KW, known)
+    assert free.maximum_kw == pytest.approx(60.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.9])
+@pytest.mark.parametrize("bias", [-0.02, 0.0, 0.02])
+@pytest.mark.parametrize("cycle_s", CYCLES_S)
+def test_noise_does_not_refute_an_inverter_that_states_more_than_its_limit(
+    cycle_s: float, bias: float, share: float
+) -> None:
+    stated_kw, limit_kw = 80.0 * (1.0 + bias), share * 80.0
+    known = forecast(80.0, RATING_KW, NOTHING_KNOWN, available_kw=stated_kw, cycle_s=cycle_s)
+    learned = known.meter.stated_share
+    for error in 0.02 * np.random.default_rng(3).standard_normal(600):
+        read_kw = limit_kw * (1.0 + error)
+        known = forecast(read_kw, limit_kw, known, available_kw=stated_kw, cycle_s=cycle_s)
+        assert known.power_kw == pytest.approx(80.0, rel=0.03)
+    assert known.meter.stated_share == learned, "held by its limit it shows nothing of it"
+
+
+def test_a_statement_that_a_reading_refutes_is_not_believed_but_foretells_no_fall() -> None:
+    known = forecast(80.0, RATING_KW, NOTHING_KNOWN, available_kw=80.0)
+    refuted = forecast(30.0, 40.0, known, available_kw=80.0)
+    assert (refuted.power_kw, refuted.is_stated) == (30.0, False)
+
+
+def test_however_steep_a_fall_it_forecasts_no_darkness() -> None:
+    assert 0.0 < measured(80.0, 10.0).power_kw < 10.0
 
 
 def test_an_inverter_that_states_its_power_is_held_at_its_forecast_without_room() -> None:
