@@ -1,4 +1,4 @@
-"""The control tree: who is whose parent, and which trees are refused."""
+"""The control tree: who is whose parent, which trees are refused, and the names of its nodes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import pytest
 
 from bus_schemas.errors import InputError
+from bus_schemas.selection import find_agents, find_nodes
 from bus_schemas.tree import (
     LONGEST_PATH,
     MOST_CHILDREN,
@@ -67,3 +68,33 @@ def test_trees_that_cannot_be_are_refused(
     with pytest.raises(InputError, match=r"^control tree") as caught:
         ControlTree(inverters)
     assert named in str(caught.value)
+
+
+# Names of nodes that a user gives -----------------------------------------------------------------
+
+
+NAMED = ControlTree((("c1/a", 1.0), ("c1/b", 1.0), ("c10/a", 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        ("c1", {"c1"}),
+        ("c1/*", {"c1", "c1/a", "c1/b"}),
+        ("*", {"", "c1", "c1/a", "c1/b", "c10", "c10/a"}),
+        (["c1/a", "c1/*"], {"c1", "c1/a", "c1/b"}),
+        ("central", {""}),
+        ("central/*", {"", "c1", "c1/a", "c1/b", "c10", "c10/a"}),
+        ("c1/a, c10/*", {"c1/a", "c10", "c10/a"}),
+        (["", "c10"], {"", "c10"}),
+        ((), set()),
+    ],
+)
+def test_a_star_means_a_node_and_all_below_it(names: str | list[str], found: set[str]) -> None:
+    nodes = find_nodes(NAMED, names)
+    assert set(nodes) == found
+    assert len(nodes) == len(found), "each once"
+
+
+def test_agents_are_the_nodes_and_the_plant() -> None:
+    assert find_agents(NAMED, "plant,central,c10/*") == ("plant", "central", "c10", "c10/a")

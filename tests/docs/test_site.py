@@ -9,10 +9,7 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
-import pytest
 from documents import REPOSITORY
-
-pytest.importorskip("material", reason="mkdocs-material is absent: `make setup` installs it")
 
 
 def test_the_site_has_no_broken_link_and_nothing_from_the_network(tmp_path: Path) -> None:

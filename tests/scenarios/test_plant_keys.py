@@ -10,8 +10,6 @@ import pytest
 from command_line import done, refusal
 from running import small_plant
 
-pytest.importorskip("cryptography")
-
 KEYS = Path("keys/small")
 SHORT = "--duration 5"
 

@@ -14,7 +14,6 @@ from sim_plant.irradiance import read_measured_ghi
 _PLACES = np.random.default_rng(12).random((12, 2))
 LAT_DEG = 21.31 + 0.009 * _PLACES[:, 0]
 LON_DEG = -158.085 + 0.0097 * _PLACES[:, 1]
-METRE_DEG = 1.0 / 111_194.93
 
 
 def instants(start: str, count: int) -> pd.DatetimeIndex:

@@ -10,11 +10,6 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
-import pytest
-
-pytest.importorskip("pymodbus")
-pytest.importorskip("sunspec2")
-
 from plans_by_hand import plan_of, with_changes
 
 from agents.plan import RunPlan

@@ -21,9 +21,6 @@ from recordings.read.reader import RunReader
 from sunspec.addresses import parse_address
 from sunspec.process import read_accounts
 
-pytest.importorskip("pymodbus")
-pytest.importorskip("sunspec2")
-
 pytestmark = pytest.mark.processes
 
 

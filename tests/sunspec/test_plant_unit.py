@@ -14,6 +14,7 @@ import psutil
 import pytest
 from command_line import done, refusal
 from running import REPOSITORY, Device, Heliarch, Start, small_plant
+from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Master
 
 from bus_schemas.messages import Dispatch
 from bus_schemas.signals import DISPATCH
@@ -21,10 +22,6 @@ from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import OPERATOR
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
-
-pytest.importorskip("sunspec2")
-
-from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Master
 
 pytestmark = pytest.mark.processes
 
@@ -119,7 +116,6 @@ def test_the_end_of_the_units_process_is_named_and_the_run_goes_on(
 def test_orders_come_by_all_five_ways_in_one_run_and_verify_repeats_it(
     heliarch: Start, device: Device, tmp_path: Path
 ) -> None:
-    pytest.importorskip("cryptography")
     scenario = small_plant(
         tmp_path / "ordered", ("[time]", "orders = [{ at = 5, power_kw = 500 }]\n\n[time]")
     )

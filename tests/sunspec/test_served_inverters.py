@@ -10,10 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymodbus")
-pytest.importorskip("sunspec2")
-
 from clock_by_hand import ClockByHand
 from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Device
 from sunspec2.modbus.modbus import ModbusClientException

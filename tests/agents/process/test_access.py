@@ -26,6 +26,7 @@ from bus_schemas.signals import CLOCK, ports
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import OPERATOR, PLANT, RECORDER
 from bus_schemas.zenoh_session import KeyFiles, SessionSettings, open_sessions
+from scenarios.plant_keys import make_keys
 
 BARE = plan_of({"c1/a": 100.0, "c2/b": 100.0}, secret="told to nobody")
 AGENTS = BARE.tree.agents()
@@ -193,9 +194,6 @@ def with_a_device(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Team]:
 @pytest.fixture(scope="module")
 def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two folders of keys: `own`, and those of another plant."""
-    pytest.importorskip("cryptography")
-    from scenarios.plant_keys import make_keys  # noqa: PLC0415
-
     folder = tmp_path_factory.mktemp("keys")
     for name in ("own", "other"):
         make_keys(folder / name, BARE.plant, (*AGENTS, OPERATOR), 1.0, ())
@@ -265,8 +263,6 @@ def test_a_link_closes_when_a_certificate_expires_and_comes_back_with_a_renewed_
     keys: Path, tmp_path: Path
 ) -> None:
     """Who connects reads its certificate anew for each link, who listens does not."""
-    from scenarios.plant_keys import make_keys  # noqa: PLC0415
-
     shutil.copytree(keys / "own", tmp_path / "keys")
     renew = partial(make_keys, tmp_path / "keys", BARE.plant, addresses=())
     expires = renew(agents=["c1/a", "c2/b"], days=VALID_S / 86_400)[0].timestamp()

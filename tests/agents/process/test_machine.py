@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import signal
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import psutil
 import pytest
 from command_line import python
 
@@ -17,6 +20,7 @@ from agents.process.machine import (
     stand_back,
     take_machine,
 )
+from agents.process.machine_watch import MachineWatch
 
 Place = tuple[int, int, set[int]]
 
@@ -104,3 +108,23 @@ def test_memory_that_the_kernel_does_not_tell_ends_no_process(
 
     monkeypatch.setattr(Path, "read_text", missing)
     assert own_memory_mb() == 0.0
+
+
+# The watch ----------------------------------------------------------------------------------------
+
+
+SLEEPS = 300
+
+
+def test_a_time_in_which_the_watch_was_not_woken_is_a_stop_of_the_machine() -> None:
+    with MachineWatch() as watch:
+        process = psutil.Process(watch.process.pid)
+        while process.num_ctx_switches().voluntary < SLEEPS:  # It does not sleep yet.
+            time.sleep(0.01)
+        began_ns = time.monotonic_ns()
+        os.kill(process.pid, signal.SIGSTOP)
+        time.sleep(0.2)
+        os.kill(process.pid, signal.SIGCONT)
+        longest = max(watch.stops(), key=lambda one: one.length_ms)
+    assert longest.length_ms > 150.0
+    assert longest.began_ns < began_ns + 200_000_000 < longest.ended_ns + 50_000_000

@@ -11,13 +11,17 @@ from pathlib import Path
 import numpy as np
 import plotly.graph_objects as go
 import pytest
+from plans_by_hand import with_changes
 from plotly.offline import get_plotlyjs_version
 from synthetic_runs import TEN_O_CLOCK_HST_NS, cloudy_run, without_estimates
 
 import results.report
 from recordings.read.series import RunSeries
+from results.report.inverter_figures import correlation_by_hour
 from results.report.page import html_page
+from results.report.plant_figures import farthest_from_asked
 from results.report.run_report import runs_result
+from results.report.style import clock_ms
 from results.report.tables import figures_tables
 from results.tables import Column, Table, key_column
 
@@ -247,3 +251,34 @@ def test_cycles_without_a_message_are_gaps_in_their_own_place(fields: tuple[str,
 def test_a_run_of_a_few_cycles_of_one_inverter_has_a_report(cycles: int) -> None:
     figures = figures_of(cloudy_run(cycles=cycles, regulation=True, inverters=("alone",)))
     assert len(trace(figures["available-power"], "delivered").y) == cycles
+
+
+# Rules of figures ---------------------------------------------------------------------------------
+
+
+def test_an_hour_in_which_nothing_varies_has_no_correlation_to_show() -> None:
+    run = cloudy_run(cycles=7200)
+    mpp_kw = run.mpp_kw.copy()
+    mpp_kw[:3600] = 0.0
+    assert list(correlation_by_hour(run)) == [10, 11]
+    assert list(correlation_by_hour(replace(run, mpp_kw=mpp_kw))) == [11]
+
+
+def test_the_close_look_is_at_the_ten_minutes_of_the_largest_error_in_what_was_asked() -> None:
+    run = cloudy_run(cycles=3600, regulation=True)
+    asked_kw = np.where(np.arange(3600) < 1800, 0.0, run.regulation_kw)
+    run = replace(run, regulation_kw=asked_kw)
+    power_kw = np.repeat(run.dispatch_kw[:, None] / len(run.inverters), len(run.inverters), axis=1)
+    power_kw[:1700, 0] -= 90.0  # Nothing is asked there.
+    power_kw[2000:2600, 0] -= 20.0
+    assert farthest_from_asked([replace(run, power_kw=power_kw)]) == range(2000, 2600)
+
+
+def test_the_clock_does_not_go_back_where_summer_time_ends() -> None:
+    # Berlin, 2026-10-25: 03:00 CEST is 02:00 CET.
+    run = cloudy_run(cycles=4, cycle_s=3600.0)
+    begin_ns = 1_792_886_400_000_000_000
+    plan = with_changes(run.plan, timezone="Europe/Berlin", start_time_ns=begin_ns)
+    run = replace(run, plan=plan)
+    assert run.times[0].utcoffset() != run.times[-1].utcoffset()
+    assert np.diff(clock_ms(run)).tolist() == [3_600_000.0] * 3
