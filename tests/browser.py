@@ -19,6 +19,7 @@ MISSING: Final = [program for program in PROGRAMS if shutil.which(program) is No
 
 _OPTIONS: Final = (
     "--headless",
+    "--window-size=1280,900",
     "--no-sandbox",
     "--disable-gpu",
     "--disable-quic",
@@ -33,9 +34,9 @@ _OPTIONS: Final = (
 class Browser:
     """One window of the browser."""
 
-    def __init__(self, driver: str, profile: Path, width: int, height: int) -> None:
+    def __init__(self, driver: str, profile: Path) -> None:
         self._driver = driver
-        options = [*_OPTIONS, f"--user-data-dir={profile}", f"--window-size={width},{height}"]
+        options = [*_OPTIONS, f"--user-data-dir={profile}"]
         wanted = {
             "browserName": "chrome",
             "goog:chromeOptions": {"binary": shutil.which("chromium"), "args": options},
@@ -77,7 +78,7 @@ class Browser:
         return [entry["message"] for entry in entries if entry["level"] == "SEVERE"]
 
     def narrow(self, width: int) -> None:
-        """Show the page as in a window of this width, also below the least one of a window."""
+        """Show pages as in a window of this width, also below the least one of a window."""
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
         self._tell("Emulation.setDeviceMetricsOverride", size)
 
@@ -127,12 +128,12 @@ class Browser:
 
 
 @contextmanager
-def browser(folder: Path, width: int = 1280, height: int = 900) -> Iterator[Browser]:
+def browser(folder: Path) -> Iterator[Browser]:
     """Open a browser that keeps its things in a folder; nothing of it outlives the context."""
     driver, port = _start_driver()
     with driver:
         try:
-            one = Browser(f"http://127.0.0.1:{port}", folder / "browser", width, height)
+            one = Browser(f"http://127.0.0.1:{port}", folder / "browser")
             try:
                 yield one
             finally:

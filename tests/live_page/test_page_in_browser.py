@@ -27,10 +27,18 @@ NOTHING_OUTSIDE = (
 """Script: the elements that reach over the right edge of the window."""
 
 
-@pytest.fixture
-def window(tmp_path: Path) -> Iterator[Browser]:
-    with browser(tmp_path) as found:
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("browser")) as found:
         yield found
+
+
+@pytest.fixture
+def window(opened: Browser) -> Browser:
+    opened.open("about:blank")
+    opened.narrow(1280)
+    opened.problems()
+    return opened
 
 
 @pytest.fixture

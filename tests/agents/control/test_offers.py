@@ -67,8 +67,7 @@ def broken_clouds(intervals: int, seed: int) -> np.ndarray:
     return 0.35 + 0.6 / (1.0 + np.exp(-2.0 * walk))
 
 
-@pytest.mark.parametrize("is_seen", [True, False])
-@pytest.mark.parametrize("reliability", [0.8, 0.95])
+@pytest.mark.parametrize(("is_seen", "reliability"), [(True, 0.95), (False, 0.8)])
 def test_offers_are_kept_as_often_as_asked_for(is_seen: bool, reliability: float) -> None:
     kept = []
     for seed in range(4):

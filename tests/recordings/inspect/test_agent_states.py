@@ -8,6 +8,7 @@ import pytest
 from command_line import done
 from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, whole_run, write_run
+from running import small_plant
 
 from bus_schemas.messages import GivenUp
 from bus_schemas.signals import GIVEN_UP
@@ -25,10 +26,11 @@ FAULTS = (
 )
 
 
-@pytest.fixture
-def run(plant: str, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run with a kill, a freeze and a cut."""
-    folder = tmp_path / "run"
+    folder = tmp_path_factory.mktemp("states") / "run"
+    plant = small_plant(folder.with_name("plant"))
     faults = (word for fault in FAULTS for word in ("--fault", fault))
     done("simulate", plant, "--duration", str(CYCLES), *faults, "--out", folder)
     return folder

@@ -110,11 +110,12 @@ def test_a_restart_is_told_once_whenever_a_rare_message_follows(tmp_path: Path) 
     assert "c1/a: restarted in cycle 20" in text
 
 
-@pytest.mark.parametrize(("cycles", "text"), [(1000, "ended in order"), (60, "60 of 1,000")])
+@pytest.mark.parametrize(("cycles", "text"), [(CYCLES, "ended in order"), (1000, "60 of 1,000")])
 def test_a_run_that_ended_before_its_last_cycle_was_interrupted(
     tmp_path: Path, cycles: int, text: str
 ) -> None:
-    write_run(tmp_path / "run.mcap", whole_run(cycles))
+    plan = with_changes(PLAN, cycles=cycles)
+    write_run(tmp_path / "run.mcap", whole_run(CYCLES), plan=plan)
     assert text in health_of(tmp_path)[1].splitlines()[-1]
 
 
@@ -155,15 +156,15 @@ def test_an_agent_whose_messages_were_lost_for_long_was_not_heard(tmp_path: Path
     ("cut", "ends"),
     [
         *(("central", "source listener"), ("central", "listener"), ("c1", "source listener")),
-        *(("c1", "listener"), ("c1/inv05", "listener"), ("c1/inv05", "source")),
+        *(("c1", "listener"), ("c1/inv01", "listener"), ("c1/inv01", "source")),
     ],
 )
 def test_an_agent_whose_link_is_cut_is_named_and_nobody_else(
-    tmp_path: Path, cut: str, ends: str
+    plant: str, tmp_path: Path, cut: str, ends: str
 ) -> None:
     faults = [f"{end}={cut},blackout=20s..50s" for end in ends.split()]
     options = RunOptions(duration="60", faults=faults, pace=1.0)
-    prepared = prepare(load_scenario("oahu"), options, "cut")
+    prepared = prepare(load_scenario(plant), options, "cut")
     _, sent = run_in_memory(prepared.plan, prepared.profile)
     write_messages(tmp_path / "run.mcap", sent.messages, plan=prepared.plan)
     (absence,) = health_of(tmp_path)[0].absences
@@ -196,9 +197,11 @@ def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, ru
     assert "absent: recorder" in text
 
 
-def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: Path) -> None:
-    options = RunOptions(duration="60", faults=["loss=2%"], pace=1.0)
-    prepared = prepare(load_scenario("oahu"), options, "lossy")
+def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(
+    plant: str, tmp_path: Path
+) -> None:
+    options = RunOptions(duration="60", faults=["loss=5%"], pace=1.0)
+    prepared = prepare(load_scenario(plant), options, "lossy")
     plan = with_changes(prepared.plan, cycle_wall_ns=prepared.plan.timing.cycle_ns)
     run, sent = run_in_memory(plan, prepared.profile)
     write_messages(tmp_path / "run.mcap", sent.messages, plan=plan)
@@ -210,7 +213,7 @@ def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: 
     assert health.faults == +run.bus.faults.tally
     (act,) = health.fault_effects
     assert act.messages == health.faults["lost"]
-    assert "loss=0.02: acted on" in text
+    assert "loss=0.05: acted on" in text
 
 
 def test_a_takeover_is_no_stage_that_missed_inputs() -> None:

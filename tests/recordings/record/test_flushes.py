@@ -28,7 +28,7 @@ from recordings.record.writer import RunWriter
 MESSAGE_S = 20e-6
 """What it takes to write a message down."""
 
-LASTS_S = 3.0
+LASTS_S = 1.8
 
 IN_REAL_TIME = with_changes(PLAN, cycle_wall_ns=REAL_TIME)
 

@@ -13,8 +13,7 @@ import pytest
 from buses_by_hand import LinkByHand, SubscriberByHand
 from msgspec import structs
 from msgspec.structs import replace
-from plans_by_hand import with_changes
-from recorded_runs import published
+from recorded_runs import cloudy_profile, plan_of, published
 
 from agents.process.events import Complaint, Recorded
 from agents.process.launcher_link import LauncherLink
@@ -31,15 +30,12 @@ from recordings.record.phases import ArmingRound
 from recordings.record.recorder import Recorder
 from recordings.record.senders import SecondSenders
 from recordings.record.writer import RunWriter
-from scenarios.preparation import RunOptions, prepare
-from scenarios.scenario import load_scenario
 
 CYCLES = 8
-PREPARED = prepare(load_scenario("oahu"), RunOptions(duration=str(CYCLES)), "spoken")
-DEVICE = "c2/inv07"
-IN_LOCKSTEP = with_changes(PREPARED.plan, external=(DEVICE,))
+DEVICE = "c2/d"
+IN_LOCKSTEP = plan_of(cycles=CYCLES, external=(DEVICE,))
 PORT = IMPP.of(DEVICE)
-SAID = published(IN_LOCKSTEP, PREPARED.profile)
+SAID = published(IN_LOCKSTEP, cloudy_profile(IN_LOCKSTEP))
 
 Spoken = tuple[Port[Message], Message | bytes]
 
@@ -133,7 +129,7 @@ def test_messages_of_a_device_that_are_lost_are_counted_by_their_numbers(
     assert device.lost == lost
 
 
-@pytest.mark.parametrize("node", [DEVICE, "c1/inv01"])
+@pytest.mark.parametrize("node", [DEVICE, "c1/a"])
 @pytest.mark.parametrize(
     "head",
     [{"sequence": -1}, {"incarnation": 10**9}],  # One does not decode, the other does.
@@ -158,13 +154,13 @@ def test_a_message_with_an_impossible_head_is_named_and_the_recording_goes_on(
 def test_a_message_with_an_impossible_body_does_not_end_the_recorder(
     missing: object, tmp_path: Path
 ) -> None:
-    fields = structs.asdict(replace(impp(4), source="c1/inv01")) | {"missing": missing}
+    fields = structs.asdict(replace(impp(4), source="c1/a")) | {"missing": missing}
     forged = msgspec.msgpack.encode(fields)
     place = next(n for n, (_, message) in enumerate(SAID) if message.cycle == 5)
-    said: list[Spoken] = [*SAID[:place], (IMPP.of("c1/inv01"), forged), *SAID[place:]]
+    said: list[Spoken] = [*SAID[:place], (IMPP.of("c1/a"), forged), *SAID[place:]]
     _, account = recorded(said, tmp_path)
     assert (account.cycles, account.ended_early) == (CYCLES, "")
-    with pytest.warns(InputWarning, match="c1/inv01/impp"), RunReader(tmp_path) as reader:
+    with pytest.warns(InputWarning, match="c1/a/impp"), RunReader(tmp_path) as reader:
         assert len(list(reader.messages())) == len(SAID)
 
 
@@ -266,7 +262,7 @@ def test_a_device_that_speaks_of_another_round_does_not_end_the_one_under_way() 
     under_way = ArmingRound(IN_LOCKSTEP)
     under_way.hear(DISPATCH.of(ROOT), -7)
     for early in (-5, -9, -6):
-        assert not under_way.hear(IMPP.of("c2/inv07"), early)
+        assert not under_way.hear(IMPP.of("c2/d"), early)
     seen = [under_way.hear(port, -7) for port in (*OF_PLANT, *OF_OTHERS)]
     assert seen == [False] * (len(STEADY) - 1) + [True]
     assert under_way.answered
@@ -275,7 +271,7 @@ def test_a_device_that_speaks_of_another_round_does_not_end_the_one_under_way() 
 def test_answers_that_overtake_the_plants_messages_are_counted() -> None:
     under_way = ArmingRound(IN_LOCKSTEP)
     assert not any(under_way.hear(port, -7) for port in OF_OTHERS)
-    assert under_way.unheard(["c2/inv07"]) == []
+    assert under_way.unheard(["c2/d"]) == []
     seen = [under_way.hear(port, -7) for port in OF_PLANT]
     assert seen == [False] * (len(OF_PLANT) - 1) + [True]
 
@@ -283,7 +279,7 @@ def test_answers_that_overtake_the_plants_messages_are_counted() -> None:
 def test_keys_without_a_message_in_the_round_under_way_are_named() -> None:
     under_way = ArmingRound(IN_LOCKSTEP)
     under_way.hear(DISPATCH.of(ROOT), -7)
-    under_way.hear(IMPP.of("c2/inv07"), -5)
-    assert under_way.unheard(["c2/inv07"]) == [
-        f"c2/inv07/{signal}" for signal in ("command", "impp", "residual")
+    under_way.hear(IMPP.of("c2/d"), -5)
+    assert under_way.unheard(["c2/d"]) == [
+        f"c2/d/{signal}" for signal in ("command", "impp", "residual")
     ]

@@ -119,10 +119,10 @@ def test_loop_and_agents_give_the_same_over_a_whole_hour_behind_limits() -> None
 
 @pytest.mark.parametrize("actuator", get_args(Actuator))
 def test_loop_and_agents_give_the_same_where_the_commitment_is_offered(actuator: Actuator) -> None:
-    commitment = {"kind": "offered", "interval_s": 120, "lead_s": 20}
+    commitment = {"kind": "offered", "interval_s": 60, "lead_s": 10}
     scenario = with_settings(load_scenario("oahu"), [("commitment", commitment)])
-    hour = prepare(scenario, RunOptions(actuator=actuator), "loop")
-    assert_equal(hour, "predictive")
+    options = RunOptions(actuator=actuator, duration="20m")
+    assert_equal(prepare(scenario, options, "loop"), "predictive")
 
 
 @pytest.mark.parametrize("actuator", get_args(Actuator))
