@@ -105,7 +105,7 @@ from agents.parent import Supervisor
 step = Supervisor.step
 
 def stuck(self, state, turn):
-    if self.name == "c1" and turn.cycle == 20 and not Path(FLAG).exists():
+    if self.name == "c1" and turn.cycle >= 20 and not Path(FLAG).exists():
         Path(FLAG).touch()
         while True:
             pass
