@@ -60,7 +60,6 @@ class RunAccount:
     recording_gaps: list[tuple[int, int]] = field(default_factory=list)
 
     def add_process(self, child: Child) -> None:
-        """Take in the resources of a process that has ended, and what it dropped."""
         finished = child.finished or Finished({}, [])
         self.dropped += finished.dropped
         self.processes.append(

@@ -135,7 +135,6 @@ class ForkServer:
         self._tell(agent, Started(pid))
 
     def _become(self, agent: str, plan: RunPlan, table: BeatTable, request: Start) -> NoReturn:
-        """Be the process of an agent."""
         status = 1
         try:
             self._set_up(agent, Path(request.logs) / log_name(agent))
@@ -189,7 +188,6 @@ class ForkServer:
 
 
 def main() -> None:
-    """Serve the launcher at the other end of a socket."""
     die_with_parent()
     control, beats = socket.socket(fileno=int(sys.argv[1])), int(sys.argv[2])
     server = ForkServer(control, beats)

@@ -38,7 +38,6 @@ from launch_scripts.supervision import (
     Child,
     Children,
     ForkServerProcess,
-    RunFailure,
     has_exited,
     is_through,
     stall,
@@ -126,11 +125,11 @@ class _Launch:
             # An external agent is the likely cause, and all others wait for it.
             keys = listed(self._externals.unheard)
             text = f"no answer to the arming rounds came on {keys}\n{failure}"
-            raise RunFailure(text) from failure
+            raise FailureError(text) from failure
         ended_at = time.monotonic()
         self._restarts.end()
         # A process that was away at the end did not hear the stop.
-        children.ask_to_end([name for name in self._restarts.counts if name != RECORDER])
+        children.ask_to_end(children[name] for name in self._restarts.counts if name != RECORDER)
         recorded = self._finish()
         for child in children:
             account.add_process(child)
@@ -175,7 +174,7 @@ class _Launch:
             now, complete_at = time.monotonic(), externals.complete_at
             if complete_at is None:
                 if now > began_at + external_s:
-                    raise RunFailure(
+                    raise FailureError(
                         f"no sign of {', '.join(externals.awaited)} after {external_s:g} s: no "
                         "liveliness token was seen; the lines above and "
                         f"{self._account.folder.plan} say where a device finds the bus"
@@ -272,8 +271,8 @@ class _Launch:
         if self._stop_asked_at is None:
             self._restarts.end()
             self._view.say("interrupted: ending after this cycle")
-            own_plant = [PLANT] if PLANT in children.by_agent else None
-            children.ask_to_end(own_plant or [child.agent for child in children.controllers()])
+            has_plant = PLANT in children.by_agent
+            children.ask_to_end([children[PLANT]] if has_plant else children.controllers())
             self._stop_asked_at = now
         longest_s = _STOP_S + 2.0 * self._plan.timing.cycle_wall_ns / 1e9
         if self._interruption.count > 1 or now > self._stop_asked_at + longest_s:
@@ -285,7 +284,7 @@ class _Launch:
         is_early = self._over is not None and self._over.cycle < self._plan.timing.cycles
         if self._interruption or is_early:
             # After an early end, a controller waits in case the plant goes on after all.
-            children.ask_to_end([child.agent for child in children.controllers()])
+            children.ask_to_end(children.controllers())
         self._await(children.controllers(), is_through)
         for child in children.controllers():
             # A standby of an external agent is not the launcher's to account for.
@@ -301,17 +300,13 @@ class _Launch:
 
     def _await(self, some: list[Child], is_done: Callable[[Child], bool] = has_exited) -> None:
         """Wait until processes end. Those that do not are asked to, and at last killed."""
-        for step in (self._ask_to_end, self._restarts.end_by_force, self._leave):
+        for step in (self._children.ask_to_end, self._restarts.end_by_force, self._leave):
             if not (left := self._children.await_end(some, _END_S, is_done, self._look)):
                 return
             if self._watch.server_stands_still:
                 self._leave(left)
                 return
             step(left)
-
-    def _ask_to_end(self, children: Sequence[Child]) -> None:
-        """Ask processes that did not hear that the run is over."""
-        self._children.ask_to_end([child.agent for child in children])
 
     def _leave(self, children: Sequence[Child]) -> None:
         """Leave processes to the end of the fork server, which does not say that they ended."""

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 
 from agents.plan import RunPlan, changed
 from agents.process.events import Failed, Start
-from bus_schemas.errors import InputError
+from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import PLANT
 from launch_scripts.restarts import Restarts
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import Children, ForkServerProcess, RunFailure
+from launch_scripts.supervision import Children, ForkServerProcess
 from launch_scripts.watch import Watch
 
 
@@ -35,7 +35,7 @@ def run_share(
 ) -> None:
     """Start agents of a plan and see them through its run.
 
-    Raises RunFailure: One of them ended before the run, and the policy does not start it again.
+    Raises FailureError: One of them ended before the run, and the policy does not start it again.
     """
     folder.make()
     folder.write_plan(plan)
@@ -62,4 +62,4 @@ def run_share(
             restarts.look()
         children.await_end([*children], 10.0)
     if restarts.given_up:
-        raise RunFailure(f"given up in the run: {', '.join(restarts.given_up)}")
+        raise FailureError(f"given up in the run: {', '.join(restarts.given_up)}")

@@ -6,6 +6,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import Final
 
 from agents.faults import Incident, incidents
@@ -73,7 +74,7 @@ class Restarts:
         """Cycle 0 begins: let fault rules act from now on."""
         now_s = self._now_s()
         self._children.phase = "in the middle of the run"
-        self._faults.begin(start_s if abs(start_s - now_s) < _SAME_CLOCK_S else now_s)
+        self._faults.begin_s = start_s if abs(start_s - now_s) < _SAME_CLOCK_S else now_s
 
     def end(self) -> None:
         """Start no more processes: the run is over."""
@@ -127,7 +128,7 @@ class Restarts:
     def look(self) -> None:
         """Do what is due: fault rules, processes that wait to be started; kill who does not live.
 
-        Raises RunFailure: the plant's process does not live.
+        Raises FailureError: the plant's process does not live.
         """
         now_s = self._now_s()
         self._start_due(now_s)
@@ -146,7 +147,6 @@ class Restarts:
                 self._kill(child, why)
 
     def hear(self, child: Child, event: Event) -> None:
-        """Take in what a process says of itself."""
         if isinstance(event, TookOver):
             self._say(f"{child.agent} took over in cycle {event.cycle}")
             self._faults.speakers[agent_of(child.agent)] = child.agent
@@ -215,23 +215,18 @@ class _FaultRules:
         self._frozen: dict[str, str] = {}
         self._process_of = plan.wiring.process_of
         self._wall_per_s = plan.timing.cycle_wall_ns / plan.timing.cycle_ns
-        self._began_at_s: float | None = None
+        self.begin_s = inf  # Of cycle 0.
         # The process that speaks for each agent with a standby.
         self.speakers: dict[str, str] = {}
 
     @property
     def has_begun(self) -> bool:
-        return self._began_at_s is not None
-
-    def begin(self, at_s: float) -> None:
-        self._began_at_s = at_s
+        return self.begin_s < inf
 
     def due(self, now_s: float) -> list[Incident]:
         """Return what is due, with the names of the processes that it happens to."""
         found: list[Incident] = []
-        if self._began_at_s is None:
-            return found
-        while self._due and self._due[0].time_s * self._wall_per_s <= now_s - self._began_at_s:
+        while self._due and self._due[0].time_s * self._wall_per_s <= now_s - self.begin_s:
             one = self._due.pop(0)
             # A rule means the process that speaks, or that was frozen.
             name = self.speakers.get(one.agent, self._process_of(one.agent))

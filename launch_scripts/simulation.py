@@ -23,13 +23,14 @@ from agents.process.machine import own_memory_mb
 from agents.team import controller
 from bus_schemas.bus import Arrival
 from bus_schemas.codec import encode
+from bus_schemas.errors import FailureError
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, TAKEOVER, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, agent_of, standby_of
 from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import RunFailure, who_waits
+from launch_scripts.supervision import who_waits
 from launch_scripts.view import View
 from recordings.record.phases import RunProgress
 from recordings.record.writer import ClockAnchor, RunWriter
@@ -100,7 +101,7 @@ class MemoryRun:
                     for name, loop in self.loops.items()
                     if loop.waiting
                 }
-                raise RunFailure(who_waits(waiting, self.plan)[0])
+                raise FailureError(who_waits(waiting, self.plan)[0])
         yield from range(done, plant.cycle)
 
     def _turns(self, start_ns: int) -> Iterator[Sequence[Arrival]]:
@@ -196,13 +197,11 @@ class MemoryRun:
         return {name: len(times_s) for name, times_s in self._restarted_s.items() if times_s}
 
     def stop(self) -> None:
-        """End the run after the cycle under way."""
         last = self.loops[PLANT].cycle + 1
         for loop in self.loops.values():
             loop.end_before(max(last, loop.cycle))
 
     def close(self) -> None:
-        """Say that the run is over."""
         last, now_ns = self.loops[PLANT].cycle, self._driver.now_ns()
         self._publish_run(self.plan.run_message("stop", last, now_ns))
 

@@ -59,10 +59,6 @@ _STATES: Final[dict[type[Event], State]] = {
 }
 
 
-class RunFailure(FailureError):  # noqa: N818 - what failed is the run, not the program
-    """A run that could not go on."""
-
-
 class ForkServerProcess(SideProcess):
     """The fork server. Start it early: it imports while others prepare.
 
@@ -194,7 +190,7 @@ def has_exited(child: Child) -> bool:
 
 def is_through(child: Child) -> bool:
     """Whether a process has come to the end of the run, or of itself."""
-    return child.finished is not None or child.exited is not None
+    return bool(child.finished or child.recorded or child.exited)
 
 
 class Children:
@@ -252,7 +248,7 @@ class Children:
         if is_server_gone:
             server = f"the fork server (process {self.server.process.pid})"
             why = self._server_failure or "it was killed or ended by itself"
-            raise RunFailure(f"{server} is gone, and with it all processes of the run: {why}")
+            raise FailureError(f"{server} is gone, and with it all processes of the run: {why}")
         for child in {child.agent: child for child, event in heard if child.exited}.values():
             why = self._why_ended_early(child)
             if why and not self.on_death(child, why):
@@ -279,22 +275,23 @@ class Children:
         """Return all processes but the recorder."""
         return [child for child in self if child.agent != RECORDER]
 
-    def failure(self, agent: str, text: str) -> RunFailure:
+    def failure(self, agent: str, text: str) -> FailureError:
         """Return a failure that an agent is to blame for, with the last lines of its log."""
         if agent not in self.by_agent:
-            return RunFailure(f"{text} ({agent} is external)")
+            return FailureError(f"{text} ({agent} is external)")
         log = self[agent].log
         said = log.read_text(encoding="utf-8", errors="replace") if log.exists() else ""
         lines = "".join(f"\n  | {line}" for line in said.splitlines()[-_LOG_LINES:])
-        return RunFailure(f"{text}; last lines of {log}:{lines}" if lines else text)
+        return FailureError(f"{text}; last lines of {log}:{lines}" if lines else text)
 
     def end_recorder(self, messages: int) -> None:
         """Let the recorder close its file once it has so many messages."""
         self._asked_to_end.add(RECORDER)
         self.table.expect(messages)
 
-    def ask_to_end(self, agents: Sequence[str]) -> None:
-        """Let agents end in order."""
+    def ask_to_end(self, children: Iterable[Child]) -> None:
+        """Let processes end in order, also those that did not hear that the run is over."""
+        agents = [child.agent for child in children]
         self._asked_to_end.update(agents)
         self.signal(agents, signal.SIGTERM)
 

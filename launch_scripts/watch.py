@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final, Literal, TypeAlias
+from typing import Final
 
 from agents.plan import RunPlan
 from agents.process.beats import BEAT_S, FORK_SERVER
 from agents.process.events import Event, Joined, Presence, Started, Status
 from bus_schemas.tree import OPERATOR, PLANT, RECORDER
-from launch_scripts.supervision import Child, Children, Row
+from launch_scripts.supervision import Child, Children, Row, is_through
 
 LONGEST_STEP_S: Final = 0.5
 """Between two looks of the launcher no more than this counts."""
@@ -100,9 +100,8 @@ class Watch:
     def _objection(self, child: Child, *, sends: bool) -> str:
         """Say why a process does not live; empty if it does."""
         row = child.row
-        is_over = child.finished or child.recorded or child.exited
         # In lockstep a process that sends waits for a listener.
-        if is_over or row.state not in {"started", "present"} or sends:
+        if is_through(child) or row.state not in {"started", "present"} or sends:
             return ""
         more_s = 2.0 * SILENT_S if child.kind == "plant" else 0.0
         limit_s = max(self._limit_s, more_s) if row.state == "present" else JOIN_S
@@ -183,11 +182,7 @@ class Hearing:
             self.gaps[-1] = self.gaps[-1][0], newest
 
     def _lives(self, child: Child) -> bool:
-        is_over = child.finished or child.recorded or child.exited
-        return child.ready and not is_over and self._watch.silent_s(child) < 2.0 * BEAT_S
-
-
-Presences: TypeAlias = Literal["awaited", "present", "gone"]
+        return child.ready and not is_through(child) and self._watch.silent_s(child) < 2.0 * BEAT_S
 
 
 class Externals:
@@ -208,13 +203,13 @@ class Externals:
         self._plan = plan
         self._say = say
         self._now_s = now_s
-        self._states: dict[str, Presences] = dict.fromkeys(plan.elsewhere, "awaited")
+        self._seen: set[str] = set()
         self._gone_at_s: dict[str, float] = {}
 
     @property
     def awaited(self) -> list[str]:
         """Those that have not been seen."""
-        return [name for name, state in self._states.items() if state == "awaited"]
+        return [name for name in self._plan.elsewhere if name not in self._seen]
 
     def hear(self, event: Event) -> None:
         if isinstance(event, Status):
@@ -227,20 +222,17 @@ class Externals:
         agent, plan, lockstep = event.agent, self._plan, self._plan.timing.lockstep
         name = f"{agent} ({plan.access.addresses.get(agent, 'external')})"
         when = f"in cycle {event.cycle}" if event.cycle >= 0 else "before cycle 0"
-        was = self._states[agent]
         if not event.alive:
             if event.cycle >= 0 and (agent == OPERATOR or (not lockstep and agent != PLANT)):
                 return f"{name} is gone {when}; the run goes on without it"
             if event.cycle >= 0 and agent in plan.access.external:
-                self._states[agent] = "gone"
                 self._gone_at_s[agent] = self._now_s()
             return f"{name} is gone {when}"
-        # In lockstep no message is sent twice: a device that comes back lacks what it missed.
-        if was != "gone" or not lockstep:
-            self._states[agent] = "present"
+        if not lockstep:  # There no message is sent twice: who comes back lacks what it missed.
             self._gone_at_s.pop(agent, None)
-        if was != "awaited":
+        if agent in self._seen:
             return f"{name} is back {when}"
+        self._seen.add(agent)
         if not self.awaited:
             self.complete_at = self._now_s()
         return f"{name} is here"

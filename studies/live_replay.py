@@ -28,14 +28,14 @@ from agents.process.events import Start
 from agents.process.interruption import Interruption, interruptible
 from agents.process.machine import MachineSettings
 from bus_schemas.codec import decode, encode
-from bus_schemas.errors import InputError, listed
+from bus_schemas.errors import FailureError, InputError, listed
 from bus_schemas.inbox import Inbox
 from bus_schemas.messages import Message, Run
 from bus_schemas.selection import find_nodes
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import REPLAYER, ROOT, ControlTree, agent_name
-from launch_scripts.supervision import Children, ForkServerProcess, RunFailure, stall
+from launch_scripts.supervision import Children, ForkServerProcess, stall
 from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock
@@ -145,8 +145,8 @@ def _folder() -> Iterator[Path]:
     folder = Path(tempfile.mkdtemp(prefix="heliarch-replay-"))
     try:
         yield folder
-    except RunFailure as failure:
-        raise RunFailure(f"{failure}\nlogs of the live controllers: {folder}") from None
+    except FailureError as failure:
+        raise FailureError(f"{failure}\nlogs of the live controllers: {folder}") from None
     except BaseException:
         shutil.rmtree(folder)
         raise
@@ -281,7 +281,7 @@ class LiveBus(ReplayBus):
                 raise KeyboardInterrupt
             if time.monotonic() > give_up_at:
                 names = listed(sorted(map(str, silent)))
-                raise RunFailure(f"no arming round closed: nothing came on {names}")
+                raise FailureError(f"no arming round closed: nothing came on {names}")
 
     def put(self, port: Port[Message], payload: bytes) -> bool:
         """Take in a recorded message; return whether it was sent as it is."""
@@ -342,7 +342,7 @@ class LiveBus(ReplayBus):
             if is_silent:
                 is_known = any(child.waiting for child in self._children)
                 text = f"stalled in cycle {self.cycles}"
-                raise RunFailure(stall(self._children, self._plan)[0] if is_known else text)
+                raise FailureError(stall(self._children, self._plan)[0] if is_known else text)
             self.cycles += 1
 
     def _await_cycle(self, cycle: int, patience_s: float) -> set[Port[Message]]:
@@ -369,7 +369,7 @@ class LiveBus(ReplayBus):
                 message = decode(port.signal, payload)
             except msgspec.DecodeError as error:
                 expected = port.signal.type.__name__
-                raise RunFailure(f"{port}: expected a {expected}, got: {error}") from None
+                raise FailureError(f"{port}: expected a {expected}, got: {error}") from None
             self._newest[port] = message.cycle
             if message.cycle >= 0:
                 self._received += 1

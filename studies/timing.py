@@ -14,10 +14,10 @@ import psutil
 
 from agents.process.interruption import interruptible
 from agents.process.machine_watch import MachineWatch
-from bus_schemas.errors import InputError
+from bus_schemas.errors import FailureError, InputError
 from launch_scripts.launch import check_processes, launch
 from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
-from launch_scripts.supervision import ForkServerProcess, RunFailure
+from launch_scripts.supervision import ForkServerProcess
 from launch_scripts.view import ViewFor
 from results.report.result import Result
 from results.tables import Column, Table, attributes, key_column, word_column
@@ -83,7 +83,9 @@ def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor)
     try:
         return report_on(folder.path, summary, (load_before, psutil.getloadavg()[0]), stops)
     except InputError as error:  # The disk was full, for instance.
-        raise RunFailure(f"{summary.launcher.recording_ended or 'not measured'}: {error}") from None
+        raise FailureError(
+            f"{summary.launcher.recording_ended or 'not measured'}: {error}"
+        ) from None
 
 
 # The highest rate ---------------------------------------------------------------------------------
@@ -163,7 +165,7 @@ def _run_at(rate_hz: float, timed: Callable[[float], TimingReport], *, is_first:
         return rate_row(timed(rate_hz))
     except KeyboardInterrupt:
         return RateRow(rate_hz, "interrupted")
-    except (RunFailure, InputError) as failure:
+    except (FailureError, InputError) as failure:
         if is_first and isinstance(failure, InputError):
             raise
         return RateRow(rate_hz, "failed", str(failure).splitlines()[0])

@@ -20,7 +20,7 @@ from heliarch.cli.output import Output, do_all
 from launch_scripts.launch import check_processes, launch
 from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.simulation import simulate
-from launch_scripts.supervision import ForkServerProcess, RunFailure
+from launch_scripts.supervision import ForkServerProcess
 from live_page.process import PageProcess
 from results.run_summary import RunSummary
 from results.summary_table import print_summary
@@ -112,7 +112,7 @@ def run(
             if server is None:
                 return simulate(preparation, folder, view, began_at), folder
             return launch(preparation, folder, view, began_at, server), folder
-    except RunFailure as failure:
+    except FailureError as failure:
         if not folder.recording.exists():
             raise
         raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from agents.cycle import kind_of
 from agents.faults import Fault, Freeze, Kill, ProcessFault, Trip, incidents
 from agents.plan import RunPlan, changed
-from bus_schemas.errors import InputError
+from bus_schemas.errors import FailureError, InputError
 from bus_schemas.faults import Blackout, Disturbance, LinkFault, Partition, links
 from bus_schemas.tree import PLANT, agent_name, depth, parent_of
 from launch_scripts.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
-from launch_scripts.supervision import RunFailure
 from scenarios.fault_rules import fault_text
 from scenarios.preparation import Preparation
 from sim_plant.profile import Profile
@@ -132,7 +131,7 @@ def trace_of(plan: RunPlan, profile: Profile, faults: Sequence[Fault]) -> Trace:
     try:
         for _ in MemoryRun(plan, profile, trace).cycles():
             pass
-    except RunFailure as failure:
+    except FailureError as failure:
         trace.ended = str(failure)
     return trace
 

@@ -10,6 +10,7 @@ from memory_runs import Sent, run_in_memory
 from plans_by_hand import CYCLE_NS, plan_of
 
 from agents.plan import Neighbourhood, NodeNeighbourhoods
+from bus_schemas.errors import FailureError
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
@@ -23,7 +24,6 @@ from bus_schemas.signals import (
 )
 from bus_schemas.tree import ROOT
 from launch_scripts.simulation import MemoryRun
-from launch_scripts.supervision import RunFailure
 from sim_plant.profile import Profile
 
 PLAN = plan_of({"a": 100.0, "b": 100.0}, cycles=3)
@@ -127,5 +127,5 @@ def test_a_run_that_is_stopped_ends_after_the_cycle_under_way() -> None:
 def test_a_run_that_cannot_go_on_says_who_waits_for_what() -> None:
     # Without a dispatch that it can use the central controller sends no setpoints.
     profile = Profile(PROFILE.mpp_kw, np.array([np.nan, 80.0, 80.0]))
-    with pytest.raises(RunFailure, match=r"cycle 0: .* central; a waits for a/setpoint, b"):
+    with pytest.raises(FailureError, match=r"cycle 0: .* central; a waits for a/setpoint, b"):
         list(MemoryRun(PLAN, profile).cycles())

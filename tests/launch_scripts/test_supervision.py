@@ -15,9 +15,10 @@ from agents.plan import RunPlan
 from agents.process.beats import FORK_SERVER, BeatTable
 from agents.process.events import Exited, Joined, Presence, Started, Status, Waiting
 from agents.settings import RestartPolicy
+from bus_schemas.errors import FailureError
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.restarts import Restarts
-from launch_scripts.supervision import Child, Children, RunFailure, still_waiting
+from launch_scripts.supervision import Child, Children, still_waiting
 from launch_scripts.watch import Externals, Hearing, Watch
 
 NODE = "c1/a"
@@ -157,7 +158,7 @@ def test_a_machine_that_is_too_busy_starts_no_storm_of_kills(watched: Make) -> N
 def test_the_plant_alone_ends_a_run_and_only_if_it_does_not_beat(watched: Make) -> None:
     run = watched()
     run.pass_by(9.0, PLANT)
-    with pytest.raises(RunFailure, match=r"^plant .* has not beaten"):
+    with pytest.raises(FailureError, match=r"^plant .* has not beaten"):
         run.pass_by(3.0, PLANT)
 
 

@@ -12,8 +12,7 @@ from printing import printed
 from reports_by_hand import missed, reported
 from timed_recordings import cycle
 
-from bus_schemas.errors import InputError
-from launch_scripts.supervision import RunFailure
+from bus_schemas.errors import FailureError, InputError
 from results.report.result import print_result
 from results.timing.report import TimingReport
 from studies.timing import parse_rates, rate_row, sweep, sweep_result
@@ -117,7 +116,7 @@ def test_the_search_ends_at_the_ends_of_its_range(reports: Reports) -> None:
 def test_a_run_that_fails_or_is_refused_ends_the_search_above_it_but_the_first_is_refused(
     reports: Reports,
 ) -> None:
-    for why in (RunFailure("c1 has died\nits log says so"), InputError("c1 has died")):
+    for why in (FailureError("c1 has died\nits log says so"), InputError("c1 has died")):
         found = sweep(5.0, 20.0, Machine(reports, 1e9, {10.0: why}).run)
         assert {row.rate_hz: row.outcome for row in found.rows}[10.0] == "failed"
         assert 10.0 / 1.11 <= (found.highest_clean_hz or 0.0) < 10.0
