@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -12,21 +10,10 @@ from pathlib import Path
 import psutil
 import pytest
 from command_line import process
+from work_by_hand import die_on_three, refuse_three, sleep_for
 
 from bus_schemas.errors import InputError
 from studies.workers import WorkerLostError, share_work
-
-
-def die_on_three(number: int) -> int:
-    if number == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
-
-
-def refuse_three(number: int) -> int:
-    if number == 3:
-        raise InputError("expected no 3")
-    return number
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -38,10 +25,6 @@ def test_an_error_of_the_work_arrives_as_it_is(workers: int) -> None:
 def test_a_worker_that_is_killed_is_reported() -> None:
     with pytest.raises(WorkerLostError):
         share_work(die_on_three, range(6), 2)
-
-
-def sleep_for(item: tuple[float, bytes]) -> None:
-    time.sleep(item[0])
 
 
 def interrupt() -> None:

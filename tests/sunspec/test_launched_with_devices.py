@@ -42,10 +42,12 @@ def inverters(scenario: str, port: str = "0") -> Iterator[list[str]]:
     ) as process:
         assert process.stdout is not None
         options: list[str] = []
-        while (line := process.stdout.readline()).startswith("--device "):
-            options += line.split()
-        yield options  # The last one is the meter's.
-        process.kill()
+        try:
+            while (line := process.stdout.readline()).startswith("--device "):
+                options += line.split()
+            yield options  # The last one is the meter's.
+        finally:
+            process.kill()
 
 
 @pytest.fixture

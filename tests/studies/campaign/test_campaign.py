@@ -92,7 +92,7 @@ def test_a_planted_bug_is_found_by_seeds_1_to_300(
 
 def test_a_broken_seed_is_shrunk_and_a_command_repeats_its_run(tmp_path: Path) -> None:
     code = planted(tmp_path / "code", BUGS["a silent child counts 0"])
-    words = [sys.executable, "-m", "heliarch", "campaign", "oahu", "--seeds", "1..8"]
+    words = [sys.executable, "-m", "heliarch", "campaign", "oahu", "--seeds", "4"]
     words += ["--data", str(tmp_path), "--from", "12:30"]
     answer = subprocess.run(
         words, env={"PYTHONPATH": str(code)}, cwd=code, capture_output=True, text=True, check=False
