@@ -59,7 +59,6 @@ class PlantState:
         return messages
 
     def _read_chunk(self, chunk: Chunk) -> dict[int, list[tuple[Port[Message], bytes]]]:
-        """Return the messages in a chunk by their cycle."""
         by_cycle: dict[int, list[tuple[Port[Message], bytes]]] = {}
         for record in self._follower.run.records_of(chunk):
             if record.port.signal is not RUN:

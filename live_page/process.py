@@ -45,7 +45,6 @@ class PageAddress:
         return f"http://{host}:{port}/{path}" + (f"?token={self.token}" if self.token else "")
 
     def text(self) -> str:
-        """Return the address as it is printed."""
         is_local = ipaddress.ip_address(self.socket.getsockname()[0]).is_loopback
         return self.url() + ("" if is_local else "   (not encrypted)")
 

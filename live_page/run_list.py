@@ -82,7 +82,6 @@ def _row(name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
 
 
 def _end(folder: Path, summary: _Summary | None, *, is_growing: bool) -> str:
-    """Say how a run ended, in a few words."""
     if failure := failure_in(folder):
         return f"failed: {failure}"
     if summary is None:

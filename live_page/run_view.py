@@ -100,7 +100,6 @@ class RunView:
         }
 
     def window(self, cycles: range, points: int) -> dict[str, Any]:
-        """Return the plant's powers over some cycles."""
         return self._begun()[0].powers(cycles, min(points, _MOST_POINTS))
 
     async def node(self, node: str, cycles: range) -> dict[str, list[float | None]]:
@@ -187,7 +186,6 @@ class RunView:
 
 
 def _figures(found: Figures | None) -> list[dict[str, str]]:
-    """Return the figures that a summary shows, as texts."""
     if found is None:
         return []
     return [

@@ -117,7 +117,6 @@ class PageServer:
         )
 
     async def serve(self) -> None:
-        """Serve until `end` is called."""
         await self._server.serve(sockets=[self._address.socket])
 
     def end(self) -> None:

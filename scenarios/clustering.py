@@ -116,7 +116,6 @@ def _mean_correlation(
 def _positions_m(
     groups: list[tuple[int, ...]], sites: Sites
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the middle of each group, east and north [m]."""
     east_m, north_m = east_north_m(sites.lat_deg, sites.lon_deg)
     return (
         np.array([east_m[list(group)].mean() for group in groups]),

@@ -95,7 +95,6 @@ METER: Final = "meter"
 
 
 def split_devices(options: Iterable[str]) -> dict[str, str]:
-    """Return the address of each node that `--device` names."""
     found = {}
     for option in options:
         node, _, address = option.partition("=")

@@ -85,7 +85,6 @@ def _words(text: str, where: str) -> dict[str, str]:
 
 
 def _read(kind: type[Fault], word: str, value: str, where: str) -> object:
-    """Return the value of a word."""
     read: object = value
     match word:
         case "delay" | "jitter" | "reorder-by":

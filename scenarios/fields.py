@@ -43,7 +43,6 @@ def with_line(complaint: str, text: str) -> str:
 
 
 def _field_lines(text: str) -> dict[str, int]:
-    """Return the line of each table and each field."""
     found: dict[str, int] = {}
     tables = Counter[str]()
     prefix = ""

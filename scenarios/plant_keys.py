@@ -116,7 +116,6 @@ def _is_by(authority: x509.Certificate, certificate: x509.Certificate) -> bool:
 
 
 def _authority(folder: Path, plant: str) -> x509.Certificate:
-    """Read the certificate of a plant's authority."""
     path = folder / "ca.pem"
     authority = _read_certificate(path)
     if _name(authority) != plant[:64]:

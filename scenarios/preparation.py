@@ -253,7 +253,6 @@ def _plan(
     wall_ns: int,
     keys_folder: str,
 ) -> RunPlan:
-    """Return what all agents of the run agree on."""
     control, offered = scenario.control, scenario.commitment
     with scenario_file.named():
         groups = process_groups(scenario.processes, day.tree)
@@ -375,7 +374,6 @@ def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
 def _times(
     scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions
 ) -> pd.DatetimeIndex:
-    """Return when each cycle of a run begins."""
     table, time_table = scenario.time, f"{scenario_file.path}: time"
     text, where = options.start, "--from"
     if text is None:

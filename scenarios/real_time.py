@@ -23,7 +23,6 @@ SHORTEST_CYCLE_NS: Final = 100_000
 
 
 def parse_pace(pace: str | float | None) -> float | Literal["max"] | None:
-    """Read the value of `--pace`."""
     if pace is None or pace == "max":
         return "max" if pace else None
     try:

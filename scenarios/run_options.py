@@ -209,7 +209,6 @@ class RunOptions(SpanOptions, PlantOptions, ProcessOptions):
 
     @classmethod
     def of(cls, *groups: object) -> Self:
-        """Return the options of several groups."""
         fields: dict[str, Any] = {}
         for group in groups:
             fields |= vars(group)
@@ -217,7 +216,6 @@ class RunOptions(SpanOptions, PlantOptions, ProcessOptions):
 
 
 def check_names(where: str, names: str | Iterable[str] | None, known: Collection[str]) -> None:
-    """Refuse names that are not known."""
     for name in [names] if isinstance(names, str) else names or ():
         if name not in known:
             raise InputError(f"{where}: {not_one_of(known, name)}")

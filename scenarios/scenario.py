@@ -400,12 +400,10 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
 
 
 def local_start(time: TimeTable) -> datetime:
-    """Return the first cycle's time with its zone."""
     return zoned(time.start, time)
 
 
 def zoned(moment: datetime, time: TimeTable) -> datetime:
-    """Return a time of a scenario with its zone."""
     zone = ZoneInfo(time.timezone)
     return moment.astimezone(zone) if moment.tzinfo else moment.replace(tzinfo=zone)
 

@@ -82,7 +82,6 @@ def latest_day_before(folder: Path, day: date) -> date:
 
 
 def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:
-    """Time stamps of all lines in UTC."""
     second, year, day_of_year, clock = table.numbers(_TIME_FIELDS).T
     other = (year != day.year) | (day_of_year != day.timetuple().tm_yday)
     if other.any():

@@ -74,7 +74,6 @@ class OrderDesk:
         (self._folder / SOCKET_NAME).unlink(missing_ok=True)
 
     def take(self) -> Order | None:
-        """Return the newest order that has come since the last cycle."""
         with suppress(BlockingIOError):
             while len(self._answers) < _MOST_CLIENTS:
                 client, _ = self._socket.accept()

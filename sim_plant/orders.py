@@ -94,7 +94,6 @@ class Orders:
         regulation_kw: float,
         clear_sky_kw: float | None = None,
     ) -> Dispatch:
-        """Return the dispatch of a cycle by the schedule alone."""
         return Dispatch(
             *stamp,
             power_kw=commitment_kw + regulation_kw,

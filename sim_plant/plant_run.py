@@ -59,7 +59,6 @@ def run_plant(
 
 
 def _lead(process: AgentProcess, patience_s: float) -> None:
-    """Arm, start, run, stop."""
     plan, loop = process.plan, process.loop
     _await_all(process, time.monotonic() + patience_s)
     # Agents that have appeared answer soon; only waiting for them to appear may take longer.

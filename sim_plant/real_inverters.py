@@ -157,7 +157,6 @@ class PlantWithDevices(Plant):
 
 
 def _measured(state: PlantState, fresh: Mapping[int, Reading], lost: list[int]) -> PlantState:
-    """Return the state with what real inverters measure and obey."""
     power_kw, limit_kw = state.power_kw.copy(), state.limit_kw.copy()
     for position, reading in fresh.items():
         if position != METER:

@@ -119,7 +119,6 @@ class _Link:
             raise DeviceError(f"device {self._node}: {error}") from None
 
     def begin(self, hand_over: Callable[[Reading], None]) -> None:
-        """Read and limit the device, in a thread."""
         self._thread = threading.Thread(target=self._run, args=[hand_over], daemon=True)
         self._thread.start()
 

@@ -140,7 +140,6 @@ def memory_of(values: NDArray[np.float64], settings: OfferSettings) -> OfferMemo
 
 
 def _lengths(settings: OfferSettings) -> tuple[int, int]:
-    """Return how many samples the window and an interval have."""
     within = max(settings.interval_cycles // settings.sample_cycles, 1)
     return settings.window_samples, within
 

@@ -28,7 +28,6 @@ class StatusLine:
         self._shown = ""
 
     def is_due(self) -> bool:
-        """Whether the shown line is old enough."""
         return time.monotonic() >= self._next_at
 
     def show(self, text: str) -> None:

@@ -39,7 +39,6 @@ class Output:
         self._json = json
 
     def say(self, *lines: str) -> None:
-        """Print lines as they are."""
         for line in lines:
             self.console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
 
