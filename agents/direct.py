@@ -39,21 +39,15 @@ class DirectState(msgspec.Struct, frozen=True, gc=False):
 
 
 class DirectController:
-    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha.
-
-    reverts: Whether the inverter does something of its own when no commands come.
-    """
+    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha."""
 
     may_skip = True
 
-    def __init__(
-        self, node: str, rating_kw: float, control: Control, cycle_s: float, *, reverts: bool
-    ) -> None:
+    def __init__(self, node: str, rating_kw: float, control: Control, cycle_s: float) -> None:
         self.name = node
         self._rating_kw = rating_kw
         self._control = control
         self._cycle_s = cycle_s
-        self._reverts = reverts
         self._parent = parent_of(node)
         self._telemetry = TELEMETRY.of(node)
         self._dispatch = DISPATCH.of(ROOT)
@@ -131,6 +125,5 @@ class DirectController:
             power_kw = target_kw
         elif alpha == 1.0 and self._control.holds_limits:
             power_kw = held_kw(target_kw, self._rating_kw, state.estimate)
-        revert_kw = share_kw if self._reverts else None
-        command = Command(*turn.stamp, alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
+        command = Command(*turn.stamp, alpha=alpha, power_kw=power_kw, revert_kw=share_kw)
         return [(self._command, command)]

@@ -163,7 +163,7 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     ramp_limit_percent_per_min: Ramp limit that the run is measured by, in % of the plant's rating.
     available_bias: Relative error of the available power that inverters state; None: none do.
     available_share: Share of the inverters that state it, evenly among them.
-    revert: What an inverter does without new commands; None: it obeys the last one forever.
+    revert: What an inverter does without new commands.
     settings: For each field, the last entry that matches an inverter counts.
     devices: Real inverters, each with its address: `modbus://host:port/unit`.
     meter: Address of the real meter at the point of interconnection; empty: there is none.
@@ -175,7 +175,7 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     ramp_limit_percent_per_min: float | None = None
     available_bias: float | None = None
     available_share: float = 1.0
-    revert: Revert | None = None
+    revert: Revert = Revert()
     ramp_percent_per_s: float | None = None
     delay_s: float = 0.0
     settings: tuple[InverterSettings, ...] = ()
@@ -197,6 +197,9 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
                 given = {name: value for name, value in asdict(entry).items() if value is not None}
                 found = replace(found, **given)
         return found
+
+    def revert_of(self, leaf: str) -> Revert:
+        return self.settings_of(leaf).revert or self.revert
 
     def response(self, tree: ControlTree, cycle_s: float) -> Response:
         """Return how the plant as a whole follows commands; a real one is read a cycle later."""

@@ -30,9 +30,7 @@ def controller(plan: RunPlan, name: str) -> Controller:
 def direct_controller(
     plan: RunPlan, name: str, kind: type[DirectController] = DirectController
 ) -> DirectController:
-    reverts = plan.site.settings_of(name).revert is not None
-    rating_kw, cycle_s = plan.tree.rating_kw(name), plan.timing.cycle_s
-    return kind(name, rating_kw, plan.control, cycle_s, reverts=reverts)
+    return kind(name, plan.tree.rating_kw(name), plan.control, plan.timing.cycle_s)
 
 
 def controllers(plan: RunPlan) -> list[Controller]:

@@ -359,7 +359,6 @@ def _cycles() -> list[list[tuple[Port[Message], Message]]]:
     plan = changed(
         _example().plan,
         control={"scheme": "paper", "hold_cycles": 2},
-        site={"revert": None},
         timing={"cycles": len(_VECTOR)},
     )
     ours = Loop(controller(plan, INVERTER), plan)

@@ -249,8 +249,7 @@ class DirectController(Member):
         if lost:
             power_kw = target_kw
         # Where to an inverter goes that hears no more of us.
-        revert_kw = share_kw if self.plan["site"].get("revert") is not None else None
-        self.publish("command", alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
+        self.publish("command", alpha=alpha, power_kw=power_kw, revert_kw=share_kw)
 
 
 def deadlines_s(plan: dict[str, Any], node: str) -> dict[str, float]:

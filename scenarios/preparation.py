@@ -163,7 +163,7 @@ def prepare(
             "warning: grid.droop.reserve_percent: expected plant.available_bias with it; behind "
             "power limits a reserve fades once it holds the plant below its dispatch"
         )
-    if plan.site.revert is not None and plan.site.revert != scenario.plant.revert:
+    if plan.site.revert != scenario.plant.revert:
         remarks.append(
             f"inverters revert after {plan.site.revert.after_s:g} s, which is three cycles"
         )
@@ -307,7 +307,7 @@ def _plan(
             ramp_percent_per_s=scenario.plant.ramp_percent_per_s,
             delay_s=scenario.plant.delay_s,
             settings=tuple(
-                replace(entry, revert=_renewable(entry.revert, scenario))
+                replace(entry, revert=entry.revert and _renewable(entry.revert, scenario))
                 for entry in scenario.plant.settings
             ),
             devices=tuple(pair for pair in devices if pair[0] != METER),
@@ -342,10 +342,8 @@ def _plan(
     return plan
 
 
-def _renewable(revert: Revert | None, scenario: Scenario) -> Revert | None:
+def _renewable(revert: Revert, scenario: Scenario) -> Revert:
     """Let a revert time be three cycles at least: commands are renewed within a third of it."""
-    if revert is None:
-        return None
     return replace(revert, after_s=max(revert.after_s, 3.0 * scenario.time.cycle_s))
 
 

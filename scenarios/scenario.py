@@ -110,7 +110,7 @@ class PlantTable(_Table, frozen=True):
     meter_noise: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
     available_bias: Annotated[float, Meta(ge=-0.5, le=0.5)] | None = None
     available_share: Annotated[float, Meta(gt=0.0, le=1.0)] = 1.0
-    revert: Revert | None = Revert()
+    revert: Revert = Revert()
     ramp_percent_per_s: Ramp | None = None
     delay_s: Delay = 0.0
     settings: tuple[InverterSettings, ...] = ()

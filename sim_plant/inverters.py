@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from agents.control.allocation import total
 from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan, Site
-from agents.settings import Revert
 from bus_schemas.messages import Command, Dispatch
 from sim_plant import Floats
 
@@ -58,7 +57,7 @@ class Inverters:
     def __init__(self, plan: RunPlan) -> None:
         leaves, cycle_s = plan.tree.leaves, plan.timing.cycle_ns / 1e9
         settings = [plan.site.settings_of(leaf) for leaf in leaves]
-        reverts = [entry.revert or Revert(inf, "release") for entry in settings]
+        reverts = [plan.site.revert_of(leaf) for leaf in leaves]
         shares = [1.0 if isinstance(revert.to, str) else revert.to for revert in reverts]
         ramps = [entry.ramp_percent_per_s or inf for entry in settings]
         self.rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in leaves])

@@ -129,15 +129,11 @@ class SunSpecMeter(SunSpecDevice):
 
 
 class SunSpecInverter(SunSpecDevice):
-    """An inverter that is read and limited. Nothing is written to it before `limit` is called.
+    """An inverter that is read and limited. Nothing is written to it before `limit` is called."""
 
-    needs_revert: Whether it must be able to revert by itself.
-    """
-
-    def __init__(self, address: str, *, needs_revert: bool = True) -> None:
+    def __init__(self, address: str) -> None:
         super().__init__(address)
         self.rating_kw = 0.0
-        self._needs_revert = needs_revert
 
     def _find_models(self) -> None:
         models = self._device.models
@@ -148,7 +144,7 @@ class SunSpecInverter(SunSpecDevice):
         self._need(self._measured, "W")
         for name, field in LIMIT_POINTS[self._limited.model_id].items():
             self._points[field] = self._limited.points[name]
-            if field in {"enabled", "percent"} or (self._needs_revert and "revert" in field):
+            if field != "connected":
                 self._need(self._limited, name)
         ratings_kw = [self._kw(models[at][0], name) for at, name in _RATINGS if at in models]
         self.rating_kw = next((kw for kw in ratings_kw if kw > 0.0), 0.0)
@@ -175,16 +171,16 @@ class SunSpecInverter(SunSpecDevice):
     def limit(self, kw: float, revert_s: float, revert_kw: float = nan) -> None:
         """Limit the power, for the revert time.
 
-        revert_s: After this time without another limit the inverter goes to `revert_kw`; 0: never.
+        revert_s: After this time without another limit the inverter goes to `revert_kw`.
         revert_kw: The limit from then on; NaN: it releases its power, as model 123 always does.
         """
-        settings: dict[str, float] = {"enabled": 1, "percent": self._percent(kw)}
-        if self._needs_revert:
-            settings["revert_s"] = min(max(round(revert_s), 1), LONGEST_REVERT_S)
-            settings["revert_enabled"] = not isnan(revert_kw)
-            settings["revert_percent"] = 100.0 if isnan(revert_kw) else self._percent(revert_kw)
-        elif self._points["revert_s"].value:
-            settings["revert_s"] = 0
+        settings: dict[str, float] = {
+            "enabled": 1,
+            "percent": self._percent(kw),
+            "revert_s": min(max(round(revert_s), 1), LONGEST_REVERT_S),
+            "revert_enabled": not isnan(revert_kw),
+            "revert_percent": 100.0 if isnan(revert_kw) else self._percent(revert_kw),
+        }
         with self._errors():
             for field in settings.keys() & self._points.keys():
                 self._points[field].cvalue = settings[field]

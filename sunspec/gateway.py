@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from math import inf, nan
+from math import nan
 from pathlib import Path
 from typing import Final
 
@@ -28,7 +28,6 @@ import msgspec
 from hdrh.histogram import HdrHistogram
 
 from agents.plan import RunPlan
-from agents.settings import Revert
 from sim_plant.real_inverters import METER, Reading
 from sunspec.client import (
     DeviceError,
@@ -48,8 +47,6 @@ _ACCOUNTS_S: Final = 2.0
 _LONGEST_US: Final = 60_000_000
 _SMALL_CHANGE: Final = 1e-4
 """Share of the rating that no inverter can tell apart: 0.01 %."""
-
-_NO_REVERT: Final = Revert(inf, "release")
 
 
 class Gateway:
@@ -106,9 +103,8 @@ class _Link:
             self._device = SunSpecMeter(address)
             return
         self.position = plan.tree.leaves.index(node)
-        revert = plan.site.settings_of(node).revert
-        self._rating_kw, self._revert = plan.tree.rating_kw(node), revert or _NO_REVERT
-        self._device = SunSpecInverter(address, needs_revert=revert is not None)
+        self._rating_kw, self._revert = plan.tree.rating_kw(node), plan.site.revert_of(node)
+        self._device = SunSpecInverter(address)
 
     def connect(self) -> Reading:
         """Connect and read once, before there is a run."""
@@ -187,7 +183,7 @@ class _Link:
         elif to == "release":
             revert_kw = nan
         with _timed(self._writes):
-            self._device.limit(limit.kw, 0.0 if after_s == inf else after_s, revert_kw)
+            self._device.limit(limit.kw, after_s, revert_kw)
         self._written_kw, self._written_at = limit.kw, time.monotonic()
 
     def _reconnect(self, error: DeviceError) -> None:

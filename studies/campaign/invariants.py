@@ -134,9 +134,10 @@ def _in_force(
     if settings.ramp_percent_per_s is not None:
         return
     delay = ceil(round((settings.delay_s or 0.0) / cycle_s, 9))
-    to = settings.revert.to if settings.revert else "release"
+    revert = run.plan.site.revert_of(leaf)
+    to = revert.to
     revert_kw = rating_kw * (to if isinstance(to, float) else 1.0)
-    after = ceil(round(settings.revert.after_s / cycle_s, 9)) if settings.revert else inf
+    after = ceil(round(revert.after_s / cycle_s, 9))
     renewed, ordered = 0, list[tuple[float, float]]()
     for decision in applied:
         command = decision.used[COMMAND.of(leaf)]
@@ -190,10 +191,9 @@ def _wrong_command(run: FaultyRun, one: Decision) -> Iterator[str]:
     command, report = one.outputs[COMMAND.of(leaf)], one.reported[IMPP.of(leaf)]
     setpoint, share_kw = one.used[SETPOINT.of(leaf)], one.share_kw(leaf)
     near_kw, impp_kw = EXACT * run.plan.tree.rating_kw(leaf), report.power_kw
-    revert_kw = share_kw if run.plan.site.settings_of(leaf).revert else None
     got = command.revert_kw
-    if (got is None) != (revert_kw is None) or abs((got or 0.0) - (revert_kw or 0.0)) > near_kw:
-        yield f"to revert to {got}, not {revert_kw}"
+    if (got is None) != (share_kw is None) or abs((got or 0.0) - (share_kw or 0.0)) > near_kw:
+        yield f"to revert to {got}, not {share_kw}"
     target_kw = share_kw if setpoint is None else setpoint.power_kw
     if target_kw is None:
         return

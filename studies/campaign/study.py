@@ -151,8 +151,7 @@ def judged_run(
     trace = trace_of(plan, found.profile, faults)
     # An inverter that hears nothing more obeys for the revert time. If direct controllers live and
     # hear the plant, only parents decide wrongly, on reports that are at most `hold_cycles` old.
-    reverts = [plan.site.settings_of(leaf).revert for leaf in plan.tree.leaves]
-    revert_s = max(last_s if revert is None else revert.after_s for revert in reverts)
+    revert_s = max(plan.site.revert_of(leaf).after_s for leaf in plan.tree.leaves)
     spared = all(_spares_inverters(plan, fault) for fault in faults)
     longest_s = hold_s + slowest_s + (_OLD_REPORTS_S if spared else revert_s)
     first_s = min(map(begin_s, faults), default=inf)
@@ -180,12 +179,11 @@ def least_length_s(plan: RunPlan) -> float:
 
 def _time_outs_s(plan: RunPlan) -> list[float]:
     """Return the times after which something changes: hold, restart, revert [s]."""
-    reverts = [plan.site.settings_of(leaf).revert for leaf in plan.tree.leaves]
     return [
         RESTART_TAKES_S,
         plan.supervision.restart.frozen_s,
         plan.control.hold_cycles * plan.timing.cycle_s,
-        *{revert.after_s for revert in reverts if revert is not None},
+        *{plan.site.revert_of(leaf).after_s for leaf in plan.tree.leaves},
     ]
 
 

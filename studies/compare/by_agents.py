@@ -50,8 +50,7 @@ class _Reverts:
 
     def __init__(self, plan: RunPlan) -> None:
         leaves = plan.tree.leaves
-        reverts = [plan.site.settings_of(leaf).revert for leaf in leaves]
-        after_s = np.array([np.inf if revert is None else revert.after_s for revert in reverts])
+        after_s = np.array([plan.site.revert_of(leaf).after_s for leaf in leaves])
         self._after_cycles = after_s * 1e9 / plan.timing.cycle_ns
         self._place = {str(COMMAND.of(leaf)): place for place, leaf in enumerate(leaves)}
         self._renewed = np.zeros(len(leaves))

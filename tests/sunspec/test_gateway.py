@@ -34,8 +34,8 @@ def one_inverter(
     return served({"c1/a": kind(100.0, sky.available_kw(0))}, sky, time.monotonic, port=port)
 
 
-def with_device(address: str, revert: Revert | None = None) -> RunPlan:
-    return with_changes(PLAN, devices=(("c1/a", address),), revert=revert)
+def with_device(address: str, **site: Revert) -> RunPlan:
+    return with_changes(PLAN, devices=(("c1/a", address),), **site)
 
 
 @contextmanager
@@ -79,7 +79,7 @@ def test_readings_and_commands_pass_and_are_measured(tmp_path: Path) -> None:
         devices.command(0, command(0, 30.0))
         eventually(lambda: newest(devices).power_kw == 30.0)
         assert newest(devices).limit_kw == 30.0
-        # The same limit again is no news to the inverter, and has no revert time.
+        # The same limit again is no news to the inverter, and its revert time is long.
         devices.command(0, command(1, 30.0))
         devices.command(0, command(2, 40.0))
         eventually(lambda: newest(devices).power_kw == 40.0)
@@ -92,7 +92,7 @@ def test_readings_and_commands_pass_and_are_measured(tmp_path: Path) -> None:
 
 
 def test_a_limit_is_renewed_only_as_long_as_it_is_commanded(tmp_path: Path) -> None:
-    plan = with_device("", Revert(after_s=1.0, to="release"))
+    plan = with_device("", revert=Revert(after_s=1.0, to="release"))
     with one_inverter() as addresses:
         plan = with_changes(plan, devices=(("c1/a", addresses["c1/a"]),))
         with gateway(plan, tmp_path) as (devices, _):

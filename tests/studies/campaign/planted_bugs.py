@@ -39,8 +39,8 @@ _PATCHES: Final = r"""
 -  or message.incarnation < one.incarnation:
 + :
 # agents/direct.py: a command without a revert value
-- revert_kw = share_kw if self._reverts else None
-+ revert_kw = None
+- power_kw=power_kw, revert_kw=share_kw
++ power_kw=power_kw, revert_kw=None
 # agents/parent.py: a supervisor ignores its fallback
 - target_kw = share_kw if setpoint is None else setpoint.power_kw
 + target_kw = None if setpoint is None else setpoint.power_kw
@@ -51,8 +51,8 @@ _PATCHES: Final = r"""
 - if age > self._hold_cycles:
 + if age > 0:
 # agents/direct.py: an inverter reverts to its setpoint
-- revert_kw = share_kw if self._reverts
-+ revert_kw = target_kw if self._reverts
+- power_kw=power_kw, revert_kw=share_kw
++ power_kw=power_kw, revert_kw=target_kw
 # agents/parent.py: the share of a silent child is given away as well
 - max(target_kw - expired_kw, 0.0)
 + target_kw
