@@ -4,7 +4,8 @@ The paper's IMPP is the maximum of the interval that just ended, so a moving clo
 shortfall. The direct controller reduces it in three ways:
 
 * the maximum is extrapolated along its last change (damped trend: Gardner and McKenzie, Management
-  Science 31 (1985), doi:10.1287/mnsc.31.10.1237);
+  Science 31 (1985), doi:10.1287/mnsc.31.10.1237). How much of a change goes on is learned: where
+  cycles are long beside the clouds, little of it;
 * an inverter that holds a power limit and is asked for all it has is not set free, but held a
   little above its forecast. A free inverter gives whatever the sky gives, and over-delivers when a
   cloud leaves;
@@ -27,9 +28,15 @@ from agents.control.impp import (
     stale,
 )
 
-DAMPING: Final = 0.8
-"""Share of the trend that is expected to go on. At equal over-delivery 0.8 to 1 miss about as
-little on measurements of 1 s and 10 s; 0.8 overshoots least."""
+MOST_DAMPING: Final = 0.8
+"""Share of the trend that is expected to go on, at most, and before anything is learned. At equal
+over-delivery 0.8 to 1 miss about as little on known skies; 0.8 overshoots least."""
+
+DAMPING_MEMORY_S: Final = 600.0
+"""Time constant with which that share is learned [s]: some clouds pass in it."""
+
+DAMPING_TREND: Final = 0.1
+"""It takes trends of this share of the rating in a cycle to outweigh what was assumed."""
 
 TREND_TIME_S: Final = 0.5
 """Time constant of the trend [s]: in short cycles the last change alone is mostly noise."""
@@ -140,21 +147,28 @@ def forecast_impp(
         growth = 1.0 + HIDDEN_GROWTH_PER_S * cycle_s
         maximum_kw = min(max(last.maximum_kw, limit_kw) * growth, rating_kw)
     trend_kw_per_s, spread_kw = 0.0, last.spread_kw
+    followed_kw2, trends_kw2 = last.followed_kw2, last.trends_kw2
     # A statement after a reading, or the reverse, is no change of the sky.
     if is_seen and last.is_seen and believes == last.is_stated:
         change_kw_per_s = (maximum_kw - last.maximum_kw) / cycle_s
+        kept, trend_kw = 1.0 - _gain(cycle_s, DAMPING_MEMORY_S), last.trend_kw_per_s * cycle_s
+        followed_kw2 = kept * followed_kw2 + change_kw_per_s * cycle_s * trend_kw
+        trends_kw2 = kept * trends_kw2 + trend_kw * trend_kw
         trend_kw_per_s = last.trend_kw_per_s
         trend_kw_per_s += (change_kw_per_s - trend_kw_per_s) * _gain(cycle_s, TREND_TIME_S)
         error_kw = abs(maximum_kw - last.power_kw)
         spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
+    damping = _damping(followed_kw2, trends_kw2, rating_kw)
     return Estimate(
-        power_kw=min(_ahead(maximum_kw, DAMPING * trend_kw_per_s * cycle_s), rating_kw),
+        power_kw=min(_ahead(maximum_kw, damping * trend_kw_per_s * cycle_s), rating_kw),
         stale_cycles=0,
         is_seen=is_seen,
         is_stated=believes,
         maximum_kw=maximum_kw,
         trend_kw_per_s=trend_kw_per_s,
         spread_kw=spread_kw,
+        followed_kw2=followed_kw2,
+        trends_kw2=trends_kw2,
         meter=meter,
     )
 
@@ -171,6 +185,13 @@ def held_kw(setpoint_kw: float, rating_kw: float, known: Estimate) -> float:
         return known.power_kw
     room_kw = HELD_SPREADS * known.spread_kw + HELD_SHARE * rating_kw
     return min(known.power_kw + room_kw, rating_kw)
+
+
+def _damping(followed_kw2: float, trends_kw2: float, rating_kw: float) -> float:
+    """Return the share of a trend that is expected to go on: a regression that fades."""
+    assumed_kw2 = (DAMPING_TREND * rating_kw) ** 2
+    share = (followed_kw2 + MOST_DAMPING * assumed_kw2) / (trends_kw2 + assumed_kw2)
+    return min(max(share, 0.0), MOST_DAMPING)
 
 
 def _ahead(maximum_kw: float, change_kw: float) -> float:

@@ -51,6 +51,9 @@ class Estimate(NamedTuple):
         How fast it rises or falls, smoothed.
     spread_kw
         Mean error of the IMPP as a forecast.
+    followed_kw2, trends_kw2
+        How well changes followed the trends before them: the fading sums of change times trend,
+        and of the trend squared, each in kW a cycle.
     """
 
     power_kw: float
@@ -60,6 +63,8 @@ class Estimate(NamedTuple):
     maximum_kw: float = 0.0
     trend_kw_per_s: float = 0.0
     spread_kw: float = 0.0
+    followed_kw2: float = 0.0
+    trends_kw2: float = 0.0
     meter: Meter = Meter()
 
 
@@ -93,7 +98,7 @@ def estimate_impp(
     maximum_kw = min(max(power_kw, 0.0) / alpha, rating_kw)  # A tripped one draws standby power.
     if alpha < 1.0 and is_stated(available_kw, rating_kw):
         maximum_kw = min(available_kw, rating_kw)
-    return Estimate(maximum_kw, 0, True, False, maximum_kw, 0.0, 0.0, last.meter)
+    return Estimate(maximum_kw, 0, True, False, maximum_kw, 0.0, 0.0, 0.0, 0.0, last.meter)
 
 
 def is_plausible(power_kw: float, alpha: float, rating_kw: float) -> bool:
@@ -123,6 +128,8 @@ def stale(last: Estimate) -> Estimate:
         maximum_kw=last.maximum_kw,
         trend_kw_per_s=last.trend_kw_per_s,
         spread_kw=last.spread_kw,
+        followed_kw2=last.followed_kw2,
+        trends_kw2=last.trends_kw2,
         meter=last.meter,
     )
 

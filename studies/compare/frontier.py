@@ -42,7 +42,7 @@ _OFFSETS: Final = {
 
 TURNED: Final = {
     name: Turned(
-        f"control.{name}", values, BEYOND, MISSED, "What an offset of the plant's target buys"
+        f"control.{name}", values, BEYOND, MISSED, "Shortfall and over-delivery, by offset"
     )
     for name, values in _OFFSETS.items()
 } | {
@@ -51,7 +51,7 @@ TURNED: Final = {
         (0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99),
         "curtailed",
         "shortfall",
-        "What a promise costs",
+        "Shortfall and curtailed energy, by reliability",
     ),
 }
 """What can be turned, by its name on the command line."""

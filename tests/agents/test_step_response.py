@@ -135,8 +135,9 @@ def test_a_slow_network(rule: str) -> None:
     assert_a_clean_step(powers_kw([rule]), 15)
 
 
-def test_a_central_controller_that_acts_rarely() -> None:
-    assert_a_clean_step(powers_kw(period_cycles=(10, 1)), 10)
+@pytest.mark.parametrize("periods", [(10, 1), (5, 5), (10, 5)])
+def test_parents_that_act_rarely(periods: tuple[int, ...]) -> None:
+    assert_a_clean_step(powers_kw(period_cycles=periods), 10)
 
 
 @pytest.mark.parametrize("gone", ["0s..30s", "20s..50s"], ids=["never seen", "seen before"])

@@ -10,9 +10,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from agents.control.forecast import (
-    DAMPING,
     ERROR_MEMORY_S,
     HIDDEN_GROWTH_PER_S,
+    MOST_DAMPING,
     TREND_TIME_S,
     forecast_impp,
     held_kw,
@@ -81,8 +81,18 @@ def test_the_last_change_is_expected_to_go_on_damped() -> None:
     trend_kw_per_s = 10.0 / (1.0 + TREND_TIME_S)
     spread_kw = 10.0 / (1.0 + ERROR_MEMORY_S)
     assert found.trend_kw_per_s == pytest.approx(trend_kw_per_s)
-    assert found.power_kw == pytest.approx(50.0 + DAMPING * trend_kw_per_s)
+    assert found.power_kw == pytest.approx(50.0 + MOST_DAMPING * trend_kw_per_s)
     assert found.spread_kw == pytest.approx(spread_kw)
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES_S)
+def test_a_change_that_never_goes_on_is_not_expected_to(cycle_s: float) -> None:
+    """Clouds that pass within a cycle: what fell rises again."""
+    times = round(30 / min(cycle_s, 1.0))
+    passing = measured(*[40.0, 80.0] * times, cycle_s=cycle_s)
+    assert passing.power_kw == pytest.approx(80.0, abs=1.0)
+    moving = measured(*[40.0 + 30.0 * math.sin(0.05 * k) for k in range(times)], cycle_s=cycle_s)
+    assert abs(moving.power_kw - moving.maximum_kw) > 0.7 * abs(moving.trend_kw_per_s) * cycle_s
 
 
 def test_asked_for_all_it_has_it_is_held_near_its_forecast_and_asked_for_more_it_is_free() -> None:
