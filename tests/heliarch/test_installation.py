@@ -40,8 +40,8 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.processes
 def test_the_wheel_launches_with_page_and_report(installed: Path) -> None:
-    words = ("launch", "oahu", "--duration", "5", "--page", "--report", "--out", "run")
-    done = run(installed, "heliarch", *words)
+    words = ("--duration", "5", "--set", "processes=cluster", "--page", "--report", "--out", "run")
+    done = run(installed, "heliarch", "launch", "oahu", *words)
     assert done.returncode == 0, done.stderr
     assert "page: http" in done.stdout
     assert (installed.parent / "run" / "report.html").stat().st_size > 1_000_000

@@ -59,7 +59,6 @@ LONG: Final = {
     "launch": (SIGTERM, "small.toml --pace 1"),
     "node": (SIGTERM, "--plan there.json --host 127.0.0.2"),
     "simulate": (SIGINT, "small.toml --pace 1"),
-    "timing": (SIGTERM, "small.toml --duration 10m"),
     "conform": (SIGINT, "c1/inv01 --scenario small.toml --command 'sleep 100'"),
     "inspect": (SIGTERM, "long.mcap --nodes '*'"),  # Nobody reads it: it waits in its output.
     "replay": (SIGHUP, "long.mcap --pace 1"),
