@@ -28,7 +28,7 @@ from launch_scripts.supervision import ForkServerProcess
 from recordings.export.exporting import ExportSummary, Form
 from recordings.export.exporting import export as export_run
 from recordings.export.mcap_copies import Clock
-from recordings.verify.equality import Equality
+from recordings.verify.comparison import Equality
 from recordings.verify.verification import Verification
 from recordings.verify.verification import verify as verify_run
 from results.tables import json_rows as table_rows

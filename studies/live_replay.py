@@ -43,8 +43,7 @@ from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say, 
 from recordings.replay.keyboard import no_keyboard
 from recordings.replay.playback import Playback, StatusLine
 from recordings.replay.schedule import PlaybackClock
-from recordings.verify.agent_result import AgentResult
-from recordings.verify.equality import Equality
+from recordings.verify.comparison import AgentResult, Equality
 from recordings.verify.report import agents_data, difference_lines
 from sim_plant.plant_run import FIRST_ROUND, longest_round_s
 

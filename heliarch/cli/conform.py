@@ -65,7 +65,7 @@ def conform(
         Folder of the recorded tests; default runs/NAME-TIME.
     """
     from launch_scripts.run_folder import RunRequest, prepare_run
-    from recordings.verify.equality import Equality
+    from recordings.verify.comparison import Equality
     from scenarios.scenario import load_scenario
     from studies.conformance.conform import CYCLES, FROZEN, Conformance
     from studies.conformance.device import Device

@@ -41,7 +41,7 @@ def verify(
     accept
         Replace the recording by what the agents do now.
     """
-    from recordings.verify.equality import Equality
+    from recordings.verify.comparison import Equality
     from recordings.verify.report import verification_data, verification_lines
     from recordings.verify.verification import verify as verify_run
 

@@ -22,8 +22,7 @@ from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
-from recordings.inspect.absences import Absence
-from recordings.inspect.agent_states import AgentStates
+from recordings.inspect.agent_states import Absence, AgentStates
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
 from scenarios.fault_rules import fault_text

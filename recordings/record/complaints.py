@@ -1,15 +1,29 @@
-"""What is wrong with messages on the bus: counted by key and cause, with the first example."""
+"""What is wrong with messages on the bus: counted by key and cause, with the first example.
+
+A publisher sends one message in a cycle, and numbers its messages upwards. A process that replaces
+it has a higher incarnation, and the replaced one publishes nothing more. Only in lockstep may it be
+replaced in the cycle in which it joined: then the next process has the same incarnation, and sends
+the same messages once more.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import astuple
 from typing import Final
 
+import msgspec
 from msgspec.structs import replace
 
 from agents.inputs import log_drop
+from agents.plan import RunPlan
 from agents.process.events import Complaint
+from bus_schemas.codec import decode
 from bus_schemas.errors import printable
+from bus_schemas.messages import Message
+from bus_schemas.signals import RUN, Port
+from recordings.verify.comparison import Equality, FieldDifference
 
 # Causes of complaints about messages that are recorded: numbers that cannot be right, messages that
 # came again, and messages that contradict others of their key.
@@ -64,3 +78,78 @@ class Complaints:
     def all(self) -> tuple[Complaint, ...]:
         """Return each complaint with its count, sorted by key."""
         return tuple(self._by_kind[kind] for kind in sorted(self._by_kind))
+
+
+_MOST_KEPT = 4
+"""Messages of a key that are kept: one of the cycle under way, and of those beside it."""
+
+_CONTENT = Equality(ignored=frozenset({"incarnation", "missing"}))
+
+
+class SecondSenders:
+    """The newest messages, by cycle, and the newest incarnations of keys with one in each cycle.
+
+    `extra` counts, by signal, what came second on keys of the launcher's own processes.
+    """
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.extra: Counter[str] = Counter()
+        self._payloads: dict[Port[Message], dict[int, bytes]] = {
+            port: {} for port in plan.wiring.ports if port.signal.is_cyclic or port.signal is RUN
+        }
+        self._newest = dict.fromkeys(self._payloads, 0)
+        # Of these two processes may speak, until one has heard the other.
+        self._standbys = plan.standbys
+        self._elsewhere = plan.elsewhere
+
+    def hear(
+        self, port: Port[Message], cycle: int, incarnation: int, payload: bytes
+    ) -> tuple[str, str] | None:
+        """Return the cause and text of a complaint, if a message does not go with earlier ones."""
+        payloads = self._payloads.get(port)
+        if payloads is None:
+            return None
+        newest = self._newest[port]
+        if 0 < incarnation > cycle:
+            self.note_extra(port)
+            return CONFLICTING, f"it is of cycle {cycle}, and its process joined in {incarnation}"
+        if incarnation < newest:
+            if cycle <= newest or port.publisher in self._standbys:  # It was on its way.
+                return None
+            self.note_extra(port)
+            joined = f"one joined in cycle {newest}, another in {incarnation}"
+            return CONFLICTING, f"{joined}, and both sent after that"
+        if incarnation > newest:
+            self._newest[port] = incarnation
+            payloads.clear()
+        first = payloads.setdefault(cycle, payload)
+        if first is not payload:
+            self.note_extra(port)
+            return _compare(port, first, payload)
+        if len(payloads) > _MOST_KEPT:
+            oldest = min(payloads)
+            del payloads[oldest if oldest != cycle else max(payloads)]
+        return None
+
+    def note_extra(self, port: Port[Message]) -> None:
+        """Count a message that another program sent."""
+        if port.publisher not in self._elsewhere:
+            self.extra[port.signal.name] += 1
+
+
+def _compare(port: Port[Message], first: bytes, second: bytes) -> tuple[str, str]:
+    """Say in what two messages of one key and cycle differ."""
+    try:
+        one, other = decode(port.signal, first), decode(port.signal, second)
+    except msgspec.DecodeError as error:
+        return CONFLICTING, f"two messages in one cycle, of which one does not decode: {error}"
+    cycle, numbers = one.cycle, FieldDifference("sequence", one.sequence, other.sequence)
+    has_just_joined = 0 < cycle == one.incarnation
+    differing = list(_CONTENT.differences(port, one, other))
+    if first != second and numbers.new <= numbers.recorded and not has_just_joined:
+        differing.append(numbers)
+    if not differing:
+        return DUPLICATE, f"it came again for cycle {cycle}"
+    field, *both = astuple(differing[0])
+    values = " and ".join(str(value)[:60] for value in both)
+    return CONFLICTING, f"two messages in cycle {cycle}, {field} {values}"

@@ -23,11 +23,11 @@ from recordings.record.complaints import (
     WRONG_CYCLE,
     WRONG_SENDER,
     Complaints,
+    SecondSenders,
 )
 from recordings.record.phases import ArmingRound, RunProgress
 from recordings.record.plausibility import out_of_range
 from recordings.record.reach import Reach
-from recordings.record.senders import SecondSenders
 from recordings.record.writer import RunWriter
 
 _FAR_AHEAD: Final = 1000

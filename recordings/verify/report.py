@@ -10,8 +10,15 @@ import msgspec
 from bus_schemas.messages import Message, in_words
 from recordings.read.frames import HEAD_FIELDS
 from recordings.read.run_clock import RunClock
-from recordings.verify.agent_result import KINDS, LOSSES, AgentResult, Difference
-from recordings.verify.equality import NOT_COMPARED, Equality, Value
+from recordings.verify.comparison import (
+    KINDS,
+    LOSSES,
+    NOT_COMPARED,
+    AgentResult,
+    Difference,
+    Equality,
+    Value,
+)
 from recordings.verify.verification import Verification
 
 

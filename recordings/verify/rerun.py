@@ -35,8 +35,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Impp, Message, Telemetry, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, ORDER, Port
 from bus_schemas.tree import PLANT, ROOT
-from recordings.verify.agent_result import AgentResult, Difference
-from recordings.verify.equality import Equality
+from recordings.verify.comparison import AgentResult, Difference, Equality
 from recordings.verify.recorded_cycles import RecordedCycles
 from sim_plant.orders import order_given
 

@@ -18,8 +18,7 @@ from bus_schemas.signals import PRODUCTION
 from bus_schemas.tree import PLANT, ROOT, agent_name
 from recordings.read.gaps import unrecorded_spans
 from recordings.read.reader import RunReader
-from recordings.verify.agent_result import AgentResult, Difference
-from recordings.verify.equality import BIT_FOR_BIT, Equality
+from recordings.verify.comparison import BIT_FOR_BIT, AgentResult, Difference, Equality
 from recordings.verify.recorded_cycles import MessageCounts, RecordedCycles
 from recordings.verify.rerun import AgentRerun, StatedEstimates
 from sim_plant.plant import Plant

@@ -21,8 +21,7 @@ from launch_scripts.launch import launch
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import ForkServerProcess
 from recordings.record.complaints import OUT_OF_RANGE, UNDECODABLE, UNKNOWN, WRONG_SENDER
-from recordings.verify.agent_result import LOSSES
-from recordings.verify.equality import Equality
+from recordings.verify.comparison import LOSSES, Equality
 from recordings.verify.verification import verify
 from results.run_summary import RunSummary
 from scenarios.preparation import Preparation

@@ -27,7 +27,7 @@ from bus_schemas.messages import Message, Run
 from bus_schemas.signals import Port
 from recordings.read.reader import RunReader
 from recordings.record.plausibility import out_of_range
-from recordings.verify.equality import Equality
+from recordings.verify.comparison import Equality
 
 _OF_THE_HEAD: Final = ("source", "sim_time_ns", "incarnation")
 _CLOCKS_DIFFER_NS: Final = 50_000_000

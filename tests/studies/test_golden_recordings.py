@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bus_schemas.tree import PLANT
-from recordings.verify.equality import BIT_FOR_BIT, Equality
+from recordings.verify.comparison import BIT_FOR_BIT, Equality
 from recordings.verify.verification import verify
 
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden"

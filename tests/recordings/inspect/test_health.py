@@ -16,8 +16,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Takeover
 from bus_schemas.signals import HELP, TAKEOVER, TELEMETRY
 from bus_schemas.tree import ROOT
-from recordings.inspect.absences import Absence, How
-from recordings.inspect.agent_states import states_at
+from recordings.inspect.agent_states import Absence, How, states_at
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME, Health, health_lines
 from recordings.inspect.overview import read_overview
 from recordings.read.gaps import MissedInputs

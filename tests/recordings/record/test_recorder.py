@@ -25,10 +25,9 @@ from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from bus_schemas.zenoh_session import RunSubscriber
 from recordings.read.counting import checked
 from recordings.read.reader import RunReader
-from recordings.record.complaints import Complaints
+from recordings.record.complaints import Complaints, SecondSenders
 from recordings.record.phases import ArmingRound
 from recordings.record.recorder import Recorder
-from recordings.record.senders import SecondSenders
 from recordings.record.writer import RunWriter
 
 CYCLES = 8

@@ -8,7 +8,7 @@ import pytest
 
 from bus_schemas.messages import Command, HelpGiven, Impp, Setpoint
 from bus_schemas.signals import COMMAND, IMPP, SETPOINT
-from recordings.verify.equality import Equality, FieldDifference
+from recordings.verify.comparison import Equality, FieldDifference
 
 NODE = "c1/a"
 

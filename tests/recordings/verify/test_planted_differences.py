@@ -29,8 +29,7 @@ from bus_schemas.signals import (
     Port,
     Signal,
 )
-from recordings.verify.agent_result import Difference
-from recordings.verify.equality import FieldDifference
+from recordings.verify.comparison import Difference, FieldDifference
 from recordings.verify.recorded_cycles import RecordedCycles
 from recordings.verify.verification import Verification, verify
 

@@ -11,7 +11,7 @@ from running import small_plant
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import COMMAND, IMPP, RESIDUAL, Port
-from recordings.verify.equality import BIT_FOR_BIT
+from recordings.verify.comparison import BIT_FOR_BIT
 from studies.conformance.device import Device
 from studies.conformance.judge import Answer, DeviceRun, judge
 
