@@ -35,7 +35,7 @@ class RecordingCount(NamedTuple):
 def count_messages(recording: Path) -> RecordingCount:
     """Count what a recording holds, with its further files.
 
-    Every chunk is unpacked, but of most messages not even the head is decoded: about 1.5 million
+    Every chunk is unpacked, but of most messages not even the head is decoded: about a million
     messages a second. InputError: there is no such file, or it cannot be read.
     """
     with RunReader(recording) as run:

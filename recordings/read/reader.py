@@ -60,10 +60,14 @@ class RecordedMessage(NamedTuple):
 
     def message(self) -> Message:
         """Decode it; InputError if it is no message of its signal."""
-        try:
-            return decode(self.port.signal, self.payload)
-        except msgspec.DecodeError as error:
-            raise InputError(_wrong(self.port, self.sequence, error)) from None
+        return _decoded(self.port, self.sequence, self.payload)
+
+
+def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
+    try:
+        return decode(port.signal, payload)
+    except msgspec.DecodeError as error:
+        raise InputError(_wrong(port, sequence, error)) from None
 
 
 def _wrong(port: Port[Message], sequence: int, error: object) -> str:
@@ -164,9 +168,15 @@ class RunReader:
         self, ports: Collection[Port[Message]], cycles: range | None = None
     ) -> Iterator[Delivery]:
         """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
-        for record in self.records(ports, cycles):
-            if (message := self.decoded(record)) is not None:
-                yield record.port, message
+        port_of = self._channels_of(ports)
+        for chunk in self._chunks_of(cycles):
+            for channel, sequence, _, _, payload in self.messages_of(chunk, port_of):
+                port = port_of[channel]
+                message = self.decoded(port, sequence, payload)
+                if message is not None and (
+                    cycles is None or cycles.start <= message.cycle < cycles.stop
+                ):
+                    yield port, message
 
     def records(
         self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None
@@ -193,12 +203,12 @@ class RunReader:
             times_ns = logged_ns, published_ns
             yield RecordedMessage(port, head.cycle, sequence, *times_ns, payload, head.incarnation)
 
-    def decoded(self, record: RecordedMessage) -> Message | None:
+    def decoded(self, port: Port[Message], sequence: int, payload: bytes) -> Message | None:
         """Return a message; None if it is wrong, which is then named at the end."""
         try:
-            return record.message()
+            return _decoded(port, sequence, payload)
         except InputError as error:
-            self.wrong.setdefault(record.port, str(error))
+            self.wrong.setdefault(port, str(error))
             return None
 
     def frame(
