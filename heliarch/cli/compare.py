@@ -106,7 +106,9 @@ def compare(
     if other is not None:
         why = "expected only --report or --json with two recorded runs"
         refuse_others(given, {"--report", "--json"}, why)
-        publish(_two_runs(Path(scenario), other), files, "compare.html")
+        from results.two_runs import compare_runs
+
+        publish(compare_runs((Path(scenario), other)), files, "compare.html")
         return
     if is_run(Path(scenario)):
         raise InputError(f"{scenario}: expected two runs, or one scenario")
@@ -210,13 +212,3 @@ def _json(results: Sequence[Sequence[Row]]) -> list[Row]:
     from studies.compare.results import case_label
 
     return [{"case": case_label(row), **row} for rows in results for row in rows]
-
-
-def _two_runs(*paths: Path) -> Result:
-    from results.two_runs import compare_runs
-
-    for path in paths:
-        if not is_run(path):
-            raise InputError(f"{path}: expected a recorded run, its folder or run.mcap")
-    first, second = paths
-    return compare_runs((first, second))

@@ -58,13 +58,6 @@ class Overview(msgspec.Struct, frozen=True):
     health: Health
 
 
-class _Kept(msgspec.Struct, frozen=True):
-    """An overview of files that had these sizes and times of their last change [ns]."""
-
-    files: tuple[tuple[int, int], ...]
-    overview: Overview
-
-
 def keep_overview(recording: Path, count: RecordingCount | None = None) -> Overview:
     """Make the overview of a run that has ended, and keep it beside the recording.
 
@@ -72,27 +65,21 @@ def keep_overview(recording: Path, count: RecordingCount | None = None) -> Overv
     """
     with RunReader(recording) as run:
         overview = _overview(run, None, count)
-        kept = msgspec.json.encode(_Kept(_files(run), overview))
     with whole_file(recording.parent / OVERVIEW_NAME) as file:
-        file.write(kept)
+        file.write(msgspec.json.encode(overview))
     return overview
 
 
 def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     """Return what a recording holds: as kept at the end of the run, or else by reading it."""
-    folder = run.path.parent
-    if cycles is None:
-        with suppress(OSError, msgspec.DecodeError):
-            kept = msgspec.json.decode((folder / OVERVIEW_NAME).read_bytes(), type=_Kept)
-            if kept.files == _files(run):
-                health = told(kept.overview.health, run)
-                return replace(kept.overview, path=str(run.path), health=health)
+    path = run.path.with_name(OVERVIEW_NAME)
+    changed_ns = max(os.fstat(file.fileno()).st_mtime_ns for file in run.files)
+    with suppress(OSError, msgspec.DecodeError):
+        if cycles is None and path.stat().st_mtime_ns >= changed_ns:
+            kept = msgspec.json.decode(path.read_bytes(), type=Overview)
+            if kept.run_id == run.plan.run_id:
+                return replace(kept, path=str(run.path), health=told(kept.health, run))
     return _overview(run, cycles)
-
-
-def _files(run: RunReader) -> tuple[tuple[int, int], ...]:
-    states = [os.fstat(file.fileno()) for file in run.files]
-    return tuple((state.st_size, state.st_mtime_ns) for state in states)
 
 
 def _overview(

@@ -41,9 +41,6 @@ _CHUNK_HEAD: Final = Struct("<QQQII")
 _PACKED_LENGTH_SIZE: Final = 8
 """Bytes between the codec's name and the packed data."""
 
-_LARGEST_CHUNK: Final = 1 << 26
-"""A chunk that unpacks to more bytes is damaged; those of a recording have about 1 MiB."""
-
 _OPCODES: Final = frozenset(Opcode)
 _BLOCK: Final = 1 << 20
 
@@ -183,15 +180,13 @@ def _ends_well(file: BinaryIO, begin: int, size: int) -> bool:
 def unpack_chunk(file: BinaryIO, chunk: Chunk) -> bytes:
     """Return the records in a chunk; DamagedChunkError if it does not hold what was written."""
     file.seek(chunk.offset + _RECORD_HEAD.size)
-    body = file.read(min(chunk.length, _LARGEST_CHUNK))
+    body = file.read(chunk.length)
     if body[_CHUNK_HEAD.size :][:4] == b"zstd":  # Not damaged, and nothing in it can be read.
         raise InputError(f"{file.name}: another tool has packed it anew: expected lz4, got zstd")
     try:
         *_, size, checksum, name_length = _CHUNK_HEAD.unpack_from(body)
         packed = memoryview(body)[_CHUNK_HEAD.size + name_length + _PACKED_LENGTH_SIZE :]
-        # A buffer of the most that is allowed would take twice as long.
-        most = min(size, _LARGEST_CHUNK)
-        content = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=most)
+        content = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size)
         if len(content) != size or zlib.crc32(content) != checksum:
             raise ValueError("its checksum or its length is wrong")
     except _BROKEN as reason:

@@ -43,18 +43,16 @@ class _Key(NamedTuple):
     """
 
     port: Port[Message]
-    publisher: str
-    is_logged: bool
     is_read: bool
     is_elsewhere: bool
     last_cycle: int | None
 
 
 def _key(plan: RunPlan, port: Port[Message]) -> _Key:
-    publisher, is_elsewhere = port.publisher, port.publisher in plan.elsewhere
+    is_elsewhere = port.publisher in plan.elsewhere
     is_read = is_elsewhere or port.signal in {DISPATCH, HELP, PRODUCTION, RUN}
-    last_cycle = None if publisher in plan.access.external else plan.timing.cycles
-    return _Key(port, publisher, port.signal.logged, is_read, is_elsewhere, last_cycle)
+    last_cycle = None if port.publisher in plan.access.external else plan.timing.cycles
+    return _Key(port, is_read, is_elsewhere, last_cycle)
 
 
 class RunListener:
@@ -103,14 +101,14 @@ class RunListener:
         except msgspec.DecodeError as error:
             self.complaints.add(key, UNDECODABLE, str(error))
             return None
-        if head.source != known.publisher:
+        if head.source != port.publisher:
             self.complaints.add(key, WRONG_SENDER, f"it is from {head.source!r}")
         elif head.cycle < 0:
             if not self._plan.timing.lockstep:
                 self._reach.hear(head, payload, self._now_ns())
             if self._arming.hear(port, head.cycle):
                 return Ready(head.cycle, head.sim_time_ns, RECORDER, ())
-        elif known.is_logged:
+        elif port.signal.logged:
             last_cycle = known.last_cycle
             if head.cycle <= (self._last_cycle_of(port) if last_cycle is None else last_cycle):
                 self._record(key, known, head, message, payload)

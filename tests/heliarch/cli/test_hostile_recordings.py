@@ -1,17 +1,14 @@
-"""A recording with hostile content and right checksums is one clear line, in bounded memory."""
+"""A recording with wrong content and right checksums is one clear line."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
-from struct import pack
 from typing import Any
 
-import lz4.frame
 import pytest
-from command_line import heliarch, python, refusal
-from mcap.opcode import Opcode
+from command_line import heliarch, refusal
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from msgspec.structs import replace
@@ -20,7 +17,6 @@ from recordings_by_hand import (
     PLAN,
     SCENARIO,
     whole_run,
-    write_messages,
     write_run,
 )
 
@@ -106,37 +102,3 @@ def test_a_wrong_message_is_skipped_and_named_by_every_command(
         said = done.stderr.splitlines()
         assert said
         assert all("c1/a/impp" in line for line in said)
-
-
-@pytest.mark.parametrize("command", ["inspect", "report", "timing"])
-def test_a_scenario_that_is_nested_deep_breaks_nothing(command: str, tmp_path: Path) -> None:
-    write_messages(tmp_path / "run.mcap", whole_run(3), scenario="a = " + "[" * 300_000)
-    done = heliarch(command, tmp_path)
-    assert len(done.stderr.splitlines()) <= 1
-
-
-PEAK_TOLD = """
-import atexit, pathlib, re, sys
-status = pathlib.Path("/proc/self/status")
-atexit.register(lambda: sys.stderr.write(re.search(r"VmHWM:\\s+(\\d+)", status.read_text())[1]))
-from heliarch.cli.main import main
-main()
-"""
-"""`heliarch`, and on standard error the most memory that it had [kB].
-
-What `wait4` says counts the memory of the process that forked it too.
-"""
-
-
-def test_a_chunk_that_unpacks_to_gigabytes_is_left_out_and_named(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    write_run(path, whole_run(3), close=False)
-    packer, zeros = lz4.frame.LZ4FrameCompressor(), bytes(1 << 20)
-    packed = b"".join([packer.begin(), *(packer.compress(zeros) for _ in range(1 << 11))])
-    body = pack("<QQQII3sQ", 1, 1, 1 << 31, 0, 3, b"lz4", len(packed)) + packed
-    with path.open("ab") as file:
-        file.write(pack("<BQ", Opcode.CHUNK, len(body)) + body)
-    found = python(PEAK_TOLD, "inspect", path, cwd=tmp_path)
-    line, peak_kb = found.stderr.splitlines()
-    assert "a part of the file is damaged" in line
-    assert int(peak_kb) < 600_000, "most of it the libraries"

@@ -76,18 +76,6 @@ def test_a_damaged_chunk_is_left_out_and_named(recording: Recording, number: int
     assert copy.name in heliarch("inspect", copy).stdout
 
 
-def test_a_damaged_attachment_is_named_in_the_copy(recording: Recording) -> None:
-    path, written = recording
-    content = bytearray(path.read_bytes())
-    content[content.index(b"Four inverters")] ^= 0x80
-    path.write_bytes(content)
-    with pytest.warns(InputWarning, match="attachment scenario.toml"):
-        copy = copied(path)
-    with RunReader(copy) as run:
-        assert "attachment scenario.toml" in run.metadata[RECOVERY_METADATA]["damage"]
-        assert list(run.messages()) == written
-
-
 def test_the_files_of_several_recorders_become_one(tmp_path: Path) -> None:
     """As they are left where the second recorder was killed."""
     parts = {"run": (0, 40), "run-2": (40, 70), "run-3": (75, 101)}
