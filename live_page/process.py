@@ -37,12 +37,12 @@ class PageAddress:
     socket: socket.socket
     token: str
 
-    def url(self, path: str = "") -> str:
+    def url(self) -> str:
         host, port = self.socket.getsockname()[:2]
         if ipaddress.ip_address(host).is_unspecified:
             host = socket.gethostname()
         host = f"[{host}]" if ":" in host else host
-        return f"http://{host}:{port}/{path}" + (f"?token={self.token}" if self.token else "")
+        return f"http://{host}:{port}/" + (f"?token={self.token}" if self.token else "")
 
     def text(self) -> str:
         is_local = ipaddress.ip_address(self.socket.getsockname()[0]).is_loopback

@@ -39,7 +39,6 @@ static struct { /* What the controller needs of the plan. */
     int64_t start_ns, cycle_ns, cycle_wall_ns, cycles, hold, parent_period;
     double deadline_ns[ACTUATE + 1]; /* By when each stage closes, after the tick. */
     double rating_kw, alpha_min;
-    bool reverts;
 } plan;
 
 static struct {
@@ -264,7 +263,7 @@ static void actuate(void) {
     if (isnan(target_kw) || self.measured_cycle == BEFORE_ALL) return;
     if (target_kw < self.impp_kw * (1.0 - ROUNDING))
         alpha = fmin(fmax(target_kw / self.impp_kw, plan.alpha_min), 1.0);
-    bool reverts = plan.reverts && !isnan(wanted_kw);
+    bool reverts = !isnan(wanted_kw);
     mp_writer command = begin(COMMAND, reverts ? 3 : 2);
     mp_number(&command, "alpha", alpha);
     mp_number(&command, "power_kw", lost ? target_kw : alpha < 1.0 ? alpha * self.impp_kw : plan.rating_kw);
@@ -363,7 +362,6 @@ static void read_plan(const char *json, const char *node, char **endpoints) {
     plan.hold = atoll(value_of(json, "hold_cycles"));
     while ((node = strchr(node, '/'))) node++, level++, period += strcspn(period, ",") + 1; /* One entry a tier. */
     plan.parent_period = atoll(period);
-    plan.reverts = *value_of(json, "revert") == '{';
     read_deadlines(json, level);
 }
 
