@@ -27,6 +27,9 @@ BEFORE_RUN: Final[Stamp] = (-1, 0, PLANT, (), 0, 0, 0, 0)
 _ASKED: Final = ("source", "power_kw", "ramp_kw_per_min", "hold_s", "renew_s")
 """Fields of an order; a dispatch states them with `order_` before them."""
 
+_STATED: Final = tuple(name for name in Dispatch.__struct_fields__ if name.startswith("order_"))
+"""All fields of a dispatch that state an order, and what became of it."""
+
 
 def is_ordered(dispatch: Dispatch) -> bool:
     """Whether an order holds, and not the schedule."""
@@ -136,9 +139,6 @@ class Orders:
             elif last.order_renew_s is not None and age_s > last.order_renew_s:
                 stated["order_state"] = "silent"
         return stated
-
-
-_STATED: Final = tuple(name for name in Dispatch.__struct_fields__ if name.startswith("order_"))
 
 
 def _accepted(order: Order, last: Dispatch, cycle: int) -> dict[str, Any]:
