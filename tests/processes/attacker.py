@@ -11,9 +11,9 @@ from msgspec.structs import replace
 
 from agents.plan import RunPlan
 from bus_schemas.codec import encode
-from bus_schemas.messages import Command, Dispatch, Impp, Message, Setpoint, Telemetry
-from bus_schemas.signals import RUN, Port
-from bus_schemas.tree import ROOT
+from bus_schemas.messages import Command, Dispatch, Impp, Message, Order, Setpoint, Telemetry
+from bus_schemas.signals import ORDER, RUN, Port
+from bus_schemas.tree import OPERATOR, ROOT
 from bus_schemas.zenoh_session import SessionSettings
 
 HEAD = (0, 0, "", ())
@@ -53,8 +53,9 @@ class Attacker:
             session.put(self.plan.wiring.key(port), encode(message))
 
     def forge(self, cycle: int, spared: str = "") -> None:
-        """Forge what decides of power in a cycle, but for one agent's."""
+        """Forge what decides of power in a cycle, but for one agent's, and give an order."""
         head = {"cycle": cycle, "sim_time_ns": self.plan.timing.sim_time_ns(cycle)}
+        self.put(ORDER.of(ROOT), Order(**head, source=OPERATOR, missing=(), power_kw=123.0))
         for port in self.plan.wiring.ports:
             forged = FORGED.get(port.signal.name)
             if forged is not None and port.publisher != spared:

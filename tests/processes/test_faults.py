@@ -62,26 +62,35 @@ def test_a_killed_plant_ends_the_run_and_is_named(run: Heliarch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "victims"),
+    ("words", "victims", "harm"),
     [
-        (("--pace", "20", "--set", "restart.when=never"), (INVERTER, "c1", "central", RECORDER)),
-        ((), (INVERTER, "c1", "central")),
-        (GROUPED, ("c2",)),
+        (
+            ("--pace", "20", "--set", "restart.when=never"),
+            (INVERTER, "c1", "central", RECORDER),
+            signal.SIGTERM,
+        ),
+        (("--set", "restart.frozen_s=1"), (INVERTER, "c1", "central"), signal.SIGSTOP),
+        (GROUPED, ("c2",), signal.SIGTERM),
     ],
 )
 def test_a_process_that_is_not_started_again_is_given_up_and_the_run_goes_on(
-    heliarch: Start, plant: str, words: tuple[str, ...], victims: tuple[str, ...]
+    heliarch: Start,
+    plant: str,
+    words: tuple[str, ...],
+    victims: tuple[str, ...],
+    harm: signal.Signals,
 ) -> None:
     run = heliarch("launch", plant, "--duration", "10h", *words)
     run.until_recorded()
     for victim in victims:
         run.until_recorded(run.recorded_cycles() + 3)
-        run.process_of(victim).send_signal(signal.SIGTERM)
+        run.process_of(victim).send_signal(harm)
         run.until_shown(f"without {victim}")
     if RECORDER not in victims:
         run.until_recorded(run.recorded_cycles() + 3)
     assert run.interrupt() == 1
     assert victims[0] in run.error_text()
+    assert run.output.read_text().count("has not beaten") == (harm == signal.SIGSTOP) * len(victims)
     wiring = load_plan(run.folder / "plan.json").wiring
     agents = [agent for victim in victims for agent in wiring.members_of(victim)]
     assert list(summary_of(run.folder).launcher.given_up) == agents
@@ -169,19 +178,6 @@ def test_a_killed_launcher_leaves_no_process_and_a_whole_recording(run: Heliarch
 
 
 # Frozen -------------------------------------------------------------------------------------------
-
-
-def test_in_lockstep_a_frozen_process_is_killed_and_the_run_goes_on_without_it(
-    heliarch: Start, plant: str
-) -> None:
-    run = heliarch("launch", plant, "--duration", "10h", "--set", "restart.frozen_s=1")
-    run.until_recorded()
-    run.process_of(INVERTER).send_signal(signal.SIGSTOP)
-    run.until_shown(f"without {INVERTER}")
-    run.until_recorded(run.recorded_cycles() + 1)
-    assert run.interrupt() == 1
-    assert "has not beaten" in run.output.read_text()
-    assert_equal_as_far_as_recorded(run, verify(run.folder))
 
 
 def test_a_recorder_that_stands_still_as_a_short_run_ends_is_named_and_not_who_waits_for_it(

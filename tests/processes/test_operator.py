@@ -6,15 +6,13 @@ import os
 from pathlib import Path
 
 import pytest
-from attacker import attacker_of
 from command_line import done, refusal
 from running import REPOSITORY, Device, Start
 from test_launch import summary_of
 
-from agents.plan import load_plan
-from bus_schemas.messages import Dispatch, Order
+from bus_schemas.messages import Dispatch
 from bus_schemas.signals import DISPATCH, ORDER
-from bus_schemas.tree import OPERATOR, ROOT
+from bus_schemas.tree import OPERATOR
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
 
@@ -64,25 +62,6 @@ def test_a_program_with_the_operators_keys_gives_an_agc_signal_and_the_schedule_
 
 def test_without_keys_an_operators_program_is_refused(plant: str) -> None:
     assert "--secure" in refusal("launch", plant, "--external", OPERATOR, "--pace", "1")
-
-
-def test_without_keys_no_order_of_a_stranger_reaches_the_plant_also_beside_a_device(
-    heliarch: Start, device: Device, plant: str
-) -> None:
-    words = ("--scheme", "paper", "--pace", "4", "--duration", "5h", "--external", "c1/inv01")
-    run = heliarch("launch", plant, *words)
-    controller = REPOSITORY / "examples" / "direct_controller.py"
-    device(controller, "--plan", run.folder / "plan.json", "--node", "c1/inv01")
-    run.until_running()
-    plan = load_plan(run.folder / "plan.json")
-    with attacker_of(plan) as attacker:
-        for number in range(20):
-            head = (number, plan.timing.sim_time_ns(number), OPERATOR, ())
-            attacker.put(ORDER.of(ROOT), Order(*head, power_kw=123.0))
-        run.until_recorded(run.recorded_cycles() + 8)
-    run.interrupt()
-    assert sources(run.folder) == set()
-    assert verify(run.folder, "plant").equal
 
 
 def test_the_socket_is_closed_to_other_users(heliarch: Start, plant: str) -> None:
