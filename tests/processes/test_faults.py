@@ -151,30 +151,25 @@ def test_a_run_whose_folder_and_plan_are_gone_starts_controllers_again_and_fails
     assert "gave up" not in run.output.read_text(), "it needs nothing of the folder"
 
 
-def test_the_fork_server_is_the_parent_of_all_agents_and_killed_it_is_named(run: Heliarch) -> None:
+@pytest.mark.parametrize("killed", ["launcher", "fork server"])
+def test_a_killed_launcher_or_fork_server_leaves_no_process_and_a_whole_recording(
+    run: Heliarch, killed: str
+) -> None:
     server = run.fork_server()
     assert server.ppid() == run.process.pid
     agents = [found for found in run.processes() if found != server]
-    assert len(agents) == 9
+    assert len(agents) == len(list((run.folder / "logs").glob("*.log"))) == 9
     assert {agent.ppid() for agent in agents} == {server.pid}
-    assert len(list((run.folder / "logs").glob("*.log"))) == 9
-    server.send_signal(signal.SIGKILL)
-    assert run.wait() == 1
-    assert f"fork server (process {server.pid})" in run.error_text()
+    if killed == "launcher":
+        run.process.send_signal(signal.SIGKILL)
+        run.wait()
+    else:
+        server.send_signal(signal.SIGKILL)
+        assert run.wait() == 1
+        assert f"fork server (process {server.pid})" in run.error_text()
     assert_none_left(run.folder)
-    assert is_whole(run), "its recorder has closed its file"
-
-
-def is_whole(run: Heliarch) -> bool:
     with RunReader(run.folder) as reader:
-        return reader.whole
-
-
-def test_a_killed_launcher_leaves_no_process_and_a_whole_recording(run: Heliarch) -> None:
-    run.process.send_signal(signal.SIGKILL)
-    run.wait()
-    assert_none_left(run.folder)
-    assert is_whole(run)
+        assert reader.whole, "its recorder has closed its file"
 
 
 # Frozen -------------------------------------------------------------------------------------------
