@@ -258,6 +258,8 @@ class AgentProcess:
         for key, is_there in self._tokens.changes() if self._tokens is not None else ():
             if key == self.plan.wiring.alive_key(PLANT):
                 patience_s = _PLANT_PATIENCE_S if self.plan.timing.lockstep else _CUT_PATIENCE_S
+                if self.loop.times.stop_heard:
+                    patience_s = 0.0
                 self._plant_gone_at = inf if is_there else time.monotonic() + patience_s
                 if self.link.by_hand and not is_there:
                     return True

@@ -67,7 +67,7 @@ def test_without_keys_an_operators_program_is_refused(plant: str) -> None:
 def test_the_socket_is_closed_to_other_users(heliarch: Start, plant: str) -> None:
     if os.geteuid() != 0:
         pytest.skip("needs root, to be another user")
-    run = heliarch("launch", plant, "--pace", "1", "--duration", "1h")
+    run = heliarch("launch", plant, "--pace", "10", "--duration", "1h")
     run.until_running()
     child = os.fork()
     if child == 0:

@@ -74,6 +74,8 @@ def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
     assert "c2/inv03 (process" in said
     assert "c2 (process" in said
     assert "c2/inv04 (process" not in said, "nobody else is killed"
+    log = (other.folder / "logs" / "c2.inv04.log").read_text()
+    assert "did not say that the run is over" not in log, "nobody waits in vain for its end"
     summary = summary_of(run.folder)
     assert summary.launcher.takeovers["c2"] >= 1
     assert summary.lost_by_processes == 0
