@@ -58,6 +58,9 @@ def test_a_cut_or_a_wrong_byte_anywhere_in_an_answer_only_costs_time(cache: Path
 
 def test_what_was_used_last_has_room(cache: Path) -> None:
     ask(1.0)
+    (first,) = cache.iterdir()
+    os.utime(first, (0, 0))
+    assert ask(1.0) == (1.0 / 3.0, False)
     for day in range(1, 6):
         large = cache / f"of-day-{day}.npz"
         with large.open("wb") as file:
