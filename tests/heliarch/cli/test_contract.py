@@ -205,6 +205,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "launch small.toml --external c1/inv01 --base-port 65529",
         "inspect run --cycle 3 --nodes c1",
         "export run",
+        "export run --format mcap --nodes c1",
         "report run --report page",
         "verify run --accept --nodes c1",
         "verify run --accept --to 3",

@@ -73,7 +73,10 @@ def test_a_damaged_attachment_is_named_or_refused(
 
 @pytest.mark.parametrize(
     ("form", "name"),
-    [("json-mcap", "run.json.mcap"), ("parquet", "run-parquet"), ("csv", "run-csv")],
+    [
+        *(("json-mcap", "run.json.mcap"), ("mcap", "run.recovered.mcap")),
+        *(("parquet", "run-parquet"), ("csv", "run-csv")),
+    ],
 )
 def test_each_form_has_its_place_beside_the_recording_and_replaces_nothing(
     form: str, name: str, run: Path
