@@ -58,13 +58,3 @@ def split_links(*targets: int) -> Iterator[list[SplitLink]]:
         for link in links:
             stack.callback(link.shutdown)
         yield links
-
-
-def free_ports(count: int) -> int:
-    """Return the first of some ports in a row that nobody uses now."""
-    for first in range(21_000, 32_000, count):
-        with suppress(OSError):
-            for port in range(first, first + count):
-                socket.create_server(("127.0.0.1", port)).close()
-            return first
-    raise AssertionError("no free ports")

@@ -11,10 +11,11 @@ from pathlib import Path
 import command_line
 import pytest
 from running import Start, small_plant
-from split_links import free_ports, split_links
+from split_links import split_links
 from test_external import our_decisions
 from test_launch import decisions
 
+from agents.plan import load_plan
 from studies.conformance.requirements import OF_PLANT, REQUIREMENTS
 
 pytestmark = pytest.mark.processes
@@ -161,13 +162,13 @@ def test_the_controller_in_c_meets_every_requirement(controller_in_c: Path, plan
 def test_in_c_a_run_over_split_reads_is_that_of_simulate_and_nothing_is_sent_in_vain(
     controller_in_c: Path, heliarch: Start, plant: str
 ) -> None:
-    first = free_ports(5)
-    words = ("--duration", "25", "--seed", "3", "--scheme", "paper", "--base-port", str(first))
+    words = ("--duration", "25", "--seed", "3", "--scheme", "paper")
     run = heliarch("launch", plant, *words, "--external", NODE)
-    with split_links(first, first + 1, first + 3) as links:
-        run.until((run.folder / "plan.json").exists, "a plan")
+    plan = run.folder / "plan.json"
+    run.until(plan.exists, "a plan")
+    ports = load_plan(plan).access.tcp_ports
+    with split_links(*(ports[agent] for agent in ("recorder", "plant", "c1"))) as links:
         endpoints = [link.endpoint for link in links]
-        plan = run.folder / "plan.json"
         device = subprocess.run([controller_in_c, plan, NODE, *endpoints], timeout=100, check=False)
         assert run.wait() == 0, run.error_text()
     assert device.returncode == 0, "docs/own-device.md, With zenoh-pico: is the library patched?"
