@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from pathlib import Path
+from typing import Any
 
 import pytest
 from memory_runs import Sent
@@ -406,8 +407,9 @@ def test_a_device_may_have_an_estimate_of_its_own_but_by_the_paper(
 
 
 def test_a_device_chooses_how_far_above_its_forecast_it_holds_its_inverter(tmp_path: Path) -> None:
-    network, external = Disturbance(loss=0.02), ("c1/a",)
-    plan = faulty_plan(network, external=external, scheme="predictive", actuator="limit")
+    # So long that it has learned how far the maximum changes, and is not at its rating.
+    long: dict[str, Any] = {"scheme": "predictive", "actuator": "limit", "cycles": 60}
+    plan = faulty_plan(Disturbance(loss=0.02), external=("c1/a",), **long)
     messages = published(plan, cloudy_profile(plan))
     rating_kw, held = dict(plan.inverters)["c1/a"], 0
     for number, (port, message) in enumerate(messages):
@@ -421,9 +423,7 @@ def test_a_device_chooses_how_far_above_its_forecast_it_holds_its_inverter(tmp_p
             held += 1
     assert held
     assert "c1/a" not in first_differences(verified(tmp_path / "run", plan, messages))
-    ours = verified(
-        tmp_path / "ours", faulty_plan(LATE, scheme="predictive", actuator="limit"), messages
-    )
+    ours = verified(tmp_path / "ours", faulty_plan(LATE, **long), messages)
     assert "c1/a" in first_differences(ours), "our own controllers have no such choice"
 
 
