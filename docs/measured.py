@@ -34,7 +34,7 @@ from heliarch import compare, load_scenario, simulate
 from results.answers import answers
 from scenarios.preparation import prepare
 from scenarios.run_options import RunOptions
-from scenarios.scenario import DcCurrents, ScenarioFile
+from scenarios.scenario import DcCurrents, MeasuredIrradiance, ScenarioFile
 from scenarios.settings import with_settings
 from sim_plant.profile import Profile
 from studies.arrays.closed_loop import run_loop
@@ -61,6 +61,7 @@ COMMITMENT: Final[Columns] = {
 
 
 CAUSES: Final = ["control-caused", "over-delivered"]
+SUMS: Final = ("paper, sum %", "predictive, sum %")
 ERRORS: Final = tuple(f"{name} %" for name in CAUSES)
 
 
@@ -216,6 +217,56 @@ def intervals(data: Path) -> Lines:
         spans = zip(apart.mean(axis=0), low, high, strict=True)
         cells = (f"{mean:+.3f} ({least:+.3f} to {most:+.3f})" for mean, least, most in spans)
         yield [actuator, len(apart), *cells]
+
+
+NEW_CELLS: Final = {"share": [0.4, 0.6, 0.75, 0.95], "plant.meter_noise": [0, 0.005]}
+OAHU_GRID: Final = {"apart_m": 150, "lat": 21.31, "lon": -158.08}
+
+
+def other_skies(data: Path) -> Lines:
+    """Write the same counts for skies, plants and commitments that no other table uses."""
+    pyranometers = pd.read_csv(data / "hope-melpitz-1s" / "positions.csv", dtype=str)["station"]
+    known = hope(data).scenario.irradiance
+    assert isinstance(known, MeasuredIrradiance)
+    others = [name for name in pyranometers if name not in (known.stations or ())]
+    large = {"grid": {"rows": 6, "columns": 10, **OAHU_GRID}, "rating_kw": 30_000}
+    small = {"grid": {"rows": 3, "columns": 3, **OAHU_GRID}, "rating_kw": 4500}
+    melpitz: dict[str, dict[str, Any]] = {
+        "HOPE, 17 other stations": {"irradiance.stations": others[:17]},
+        "HOPE, 9 others in two clusters": {
+            "irradiance.stations": others[-9:],
+            "control.cluster_sizes": [[5, 4]],
+        },
+        "HOPE, cycles of 5 s": {"time.cycle_s": 5},
+    }
+    oahu: dict[str, dict[str, Any]] = {
+        "oahu, cloud cover 0.7": {"irradiance.clouds.cloud_cover": 0.7},
+        "oahu, 60 inverters in four tiers": {
+            "plant": large,
+            "control": {"cluster_count": [12, 3]},
+        },
+        "oahu, 9 inverters, cycles of 10 s": {
+            "plant": small,
+            "control": {"cluster_count": [2]},
+            "time.cycle_s": 10,
+        },
+    }
+    yield ["sky and plant", "actuator", "cells", "at most the paper's", "within 0.02", *SUMS]
+    shares = [{"kind": "share-of-median", "share": share} for share in NEW_CELLS["share"]]
+    cells = {"commitment": shares, "plant.meter_noise": NEW_CELLS["plant.meter_noise"]}
+    for sky, settings in (melpitz | oahu).items():
+        scenario = hope(data) if sky in melpitz else load_scenario("oahu")
+        scenario = with_settings(scenario, [*settings.items(), ("plant.meter_seed", 7)])
+        skies = {} if sky in melpitz else {"seeds": range(101, 107), "duration": "30m"}
+        run = partial(compare, scenario, schemes=HIERARCHICAL, actuators=BOTH, workers=WORKERS)
+        rows = run(settings=cells, **skies)
+        for actuator in BOTH:
+            errors = rows[rows["actuator"] == actuator].set_index("scheme")[CAUSES]
+            paper, found = errors.loc["paper"], errors.loc["predictive"]
+            apart = found.to_numpy() - paper.to_numpy()
+            counts = [(apart <= most).all(axis=1).sum() for most in (5e-4, 0.02)]
+            sums = (f"{one.sum(axis=1).mean():.3f}" for one in (paper, found))
+            yield [sky, actuator, len(apart), *counts, *sums]
 
 
 STATES: Final[dict[str, dict[str, list[float]]]] = {
@@ -585,6 +636,7 @@ def measured(data: Path) -> dict[str, Tables]:
             "intervals": partial(intervals, data),
             "noise": partial(noise, data),
             "stated": partial(stated, data),
+            "other skies": partial(other_skies, data),
         },
         "offers.md": {"measured offers": partial(measured_offers, data)},
         "clusters.md": {

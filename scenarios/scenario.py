@@ -195,7 +195,8 @@ class ControlTable(_Table, frozen=True):
     scheme: How an inverter's maximum power is estimated.
     clusters: How the members of a cluster are chosen.
     clusters_seed: Seed of `random` clusters.
-    period_cycles: Cycles from turn to turn of each tier, the central controller's first.
+    period_cycles: Cycles from turn to turn of each tier, the central controller's first, each a
+        multiple of the next.
     alpha_min: Lowest curtailment level.
     hold_cycles: An input that is older than this has expired [cycles].
     stall_timeout_s: In lockstep: how long a cycle may stall [s].
