@@ -41,6 +41,9 @@ _CHUNK_HEAD: Final = Struct("<QQQII")
 _PACKED_LENGTH_SIZE: Final = 8
 """Bytes between the codec's name and the packed data."""
 
+_LARGEST_CHUNK: Final = 1 << 26
+"""A chunk that unpacks to more bytes is damaged; those of a recording have about 1 MiB."""
+
 _OPCODES: Final = frozenset(Opcode)
 _BLOCK: Final = 1 << 20
 
@@ -185,6 +188,8 @@ def unpack_chunk(file: BinaryIO, chunk: Chunk) -> bytes:
         raise InputError(f"{file.name}: another tool has packed it anew: expected lz4, got zstd")
     try:
         *_, size, checksum, name_length = _CHUNK_HEAD.unpack_from(body)
+        if size > _LARGEST_CHUNK:
+            raise ValueError("it unpacks to more than a recorder writes")
         packed = memoryview(body)[_CHUNK_HEAD.size + name_length + _PACKED_LENGTH_SIZE :]
         content = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size)
         if len(content) != size or zlib.crc32(content) != checksum:

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
+from struct import pack
 from typing import Any
+from zlib import crc32
 
+import lz4.frame
 import pytest
 from command_line import heliarch, refusal
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from msgspec.structs import replace
@@ -102,3 +106,16 @@ def test_a_wrong_message_is_skipped_and_named_by_every_command(
         said = done.stderr.splitlines()
         assert said
         assert all("c1/a/impp" in line for line in said)
+
+
+def test_a_chunk_that_unpacks_to_far_more_than_a_recorder_writes_is_left_out_and_named(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(3), close=False)
+    zeros = bytes((1 << 26) + 1)  # Of zeros, gigabytes are a few megabytes in a file.
+    packed = lz4.frame.compress(zeros)
+    body = pack("<QQQII3sQ", 1, 1, len(zeros), crc32(zeros), 3, b"lz4", len(packed)) + packed
+    with path.open("ab") as file:
+        file.write(pack("<BQ", Opcode.CHUNK, len(body)) + body)
+    assert "a part of the file is damaged" in heliarch("inspect", path).stderr
