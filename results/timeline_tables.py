@@ -58,7 +58,7 @@ def plant_table(tree: ControlTree, title: str, nodes: Sequence[NodeCycle]) -> Ta
 
 def states_table(states: Mapping[str, AgentState]) -> Table:
     """Return the agents of which there is something to say, by what led to a cycle."""
-    told = {
+    shown = {
         agent: state
         for agent, state in states.items()
         if state.word != "fine" or state.missed_inputs or state.restarts
@@ -70,9 +70,9 @@ def states_table(states: Mapping[str, AgentState]) -> Table:
         Column("restarts"),
     )
     rows = [
-        (agent, state.text(), state.missed_inputs, state.restarts) for agent, state in told.items()
+        (agent, state.text(), state.missed_inputs, state.restarts) for agent, state in shown.items()
     ]
-    others = len(states) - len(told)
+    others = len(states) - len(shown)
     note = f"{counted(others, 'agent')} fine, without missed inputs or restarts" if others else ""
     return Table("Agents up to this cycle", columns, rows, (note,) if note else ())
 

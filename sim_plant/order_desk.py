@@ -91,11 +91,11 @@ class OrderDesk:
     def tell(self, status: PlantStatus) -> None:
         """Tell the clients what the plant did; one that does not read in time misses it."""
         for client, answer in [*self._answers.items()]:
-            told = msgspec.structs.replace(status, answer=answer)
+            answered = msgspec.structs.replace(status, answer=answer)
             self._answers[client] = ""
             with suppress(BlockingIOError):
                 try:
-                    client.send(msgspec.json.encode(told))
+                    client.send(msgspec.json.encode(answered))
                 except (BrokenPipeError, ConnectionResetError):
                     self._forget(client)
 

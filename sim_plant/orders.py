@@ -22,7 +22,7 @@ SCENARIO: Final = "scenario"
 """Source of the orders that a scenario states."""
 
 BEFORE_RUN: Final[Stamp] = (-1, 0, PLANT, (), 0, 0, 0, 0)
-"""The head of the dispatch before cycle 0, which nobody hears."""
+"""The head of the dispatch with which the plant begins; it is not published."""
 
 _ASKED: Final = ("source", "power_kw", "ramp_kw_per_min", "hold_s", "renew_s")
 """Fields of an order; a dispatch states them with `order_` before them."""

@@ -170,7 +170,7 @@ class HealthWatch:
             launcher=None,
             more_absences=len(absences[_MOST_ABSENCES:]),
         )
-        return told(health, run)
+        return with_account(health, run)
 
     def _effects(self, last_cycle: int) -> Iterator[FaultEffect]:
         for number, fault in enumerate(self._plan.faults.rules):
@@ -190,8 +190,8 @@ class HealthWatch:
                 self._faults.fates(port, listener, message)
 
 
-def told(health: Health, run: RunReader) -> Health:
-    """Return the health of a run with what its folder tells."""
+def with_account(health: Health, run: RunReader) -> Health:
+    """Return the health of a run with what the launcher has written into its folder."""
     document = summary_in(run.path.parent, run.plan, RunDocument)
     launcher = document.launcher if document else None
     return replace(health, failure=failure_in(run.path.parent), launcher=launcher)

@@ -15,7 +15,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, SIGNALS, Port, Signal
 from bus_schemas.tree import ROOT
 from bus_schemas.whole_file import whole_file
-from recordings.inspect.health import Health, HealthWatch, told
+from recordings.inspect.health import Health, HealthWatch, with_account
 from recordings.read.counting import RecordingCount
 from recordings.read.gaps import PortGaps
 from recordings.read.reader import RunReader
@@ -78,7 +78,7 @@ def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
         if cycles is None and path.stat().st_mtime_ns >= changed_ns:
             kept = msgspec.json.decode(path.read_bytes(), type=Overview)
             if kept.run_id == run.plan.run_id:
-                return replace(kept, path=str(run.path), health=told(kept.health, run))
+                return replace(kept, path=str(run.path), health=with_account(kept.health, run))
     return _overview(run, cycles)
 
 
@@ -89,7 +89,7 @@ def _overview(
     if count is None:
         count, health = _go_through(run, cycles, wanted)
     else:
-        health = told(Health(stop_cycle=run.stop_cycle, launcher=None), run)
+        health = with_account(Health(stop_cycle=run.stop_cycle, launcher=None), run)
     wall_s, sent = count.wall_ns / 1e9, {port.signal for port in count.gaps}
     return Overview(
         path=str(run.path),

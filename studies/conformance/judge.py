@@ -40,8 +40,8 @@ class WrongAnswer(NamedTuple):
     """What is wrong in a cycle.
 
     requirement: What it fails; empty: what the cycle shows.
-    what: Signal, and field or kind of the difference. Who is late at one stage is late at all that
-        follow in its cycle, so that lateness is of no signal.
+    what: Signal, and field or kind of the difference. A late answer names no signal: one late stage
+        makes all later stages of its cycle late.
     """
 
     cycle: int
