@@ -62,11 +62,3 @@ def is_module(text: str) -> bool:
     room, *inner = text.rstrip(".").split(".")
     path = REPOSITORY.joinpath(room, *inner)
     return room in ROOMS and "." in text and (path.is_dir() or path.with_suffix(".py").exists())
-
-
-def test_the_tests_exist_that_show_what_was_done_to_the_plant() -> None:
-    table = (REPOSITORY / "docs" / "tables" / "attacked.csv").read_text(encoding="utf-8")
-    named = re.findall(r"(tests/[\w/]+\.py)::(\w+)", table)
-    assert len(named) > 50
-    for path, test in named:
-        assert f"def {test}(" in (REPOSITORY / path).read_text(encoding="utf-8"), f"{path}::{test}"
