@@ -32,15 +32,17 @@ test: $(READY) ## all tests; three workers, because many tests wait for processe
 docs: $(READY) ## the documents as a site in build/site; read them with `python -m http.server -d build/site`
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-golden: $(READY) ## simulate the golden runs anew; `heliarch verify --accept` keeps their sky and clusters
+golden: $(READY) ## record the golden runs again with their own sky and clusters; one that was removed is simulated anew
 	$(call golden,oahu-fraction,oahu --actuator fraction --duration 24s)
 	$(call golden,oahu-limit,oahu --duration 20s)
 	$(call golden,oahu-day-paper,oahu-day --scheme paper --from 12:13:08 --duration 16s)
 	$(call golden,valley-periods,recordings/golden/valley-periods.toml --duration 8s)
 
 define golden
-	rm -rf build/golden && $(BIN)/heliarch simulate $(2) --out build/golden
-	mkdir -p recordings/golden/$(1) && mv build/golden/run.mcap build/golden/profile.npz recordings/golden/$(1)
+	@rm -rf build/golden
+	test -d recordings/golden/$(1) || $(BIN)/heliarch simulate $(2) --out build/golden
+	@if test -d build/golden; then mkdir recordings/golden/$(1) && mv build/golden/run.mcap build/golden/profile.npz recordings/golden/$(1); fi
+	$(BIN)/python -m studies.golden recordings/golden/$(1)
 endef
 
 check: $(READY) ## format, lint, types, directions of imports

@@ -1,14 +1,14 @@
 """Golden recordings: short simulated runs that the agents must repeat.
 
-`heliarch verify --accept` records a run again with its own plan and profile, so that sky and
+`make golden` records those that differ again, with their own plan and profile, so that sky and
 clusters stay as they are.
 """
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
-from agents.plan import RunPlan
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
@@ -16,26 +16,19 @@ from bus_schemas.signals import Port
 from launch_scripts.simulation import MemoryRun
 from recordings.read.reader import RunReader
 from recordings.record.writer import RunWriter
-from recordings.verify.verification import PROFILE_NAME, run_profile
-from sim_plant.profile import Profile
-
-
-def origin(run: Path) -> tuple[Path, RunPlan, str, Profile]:
-    """Return what it takes to record a run again: recording, plan, scenario and profile."""
-    with RunReader(run) as reader:
-        path, plan, scenario = reader.path, reader.plan, reader.scenario
-        driver = reader.metadata["run"].get("driver", "")
-    if not plan.timing.lockstep or driver != "simulate":
-        raise InputError(f"--accept {path}: expected a run of `heliarch simulate` in lockstep")
-    profile = run_profile(plan, path)
-    if profile is None:
-        raise InputError(f"--accept {path}: expected {PROFILE_NAME} beside it, got none")
-    return path, plan, scenario, profile
+from recordings.verify.verification import PROFILE_NAME, run_profile, verify
 
 
 def record_again(run: Path) -> None:
     """Simulate a recorded run again; replace its recording once the new one is complete."""
-    path, plan, scenario, profile = origin(run)
+    with RunReader(run) as reader:
+        path, plan, scenario = reader.path, reader.plan, reader.scenario
+        driver = reader.metadata["run"].get("driver", "")
+    if not plan.timing.lockstep or driver != "simulate":
+        raise InputError(f"{path}: expected a run of `heliarch simulate` in lockstep")
+    profile = run_profile(plan, path)
+    if profile is None:
+        raise InputError(f"{path}: expected {PROFILE_NAME} beside it, got none")
     unfinished = path.with_name(f"{path.name}.unfinished")
     writer = RunWriter(unfinished, plan, scenario, driver="simulate")
 
@@ -52,3 +45,9 @@ def record_again(run: Path) -> None:
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    for folder in sys.argv[1:]:
+        if not verify(Path(folder)).equal:
+            record_again(Path(folder))

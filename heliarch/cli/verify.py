@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from bus_schemas.errors import FailureError, InputError
 from heliarch.cli.boundary import FAILED, OK
 from heliarch.cli.options import End, Json, Nodes, Run, Start, Tolerance
 from heliarch.cli.output import Output, progress_bar
@@ -25,7 +24,6 @@ def verify(
     start: Start = None,
     end: End = None,
     tolerance: Tolerance = 0.0,
-    accept: bool = False,
     json: Json = None,
 ) -> int:
     """Run the agents of a recording again on the inputs that they used, and compare the outputs.
@@ -35,23 +33,11 @@ def verify(
     Agents run from cycle 0 on; --from and --to say which cycles are compared.
 
     Example: `heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'`
-
-    Parameters
-    ----------
-    accept
-        Replace the recording by what the agents do now.
     """
     from recordings.verify.comparison import Equality
     from recordings.verify.report import verification_data, verification_lines
     from recordings.verify.verification import verify as verify_run
 
-    if accept:
-        from studies.golden import origin
-
-        if nodes or start or end:
-            raise InputError("--accept: expected neither --nodes, --from nor --to with it")
-        for path in (run, *more):
-            origin(path)  # Refuses what cannot be recorded again, before any work.
     results: list[Verification] = []
     rows: list[dict[str, Any]] = []
     equality, output = Equality(tolerance), Output(json)
@@ -65,20 +51,4 @@ def verify(
         rows.append(verification_data(found, wall_s))
     equal = all(found.equal for found in results)
     output.write({"equal": equal, "runs": rows})
-    for found in results if accept else ():
-        output.say(f"{found.recording}: {_accepted(found)}")
-    return OK if equal or accept else FAILED
-
-
-def _accepted(found: Verification) -> str:
-    """Record a run again if its agents behave otherwise now; return what became of it."""
-    from studies.golden import record_again
-
-    if found.equal:
-        return "nothing to accept"
-    for name, findings in found.agents.items():
-        if findings.failure is not None:
-            failure = f"{name} fails in cycle {findings.failure.cycle}: {findings.failure.text}"
-            raise FailureError(f"--accept {found.recording}: {failure}")
-    record_again(found.recording)
-    return "recorded again as the agents behave now"
+    return OK if equal else FAILED

@@ -207,8 +207,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "export run",
         "export run --format mcap --nodes c1",
         "report run --report page",
-        "verify run --accept --nodes c1",
-        "verify run --accept --to 3",
         "replay run --start-paused",
         "replay run --live c1 --loop",
         "compare run",
