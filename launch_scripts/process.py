@@ -17,7 +17,7 @@ from recordings.record.recorder import run_recorder
 from sim_plant.order_desk import OrderDesk, PlantAtDesk
 from sim_plant.plant import Plant
 from sim_plant.plant_run import run_plant
-from sim_plant.profile import load_profile
+from sim_plant.profile import PROFILE_NAME, load_profile
 from sim_plant.real_inverters import PlantWithDevices
 from sunspec.pipes import PlantPipes
 
@@ -49,7 +49,7 @@ def run_process(
 
 
 def _plant(plan: RunPlan, folder: Path) -> Plant:
-    profile = load_profile(folder / "profile.npz", plan.timing.cycles, len(plan.inverters))
+    profile = load_profile(folder / PROFILE_NAME, plan.timing.cycles, len(plan.inverters))
     if plan.site.devices:
         return PlantWithDevices(plan, profile, PlantPipes(plan, folder))
     return Plant(plan, profile)

@@ -16,6 +16,7 @@ from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import ScenarioFile
+from sim_plant.profile import PROFILE_NAME
 
 
 class RunFolder:
@@ -56,7 +57,7 @@ class RunFolder:
                 plan = changed(plan, access=ports | new)
                 file.touch(mode=0o600)
                 file.write_text(users(plan), encoding="utf-8")
-            preparation.profile.save(self.path / "profile.npz")
+            preparation.profile.save(self.path / PROFILE_NAME)
             (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
             self.write_plan(plan)
         return plan

@@ -88,10 +88,12 @@ FIGURES: Final = {
         ("shortfall-energy", "Shortfall", "kWh", 2, _SRC),
         ("unavoidable-energy", "Shortfall, unavoidable", "kWh", 2, _SR),
         ("control-caused-energy", "Shortfall, control-caused", "kWh", 2, _SR),
+        ("without-help-energy", "Control-caused, without help", "kWh", 2, _SR),
         ("over-delivered-energy", "Over-delivery", "kWh", 2, _SR),
         ("shortfall", "Shortfall", "% of dispatch", 3, _NOWHERE),
         ("unavoidable", "Unavoidable", "% of dispatch", 3, _C),
         ("control-caused", "Control-caused", "% of dispatch", 3, _C),
+        ("without-help", "Control-caused, without help", "% of dispatch", 3, _NOWHERE),
         ("over-delivered", "Over-delivered", "% of dispatch", 3, _C),
         ("rmse", "Tracking RMSE", "kW", 2, _SRC),
         ("mae", "Tracking MAE", "kW", 2, _R),
@@ -196,6 +198,7 @@ def run_figures(series: RunSeries) -> Figures:
         "cycles": int(known.sum()),
         "planned-cycles": series.plan.timing.cycles,
         **energy_figures(dispatch_kw, available_kw, delivered_kw, series.cycle_s),
+        **_baseline_figures(series),
         "unknown-energy": float(np.nansum(series.unknown_kw[known])) * hours or None,
         "rmse": float(np.sqrt(np.mean(error_kw**2))),
         "mae": float(np.mean(np.abs(error_kw))),
@@ -249,6 +252,19 @@ def energy_figures(
         figures |= {name: 100.0 * kwh[name] / dispatched_kwh for name in missed_kw}
         figures["satisfied"] = 100.0 - 100.0 * kwh["shortfall"] / dispatched_kwh
     return figures
+
+
+def _baseline_figures(series: RunSeries) -> Figures:
+    """Compute what the same plant would have missed, although it had the power, without help."""
+    known = series.known
+    if not np.isfinite(series.without_help_kw[known]).all():
+        return {}
+    powers_kw = series.desired_kw[known], series.available_kw[known], series.without_help_kw[known]
+    found = energy_figures(*powers_kw, series.cycle_s)
+    return {
+        "without-help-energy": found["control-caused-energy"],
+        "without-help": found.get("control-caused"),
+    }
 
 
 def _offer_figures(series: RunSeries) -> Figures:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from bus_schemas.errors import InputError
 from sim_plant import Floats
 
-_HEADER_BYTES = 4_096
+PROFILE_NAME: Final = "profile.npz"
+"""Its file in the folder of a run."""
+
+_HEADER_BYTES: Final = 4_096
 
 
 @dataclass(frozen=True, slots=True)

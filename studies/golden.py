@@ -16,7 +16,8 @@ from bus_schemas.signals import Port
 from launch_scripts.simulation import MemoryRun
 from recordings.read.reader import RunReader
 from recordings.record.writer import RunWriter
-from recordings.verify.verification import PROFILE_NAME, run_profile, verify
+from recordings.verify.verification import run_profile, verify
+from sim_plant.profile import PROFILE_NAME
 
 
 def record_again(run: Path) -> None:

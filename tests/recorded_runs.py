@@ -18,8 +18,7 @@ from bus_schemas.faults import Disturbance
 from bus_schemas.signals import RUN
 from bus_schemas.tree import PLANT
 from recordings.read.run_file import RECORDING_NAME, further_file
-from recordings.verify.verification import PROFILE_NAME
-from sim_plant.profile import Profile
+from sim_plant.profile import PROFILE_NAME, Profile
 
 TWO_TIERS: Final = {"c1/a": 100.0, "c1/b": 100.0, "c2/c": 120.0, "c2/d": 60.0}
 THREE_TIERS: Final = {"z1/c1/a": 100.0, "z1/c1/b": 80.0, "z1/c2/c": 100.0, "z2/c3/d": 90.0}

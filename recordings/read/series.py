@@ -25,6 +25,8 @@ from bus_schemas.signals import COMMAND, DISPATCH, IMPP, METER, PRODUCTION, RESI
 from bus_schemas.tree import ROOT, parent_of
 from recordings.read.reader import RunReader
 from sim_plant.orders import order_of
+from sim_plant.profile import PROFILE_NAME, load_profile
+from sim_plant.without_help import powers_without_help_kw
 
 _MOST_COLUMNS: Final = 100
 
@@ -49,6 +51,8 @@ class RunSeries:
         that it applied.
     unknown_kw: What real inverters that do not answer may give beside the delivered power, (T,).
     unlisted_kw: What the plant's own meter reads beyond the sum of its inverters, (T,).
+    without_help_kw: What the plant would have delivered if each inverter were held to its share of
+        the desired power under the same sky, shape (T,): the baseline of every run.
     first_cycle: Cycle of the run that the first row stands for.
     of_agents: Figures of merit that only a run of agents in a study counts, by name.
     orders: The dispatches with which an order came into force, or its state changed.
@@ -70,6 +74,7 @@ class RunSeries:
     frequency_hz: NDArray[np.float64]
     desired_kw: NDArray[np.float64]
     response_kw: NDArray[np.float64]
+    without_help_kw: NDArray[np.float64]
     first_cycle: int = 0
     of_agents: Mapping[str, float] = field(default_factory=dict)
     orders: tuple[Dispatch, ...] = ()
@@ -97,6 +102,9 @@ class RunSeries:
         }
         arrays.setdefault("dispatch_kw", arrays["commitment_kw"] + arrays["regulation_kw"])
         arrays |= desired_powers(plan, arrays["dispatch_kw"], arrays["frequency_hz"])
+        arrays["without_help_kw"] = (
+            unknown if clusters else _without_help_kw(plan, arrays["mpp_kw"], arrays["desired_kw"])
+        )
         return cls(label, plan, clusters or plan.tree.leaves, **arrays)
 
     @property
@@ -164,6 +172,13 @@ class RunSeries:
             name: rows[first:end] for name, rows in values.items() if isinstance(rows, np.ndarray)
         }
         return replace(self, first_cycle=self.first_cycle + first, **part)
+
+
+def _without_help_kw(
+    plan: RunPlan, mpp_kw: NDArray[np.float64], desired_kw: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    powers_kw = powers_without_help_kw(plan, mpp_kw, desired_kw, plan.control.actuator)
+    return net_kw(powers_kw.sum(axis=1), plan.grid_law)
 
 
 def desired_powers(
@@ -340,6 +355,16 @@ def _read(
             if port in one.ports:
                 one.see(port, message)
     try:
-        return collector.series(reader.plan.run_id)
+        series = collector.series(reader.plan.run_id)
     except InputError as error:
         raise InputError(f"{reader.path}: {error}") from None
+    return _with_baseline(series, reader) if clusters else series
+
+
+def _with_baseline(series: RunSeries, reader: RunReader) -> RunSeries:
+    """Add the baseline of a large plant, whose inverters are in its profile alone."""
+    plan, path = reader.plan, reader.path.with_name(PROFILE_NAME)
+    if not path.exists():
+        return series
+    mpp_kw = load_profile(path, plan.timing.cycles, len(plan.tree.leaves)).mpp_kw[: series.cycles]
+    return replace(series, without_help_kw=_without_help_kw(plan, mpp_kw, series.desired_kw))

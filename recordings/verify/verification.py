@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, TypeAlias
 
 from agents.agent import Agent
 from agents.cycle import stage_place
@@ -22,9 +22,7 @@ from recordings.verify.comparison import BIT_FOR_BIT, AgentResult, Difference, E
 from recordings.verify.recorded_cycles import MessageCounts, RecordedCycles
 from recordings.verify.rerun import AgentRerun, StatedEstimates
 from sim_plant.plant import Plant
-from sim_plant.profile import Profile, load_profile
-
-PROFILE_NAME: Final = "profile.npz"
+from sim_plant.profile import PROFILE_NAME, Profile, load_profile
 
 _Make: TypeAlias = Callable[[], Agent[Any]]
 

@@ -17,6 +17,7 @@ from bus_schemas.errors import InputError
 from recordings.read.series import RunSeries
 from sim_plant.orders import planned
 from sim_plant.profile import Profile
+from sim_plant.without_help import powers_without_help_kw
 from studies.arrays.closed_loop import run_loop
 
 SCHEMES: Final = {
@@ -102,7 +103,8 @@ def _powers_kw(
         case "uncontrolled":
             yield profile.mpp_kw
         case "uniform-cap":
-            yield _uniform_cap(plan, profile, actuator)
+            sky_and_aim = profile.mpp_kw, _dispatch_kw(plan, profile)
+            yield powers_without_help_kw(plan, *sky_and_aim, actuator, profile.meter_error)
         case "grouping":
             yield from _grouping(plan, profile, actuator, groups)
         case "physical-limit":
@@ -124,18 +126,6 @@ def _grouping(
             yield np.minimum(profile.mpp_kw, grouping_limits_kw(*seen))
         else:
             yield profile.mpp_kw * grouping_levels(*seen)
-
-
-def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
-    """Each inverter gives its share; behind a fraction, of what it could give a cycle ago."""
-    rating_kw = _rating_kw(plan)
-    aim_kw = np.clip(_dispatch_kw(plan, profile) + plan.control.offset_kw, 0.0, rating_kw.sum())
-    share_kw = np.outer(aim_kw, rating_kw / rating_kw.sum())
-    if actuator == "limit":
-        return np.minimum(profile.mpp_kw, share_kw)
-    impp_kw = np.minimum(_measured_maximum_kw(profile), rating_kw)
-    level = np.minimum(_share(share_kw, impp_kw), 1.0)
-    return np.asarray(profile.mpp_kw * np.maximum(level, plan.control.alpha_min))
 
 
 def _share(power_kw: NDArray[np.float64], of_kw: NDArray[np.float64]) -> NDArray[np.float64]:

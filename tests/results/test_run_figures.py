@@ -44,6 +44,9 @@ def test_a_run_of_four_half_hours_by_hand() -> None:
             "shortfall-energy": 45.0,  # (0 + 10 + 80 + 0) / 2
             "unavoidable-energy": 35.0,  # (0 + 0 + 70 + 0) / 2
             "control-caused-energy": 10.0,  # (0 + 10 + 10 + 0) / 2
+            # Shares of 50 kW, as fractions of the maximum of the cycle before: 100, 80, 25, 80 kW.
+            "without-help-energy": 12.5,  # (0 + 20 + 5 + 0) / 2
+            "without-help": 100.0 * 12.5 / 175.0,
             "over-delivered-energy": 10.0,  # (0 + 0 + 0 + 20) / 2
             "satisfied": 100.0 * (1.0 - 45.0 / 175.0),
             "shortfall": 100.0 * 45.0 / 175.0,

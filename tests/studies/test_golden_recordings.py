@@ -17,7 +17,8 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
 from recordings.read.run_file import RECORDING_NAME
 from recordings.verify.comparison import BIT_FOR_BIT, Equality
-from recordings.verify.verification import PROFILE_NAME, verify
+from recordings.verify.verification import verify
+from sim_plant.profile import PROFILE_NAME
 from studies.golden import record_again
 
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden"

@@ -11,7 +11,7 @@ from command_line import heliarch, refusal
 from msgspec.structs import replace
 from recorded_runs import AGENTS, cloudy_profile, plan_of, published, record
 
-from recordings.verify.verification import PROFILE_NAME
+from sim_plant.profile import PROFILE_NAME
 
 PLAN = plan_of(cycles=8)
 PROFILE = cloudy_profile(PLAN)

@@ -1,0 +1,69 @@
+"""The baseline of every run: the same sky and inverters, each held to its own share, no help."""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+
+import numpy as np
+
+from agents.control.grid import gross_kw
+from agents.plan import RunPlan
+from agents.settings import Actuator
+from sim_plant import Floats
+
+
+def powers_without_help_kw(
+    plan: RunPlan,
+    mpp_kw: Floats,
+    desired_kw: Floats,
+    actuator: Actuator,
+    meter_error: Floats | float = 0.0,
+) -> Floats:
+    """Return what each inverter gives if none covers for another, shape (T, n) [kW].
+
+    Each is commanded its share of the desired power by rating (paper, eq. 3), and obeys with its
+    delay and ramp. It begins with its share of the first cycle. Behind the actuator `fraction` it
+    gives the share as a fraction of what its meter showed of its maximum a cycle ago.
+
+    Parameters
+    ----------
+    plan
+        Of the run: ratings, delays, ramps, losses and offset.
+    mpp_kw
+        True maximum power of each inverter, shape (T, n); NaN where it is unknown.
+    desired_kw
+        What the plant is to give at its meter in each cycle, shape (T,).
+    meter_error
+        Relative error of the inverters' meters, a number or shape (T, n).
+    """
+    rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves])
+    aim_kw = [gross_kw(kw, plan.grid_law) for kw in (desired_kw + plan.control.offset_kw).tolist()]
+    level = np.clip(np.array(aim_kw) / rating_kw.sum(), 0.0, 1.0)
+    share_kw = np.empty_like(mpp_kw)
+    settings = [plan.site.settings_of(leaf) for leaf in plan.tree.leaves]
+    kinds = [(one.delay_s or 0.0, one.ramp_percent_per_s or inf) for one in settings]
+    for kind in dict.fromkeys(kinds):
+        alike = np.array([other == kind for other in kinds])
+        obeyed = _obeyed(level, plan.timing.cycle_s, *kind)
+        share_kw[:, alike] = np.outer(obeyed, rating_kw[alike])
+    if actuator == "limit":
+        return np.minimum(mpp_kw, share_kw)
+    metered_kw = np.concatenate([mpp_kw[:1], mpp_kw[:-1]]) * (1.0 + meter_error)
+    impp_kw = np.minimum(metered_kw, rating_kw)
+    fraction = np.divide(share_kw, impp_kw, out=np.ones_like(share_kw), where=impp_kw > 0.0)
+    return np.asarray(mpp_kw * np.clip(fraction, plan.control.alpha_min, 1.0))
+
+
+def _obeyed(level: Floats, cycle_s: float, delay_s: float, ramp_percent_per_s: float) -> Floats:
+    """Return a commanded share of the rating as inverters obey it, later and within their ramp."""
+    delay = min(int(np.ceil(round(delay_s / cycle_s, 9))), len(level))
+    delayed = np.concatenate([np.repeat(level[:1], delay), level[: len(level) - delay]])
+    if ramp_percent_per_s == inf:
+        return delayed
+    step, now = ramp_percent_per_s / 100.0 * cycle_s, float(delayed[0])
+    obeyed = np.empty_like(delayed)
+    for cycle, wanted in enumerate(delayed.tolist()):
+        if isfinite(wanted):
+            now += min(max(wanted - now, -step), step)
+        obeyed[cycle] = now
+    return obeyed
