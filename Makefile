@@ -79,7 +79,7 @@ pictures: $(READY) ## the pictures of README that are drawn from runs
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py
 
-soak: $(READY) ## long runs: a random kill or cut every 5 s for SOAK_S (1800) s; the recorder killed 20 times; planted bugs; other random examples
+soak: $(READY) ## long runs: a random kill or cut every 5 s for SOAK_S (1800) s; the recorder killed 20 times; other random examples
 	$(BIN)/pytest -m soak
 	$(BIN)/pytest --hypothesis-profile others tests/agents tests/bus_schemas tests/recordings tests/studies
 

@@ -23,12 +23,10 @@ class Kill(_ProcessRule, frozen=True, tag="kill"):
 
     agents: Their name or pattern: `c1`, `c2/*`.
     at: When, in simulated time since cycle 0 [s].
-    until: When a successor is there [s], in `simulate` alone. Default: as `[restart]` says.
     """
 
     agents: str
     at: Second
-    until: Second | None = None
 
 
 class Freeze(_ProcessRule, frozen=True, tag="freeze"):
@@ -36,13 +34,10 @@ class Freeze(_ProcessRule, frozen=True, tag="freeze"):
 
     agents: Their name or pattern: `c1`, `c2/*`.
     at: Beginning and end, in simulated time since cycle 0 [s].
-    zombie: Whether it is replaced at once and then wakes up beside its successor, hearing no agent,
-        in `simulate` alone.
     """
 
     agents: str
     at: Interval
-    zombie: bool = False
 
 
 class Trip(_ProcessRule, frozen=True, tag="trip"):
@@ -65,8 +60,7 @@ class Incident(NamedTuple):
 
     time_s: float
     agent: str
-    what: Literal["kill", "freeze", "thaw", "watch", "start", "replace"]
-    until_s: float = 0.0
+    what: Literal["kill", "freeze", "thaw"]
 
 
 def incidents(faults: Sequence[Fault], tree: ControlTree, wiring: Wiring) -> list[Incident]:
@@ -82,9 +76,7 @@ def incidents(faults: Sequence[Fault], tree: ControlTree, wiring: Wiring) -> lis
         stopped = [agent for process in processes for agent in wiring.members_of(process)]
         match fault:
             case Kill():
-                due += (Incident(fault.at, agent, "kill", fault.until or 0.0) for agent in stopped)
-            case Freeze(at=(begin_s, end_s), zombie=True):
-                due += (Incident(begin_s, agent, "replace", end_s) for agent in stopped)
+                due += (Incident(fault.at, agent, "kill") for agent in stopped)
             case Freeze(at=(begin_s, end_s)):
                 for agent in stopped:
                     due += Incident(begin_s, agent, "freeze"), Incident(end_s, agent, "thaw")
@@ -120,8 +112,6 @@ def check_fault(
 def _process_objections(fault: ProcessFault, tree: ControlTree, away: set[str]) -> Iterator[str]:
     if not isinstance(fault, Kill):
         yield from interval_objections(fault.at)
-    elif fault.until is not None and fault.until <= fault.at:
-        yield f"until: expected more than {fault.at:g} s, got {fault.until:g} s"
     stopped = _stopped(fault, tree)
     if isinstance(fault, Trip):
         stopped = [name for name in stopped if tree.is_leaf(name)]

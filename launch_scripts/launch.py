@@ -348,9 +348,6 @@ def check_processes(plan: RunPlan) -> None:
             "--fault, faults: expected a --pace such as 1 with faults, got lockstep, where an "
             "agent would wait forever for a lost message"
         )
-    for fault in plan.faults.rules:
-        if getattr(fault, "until", None) is not None or getattr(fault, "zombie", False):
-            raise InputError("--fault, faults: until and zombie are for `simulate` alone")
     kinds = {kind_of(agent, plan.tree) for agent in plan.processes}
     for kind in plan.supervision.machine.cpus_of.keys() - kinds:
         expected = "a kind that has processes of its own (see `processes` in the scenario)"

@@ -8,7 +8,9 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
-from heapq import heapify, heappop, heappush
+from functools import partial
+from heapq import heappop, heappush
+from itertools import count
 from resource import RUSAGE_SELF, getrusage
 from typing import Any, Final
 
@@ -70,7 +72,6 @@ class MemoryRun:
         # Within one process no message is late: without faults a pace needs no deadlines.
         self.plan = changed(plan, timing={"cycle_wall_ns": 0}) if clock is None else plan
         faults = self.plan.network_faults() if plan.faults.rules else None
-        self._incidents = incidents(plan.faults.rules, plan.tree, plan.wiring)
         self._frozen: dict[str, tuple[Loop[Any], int]] = {}
         self._restarted_s: dict[str, list[float]] = {}
         self.given_up: dict[str, int] = {}
@@ -82,13 +83,17 @@ class MemoryRun:
             *(self._loop(standby_of(agent)) for agent in self.plan.standbys),
         ]
         self.loops = {loop.name: loop for loop in loops}
-        self._driver = Driver(self.loops.values(), self.bus, clock or time.monotonic_ns)
+        self.driver = Driver(self.loops.values(), self.bus, clock or time.monotonic_ns)
         self._clock = clock
+        self._due: list[tuple[int, int, Callable[[], None]]] = []
+        self._numbers = count()
+        for incident in incidents(plan.faults.rules, plan.tree, plan.wiring):
+            self.at(incident.time_s, partial(self._apply, incident))
 
     def cycles(self) -> Iterator[int]:
         """Run cycle after cycle; yield the number of each once the plant has finished it."""
         plant = self.loops[PLANT]
-        start_ns = self._driver.now_ns()
+        start_ns = self.driver.now_ns()
         self._publish_run(self.plan.run_message("start", 0, start_ns))
         plant.begin(start_ns, start_ns)
         done = 0
@@ -106,75 +111,74 @@ class MemoryRun:
 
     def _turns(self, start_ns: int) -> Iterator[Sequence[Arrival]]:
         """Drive the agents, and apply the fault rules when they are due."""
-        driver, plan = self._driver, self.plan
+        driver, due = self.driver, self._due
         for loop in list(driver.loops.values()):
             driver.advance(loop)
-        # A cycle of the virtual clock may be longer or shorter than in simulated time.
-        scale = plan.timing.cycle_wall_ns / plan.timing.cycle_ns
-        due = [(start_ns + round(one.time_s * 1e9 * scale), one) for one in self._incidents]
-        heapify(due)
         while not self._is_over():
             while due and due[0][0] <= driver.now_ns():
-                time_ns, incident = heappop(due)
-                for after_s, other in self._apply(incident):
-                    heappush(due, (time_ns + round(after_s * 1e9), other))
+                heappop(due)[-1]()
             yield driver.turn(longest_ns=due[0][0] if due else None)
 
     def _is_over(self) -> bool:
         """Whether all have finished; one that never joined is not waited for."""
-        loops = self._driver.loops.values()
+        loops = self.driver.loops.values()
         return self.loops[PLANT].finished and all(one.finished or one.cycle < 0 for one in loops)
 
-    def _apply(self, incident: Incident) -> Iterator[tuple[float, Incident]]:
-        """Kill, freeze, thaw or start a controller; yield what follows from it, after how long."""
-        driver, policy = self._driver, self.plan.supervision.restart
-        name = self._process_of(incident)
-        incident = incident._replace(agent=name)
-        match incident.what:
-            case "freeze" if name in driver.loops:
-                self._frozen[name] = (driver.leave(name), driver.now_ns())
-                self.bus.hold(name, keep=True)
-                if policy.when != "never":
-                    yield policy.frozen_s, incident._replace(what="watch")
-            case "thaw" if name in self._frozen:
-                if name in self.loops:
-                    self.bus.release(name)
-                driver.join(self._frozen.pop(name)[0])
-            case "watch" if name in self._frozen:
-                _, since_ns = self._frozen[name]
-                if driver.now_ns() - since_ns >= round(policy.frozen_s * 1e9):
-                    yield from self._kill(incident)
-            case "kill" if name in driver.loops or name in self._frozen:
-                yield from self._kill(incident)
-            case "replace" if name in driver.loops:
-                # It no longer has its name, so that nothing on the bus is for it.
-                old = driver.leave(name)
-                old.name = f"{name} {incident.time_s}"
-                self._frozen[old.name] = (old, driver.now_ns())
-                yield incident.until_s - incident.time_s, Incident(0.0, old.name, "thaw")
-                yield from self._kill(incident._replace(until_s=0.0))
-            case "start":
-                self.loops[name] = self._loop(name)
-                self.bus.release(name)
-                driver.join(self.loops[name])
+    def at(self, time_s: float, act: Callable[[], None]) -> None:
+        """Do something at a simulated time since cycle 0 [s], by the virtual clock."""
+        # A cycle of the virtual clock may be longer or shorter than in simulated time.
+        scale = self.plan.timing.cycle_wall_ns / self.plan.timing.cycle_ns
+        heappush(self._due, (round(time_s * 1e9 * scale), next(self._numbers), act))
 
-    def _kill(self, incident: Incident) -> Iterator[tuple[float, Incident]]:
-        """Kill a process; yield its return, which the restart policy may refuse."""
-        name = incident.agent
-        if name in self._driver.loops:
-            self._driver.leave(name)
-        self._frozen.pop(name, None)
+    def after(self, wait_s: float, act: Callable[[], None]) -> None:
+        """Do something after a time of the virtual clock [s]."""
+        due_ns = self.driver.now_ns() + round(wait_s * 1e9)
+        heappush(self._due, (due_ns, next(self._numbers), act))
+
+    def remove(self, name: str) -> Loop[Any]:
+        """Take a controller out of the run: what was on its way to it is lost."""
         self.bus.hold(name, keep=False)
-        if incident.until_s:
-            yield incident.until_s - incident.time_s, incident._replace(what="start")
-            return
-        earlier_s, now_s = self._restarted_s.setdefault(name, []), self._driver.now_ns() / 1e9
+        frozen, _ = self._frozen.pop(name, (None, 0))
+        return frozen or self.driver.leave(name)
+
+    def start(self, name: str) -> None:
+        """Start a new process of a controller that was taken out."""
+        self.loops[name] = self._loop(name)
+        self.bus.release(name)
+        self.driver.join(self.loops[name])
+
+    def _apply(self, incident: Incident) -> None:
+        """Kill, freeze or thaw a controller, if it is in a state for it."""
+        name = self._process_of(incident)
+        match incident.what:
+            case "kill" if name in self.driver.loops or name in self._frozen:
+                self._kill(name)
+            case "freeze" if name in self.driver.loops:
+                since_ns = self.driver.now_ns()
+                self._frozen[name] = (self.driver.leave(name), since_ns)
+                self.bus.hold(name, keep=True)
+                policy = self.plan.supervision.restart
+                if policy.when != "never":
+                    self.after(policy.frozen_s, partial(self._replace_frozen, name, since_ns))
+            case "thaw" if name in self._frozen:
+                self.bus.release(name)
+                self.driver.join(self._frozen.pop(name)[0])
+
+    def _replace_frozen(self, name: str, since_ns: int) -> None:
+        """Kill a controller that has stood still since then."""
+        if self._frozen.get(name, (None, None))[1] == since_ns:
+            self._kill(name)
+
+    def _kill(self, name: str) -> None:
+        """Kill a process; the restart policy says whether and when a new one is started."""
+        self.remove(name)
+        earlier_s, now_s = self._restarted_s.setdefault(name, []), self.driver.now_ns() / 1e9
         wait_s = self.plan.supervision.restart.wait_s(earlier_s, now_s)
         if wait_s is None:
             self.given_up[name] = max(self.loops[PLANT].cycle, 0)
             return
         earlier_s.append(now_s)
-        yield wait_s + RESTART_TAKES_S, incident._replace(what="start")
+        self.after(wait_s + RESTART_TAKES_S, partial(self.start, name))
 
     def _loop(self, name: str) -> Loop[Any]:
         return Loop(controller(self.plan, agent_of(name)), self.plan, process=name)
@@ -182,12 +186,12 @@ class MemoryRun:
     def _process_of(self, incident: Incident) -> str:
         """Return the process that a rule means: of an agent with a standby, the one that speaks."""
         name, what = incident.agent, incident.what
-        if name not in self.plan.standbys or what in {"watch", "start"}:
+        if name not in self.plan.standbys:
             return name
         both = (name, standby_of(name))
         if what == "thaw":
             return next((one for one in both if one in self._frozen), name)
-        there = [one for one in both if one in self._driver.loops]
+        there = [one for one in both if one in self.driver.loops]
         loops = self.loops  # One that has not joined yet does not speak either.
         key = [(loops[one].standby.silent or loops[one].cycle < 0, one) for one in there]
         return min(key, default=(False, name))[1]
@@ -202,11 +206,11 @@ class MemoryRun:
             loop.end_before(max(last, loop.cycle))
 
     def close(self) -> None:
-        last, now_ns = self.loops[PLANT].cycle, self._driver.now_ns()
+        last, now_ns = self.loops[PLANT].cycle, self.driver.now_ns()
         self._publish_run(self.plan.run_message("stop", last, now_ns))
 
     def _publish_run(self, message: Message) -> None:
-        self._driver.publish(RUN.of(ROOT), message)
+        self.driver.publish(RUN.of(ROOT), message)
 
 
 def simulate(

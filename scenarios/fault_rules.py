@@ -31,7 +31,7 @@ _TIMES: Final = {"delay": "delay_ms", "jitter": "jitter_ms", "reorder-by": "reor
 """The field of each word that is named otherwise."""
 
 _NAMES: Final = ("source", "listener", "signal", "distribution", "loss", "duplicate", "reorder")
-_WORDS: Final = (*_NAMES, *_TIMES, *_KINDS, "at", "until", "zombie")
+_WORDS: Final = (*_NAMES, *_TIMES, *_KINDS, "at")
 
 
 def fault_rules(
@@ -93,11 +93,9 @@ def _read(kind: type[Fault], word: str, value: str, where: str) -> object:
             read = _share(value, where)
         case "partition":
             read = value.split("|")
-        case "zombie":
-            read = {"yes": True, "no": False}.get(value, value)
         case "at" | "blackout" if kind is not Kill:
             read = [_duration_s(time, where) for time in split_range(value, where)]
-        case "at" | "until":
+        case "at":
             read = _duration_s(value, where)
     return read
 
@@ -115,11 +113,9 @@ def fault_text(fault: Fault) -> str:
 
 def _text(field: str, value: str | float | tuple[Any, ...]) -> str:
     match field:
-        case "at" | "until":
+        case "at":
             times_s = value if isinstance(value, tuple) else (value,)
             return "..".join(f"{time_s:.15g}s" for time_s in times_s)
-        case "zombie":
-            return "yes"
         case "between" if isinstance(value, tuple):
             return "|".join(value)
     return f"{value}ms" if field in _TIMES.values() else str(value)

@@ -16,7 +16,7 @@ from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Production
 from bus_schemas.signals import Port
-from launch_scripts.simulation import MemoryRun, on_the_clock
+from launch_scripts.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
 from scenarios.fault_rules import parse_fault
 from scenarios.preparation import Preparation
 from sim_plant.profile import Profile
@@ -60,6 +60,18 @@ def run_in_memory(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, Sent]:
     assert list(run.cycles()) == list(range(plan.timing.cycles))
     run.close()
     return run, sent
+
+
+def add_zombie(run: MemoryRun, name: str, begin_s: float, end_s: float) -> None:
+    """Replace a controller that stands still; it wakes up beside its successor, hearing nobody."""
+
+    def stand_still() -> None:
+        old = run.remove(name)
+        old.name = f"{name} {begin_s}"  # So nothing on the bus is for it.
+        run.after(RESTART_TAKES_S, lambda: run.start(name))
+        run.at(end_s, lambda: run.driver.join(old))
+
+    run.at(begin_s, stand_still)
 
 
 def run_with(

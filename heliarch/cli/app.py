@@ -17,7 +17,7 @@ from heliarch.cli.options import OPTIONS
 COMMANDS: Final = {
     "Run": ("launch", "node", "simulate", "timing", "conform", "inverters", "scenarios", "order"),
     "Look": ("view", "report", "inspect", "verify", "replay"),
-    "Compare": ("compare", "campaign"),
+    "Compare": ("compare",),
     "Files": ("export",),
     "Set up": ("init", "doctor", "keys"),
 }

@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import done
-from memory_runs import run_with
+from memory_runs import add_zombie, run_with
+from plans_by_hand import with_changes
 
 from agents.settings import RestartPolicy, Revert
 from bus_schemas.errors import InputError
+from bus_schemas.faults import Blackout
 from bus_schemas.messages import Setpoint, Takeover
 from bus_schemas.signals import IMPP, SETPOINT
 from bus_schemas.tree import CENTRAL
+from launch_scripts.simulation import MemoryRun, on_the_clock
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
 from scenarios.settings import with_settings
@@ -78,16 +81,14 @@ def test_a_controller_that_stays_frozen_is_replaced_and_thaws_no_more(oahu: Prep
 
 
 def test_a_zombie_is_refused_by_who_has_heard_its_successor(oahu: Preparation) -> None:
-    run, _ = run_with(oahu, [f"freeze=c2,at={KILLED_AT}s..{KILLED_AT + 40}s,zombie=yes"])
+    plan = with_changes(oahu.plan, faults=(Blackout(at=(1e6, 2e6)),))
+    run = MemoryRun(on_the_clock(plan), oahu.profile)
+    add_zombie(run, "c2", KILLED_AT, KILLED_AT + 40)
+    list(run.cycles())
     of_zombie = CYCLES - KILLED_AT - 40
     dropped = run.loops[CENTRAL].inputs.dropped
     for signal in ("impp", "residual"):
         assert dropped[f"c2/{signal}", "wrong_sender"] == of_zombie
-
-
-def test_a_killed_controller_comes_back_as_late_as_its_rule_says(oahu: Preparation) -> None:
-    run, _ = run_with(oahu, [f"kill=c2,at={KILLED_AT}s,until={KILLED_AT + 40}s"])
-    assert run.loops["c2"].standby.incarnation in {KILLED_AT + 40, KILLED_AT + 41}
 
 
 def test_a_tripped_inverter_draws_power_and_is_counted_on_again_afterwards(
@@ -195,14 +196,6 @@ def test_where_both_are_gone_one_takes_over_after_its_return(minute: Preparation
     speaking = [name for name in ("c2", "c2+standby") if not run.memory.loops[name].standby.silent]
     assert len(speaking) == 1
     assert all(len(incarnations) == 1 for incarnations in run.setpoints_of("c2").values())
-
-
-def test_a_standby_that_hears_nobody_does_not_take_over(minute: Preparation) -> None:
-    # The second rule is for the process that the first one leaves, which is the standby.
-    rules = ["freeze=c2,at=20s..24s", "freeze=c2,at=20s..30s,zombie=yes"]
-    _, trace = run_with(minute, rules, standby=("c2",))
-    takeovers = [message for _, message in trace.messages if isinstance(message, Takeover)]
-    assert [message for message in takeovers if message.cycle >= 30] == []
 
 
 def test_an_agent_cut_off_from_others_keeps_its_process(minute: Preparation) -> None:

@@ -74,7 +74,8 @@ def test_figures_so_far_are_those_of_the_metrics(tmp_path: Path) -> None:
 def test_the_page_and_inspect_say_the_same_of_each_cycle(plant: str, tmp_path: Path) -> None:
     run = tmp_path / "run"
     faults = (
-        "kill=c1/inv01,at=2s,until=5s",
+        "kill=c1/inv01,at=2s",
+        "kill=c1/inv01,at=2.7s",
         "freeze=c2,at=7s..10s",
         "partition=c1|central,at=12s..15s",
     )

@@ -48,7 +48,6 @@ QUICK: Final = {
     "verify": "RUN",
     "replay": "RUN --pace max",
     "compare": "small.toml --duration 5 --schemes paper",
-    "campaign": "small.toml --seeds 1..2 --duration 145",
     "export": "RUN --format csv",
     "doctor": "",
     "keys": "small.toml",
@@ -161,7 +160,6 @@ BAD: Final = {
     "--live plant",
     "compare": "--schemes magic, --show beauty, --workers 0, --workers 1.5, --seeds x, --days x, "
     "--set x, --actuator magic, --fault magic",
-    "campaign": "--seeds x, --duration 1m",
     "export": "--format xlsx, --signals residuals, --nodes c1/inv99, --from 18:00, --clock sim, "
     "--out run",
     "keys": "--days -1, --days 0, --days nan, --days 4000, --address moon",
@@ -201,7 +199,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "launch small.toml --external c1/inv01 --on 127.0.0.2=c1/*",
         "launch small.toml --on 127.0.0.2=c2 --on 127.0.0.3=c2/*",
         "launch small.toml --pace 1 --on 127.0.0.2=c1 --fault kill=c1,at=2s",
-        "launch small.toml --pace 1 --fault kill=c1,at=2s,until=4s",
         "launch small.toml --external c1/inv01 --base-port 65529",
         "inspect run --cycle 3 --nodes c1",
         "export run",
@@ -211,7 +208,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "replay run --live c1 --loop",
         "compare run",
         "compare run nowhere",
-        "campaign small.toml --set restart.when=never",
         "compare small.toml run",
         "compare run run --seeds 1,2",
         "compare small.toml --seeds 1,2 --report",

@@ -19,7 +19,8 @@ from recordings.read.reader import RunReader
 
 CYCLES = 60
 FAULTS = (
-    "kill=c1/inv01,at=10s,until=16s",
+    "kill=c1/inv01,at=10s",
+    "kill=c1/inv01,at=10.7s",
     "freeze=c2,at=20s..26s",
     "partition=c1|central,at=40s..46s",
     "loss=3%,at=50s..60s",
@@ -32,7 +33,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("states") / "run"
     plant = small_plant(folder.with_name("plant"))
     faults = (word for fault in FAULTS for word in ("--fault", fault))
-    done("simulate", plant, "--duration", str(CYCLES), *faults, "--out", folder)
+    late = ("--set", "restart.backoff_s=4.7")  # Before the second restart.
+    done("simulate", plant, "--duration", str(CYCLES), *faults, *late, "--out", folder)
     return folder
 
 

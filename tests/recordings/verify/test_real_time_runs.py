@@ -23,6 +23,7 @@ from verifying import first_differences
 
 from agents.faults import Kill
 from agents.plan import PlannedOrder, RunPlan
+from agents.settings import RestartPolicy
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import Blackout, Disturbance
 from bus_schemas.messages import (
@@ -358,8 +359,8 @@ def test_a_difference_after_the_recorder_was_away_is_found(tmp_path: Path) -> No
 def test_a_run_that_broke_off_is_compared_up_to_there_also_without_a_dead_agent(
     dead: str | None, periods: tuple[int, int], share: float, tmp_path: Path
 ) -> None:
-    kills = (Kill(dead, 0.01, until=1e6),) if dead else ()
-    plan, sent = faulty_plan(*kills, LATE, period_cycles=periods), Sent()
+    kills, never = (Kill(dead, 0.01),) if dead else (), RestartPolicy(when="never")
+    plan, sent = faulty_plan(*kills, LATE, period_cycles=periods, restart=never), Sent()
     run = MemoryRun(plan, cloudy_profile(plan), sent)
     assert len(list(run.cycles())) == plan.timing.cycles
     cut = sent.messages[: round(len(sent.messages) * share)]
