@@ -218,8 +218,8 @@ def live(
     session = open_session(settings)
     work = role(session)
     _token = session.liveliness().declare_token(f"alive/{name}")  # It follows the subscriptions.
-    tokens, partners = TokenWatch("alive/**"), {f"alive/{peer}" for peer in settings.peers}
-    tokens.listen([session])
+    tokens = TokenWatch("alive/**", [session])
+    partners = {f"alive/{peer}" for peer in settings.peers}
     while not partners <= tokens.alive():
         time.sleep(0.05)
     parent.send("armed")

@@ -67,7 +67,6 @@ class ZenohBus(AgentSessions):
         self._patience_s = patience_s
         self._newest: dict[Port[Message], bytes] = {}
         self._puts: dict[Port[Message], list[Put]] = {}
-        self._device_put: PutChange = lambda port, put: put
         self._declare()
 
     def _declare(self) -> None:
@@ -90,7 +89,7 @@ class ZenohBus(AgentSessions):
                 else session.declare_publisher(key, **how).put
                 for session in self._sessions[: 2 if hears_there else 1]
             )
-            puts[port] = [own, *(self._device_put(port, put) for put in to_devices)]
+            puts[port] = [own, *to_devices]
         self._puts = puts
         hear_of = {wiring.key(port): self.inbox.callback(port) for port in heard}
 
@@ -131,15 +130,11 @@ class ZenohBus(AgentSessions):
     def _put(self, port: Port[Message], message: Message) -> None:
         payload = encode(message)
         self._newest[port] = payload
-        try:
-            for put in self._puts[port]:
-                put(payload)
-        except zenoh.ZError:
-            return  # The session has been closed, to be opened anew.
+        for put in self._puts[port]:
+            put(payload)
 
     def change_device_puts(self, change: PutChange) -> None:
         """Change how messages are put on the links with devices."""
-        self._device_put = change
         for port, puts in self._puts.items():
             puts[1:] = [change(port, put) for put in puts[1:]]
 

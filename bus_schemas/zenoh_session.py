@@ -9,13 +9,11 @@ import socket
 import struct
 import threading
 import time
-from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import zenoh
 
@@ -46,13 +44,6 @@ what a plant of 1,000 inverters sends at once."""
 _MOST_LINKS: Final = 10_000
 
 LONGEST_LEASE_S: Final = 60.0
-_CONFIRM_S: Final = 5.0
-"""How long a token may take to be seen by a session that was opened anew."""
-
-_TRY_AGAIN_S: Final = 1.0
-
-SESSIONS_OF_A_START: Final = 4
-"""Ids for the sessions that one process opens, one after the other, before it uses them again."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +86,7 @@ class SessionSettings:
         that cannot go out within 20 ms is dropped instead.
     lease_s: How long nothing may come over a link before both ends close it.
     open_s: How long a link may take to open. After that, the end that connects tries anew.
-    ids: Ids of the sessions that the agent opens, one after the other; empty: any.
+    ids: Session ids of an agent's processes, one after the other; empty: any.
     further: Further settings, by Zenoh's own names.
     peers: Agents at the other ends of its links.
     devices: Of the agent's second session, for devices, which have no password; None: no devices.
@@ -112,8 +103,8 @@ class SessionSettings:
     peers: tuple[str, ...] = ()
     devices: SessionSettings | None = None
 
-    def config(self, number: int = 0) -> zenoh.Config:
-        """Return the settings of the agent's session of this number."""
+    def config(self, starts: int = 0) -> zenoh.Config:
+        """Return the settings of a process's session, as Zenoh takes them."""
         config = zenoh.Config()
         lease_ms = round(self.lease_s * 1e3)
         settings: dict[str, object] = {
@@ -152,27 +143,16 @@ class SessionSettings:
                 lease_ms * 1000
             )
         if self.ids:
-            settings["id"] = self.ids[number % len(self.ids)]
+            settings["id"] = self.ids[starts % len(self.ids)]
         for key, value in (settings | self.further).items():
             config.insert_json5(key, json.dumps(value))
         return config
 
 
-def open_session(settings: SessionSettings, number: int = 0) -> zenoh.Session:
+def open_session(settings: SessionSettings, starts: int = 0) -> zenoh.Session:
+    """Open an agent's session; `starts`: how many processes the agent had before."""
     os.environ.setdefault("ZENOH_RUNTIME", ZENOH_RUNTIME)
-    return zenoh.open(settings.config(number))
-
-
-def open_sessions(settings: SessionSettings, number: int = 0) -> list[zenoh.Session]:
-    """Open an agent's session, and then that with devices if it has one; both or none."""
-    sessions = [open_session(settings, number)]
-    if settings.devices is not None:
-        try:
-            sessions.append(open_session(settings.devices, number))
-        except zenoh.ZError:
-            sessions[0].close()
-            raise
-    return sessions
+    return zenoh.open(settings.config(starts))
 
 
 def _links() -> Iterator[socket.socket]:
@@ -187,19 +167,6 @@ def _links() -> Iterator[socket.socket]:
                     yield link
 
 
-def _set_linger(link: socket.socket, *, on: bool) -> None:
-    """Let the end of a link wait for 0 s; or not wait at all, and send on what is left."""
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", on, 0))
-
-
-def _abort_links() -> None:
-    """Abort all links: one over which nothing goes would keep a session from closing for 10 s."""
-    for link in _links():
-        _set_linger(link, on=True)
-        with suppress(OSError):
-            link.shutdown(socket.SHUT_RDWR)
-
-
 def _keep_from_lingering(is_over: threading.Event, every_s: float) -> None:
     """See again and again that no link blocks Zenoh's only thread for 10 s when it closes.
 
@@ -207,26 +174,17 @@ def _keep_from_lingering(is_over: threading.Event, every_s: float) -> None:
     """
     while not is_over.wait(every_s):
         for link in _links():
-            _set_linger(link, on=False)
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", False, 0))
 
 
 class TokenWatch:
     """The liveliness tokens of all agents, as an agent's sessions see them."""
 
-    def __init__(self, key: str) -> None:
-        self._key = key
+    def __init__(self, key: str, sessions: Sequence[zenoh.Session]) -> None:
         self._alive: set[str] = set()
-        self._unconfirmed: set[str] = set()
-        self._confirm_until = 0.0
-        self._subscribers: list[Any] = []
-
-    def listen(self, sessions: Sequence[zenoh.Session]) -> None:
-        """Go on with new sessions: tokens that they do not see soon have disappeared."""
-        self._unconfirmed = set(self._alive)
-        self._confirm_until = time.monotonic() + _CONFIRM_S
         self._subscribers = [
             session.liveliness().declare_subscriber(
-                self._key, zenoh.handlers.FifoChannel(QUEUE_LENGTH), history=True
+                key, zenoh.handlers.FifoChannel(QUEUE_LENGTH), history=True
             )
             for session in sessions
         ]
@@ -236,14 +194,9 @@ class TokenWatch:
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:
                 key, is_there = str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
-                self._unconfirmed.discard(key)
                 if is_there != (key in self._alive):
                     self._alive ^= {key}
                     yield key, is_there
-        if self._unconfirmed and time.monotonic() > self._confirm_until:
-            self._alive -= self._unconfirmed
-            while self._unconfirmed:
-                yield self._unconfirmed.pop(), False
 
     def alive(self) -> set[str]:
         for _ in self.changes():
@@ -251,8 +204,8 @@ class TokenWatch:
         return self._alive
 
 
-class AgentSessions(ABC):
-    """An agent's sessions, open until the context is left.
+class AgentSessions:
+    """An agent's session, and that with devices if it has one, open until the context is left.
 
     starts: How many processes the agent had before.
     """
@@ -261,13 +214,16 @@ class AgentSessions(ABC):
         self.outbox = Outbox()
         self._wiring = wiring
         self._settings = settings
-        self._number = starts * SESSIONS_OF_A_START
-        self._sessions = open_sessions(settings, self._number)
+        self._sessions = [open_session(settings, starts)]
         # A subscriber, queryable or token ends with the last reference to it.
         self._declared: list[object] = []
-        self._watches: list[TokenWatch] = []
-        self._opening: threading.Thread | None = None
         self._is_over = threading.Event()
+        if settings.devices is not None:
+            try:
+                self._sessions.append(open_session(settings.devices, starts))
+            except zenoh.ZError:
+                self._close()
+                raise
         threading.Thread(
             target=_keep_from_lingering, args=(self._is_over, settings.lease_s / 4.0), daemon=True
         ).start()
@@ -278,52 +234,10 @@ class AgentSessions(ABC):
     def __exit__(self, *error: object) -> None:
         """Close the sessions: an open one can hang the interpreter's exit."""
         self._is_over.set()
-        if self._opening is not None:
-            self._opening.join()
         self._close()
-
-    def reopen(self) -> None:
-        """Begin to open the sessions anew, because no other process hears the agent.
-
-        The agent goes on meanwhile, but what it publishes is lost: this is for runs in real time.
-        """
-        if not self.is_reopening:
-            self._opening = threading.Thread(target=self._open_anew, daemon=True)
-            self._opening.start()
-
-    @property
-    def is_reopening(self) -> bool:
-        return self._opening is not None and self._opening.is_alive()
-
-    def _open_anew(self) -> None:
-        """Replace the sessions. A new one has another id: to others the old may still be there."""
-        _abort_links()
-        self._close()
-        # While it closed, a session may have accepted links, which nobody would ever close.
-        _abort_links()
-        self._declared = []
-        self._sessions = []
-        while not (self._sessions or self._is_over.is_set()):
-            self._number += 1
-            try:
-                self._sessions = open_sessions(self._settings, self._number)
-            except zenoh.ZError as error:
-                log.warning("its sessions cannot be opened anew, which is tried again: %s", error)
-                self._is_over.wait(_TRY_AGAIN_S)
-        self._declare()
-        for watch in self._watches:
-            watch.listen(self._sessions)
-        log.warning("no other process heard this one: its sessions were opened anew")
 
     def watch_tokens(self) -> TokenWatch:
-        watch = TokenWatch(self._wiring.alive_key("**"))
-        watch.listen(self._sessions)
-        self._watches.append(watch)
-        return watch
-
-    @abstractmethod
-    def _declare(self) -> None:
-        """Declare what the sessions publish and hear."""
+        return TokenWatch(self._wiring.alive_key("**"), self._sessions)
 
     def _close(self) -> None:
         for session in self._sessions:
@@ -352,31 +266,25 @@ class RunSubscriber(AgentSessions):
         self, agent: str, wiring: Wiring, settings: SessionSettings, starts: int = 0
     ) -> None:
         super().__init__(wiring, settings, starts)
-        self._agent = agent
-        self._kept: deque[tuple[str, bytes]] = deque()
-        self._declare()
-
-    def _declare(self) -> None:
         self._subscribers = [
             session.declare_subscriber(
-                f"{self._wiring.plant}/**",
+                f"{wiring.plant}/**",
                 zenoh.handlers.FifoChannel(QUEUE_LENGTH),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
             for session in self._sessions
         ]
-        self._show_tokens([self._agent])
+        self._show_tokens([agent])
 
     def _close(self) -> None:
         # A session does not close while Zenoh's thread waits for room in a queue.
         closing = threading.Thread(target=super()._close)
         closing.start()
-        kept: deque[tuple[str, bytes]] = deque()
         while closing.is_alive():
             with suppress(zenoh.ZError):  # A session has closed.
-                kept.extend(self.drain())
+                for _ in self.drain():
+                    pass
             closing.join(0.01)
-        self._kept = kept
 
     def publish(self, port: Port[Message], message: Message) -> None:
         """Send a message, which must arrive: this waits for listeners that have fallen behind."""
@@ -390,11 +298,7 @@ class RunSubscriber(AgentSessions):
             )
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
-        """Yield what has come. While its sessions are opened anew, all is kept for later."""
-        if self.is_reopening:
-            return
-        while self._kept:
-            yield self._kept.popleft()
+        """Yield what has come."""
         for subscriber in self._subscribers:
             while (sample := subscriber.try_recv()) is not None:
                 yield str(sample.key_expr), sample.payload.to_bytes()

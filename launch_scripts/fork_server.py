@@ -140,7 +140,6 @@ class ForkServer:
             self._set_up(agent, Path(request.logs) / log_name(agent))
             link = LauncherLink(agent, self._control, table, self._starts[agent])
             link.end_on(signal.SIGTERM)
-            link.reopen_on(signal.SIGUSR1)
             table.sends(agent)[0] = False
             status = run_process(
                 agent, plan, link, Path(request.plan).parent, rejoins=request.again

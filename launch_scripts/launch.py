@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
@@ -32,6 +31,7 @@ from bus_schemas.errors import FailureError, InputError, listed
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER, agent_of
 from launch_scripts.account import RunAccount
+from launch_scripts.hearing import Hearing
 from launch_scripts.restarts import Restarts
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import (
@@ -44,7 +44,7 @@ from launch_scripts.supervision import (
     still_waiting,
 )
 from launch_scripts.view import View
-from launch_scripts.watch import SILENT_S, Externals, Hearing, Watch
+from launch_scripts.watch import SILENT_S, Externals, Watch
 from results.run_summary import RunSummary
 from scenarios.elsewhere import check_devices, listening
 from scenarios.preparation import Preparation
@@ -90,7 +90,7 @@ class _Launch:
         plan = account.preparation.plan
         self._watch = Watch(plan, children)
         self._restarts = Restarts(plan, children, self._watch, self._start_again, view.say)
-        self._hearing = Hearing(plan, children, self._watch, self._reopen, view.say)
+        self._hearing = Hearing(plan, children, self._watch, self._restarts, view.say)
         self._externals = Externals(plan, view.say)
         self._stalled_at: float | None = None
         self._stop_asked_at: float | None = None
@@ -158,9 +158,6 @@ class _Launch:
         if agent == RECORDER and not self._is_armed:  # Nothing has been recorded yet.
             self._account.folder.recording.unlink(missing_ok=True)
         self._start((agent,), again=self._is_armed)
-
-    def _reopen(self, agent: str) -> None:
-        self._children.signal([agent], signal.SIGUSR1)
 
     def _arm(self, external_s: float) -> None:
         """See the processes onto the bus, and to the beginning of cycle 0."""

@@ -67,6 +67,8 @@ class Restarts:
         self._start_at: dict[str, tuple[float, Exited | None]] = {}
         # When the next process may be killed, by the watch's clock.
         self._kill_at_s = 0.0
+        # Processes that stay away, however often they are started again.
+        self._stay_away: set[str] = set()
         self._server_stands_still = False
         children.on_death = self.on_death
 
@@ -113,6 +115,7 @@ class Restarts:
         policy = self._plan.supervision.restart
         # Before cycle 0, and of the recorder, a new process is as good as the first one.
         may_return = self._plan.restarts or not self._faults.has_begun or name == RECORDER
+        may_return &= name not in self._stay_away
         wait_s = policy.wait_s(earlier, now_s) if may_return else None
         if wait_s is None:
             return self._give_up(child, why)
@@ -144,7 +147,7 @@ class Restarts:
             if child.kind == "plant":
                 raise self._children.failure(PLANT, f"plant (process {child.pid}) {why}")
             if is_judged or child.kind == "recorder":
-                self._kill(child, why)
+                self.kill(child, why)
 
     def hear(self, child: Child, event: Event) -> None:
         if isinstance(event, TookOver):
@@ -162,7 +165,7 @@ class Restarts:
             if child.row.state == "given up":
                 continue
             if self._now_s() - max(self._times.get(child.agent, [0.0])) > _RETURN_S:
-                self._kill(child, "does not go on")
+                self.kill(child, "does not go on")
         return True
 
     def _give_up(self, child: Child, why: str) -> bool:
@@ -188,16 +191,20 @@ class Restarts:
             del self._start_at[name]
             self._start(name)
 
-    def _kill(self, child: Child, why: str) -> None:
+    def kill(self, child: Child, why: str, *, may_return: bool = True) -> bool:
+        """Kill a process that does not live, or is not heard; return whether it was its turn."""
         ran_s = self._watch.ran_s
         if not child.pid or child.agent in self._killed:
-            return
+            return False
         if not child.is_stopped():
             if ran_s < self._kill_at_s:
-                return
+                return False
             self._kill_at_s = ran_s + _KILLS_APART_S
+        if not may_return:
+            self._stay_away.add(child.agent)
         self._say(f"{child.agent} (process {child.pid}) {why}: killed")
         self._send(child.agent, signal.SIGKILL)
+        return True
 
     def _send(self, name: str, number: signal.Signals) -> None:
         child = self._children[name]

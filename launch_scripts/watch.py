@@ -14,7 +14,7 @@ from typing import Final
 from agents.plan import RunPlan
 from agents.process.beats import BEAT_S, FORK_SERVER
 from agents.process.events import Event, Joined, Presence, Started, Status
-from bus_schemas.tree import OPERATOR, PLANT, RECORDER
+from bus_schemas.tree import OPERATOR, PLANT
 from launch_scripts.supervision import Child, Children, Row, is_through
 
 LONGEST_STEP_S: Final = 0.5
@@ -27,13 +27,6 @@ JOIN_S: Final = 30.0
 
 SILENT_S: Final = 5.0
 """From when on the fork server counts as standing still; the plant, after twice that."""
-
-UNHEARD_S: Final = 12.0
-UNHEARD_PER_PROCESS_S: Final = 0.06
-AGAIN_S: Final = 30.0
-"""How long the recorder may name a live process as unheard, until its session is opened anew, and
-then again. Before that a link that is dead is closed and opened by itself. A session that is opened
-anew aborts links that are whole, too: soon after a cut, each would have made others unheard."""
 
 GONE_S: Final = 2.0
 """How long a run waits for the return of an external agent without which it cannot go on."""
@@ -112,77 +105,6 @@ class Watch:
         if self.ran_s - row.moved_at_s > self._cycle_s + more_s:
             return f"beats and stays in cycle {row.cycle}"
         return ""
-
-
-class Hearing:
-    """Which live processes are not heard: the link is broken, so no process is killed.
-
-    Their sessions are opened anew, by `reopen`. If the recorder does not hear the plant, the
-    recorder is cut off, and the run goes on.
-
-    gaps: First and last cycle that are not recorded. The last is the plant's newest so far while
-        the gap is open.
-    """
-
-    def __init__(
-        self,
-        plan: RunPlan,
-        children: Children,
-        watch: Watch,
-        reopen: Callable[[str], None],
-        say: Callable[[str], None],
-    ) -> None:
-        self.gaps: list[tuple[int, int]] = []
-        self._children = children
-        self._process_of = plan.wiring.process_of
-        self._watch = watch
-        self._reopen = reopen
-        self._say = say
-        self._is_cut = False
-        self._recorded = -1
-        self._due_s: dict[str, float] = {}
-        self._patience_s = max(UNHEARD_S, UNHEARD_PER_PROCESS_S * len(list(children)))
-
-    def hear(self, status: Status) -> None:
-        """Take in which agents the recorder does not hear, and whose messages others miss."""
-        live = {child.agent for child in self._children if self._lives(child)}
-        not_heard = live.intersection(map(self._process_of, status.not_heard))
-        missed = live.intersection(map(self._process_of, status.missed))
-        hears_plant = PLANT not in not_heard
-        hears_none = bool(not_heard) and live - {RECORDER} <= not_heard
-        unheard = not_heard | missed
-        if hears_none or (not hears_plant and PLANT not in missed):
-            unheard = missed | {RECORDER}
-        for name in self._due_s.keys() - unheard:
-            del self._due_s[name]
-        for name in unheard:
-            if self._watch.ran_s >= self._due_s.setdefault(
-                name, self._watch.ran_s + self._patience_s
-            ):
-                self._due_s[name] = self._watch.ran_s + AGAIN_S
-                self._say(f"{name} lives and is not heard: its session is opened anew")
-                self._reopen(name)
-        if PLANT in live:
-            self._recorded = max(self._recorded, status.cycle)
-            self._note_gap(hears_plant=hears_plant, hears_none=hears_none)
-
-    def _note_gap(self, *, hears_plant: bool, hears_none: bool) -> None:
-        newest, first = self._children[PLANT].row.cycle, self._recorded + 1
-        if hears_plant and self._is_cut:
-            self._is_cut = False
-            self.gaps[-1] = self.gaps[-1][0], first - 2
-            self._say(f"recorder hears the plant again, in cycle {first - 1:,}")
-        elif not hears_plant and newest > first:
-            if not self._is_cut:
-                self._is_cut = True
-                self.gaps.append((first, newest))
-                unheard = "any agent" if hears_none else "the plant"
-                where = f"since cycle {first:,} it does not hear {unheard}"
-                self._say(f"recorder is cut off: {where}; the run goes on")
-            self.gaps[-1] = self.gaps[-1][0], newest
-
-    def _lives(self, child: Child) -> bool:
-        return child.ready and not is_through(child) and self._watch.silent_s(child) < 2.0 * BEAT_S
 
 
 class Externals:

@@ -211,9 +211,6 @@ class AgentProcess:
             if was_silent and not loop.standby.silent:
                 self.link.tell(TookOver(loop.standby.incarnation))
             self.beat()
-            if self.link.unheard:
-                self.link.unheard = False
-                self._bus.reopen()
             was_silent = loop.standby.silent
             yield
 

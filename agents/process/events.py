@@ -33,8 +33,8 @@ class Status(Event, frozen=True):
     """What the recorder has seen so far, for a live view. Powers in kW.
 
     `unheard` are the keys on which external agents have said nothing in an arming round. In real
-    time, `not_heard` are the agents that the recorder has not heard for a while, `missed` those of
-    which their listeners lack more than one message.
+    time, `not_recorded` are the agents that the recorder has not heard for a while, `not_heard` the
+    processes that none of their listeners hears.
     """
 
     cycle: int
@@ -45,8 +45,8 @@ class Status(Event, frozen=True):
     needy: list[str]
     recorded: int
     unheard: list[str] = []
+    not_recorded: list[str] = []
     not_heard: list[str] = []
-    missed: list[str] = []
 
 
 class TookOver(Event, frozen=True):

@@ -31,8 +31,6 @@ class LauncherLink:
     starts: How many processes the agent had before this one.
 
     dismissed: Whether the launcher wants the agent to end.
-    unheard: Set when the launcher reports that no other process hears the agent. Its sessions must
-        then be opened anew.
     """
 
     def __init__(
@@ -43,7 +41,6 @@ class LauncherLink:
         starts: int = 0,
     ) -> None:
         self.dismissed = False
-        self.unheard = False
         self.starts = starts
         self.table = table
         self._name = name
@@ -59,15 +56,8 @@ class LauncherLink:
         for number in numbers:
             signal.signal(number, self._dismiss)
 
-    def reopen_on(self, number: signal.Signals) -> None:
-        """Treat a signal as the report that no other process hears the agent."""
-        signal.signal(number, self._note_unheard)
-
     def _dismiss(self, *_: object) -> None:
         self.dismissed = True
-
-    def _note_unheard(self, *_: object) -> None:
-        self.unheard = True
 
     def beat(self, cycle: int, took_over_in: int = 0) -> None:
         """Show that the loop that does the work is at work, or waits in this cycle."""

@@ -9,14 +9,13 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from agents.plan import RunPlan
 from bus_schemas.tree import RECORDER, agent_of
 from bus_schemas.wiring import Links
 from bus_schemas.zenoh_session import (
     LONGEST_LEASE_S,
-    SESSIONS_OF_A_START,
     SUBSCRIBER_BATCH_BYTES,
     KeyFiles,
     SessionSettings,
@@ -30,14 +29,13 @@ and `missing` names a few inputs of each child."""
 _LEASE_S = 8.0
 _OPEN_S = 3.0
 _PER_PROCESS_S = 0.05
-"""In real time: how long nothing may come over a link, and how long it may take to open; for each
-process if there are many. What was cut off is heard 5 s after its link has healed; a process that
-is frozen for less than 8 s keeps its links. Among 1,000 inverters a short lease costs a processor,
-and plant and recorder open 1,000 links one after the other. In lockstep, where a link that closes
-loses what others wait for, both are 60 s."""
+"""See `link_times`. A process that is frozen for less than a lease keeps its links, and what was
+cut off is heard 5 s after its link has healed. Among 1,000 inverters a short lease costs a
+processor, and plant and recorder open 1,000 links one after the other. In lockstep a link that
+closes loses what others wait for: both times are 60 s."""
 
-_SESSIONS = 8 * SESSIONS_OF_A_START
-"""Ids of each agent that listens: eight processes one after the other within a lease."""
+_IDS = 32
+"""Session ids of each agent that listens, for its processes one after the other."""
 
 _LONGEST_COMMON_NAME = 64
 """Characters, by RFC 5280."""
@@ -100,6 +98,23 @@ def _with_passwords(plan: RunPlan, agent: str) -> SessionSettings:
     return replace(settings, devices=second)
 
 
+class LinkTimes(NamedTuple):
+    """Times after which a dead link is closed [s].
+
+    lease_s: How long nothing may come over it. open_s: How long it may take to open.
+    """
+
+    lease_s: float
+    open_s: float
+
+
+def link_times(plan: RunPlan) -> LinkTimes:
+    if plan.timing.lockstep:
+        return LinkTimes(LONGEST_LEASE_S, LONGEST_LEASE_S)
+    among_many_s = _PER_PROCESS_S * len(plan.processes)
+    return LinkTimes(max(_LEASE_S, among_many_s), max(_OPEN_S, among_many_s))
+
+
 def _settings(
     plan: RunPlan,
     agent: str,
@@ -111,10 +126,7 @@ def _settings(
     listen, connect = links.endpoints(agent, tcp_ports, plan.access.host_of)
     largest_bytes = _LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters)
     further = {"transport/link/rx/max_message_size": largest_bytes, **(further or {})}
-    lease_s = open_s = LONGEST_LEASE_S
-    if not plan.timing.lockstep:
-        among_many_s = _PER_PROCESS_S * len(plan.processes)
-        lease_s, open_s = max(_LEASE_S, among_many_s), max(_OPEN_S, among_many_s)
+    lease_s, open_s = link_times(plan)
     if plan.access.external:  # zenoh-pico closes a link that is idle for 10 s.
         further["transport/link/tx/keep_alive"] = max(4, round(lease_s / 5.0))
     if agent == RECORDER:
@@ -183,13 +195,13 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
 
 
 def session_ids(secret: str, agent: str) -> tuple[str, ...]:
-    """Return the Zenoh ids of an agent's sessions, which it uses one after the other.
+    """Return the Zenoh ids of an agent's processes, one after the other.
 
     A program that connects to the agent learns the one in use. Two sessions with one id cannot be
     linked with the same peer, and a peer may take an old one for alive as long as its lease lasts.
     """
     # Zenoh accepts no leading zero.
-    return tuple(f"a{_digest(secret, f'id {number} of {agent}')}" for number in range(_SESSIONS))
+    return tuple(f"a{_digest(secret, f'id {number} of {agent}')}" for number in range(_IDS))
 
 
 def password(secret: str, agent: str) -> str:

@@ -105,7 +105,7 @@ class RunListener:
             self.complaints.add(key, WRONG_SENDER, f"it is from {head.source!r}")
         elif head.cycle < 0:
             if not self._plan.timing.lockstep:
-                self._reach.hear(head, payload, self._now_ns())
+                self._reach.hear(port, head, payload, self._now_ns())
             if self._arming.hear(port, head.cycle):
                 return Ready(head.cycle, head.sim_time_ns, RECORDER, ())
         elif port.signal.logged:
@@ -124,8 +124,11 @@ class RunListener:
             status = replace(status, unheard=self._arming.unheard(self._plan.elsewhere))
         if not self._plan.timing.lockstep:
             now_ns = self._now_ns()
-            heard, missed = self._reach.not_heard(now_ns), self._reach.missed(now_ns)
-            status = replace(status, not_heard=heard, missed=missed)
+            status = replace(
+                status,
+                not_recorded=self._reach.not_recorded(now_ns),
+                not_heard=self._reach.not_heard(now_ns),
+            )
         return status
 
     def _last_cycle_of(self, port: Port[Message]) -> float:
@@ -143,7 +146,7 @@ class RunListener:
         port, heard_ns = known.port, self._now_ns()
         self._writer.add(port, head, payload, heard_ns)
         if not self._plan.timing.lockstep:  # There each agent waits for its inputs.
-            self._reach.hear(head, payload, heard_ns)
+            self._reach.hear(port, head, payload, heard_ns)
         complaint = self.senders.hear(port, head.cycle, head.incarnation, payload)
         if known.is_elsewhere and message is not None:
             self._heard_elsewhere += 1

@@ -1,19 +1,24 @@
-"""Which agents are heard: by the recorder, and by the listeners, which say what is `missing`."""
+"""Who is heard: by the recorder, and by its listeners, which state what is `missing`."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, TypeAlias
 
 import msgspec
 
+from agents.cycle import stage_of
 from agents.plan import RunPlan
-from bus_schemas.messages import Head, parse_missing
+from agents.team import stages_of_agents
+from bus_schemas.messages import Head, Message, parse_missing
+from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT, agent_name
 from recordings.read.gaps import NOTHING_MISSED
 from recordings.record.phases import longest_pause_s
 
 _LATE_CYCLES: Final = 2
-"""A listener whose newest message of an agent is older than so many cycles does not hear it."""
+"""A listener whose newest message of a process is older than so many cycles does not hear it."""
+
+_StageKey: TypeAlias = tuple[str, str]
 
 
 class _Lacks(msgspec.Struct, gc=False):
@@ -24,38 +29,84 @@ _decode_lacks = msgspec.msgpack.Decoder(_Lacks).decode
 
 
 class Reach:
-    """When each agent was last heard, and when a listener last lacked several messages of it."""
+    """When the recorder last heard each agent, and which processes no listener hears.
+
+    A stage of a listener lacks a process if all that it awaits from it is missing. What a device
+    says it lacks does not count.
+    """
 
     def __init__(self, plan: RunPlan, now_ns: int) -> None:
         self._plan = plan
         self._heard_at_ns = dict.fromkeys((PLANT, *map(agent_name, plan.tree.nodes)), now_ns)
-        self._lacked_at_ns: dict[str, int] = {}
         self._pause_ns = round(longest_pause_s(plan) * 1e9)
+        self._awaited = _awaited(plan)
+        self._newest = dict.fromkeys(self._heard_at_ns, 0)
+        # The processes that each stage of a listener lacks, by its newest message.
+        self._lacks: dict[_StageKey, frozenset[str]] = {}
 
-    def hear(self, head: Head, payload: bytes, now_ns: int) -> None:
-        self._heard_at_ns[head.source] = now_ns
-        if head.cycle < 0 or NOTHING_MISSED in payload:
+    def hear(self, port: Port[Message], head: Head, payload: bytes, now_ns: int) -> None:
+        source = head.source
+        self._heard_at_ns[source] = now_ns
+        if head.cycle < self._newest[source]:  # It comes after later ones.
             return
-        if head.source in self._plan.access.external:
-            return  # No session of ours is opened anew because a device says so.
+        self._newest[source] = head.cycle
+        misses_nothing = NOTHING_MISSED in payload
+        if misses_nothing and not self._lacks:
+            return
+        stage = source, stage_of(port, self._plan.tree)
+        if misses_nothing:
+            self._lacks.pop(stage, None)
+        elif (
+            stage in self._awaited
+            and (lacked := self._lacked(stage, head.cycle, payload)) is not None
+        ):
+            self._lacks[stage] = lacked
+
+    def _lacked(self, stage: _StageKey, cycle: int, payload: bytes) -> frozenset[str] | None:
         try:
             missing = _decode_lacks(payload).missing
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            return  # Its body is not decoded here: readers skip and name it.
-        for key, cycle in map(parse_missing, missing):
+            return None  # Its body is not decoded here: readers skip and name it.
+        late = set()
+        for key, used in map(parse_missing, missing):
             port = self._plan.wiring.port(f"{self._plan.plant}/{key}")
-            if port is None:
-                continue
-            is_late = cycle is not None and (
-                head.cycle - cycle <= _LATE_CYCLES * self._plan.control.period(port)
-            )
-            if not is_late:
-                self._lacked_at_ns[port.publisher] = now_ns
+            if port is not None and (
+                used is None or cycle - used > _LATE_CYCLES * self._plan.control.period(port)
+            ):
+                late.add(key)
+        return frozenset(name for name, keys in self._awaited[stage].items() if keys <= late)
 
-    def not_heard(self, now_ns: int) -> list[str]:
+    def not_recorded(self, now_ns: int) -> list[str]:
         """Return the agents that the recorder has not heard for a while."""
         return [name for name, at in self._heard_at_ns.items() if at < now_ns - self._pause_ns]
 
-    def missed(self, now_ns: int) -> list[str]:
-        """Return the agents that some listener does not hear."""
-        return [name for name, at in self._lacked_at_ns.items() if at >= now_ns - self._pause_ns]
+    def not_heard(self, now_ns: int) -> list[str]:
+        """Return the processes that none of their listeners hears.
+
+        A listener that the recorder does not hear itself gives no evidence.
+        """
+        if not self._lacks:
+            return []
+        silent = set(self.not_recorded(now_ns))
+        heard, lacked = set[str](), set[str]()
+        for stage, awaited in self._awaited.items():
+            if stage[0] not in silent:
+                lacks = self._lacks.get(stage, frozenset())
+                lacked |= lacks
+                heard |= awaited.keys() - lacks
+        return sorted(lacked - heard)
+
+
+def _awaited(plan: RunPlan) -> dict[_StageKey, dict[str, set[str]]]:
+    """Return the keys that each stage of a listener awaits of each other process."""
+    process_of = plan.wiring.process_of
+    found: dict[_StageKey, dict[str, set[str]]] = {}
+    for agent, cycles in stages_of_agents(plan).items():
+        if agent in plan.access.external:
+            continue
+        for stage in (stage for stages in cycles for stage in stages):
+            for port in stage.awaits:
+                if (process := process_of(port.publisher)) != process_of(agent):
+                    keys = found.setdefault((agent, stage.name), {})
+                    keys.setdefault(process, set()).add(str(port))
+    return found

@@ -113,9 +113,6 @@ class Recorder:
         closing, listener, progress = self._closing, self._listener, self._listener.progress
         now = flush_at = status_at = self._now_s()
         while not closing.is_over(now, listener.own_heard):
-            if self._link.unheard:
-                self._link.unheard = False
-                self._subscriber.reopen()
             # Flush and status must have their turn, however much comes.
             heard = list(islice(self._subscriber.drain(), _MOST_AT_ONCE))
             own_before = listener.own_heard

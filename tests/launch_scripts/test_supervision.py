@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from signal import SIGKILL, SIGUSR1, Signals
+from signal import SIGKILL, Signals
 from typing import Any, Literal, cast
 
 import pytest
@@ -16,10 +16,12 @@ from agents.process.beats import FORK_SERVER, BeatTable
 from agents.process.events import Exited, Joined, Presence, Started, Status, Waiting
 from agents.settings import RestartPolicy
 from bus_schemas.errors import FailureError
+from bus_schemas.faults import Partition
 from bus_schemas.tree import PLANT, RECORDER
+from launch_scripts.hearing import Hearing
 from launch_scripts.restarts import Restarts
 from launch_scripts.supervision import Child, Children, still_waiting
-from launch_scripts.watch import Externals, Hearing, Watch
+from launch_scripts.watch import Externals, Watch
 
 NODE = "c1/a"
 
@@ -59,7 +61,7 @@ class Watched:
             plan,
             self.children,
             self.watch,
-            lambda name: self.signal([name], SIGUSR1),
+            self.restarts,
             self.said.append,
         )
         for name in own:
@@ -125,7 +127,7 @@ Make = Callable[..., Watched]
 
 def test_a_process_is_killed_when_it_does_not_beat_whatever_is_heard_of_it(watched: Make) -> None:
     run = watched()
-    deaf = Status(7, 0, 0.0, 0.0, 0.0, [], 0, not_heard=["central", "c1", "c2", NODE])
+    deaf = Status(7, 0, 0.0, 0.0, 0.0, [], 0, not_recorded=["central", "c1", "c2", NODE])
     run.pass_by(60.0, status=deaf)
     assert run.got(SIGKILL) == []
     run.pass_by(5.0, "c2")
@@ -196,12 +198,37 @@ def test_a_fork_server_that_stands_still_is_named_once(watched: Make) -> None:
 # Who is heard -------------------------------------------------------------------------------------
 
 
-def test_a_live_process_that_is_not_heard_opens_its_session_anew_every_half_minute(
-    watched: Make,
-) -> None:
+def not_heard(*names: str) -> Status:
+    return Status(7, 0, 0.0, 0.0, 0.0, [], 0, not_heard=[*names])
+
+
+def test_a_live_process_that_no_listener_hears_is_started_again(watched: Make) -> None:
     run = watched()
-    run.pass_by(80.0, status=Status(7, 0, 0.0, 0.0, 0.0, [], 0, not_heard=[NODE], missed=["c2"]))
-    assert sorted(run.got(SIGUSR1)) == sorted([NODE, "c2"] * 3)
+    run.pass_by(11.0, status=not_heard(NODE, PLANT))
+    run.pass_by(1.0, status=not_heard())
+    run.pass_by(11.0, status=not_heard(NODE, PLANT))
+    assert run.got(SIGKILL) == []
+    run.pass_by(2.0, status=not_heard(NODE, PLANT))
+    assert run.got(SIGKILL) == [NODE]
+
+
+def test_one_that_stays_away_is_given_up_and_the_run_goes_on(watched: Make) -> None:
+    run = watched(restart=RestartPolicy(most=2))
+    for patience_s in (12.0, 24.0):
+        run.pass_by(patience_s - 1.0, status=not_heard(NODE))
+        assert NODE not in run.restarts.given_up
+        run.pass_by(2.0, status=not_heard(NODE))
+        assert run.dies(NODE), "the run goes on"
+        run.joins(NODE)
+    run.pass_by(50.0, status=not_heard(NODE))
+    assert run.dies(NODE)
+    assert run.restarts.counts == {NODE: 2}
+    assert [*run.restarts.given_up] == [NODE]
+
+
+def test_where_a_fault_rule_cuts_links_nobody_is_started_again_for_it(watched: Make) -> None:
+    run = watched(faults=(Partition(("central", "c1")),))
+    run.pass_by(60.0, status=not_heard("c1"))
     assert run.got(SIGKILL) == []
 
 
@@ -211,8 +238,8 @@ def test_a_recorder_that_does_not_hear_the_plant_is_cut_off_and_the_gap_is_named
 ) -> None:
     run = watched(standby=())
     run.cycle = 40
-    run.pass_by(14.0, status=Status(41, 0, 0.0, 0.0, 0.0, [], 0, not_heard=[PLANT, *others]))
-    assert set(run.got(SIGUSR1)) == {RECORDER}
+    run.pass_by(14.0, status=Status(41, 0, 0.0, 0.0, 0.0, [], 0, not_recorded=[PLANT, *others]))
+    assert run.sent == []
     run.pass_by(1.0, status=Status(81, 0, 0.0, 0.0, 0.0, [], 0))
     assert run.hearing.gaps == [(42, 80)]
     assert sum("cut off" in line for line in run.said) == 1

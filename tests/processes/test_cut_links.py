@@ -19,12 +19,11 @@ from test_external import misses_nothing
 from test_launch import summary_of
 
 from agents.plan import RunPlan, load_plan
-from bus_schemas.messages import Dispatch, Message, Production, parse_missing
+from bus_schemas.messages import Dispatch, Message, Production
 from bus_schemas.signals import SETPOINT, Occurrence, Port
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 from launch_scripts.simulation import MemoryRun
 from recordings.read.reader import RunReader
-from recordings.read.run_file import log_name
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
 
@@ -203,46 +202,6 @@ def test_a_parent_whose_links_were_cut_is_heard_again_also_if_its_standby_has_di
     (cycle,) = re.findall(r"central took over in cycle (\d+)", run.output.read_text())
     run.until(lambda: misses_nothing(run, SETPOINT, LEAF, int(cycle)), "that c1 hears its parent")
     run.interrupt()
-
-
-def test_a_plant_that_opens_its_sessions_anew_is_heard_by_all(heliarch: Start) -> None:
-    run = heliarch("launch", "oahu", "--pace", "5", "--duration", "1h")
-    run.until_recorded(5)
-    open_anew(run, PLANT, lambda: None)
-    first = run.recorded_cycles() + 10
-    run.until_recorded(first + 10)
-    run.interrupt()
-    with RunReader(run.folder) as reader:
-        lacking = [
-            f"{message.source} in cycle {message.cycle}: {missing}"
-            for _, message in reader.messages()
-            for missing in message.missing
-            if message.cycle >= first and parse_missing(missing)[1] is None
-        ]
-    assert lacking == []
-
-
-def test_who_opens_its_sessions_anew_beats_and_goes_on_meanwhile(
-    heliarch: Start, network: Network, plant: str
-) -> None:
-    words = ("--pace", "5", "--duration", "1h", "--set", "restart.frozen_s=1")
-    run = heliarch("launch", plant, *words, network=network.name)
-    run.until_recorded(5)
-    network.refuse()
-    open_anew(run, "c1", network.heal, after_s=5.0)
-    run.interrupt()
-    launcher = summary_of(run.folder).launcher
-    assert launcher.restarts == {}
-    assert launcher.skipped_cycles < 10, "of 25"
-
-
-def open_anew(run: Heliarch, agent: str, meanwhile: Callable[[], None], after_s: float = 0) -> None:
-    """Let an agent open its sessions anew, and do something some time after it has begun."""
-    run.process_of(agent).send_signal(signal.SIGUSR1)
-    time.sleep(after_s)
-    meanwhile()
-    log = run.folder / "logs" / log_name(agent)
-    run.until(lambda: "opened anew" in log.read_text(), "new sessions")
 
 
 @pytest.mark.soak

@@ -25,7 +25,7 @@ from agents.process.session import password, session_ids, session_settings, user
 from bus_schemas.signals import CLOCK, ports
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import OPERATOR, PLANT, RECORDER
-from bus_schemas.zenoh_session import KeyFiles, SessionSettings, open_sessions
+from bus_schemas.zenoh_session import KeyFiles, SessionSettings, open_session
 from scenarios.plant_keys import make_keys
 
 BARE = plan_of({"c1/a": 100.0, "c2/b": 100.0}, secret="told to nobody")
@@ -52,8 +52,10 @@ class Team:
         self._heard: list[tuple[str, str, bytes]] = []
         self.sessions = {
             agent: [
-                stack.enter_context(session)
-                for session in open_sessions(session_settings(plan, agent))
+                stack.enter_context(open_session(one))
+                for settings in [session_settings(plan, agent)]
+                for one in (settings, settings.devices)
+                if one is not None
             ]
             for agent in plan.agents
         }

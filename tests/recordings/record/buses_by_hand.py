@@ -37,7 +37,6 @@ class LinkByHand:
     expected: int | None = None
     by_hand: bool = False
     starts: int = 0
-    unheard: bool = False
     told: list[Event] = field(default_factory=list)
 
     def tell(self, event: Event) -> None:

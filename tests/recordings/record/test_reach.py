@@ -1,0 +1,92 @@
+"""Whom the listeners do not hear, by what they state in `missing`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from plans_by_hand import REAL_TIME, plan_of
+
+from bus_schemas.codec import encode
+from bus_schemas.messages import Head, Impp, Message, Production
+from bus_schemas.signals import IMPP, PRODUCTION, Port
+from bus_schemas.tree import ROOT
+from recordings.record.reach import Reach
+
+A, B = "c1/a", "c1/b"
+
+
+class Heard:
+    """What a recorder heard of two inverters and their supervisor, cycle by cycle."""
+
+    def __init__(self, *external: str) -> None:
+        plan = plan_of({A: 100.0, B: 100.0}, cycle_wall_ns=REAL_TIME, external=external)
+        self.reach = Reach(plan, 0)
+        self.now_ns = 0
+
+    def hear(self, cycle: int, port: Port[Message], *missing: str) -> None:
+        self.now_ns = cycle * REAL_TIME
+        source, head = port.publisher, (cycle, 0)
+        message: Message
+        if port.signal is IMPP:
+            message = Impp(*head, source, missing, power_kw=50.0, stale_cycles=0)
+        else:
+            powers: dict[str, Any] = dict.fromkeys(("dispatch_kw", "available_kw"), 0.0)
+            powers |= dict.fromkeys(("inverter_mpp_kw", "inverter_power_kw"), (0.0, 0.0))
+            message = Production(*head, source, missing, delivered_kw=0.0, **powers)
+        self.reach.hear(port, Head(cycle, source), encode(message), self.now_ns)
+
+    @property
+    def not_heard(self) -> list[str]:
+        return self.reach.not_heard(self.now_ns)
+
+
+def test_a_process_is_not_heard_if_every_listener_lacks_it() -> None:
+    run = Heard()
+    for cycle in (5, 6):
+        run.hear(cycle, PRODUCTION.of(ROOT), f"{A}/command@1")
+        run.hear(cycle, IMPP.of("c1"))
+        assert run.not_heard == [], "its supervisor hears it"
+        run.hear(cycle, IMPP.of("c1"), f"{A}/impp", f"{A}/residual@2")
+    assert run.not_heard == [A]
+    run.hear(7, PRODUCTION.of(ROOT))
+    assert run.not_heard == []
+
+
+def test_a_message_that_is_a_cycle_late_was_heard() -> None:
+    run = Heard()
+    run.hear(9, PRODUCTION.of(ROOT), f"{A}/command@8")
+    run.hear(9, IMPP.of("c1"), f"{A}/impp@8", f"{A}/residual@8")
+    assert run.not_heard == []
+
+
+def test_telemetry_that_the_plant_withholds_of_one_inverter_blames_nobody() -> None:
+    run = Heard()
+    for cycle in range(60):
+        run.hear(cycle, IMPP.of(A), f"{A}/telemetry")
+        run.hear(cycle, IMPP.of(B))
+    assert run.not_heard == []
+
+
+def test_the_order_in_which_messages_come_does_not_matter() -> None:
+    run = Heard()
+    run.hear(9, PRODUCTION.of(ROOT))
+    run.hear(9, IMPP.of("c1"))
+    for cycle in (5, 6, 7, 8):
+        run.hear(cycle, IMPP.of("c1"), f"{A}/impp", f"{A}/residual")
+        run.hear(cycle, PRODUCTION.of(ROOT), f"{A}/command")
+    assert run.not_heard == []
+
+
+def test_what_a_device_states_proves_nothing() -> None:
+    run = Heard("c1")
+    run.hear(9, IMPP.of("c1"), f"{A}/impp", f"{A}/residual")
+    assert run.not_heard == []
+
+
+def test_a_recorder_that_hears_nobody_proves_nothing() -> None:
+    run = Heard()
+    run.hear(5, PRODUCTION.of(ROOT), f"{A}/command")
+    run.hear(5, IMPP.of("c1"), f"{A}/impp", f"{A}/residual")
+    assert run.not_heard == [A]
+    run.now_ns += 60 * REAL_TIME
+    assert run.not_heard == []
