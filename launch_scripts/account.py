@@ -86,12 +86,12 @@ class RunAccount:
         preparation, plan, path = self.preparation, self.preparation.plan, self.folder.recording
         recorded, count, fault = checked(path, plan, recorded)
         found = Counter(recorded.recorded)
-        figures, health, answers = None, None, tuple[Answer, ...]()
+        figures, health, answers, told_first = None, None, tuple[Answer, ...](), None
         if count is not None and found:
             try:
                 if recorded.cycles:
                     budgets = preparation.scenario.scenario.answers
-                    figures, answers = recorded_figures(path, budgets)
+                    figures, answers, told_first = recorded_figures(path, budgets)
                 health = recorded_health(path, plan, count)
             except InputError as error:
                 fault = fault or f"the recording cannot be read: {error}"
@@ -133,6 +133,7 @@ class RunAccount:
             devices=devices,
             health=health,
             answers=answers,
+            highlights=told_first,
         )
 
     def _compared(self, account: ExternalAccount) -> ExternalAccount:

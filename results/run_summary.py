@@ -18,6 +18,7 @@ from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
 from results.answers import Answer, answers, judged
 from results.figures import Figures, run_figures
+from results.highlights import Highlights, highlights
 from scenarios.scenario import AnswerBudgets
 from sunspec.process import DeviceAccount
 
@@ -81,7 +82,7 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
     `cycles` were completed. `figures` is None if none of them can be read in the recording.
     `messages` are those of Heliarch's processes, `external` what was heard of external agents.
     `health` is None if the recording was not read for it. `answers` are the plant's, to orders and
-    steps of the schedule.
+    steps of the schedule. `highlights` are None without figures.
     """
 
     run: RunFacts
@@ -95,6 +96,7 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
     devices: tuple[DeviceAccount, ...] = ()
     health: Health | None = None
     answers: tuple[Answer, ...] = ()
+    highlights: Highlights | None = None
 
     @property
     def cycles_per_s(self) -> float:
@@ -176,11 +178,14 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
 
 def recorded_figures(
     recording: Path, budgets: AnswerBudgets | None = None
-) -> tuple[Figures, tuple[Answer, ...]]:
-    """Read figures of merit and answers. Raises InputError: The recording has none to show."""
+) -> tuple[Figures, tuple[Answer, ...], Highlights]:
+    """Read figures of merit, answers and highlights.
+
+    Raises InputError: The recording has none to show.
+    """
     with RunReader(recording) as run:
         series = plant_series_of(run)
-    return run_figures(series), judged(answers(series), budgets)
+    return run_figures(series), judged(answers(series), budgets), highlights(series)
 
 
 def recorded_health(recording: Path, plan: RunPlan, count: RecordingCount) -> Health | None:

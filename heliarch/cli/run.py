@@ -22,6 +22,7 @@ from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.simulation import simulate
 from launch_scripts.supervision import ForkServerProcess
 from live_page.process import PageProcess
+from results.headline import print_headline
 from results.run_summary import RunSummary
 from results.summary_table import print_summary
 from scenarios.run_options import RunOptions
@@ -69,6 +70,7 @@ def run_and_print(
             partial(print_summary, summary, output.console),
             partial(output.say, f"recording: {folder.recording}"),
             write_page,
+            partial(print_headline, summary, output.console),
             partial(output.say, *_what_next(folder.path)),
         )
         failures = [complain(failure, FAILED) for failure in summary.failures()]
