@@ -28,8 +28,9 @@ def verify(
 ) -> int:
     """Run the agents of a recording again on the inputs that they used, and compare the outputs.
 
-    Exit status 1: outputs differ, or none could be compared. The first difference of each agent is
-    shown with its inputs, and the verdict says what share of the messages was compared.
+    Exit status 1: outputs differ, or not all of them could be compared. The first difference of
+    each agent is shown with its inputs, and the verdict says what share was compared. The same code
+    runs again: this proves repetition, not that decisions are right.
     Agents run from cycle 0 on; --from and --to say which cycles are compared.
 
     Example: `heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'`

@@ -89,7 +89,8 @@ KINDS: Final = {
     "differs": "differs",
     "only recorded": "recorded, but not sent any more",
     "only new": "sent now, but not recorded",
-    "sent twice": "recorded twice in one cycle: a second program sends it, too",
+    "refused": "no listener accepts it",
+    "sent twice": "a second message of this cycle, sent by the agent or in its name",
     "not recorded": "the recording lost messages before this one",
     "input not recorded": "used, but not recorded",
     "fails": "raises an error, or sends what cannot be sent",
@@ -106,7 +107,8 @@ class Difference:
 
     `message` is the key of the message that differs, or of the input that is not recorded;
     `content` the recorded message if there is one, else the new one; `inputs` what the agent
-    received in that cycle, by key; `text` the error of an agent that fails.
+    received in that cycle, by key; `text` the error of an agent that fails, or
+    why a message is refused.
     """
 
     kind: str
@@ -117,6 +119,15 @@ class Difference:
     content: Message | None = None
     inputs: dict[str, Message] = field(default_factory=dict)
     text: str = ""
+
+
+@dataclass(slots=True)
+class Gap:
+    """Cycles in which an agent cannot be compared, `until` excluded; None: up to the end."""
+
+    since: int
+    until: int | None
+    why: str
 
 
 @dataclass(slots=True)
@@ -133,6 +144,7 @@ class AgentResult:
     last_cycle: int = -1
     failure: Difference | None = None
     not_compared: int = 0
+    gaps: list[Gap] = field(default_factory=list)
     from_cycle: int = 0
 
     def compare(
@@ -143,7 +155,9 @@ class AgentResult:
         new: Message | None,
         stage: str,
         inputs: Mapping[Port[Message], Message] | None = None,
+        refused: str = "",
     ) -> None:
+        """Compare a recorded message with the new one. `refused` is why no listener accepts it."""
         message = recorded or new
         if message is None or message.cycle < self.from_cycle:
             return
@@ -152,11 +166,11 @@ class AgentResult:
         if recorded is not None and new is not None:
             fields = equality.differences(port, recorded, new)
             self.compared += 1
-            if not fields:
+            if not fields and not refused:
                 return
-            kind = "differs"
+            kind = "refused" if refused else "differs"
         used = {str(port): message for port, message in (inputs or {}).items()}
-        self.add(Difference(kind, message.cycle, stage, str(port), fields, message, used))
+        self.add(Difference(kind, message.cycle, stage, str(port), fields, message, used, refused))
 
     def add(self, difference: Difference) -> None:
         """Count a difference, and keep it if it is the first."""

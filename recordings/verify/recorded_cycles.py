@@ -9,7 +9,7 @@ from typing import Final, TypeAlias
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import GivenUp, Message, Takeover
+from bus_schemas.messages import GivenUp, Message
 from bus_schemas.signals import Port
 
 _READ_AHEAD: Final = 50_000
@@ -37,8 +37,7 @@ class RecordedCycles:
     """The cycles of a recording in order.
 
     Without a `stop_cycle` the run broke off: nothing is known of an agent from its newest cycle on.
-    `absences` may be missing in the file, see `unrecorded_spans`. `takeovers` are the messages of
-    standbys that took over, by agent and incarnation.
+    `absences` may be missing in the file, see `unrecorded_spans`.
     """
 
     def __init__(
@@ -49,7 +48,6 @@ class RecordedCycles:
         absences: Sequence[tuple[str, range]] = (),
     ) -> None:
         self.counts = MessageCounts()
-        self.takeovers: dict[tuple[str, int], Takeover] = {}
         self._deliveries = deliveries
         self._plan = plan
         self._absences = list(absences)
@@ -91,8 +89,6 @@ class RecordedCycles:
             if port.signal.decided:
                 counts.decided += 1
                 self._add(port, message)
-            elif isinstance(message, Takeover):
-                self.takeovers[port.publisher, message.incarnation] = message
             elif isinstance(message, GivenUp):
                 for agent in message.agents:
                     self._absences.append((agent, range(message.cycle, self._end)))

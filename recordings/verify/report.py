@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
-from typing import Any
+from math import floor
+from typing import Any, Final
 
 import msgspec
 
+from bus_schemas.errors import listed
 from bus_schemas.messages import Message, in_words
 from recordings.read.frames import HEAD_FIELDS
 from recordings.read.run_clock import RunClock
@@ -20,6 +23,12 @@ from recordings.verify.comparison import (
     Value,
 )
 from recordings.verify.verification import Verification
+
+REPETITION: Final = (
+    "the same code on the same inputs: this proves repetition, not that decisions are right"
+)
+MOST_GAPS: Final = 10
+"""Lines on spans that cannot be compared."""
 
 
 def verification_lines(
@@ -41,12 +50,33 @@ def verification_lines(
             "the recorder was started again, or the file is damaged: "
             f"{verification.unrecorded_cycles:,} cycles not recorded"
         )
-    if later := verification.total("not_compared"):
-        yield f"{later:,} messages not compared: they rest on what is not recorded"
+    yield from _gap_lines(agents)
     if count := messages.misplaced:
         yield f"{count:,} messages belong to no cycle of the run, or come long after it"
     yield from difference_lines(agents, RunClock(plan, plan.timing.cycles - 1))
+    yield REPETITION
     yield _verdict(verification, equality)
+
+
+def _gap_lines(agents: Mapping[str, AgentResult]) -> Iterator[str]:
+    """Yield the agents that cannot be compared in some cycles, together where these are equal."""
+    found = defaultdict[tuple[int, int | None], list[tuple[str, str]]](list)
+    for agent, result in agents.items():
+        for gap in result.gaps:
+            found[gap.since, gap.until].append((agent, gap.why))
+    if len(found) > MOST_GAPS:
+        yield f"not comparable in {len(found):,} spans, the first {MOST_GAPS}:"
+    for since, until in sorted(found, key=lambda span: span[0])[:MOST_GAPS]:
+        (_, why), *others = found[since, until]
+        names = listed([agent for agent, _ in found[since, until]], 3)
+        span = f"from cycle {since:,} on"
+        if until is not None:
+            span = (
+                f"in cycles {since:,} to {until - 1:,}"
+                if until > since + 1
+                else f"in cycle {since:,}"
+            )
+        yield f"{names}: not comparable {span}: {why}{' for the first of them' if others else ''}"
 
 
 def difference_lines(agents: Mapping[str, AgentResult], clock: RunClock) -> Iterator[str]:
@@ -64,7 +94,16 @@ def difference_lines(agents: Mapping[str, AgentResult], clock: RunClock) -> Iter
 
 
 def verification_data(verification: Verification, wall_s: float) -> dict[str, Any]:
-    names = ("equal", "stop_cycle", "cycles", "differences", "unrecorded_cycles", "left_out")
+    names = (
+        "equal",
+        "asked",
+        "share",
+        "stop_cycle",
+        "cycles",
+        "differences",
+        "unrecorded_cycles",
+        "left_out",
+    )
     first = verification.first
     return {
         "recording": str(verification.recording),
@@ -83,8 +122,7 @@ def agents_data(agents: Mapping[str, AgentResult]) -> list[dict[str, Any]]:
 
 
 def _verdict(verification: Verification, equality: Equality) -> str:
-    compared, decided = verification.total("compared"), verification.messages.decided
-    of = f"{compared:,} of {decided:,} messages compared ({compared / max(decided, 1):.1%})"
+    of = f"{verification.total('compared'):,} of {verification.asked:,} messages compared"
     if verification.first is not None:
         name, first = verification.first
         kinds = {kind for result in verification.agents.values() for kind in result.differences}
@@ -95,16 +133,19 @@ def _verdict(verification: Verification, equality: Equality) -> str:
             f"{what}, the first: {name} in cycle {first.cycle}, "
             f"{first.message or first.text} ({first.kind}); {of}"
         )
-    if not verification.equal:
+    if verification.differs:
         return f"NOT equal: {of}"
     within = f"within {equality.tolerance:g}" if equality.tolerance else "bit for bit"
+    if not verification.equal:
+        percent = floor(1000.0 * verification.share) / 10.0
+        within = f"as far as compared ({percent:g} %), {within}"
     return f"equal {within}: {of}; left out: {', '.join(NOT_COMPARED)}"
 
 
 def _lines_of(agent: str, difference: Difference) -> Iterator[str]:
     stage = f" (stage {difference.stage})" if difference.stage else ""
     message, content = difference.content, difference.text
-    if message is not None and difference.kind != "differs":
+    if message is not None and difference.kind not in {"differs", "refused"}:
         content = _content(message)
     what = KINDS[difference.kind] + (f": {content}" if content else "")
     yield f"  {difference.message or 'the agent'}{stage}: {what}"

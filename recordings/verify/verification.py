@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 from agents.agent import Agent
 from agents.cycle import stage_place
+from agents.direct import DirectController
 from agents.plan import RunPlan
 from agents.team import controller, direct_controller
 from bus_schemas.errors import InputError
@@ -20,7 +21,7 @@ from recordings.read.gaps import unrecorded_spans
 from recordings.read.reader import RunReader
 from recordings.verify.comparison import BIT_FOR_BIT, AgentResult, Difference, Equality
 from recordings.verify.recorded_cycles import MessageCounts, RecordedCycles
-from recordings.verify.rerun import AgentRerun, StatedEstimates
+from recordings.verify.rerun import AgentRerun, DeviceController
 from sim_plant.plant import Plant
 from sim_plant.profile import PROFILE_NAME, Profile, load_profile
 
@@ -32,7 +33,8 @@ class Verification:
     """The result of verifying a run.
 
     `stop_cycle` is the first cycle that did not take place; None if the run broke off. In
-    `unrecorded_cycles` the recorder was away; None if it always was there. `agents` are the results
+    `unrecorded_cycles` the recorder was away; None if it always was there. `asked` counts the
+    recorded messages of the agents and cycles that are to be compared. `agents` are the results
     of the agents that were run again, `left_out` the others and why.
     """
 
@@ -42,6 +44,7 @@ class Verification:
     cycles: int
     messages: MessageCounts
     unrecorded_cycles: int | None
+    asked: int
     agents: dict[str, AgentResult]
     left_out: dict[str, str]
 
@@ -64,9 +67,18 @@ class Verification:
         return difference.cycle, stage_place(agent, stage, self.plan.tree) if stage else 0
 
     @property
+    def differs(self) -> bool:
+        return bool(self.differences or self.messages.misplaced)
+
+    @property
+    def share(self) -> float:
+        """Share of the messages to be compared that were compared."""
+        return self.total("compared") / max(self.asked, 1)
+
+    @property
     def equal(self) -> bool:
-        """Whether every agent publishes what it published, as far as that could be compared."""
-        return not (self.differences or self.messages.misplaced) and self.total("compared") > 0
+        """Whether every message was compared and every agent publishes what it published."""
+        return not self.differs and self.total("compared") == self.asked > 0
 
 
 def verify(
@@ -81,7 +93,7 @@ def verify(
     """Run agents again on the inputs of a recording and compare what they publish.
 
     By default all but external parents and plants are run again, see `find_agents`; a node that is
-    named is run again in any case. Its differences are `verify(run, node).agents[node]`.
+    named is run again in any case. Its result is `verify(run, node).agents[node]`.
 
     Agents remember earlier cycles, so they always run from cycle 0 on; only the cycles from `start`
     to `end` are compared. `progress` is called with the share of the recording that has been read.
@@ -97,7 +109,7 @@ def verify(
             name: AgentRerun(name, make, plan, recorded, equality, wanted.start)
             for name, make in team.items()
         }
-        cycles = unrecorded = 0
+        cycles = unrecorded = left_out_messages = 0
         for cycle, messages in recorded:
             if cycle >= wanted.stop:
                 break
@@ -105,8 +117,11 @@ def verify(
                 rerun.take(cycle)
             if cycle >= wanted.start:
                 cycles += bool(messages)
+                of = (len(found) for port, found in messages.items() if port.publisher in left_out)
+                left_out_messages += sum(of)
                 has_production = PRODUCTION.of(ROOT) in messages
                 unrecorded += not has_production and recorded.was_away(PLANT, cycle)
+    results = {name: rerun.result for name, rerun in reruns.items()}
     verification = Verification(
         reader.path,
         plan,
@@ -114,7 +129,8 @@ def verify(
         cycles,
         recorded.counts,
         unrecorded if absences else None,
-        {name: rerun.result for name, rerun in reruns.items()},
+        left_out_messages + sum(result.recorded for result in results.values()),
+        results,
         left_out,
     )
     if not verification.total("recorded") and not verification.differences:
@@ -154,7 +170,9 @@ def _team(
         if is_free and not nodes:
             left_out[name] = "it is external"
         elif is_direct:
-            team[name] = partial(direct_controller, plan, name, StatedEstimates)
+            own_estimate = name in plan.access.external and plan.control.scheme != "paper"
+            kind = DeviceController if own_estimate else DirectController
+            team[name] = partial(direct_controller, plan, name, kind)
         elif name != PLANT:
             team[name] = partial(controller, plan, name)
         elif plan.site.devices:
