@@ -42,15 +42,16 @@ def headline(figures: Figures) -> str:
     missed, alone = figures["control-caused"], figures["without-help"]
     if missed is None:
         return "nothing was promised"
-    parts = [f"missed {_percent(missed)} of the promise"]
+    parts = [f"missed {percent(missed)} of the promise"]
     if alone is not None:
-        parts.append(f"without help between inverters {_percent(alone)}")
+        parts.append(f"without help between inverters {percent(alone)}")
     if denied := figures["unavoidable"]:
-        parts.append(f"the sky denied {_percent(denied)} more")
+        parts.append(f"the sky denied {percent(denied)} more")
     return "; ".join(parts)
 
 
-def _percent(value: float) -> str:
+def percent(value: float) -> str:
+    """Return a share with as many decimals as it needs."""
     return f"{value:.3f} %" if 0.0 < value < 0.1 else f"{value:.2f} %"
 
 

@@ -6,20 +6,15 @@ from collections import defaultdict
 from collections.abc import Collection
 from dataclasses import dataclass
 
-import numpy as np
-import plotly.graph_objects as go
-
 from agents.plan import RunPlan
 from bus_schemas.messages import Message, Residual, Setpoint
 from bus_schemas.signals import RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT
 from recordings.read.run_clock import RunClock
-from results.report import style
 from results.tables import Cell, Column, Table, key_column, word_column
 
 _MOST_ROWS = 30
 _MOST_HELPERS = 3
-_CELL_PX = 16
 
 
 @dataclass
@@ -107,31 +102,3 @@ def help_table(found: HelpBetween, clock: RunClock) -> Table:
     if len(ranked) > _MOST_ROWS:
         notes.append(f"{len(ranked) - _MOST_ROWS:,} others lacked less.")
     return Table("Who helped whom", columns, rows, notes)
-
-
-def help_figure(found: HelpBetween) -> style.ReportFigure | None:
-    """Draw the energy that each node gave to each other one; None where nobody helped."""
-    pairs = found.given_kwh
-    givers = [node for node in found.nodes if any(giver == node for giver, _ in pairs)]
-    needy = [node for node in found.nodes if any(other == node for _, other in pairs)]
-    if not pairs:
-        return None
-    cells = np.array([[pairs.get((giver, node), np.nan) for giver in givers] for node in needy])
-    heat = go.Heatmap(
-        z=cells.astype(np.float32),
-        x=[style.plain(node) for node in givers],
-        y=[style.plain(node) for node in needy],
-        colorscale="Blues",
-        zmin=0.0,
-        colorbar=style.colour_bar("kWh", max(len(needy) * _CELL_PX, 120)),
-        hovertemplate="%{x} for %{y}: %{z:,.2f} kWh<extra></extra>",
-    )
-    figure = style.dress(go.Figure(heat), max(len(needy) * _CELL_PX, 120) + 130, legend=False)
-    figure.update_yaxes(autorange="reversed", dtick=1, tickfont_size=11, title_text="needy")
-    figure.update_xaxes(dtick=1, tickfont_size=11, tickangle=-60, title_text="helper")
-    return style.ReportFigure(
-        "help",
-        "Who helped whom",
-        "Energy that each node produced beyond its share for a sibling that lacked power [kWh].",
-        figure,
-    )

@@ -5,131 +5,69 @@ All take runs of the same plant in the same cycles, with the same dispatch.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
 from results.report import style
 
-_PANEL_PX = 230
 _DASHED = {"color": style.BLACK, "width": 1.2, "dash": "dash"}
+_DOTTED = {"color": style.BLACK, "width": 1.0, "dash": "dot"}
+_ALONE = {"color": style.ORANGE, "width": 1.2}
+_UNLISTED = {"showlegend": False, "legendgroup": None}
+"""A group of its own would put the other entries of the legend below each other."""
+
 _CLOSE_LOOK_S = 600.0
-_DEVIATION = "deviation [kW]"
 
 
-def available_power(series: Sequence[RunSeries]) -> style.ReportFigure:
-    """Draw available power against commitment, dispatch and delivered power."""
+def plant_power(series: Sequence[RunSeries]) -> style.ReportFigure:
+    """Draw available, dispatched and delivered power; below, the deviation from the dispatch.
+
+    A single run has its baseline beside it: the same sky without help between inverters.
+    """
     first = series[0]
-    sand, grey = {"color": style.SAND, "width": 1}, {"color": style.GREY, "width": 1}
+    sand, grey = {"color": style.SAND, "width": 1}, {"color": style.GREY, "width": 0.5}
     area = {"fill": "tozeroy", "fillcolor": style.faint(style.SAND, 0.5)}
-    lines = [style.time_line(first, first.available_kw, "available", sand, **area)]
-    if _asks_regulation(first):
-        lines.append(style.time_line(first, first.desired_kw, "dispatch, with regulation", grey))
-    lines += _delivered_lines(series)
-    lines.append(style.time_line(first, first.commitment_kw, "commitment", _DASHED))
-    figure = make_subplots(
-        rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.68, 0.32]
-    )
-    figure.add_traces(lines, rows=1, cols=1)
+    powers = [style.time_line(first, first.available_kw, "available", sand, **area)]
+    unavoidable_kw = np.minimum(first.available_kw - first.desired_kw, 0.0)
+    shaded = {"fill": "tozeroy", "fillcolor": style.faint(style.GREY, 0.8)}
+    deviations = [style.time_line(first, unavoidable_kw, "denied by the sky", grey, **shaded)]
+    if len(series) == 1 and np.isfinite(first.without_help_kw).any():
+        alone_kw = first.without_help_kw
+        powers.append(style.time_line(first, alone_kw, "delivered without help", _ALONE))
+        below_kw = alone_kw - first.desired_kw
+        deviations.append(
+            style.time_line(first, below_kw, "deviation without help", _ALONE, **_UNLISTED)
+        )
     for position, one in enumerate(series):
-        line = _deviation_line(one, style.scheme_line(position), showlegend=False)
-        figure.add_trace(line, row=2, col=1)
+        look = style.scheme_line(position)
+        powers.append(style.time_line(one, one.delivered_kw, _of("delivered", one, series), look))
+        off_kw = one.delivered_kw - one.desired_kw
+        name = f"deviation, {one.label}"
+        deviations.append(style.time_line(one, off_kw, name, look, **_UNLISTED))
+    powers.append(style.time_line(first, first.desired_kw, "dispatch", _DASHED))
+    if _asks_regulation(first):
+        powers.append(style.time_line(first, first.commitment_kw, "commitment", _DOTTED))
+    figure = make_subplots(
+        rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.64, 0.36]
+    )
+    figure.add_traces(powers, rows=1, cols=1)
+    figure.add_traces(deviations, rows=2, cols=1)
     style.dress(figure, 560)
     figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero", row=1, col=1)
-    figure.update_yaxes(title_text=_DEVIATION, row=2, col=1)
+    figure.update_yaxes(title_text="deviation [kW]", row=2, col=1)
     style.label_time_axis(figure, first, rows=2)
     short = 100.0 * np.mean((first.available_kw < first.desired_kw)[first.known])
     return style.ReportFigure(
-        "available-power",
-        "Available, committed and delivered power",
-        "Power of the plant [kW]. The shaded area is what all inverters could have given at their "
-        "maximum power points; the dashed line is the commitment. Available power was below the "
-        f"dispatch in {short:.1f} % of the cycles. Below is what was delivered less what was "
-        "dispatched, on an axis of its own.",
+        "power",
+        "Power of the plant",
+        "The shaded area is what all inverters could have given, the dashed line what was asked. "
+        "Below, on an axis of its own: delivered less dispatched power. Grey is what the sky "
+        f"denied, in {short:.1f} % of the cycles; no controller could have given it.",
         figure,
     )
-
-
-def delivered_and_shortfall(series: Sequence[RunSeries]) -> style.ReportFigure:
-    """Draw delivered power, and its deviation from the dispatch; the runs have the same axes."""
-    count = len(series)
-    titles = [style.plain(one.label) if count > 1 else "" for one in series]
-    figure = make_subplots(
-        rows=2 * count,
-        cols=1,
-        shared_xaxes=True,
-        vertical_spacing=0.14 / count,
-        row_heights=[0.6, 0.4] * count,
-        subplot_titles=[text for title in titles for text in (title, "")],
-    )
-    red = {"color": style.SHORTFALL, "width": 0.5}
-    grey = {"color": style.GREY, "width": 0.5}
-    area = {"fill": "tozeroy", "fillcolor": style.faint(style.SHORTFALL)}
-    for number, (one, delivered) in enumerate(zip(series, _delivered_lines(series), strict=True)):
-        # One entry in the legend is enough for what all panels have.
-        once = {"showlegend": number == 0}
-        dispatch = style.time_line(one, one.desired_kw, "dispatch", _DASHED, **once)
-        figure.add_traces([delivered, dispatch], rows=2 * number + 1, cols=1)
-        unavoidable_kw = np.maximum(one.desired_kw - one.available_kw, 0.0)
-        missed = style.time_line(one, -one.shortfall_kw, "shortfall", red, **area, **once)
-        filled = {"fill": "tozeroy", "fillcolor": style.faint(style.GREY, 0.8)}
-        sky = style.time_line(one, -unavoidable_kw, "of it unavoidable", grey, **filled, **once)
-        look = style.scheme_line(number) | {"width": 1}
-        deviation = _deviation_line(one, look, showlegend=False)
-        figure.add_traces([missed, sky, deviation], rows=2 * number + 2, cols=1)
-    style.dress(figure, 110 + 2 * _PANEL_PX * count)
-    powers_kw = [kw for one in series for kw in (one.delivered_kw, one.dispatch_kw)]
-    deviations_kw = [one.delivered_kw - one.dispatch_kw for one in series]
-    for number in range(count):
-        row = 2 * number + 1
-        figure.update_yaxes(title_text="power [kW]", rangemode="tozero", row=row, col=1)
-        figure.update_yaxes(title_text=_DEVIATION, row=row + 1, col=1)
-        if count > 1:  # The panels are to be compared.
-            figure.update_yaxes(range=_range(powers_kw, from_zero=True), row=row, col=1)
-            figure.update_yaxes(range=_range(deviations_kw), row=row + 1, col=1)
-    if count > 1:  # The legend stands above the title of the first panel.
-        figure.update_layout(legend_y=1.0 + 24.0 / (2 * _PANEL_PX * count), margin_t=70)
-    style.label_time_axis(figure, series[0], rows=2 * count)
-    energies = "; ".join(
-        f"{one.label} {np.nansum(one.shortfall_kw) * one.cycle_s / 3600.0:,.1f} kWh"
-        for one in series
-    )
-    return style.ReportFigure(
-        "shortfall",
-        "Delivered power and its deviation from the dispatch",
-        "Delivered power and dispatch of the plant [kW]. Below, on an axis of its own, delivered "
-        "less dispatch: what is below zero is the shortfall, the grey part of it unavoidable. "
-        f"Energy of the shortfall: {energies}.",
-        figure,
-    )
-
-
-def _range(values_kw: Sequence[NDArray[np.float64]], *, from_zero: bool = False) -> list[float]:
-    """Return an axis that holds all values, with some room."""
-    low, high = (float(find(np.concatenate(values_kw))) for find in (np.nanmin, np.nanmax))
-    low = min(low, 0.0) if from_zero else low
-    room = 0.05 * (high - low or 1.0)
-    return [low if from_zero and low == 0.0 else low - room, high + room]
-
-
-def _deviation_line(one: RunSeries, line: Mapping[str, object], **look: object) -> go.Scatter:
-    deviation_kw = one.delivered_kw - one.desired_kw
-    # A group of its own would put the other entries of the legend below each other.
-    look |= {"legendgroup": None}
-    return style.time_line(one, deviation_kw, f"deviation, {one.label}", line, **look)
-
-
-def _delivered_lines(series: Sequence[RunSeries]) -> list[go.Scatter]:
-    return [
-        style.time_line(
-            one, one.delivered_kw, _of("delivered", one, series), style.scheme_line(position)
-        )
-        for position, one in enumerate(series)
-    ]
 
 
 def _of(what: str, one: RunSeries, series: Sequence[RunSeries]) -> str:

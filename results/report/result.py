@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rich.console import Console
 from rich.text import Text
@@ -13,7 +13,16 @@ from bus_schemas.errors import printable
 from results.tables import WIDTH, Table, print_table
 
 if TYPE_CHECKING:
+    from results.report.moments import Moment
     from results.report.style import ReportFigure
+
+
+class KeyFigure(NamedTuple):
+    """A number that the page of a run shows large, with what it means."""
+
+    value: str
+    title: str
+    note: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +34,7 @@ class Result:
     lines: What a reader must know before the tables; `conclusions`: what follows from them.
     verdict: Whether all is well, and a line that says so.
     figures, details: Draws the figures; further tables. Only the page has them.
+    headline, key_figures, moments: What the page of a run shows first, with its first figure.
     """
 
     title: str
@@ -35,6 +45,9 @@ class Result:
     verdict: tuple[bool, str] | None = None
     figures: Callable[[], Sequence[ReportFigure]] = tuple
     details: Sequence[Table] = ()
+    headline: str = ""
+    key_figures: Sequence[KeyFigure] = ()
+    moments: Sequence[Moment] = ()
 
 
 def print_result(console: Console, result: Result) -> None:

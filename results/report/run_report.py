@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -20,16 +21,20 @@ from bus_schemas.whole_file import whole_file
 from recordings.inspect.health import summary_in
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
+from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries, series_of
 from results.answers import answers, answers_tables, judged
-from results.figures import run_figures
-from results.report.clusters import clusters_map, clusters_table
-from results.report.help import HelpBetween, help_figure, help_table
+from results.figures import Figures, run_figures
+from results.headline import headline, percent
+from results.highlights import highlights
+from results.report.clusters import clusters_table
+from results.report.help import HelpBetween, help_table
 from results.report.inverter_figures import MOST_INVERTERS, correlation_matrices, residuals
 from results.report.marks import Mark, mark, run_marks
+from results.report.moments import moments
 from results.report.page import html_page
-from results.report.plant_figures import available_power, delivered_and_shortfall, regulation
-from results.report.result import Result
+from results.report.plant_figures import plant_power, regulation
+from results.report.result import KeyFigure, Result
 from results.report.style import ReportFigure
 from results.report.tables import devices_tables, figures_tables, health_table, network_tables
 from results.run_summary import RunSummary
@@ -39,6 +44,9 @@ from sunspec.process import read_accounts
 
 REPORT_NAME: Final = "report.html"
 
+_SEVERAL_HOURS_S: Final = 3 * 3600.0
+"""A shorter run has too few hours to compare their correlations."""
+
 
 def write_run_report(run: Path, out: Path | None = None) -> Path:
     """Write the report of a recorded run, by default beside its recording; return where it is."""
@@ -46,6 +54,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
     with RunReader(run) as reader:
         path, plan = out or reader.path.with_name(REPORT_NAME), reader.plan
         notes = _notes(reader)
+        title = reader.scenario_table().get("title", plan.plant)
         size_mb = reader.path.stat().st_size / 1e6
         with console.status(escape(f"reading {size_mb:,.0f} MB of {run}")):
             found = HelpBetween(plan, _nodes_drawn(plan))
@@ -62,11 +71,11 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
                 health_table(health, reader.clock),
                 *devices_tables(read_accounts(reader.path.parent)),
             ]
-            marks = run_marks(reader, health, series)
+            marks, clock = run_marks(reader, health, series), reader.clock
     with console.status("drawing"):
-        title, lines = f"{plan.plant}: run {plan.run_id}", [run_line(plan), *notes]
-        more = [clusters_map(plan), help_figure(found)]
-        page = html_page(runs_result(title, [series], tables, lines, marks=marks, more=more))
+        lines = [f"Run {plan.run_id}. {run_line(plan)}", *notes]
+        result = runs_result(title, [series], tables, lines, marks=marks)
+        page = html_page(_with_first_screen(result, series, clock))
     with whole_file(path) as file:
         file.write(page.encode())
     return path
@@ -91,7 +100,6 @@ def _notes(reader: RunReader) -> list[str]:
     """Return what the recording, and the summary beside it, say about the run."""
     scenario, origin = reader.scenario_table(), reader.metadata.get("run", {})
     notes = [
-        f"Scenario: {scenario.get('title', reader.plan.plant)}.",
         f"Recorded by heliarch {origin.get('driver', '')}, "
         f"version {origin.get('version heliarch', 'unknown')}, in {reader.path.name}.",
     ]
@@ -115,18 +123,47 @@ def runs_result(
     document: object = None,
     *,
     marks: Sequence[Mark] = (),
-    more: Sequence[ReportFigure | None] = (),
 ) -> Result:
     """Return one run, or several of the same plant in the same cycles, each with its own label.
 
-    marks: What happened in the run, marked in the figures over time. more: Further figures.
+    marks: What happened in the run, marked in the figures over time.
     """
-    lines = [*map(_headline, series), *lines, *_cycle_lines(series)]
+    heads = map(_headline, series) if len(series) > 1 else ()
+    lines = [*heads, *lines, *_cycle_lines(series)]
+    return Result(title, tables, document, lines=lines, figures=partial(_figures, series, marks))
 
-    def figures() -> list[ReportFigure]:
-        return [*_figures(series, marks), *(figure for figure in more if figure is not None)]
 
-    return Result(title, tables, document, lines=lines, figures=figures)
+def _with_first_screen(result: Result, series: RunSeries, clock: RunClock) -> Result:
+    """Let the page of a run begin with what it was worth and when it was hard."""
+    if not series.known.any():
+        return result
+    figures = run_figures(series)
+    return replace(
+        result,
+        headline=f"{headline(figures).capitalize()}.",
+        key_figures=tuple(_key_figures(figures)),
+        moments=tuple(moments(highlights(series).hard_minutes, series.plan, clock)),
+    )
+
+
+def _key_figures(figures: Figures) -> Iterator[KeyFigure]:
+    """Yield the four numbers that a plant's owner asks for."""
+    alone = figures["without-help"]
+    notes = {
+        "control-caused": "" if alone is None else f"without help: {percent(alone)}",
+        "unavoidable": "no controller could have given it",
+        "over-delivered": f"{figures['over-delivered-energy']:,.1f} kWh",
+        "curtailed": f"the price of the promise: {figures['curtailed-energy']:,.0f} kWh",
+    }
+    titles = {
+        "control-caused": "of the promise missed although there was power",
+        "unavoidable": "of the promise denied by the sky",
+        "over-delivered": "given too much",
+        "curtailed": "of the available energy left unused",
+    }
+    for name, note in notes.items():
+        if (value := figures[name]) is not None:
+            yield KeyFigure(percent(value), titles[name], note)
 
 
 def _headline(one: RunSeries) -> str:
@@ -187,18 +224,15 @@ def _figures(series: Sequence[RunSeries], marks: Sequence[Mark]) -> list[ReportF
     Signals of the single inverters are drawn of the last run whose scheme has residuals: those of
     the others, under the same sky, would look alike.
     """
-    figures: list[ReportFigure | None] = [
-        available_power(series),
-        delivered_and_shortfall(series),
-        regulation(series),
-    ]
+    figures = [plant_power(series), regulation(series)]
     if signalling := [one for one in series if not np.isnan(one.residual_kw).all()]:
         figure = residuals(signalling[-1])
         whose = f"Under the scheme {signalling[-1].label}. " if len(series) > 1 else ""
         figures.append(replace(figure, caption=whose + figure.caption))
     for over_time in filter(None, figures):
         mark(over_time.figure, series[0], marks)
-    figures.append(correlation_matrices(series[0]))
+    if series[0].cycles * series[0].cycle_s >= _SEVERAL_HOURS_S:
+        figures.append(correlation_matrices(series[0]))
     return [figure for figure in figures if figure is not None]
 
 

@@ -31,6 +31,8 @@ def figures_tables(series: Sequence[RunSeries]) -> list[Table]:
     commitment, regulation = (
         shown_in(Shown.REPORT, group) for group in (Shown(0), Shown.REGULATION)
     )
+    if not any(one["capacity"] for _, one in runs):  # It would be the curtailed energy again.
+        commitment = tuple(one for one in commitment if one.name != "ancillary-potential")
     tables = [
         runs_as_columns("How the commitment was kept", runs, commitment, (_COMMITMENT_NOTE,)),
         runs_as_columns(

@@ -1,9 +1,11 @@
 "use strict";
 
-// What stands in the page as data becomes a figure. Paper is narrower than a screen: for printing
-// each figure is drawn anew at the width of a page.
+// What stands in the page as data becomes a figure, in the colours of the reader's screen. Paper is
+// white and narrower: for printing each figure is drawn anew.
 (() => {
-  const PRINTED_WIDTH_PX = 675;
+  const PRINTED_PX = { width: 675, height: 400 };
+  const LIGHT = { ink: "#222222", grid: "#ebebeb", paper: "#ffffff" };
+  const DARK = { ink: "#e4e4e4", grid: "#3a3d42", paper: "rgba(0,0,0,0)" };
   const settings = {
     responsive: true,
     displaylogo: false,
@@ -11,13 +13,29 @@
     modeBarButtons: [["zoom2d", "pan2d", "resetScale2d", "toImage"]],
   };
   const plots = [...document.querySelectorAll(".plot")];
+  const dark = matchMedia("(prefers-color-scheme: dark)");
 
-  for (const plot of plots) {
-    const { data, layout } = JSON.parse(document.getElementById(`${plot.id}-data`).textContent);
-    Plotly.newPlot(plot, data, layout, settings);
+  function draw(colours, size) {
+    for (const plot of plots) {
+      const text = document.getElementById(`${plot.id}-data`).textContent;
+      const { data, layout } = JSON.parse(text.replaceAll(LIGHT.ink, colours.ink));
+      const lower = Math.min(layout.height, size.height ?? layout.height);
+      Object.assign(layout, size, { height: lower });
+      plot.style.height = `${lower}px`;
+      Object.assign(layout, { paper_bgcolor: colours.paper, plot_bgcolor: colours.paper });
+      for (const [name, axis] of Object.entries(layout)) {
+        if (/^[xy]axis/.test(name)) {
+          const lines = { gridcolor: colours.grid, zerolinecolor: colours.grid };
+          layout[name] = { ...axis, ...lines, linecolor: colours.grid };
+        }
+      }
+      Plotly.react(plot, data, layout, settings);
+    }
   }
 
-  const draw = (layout) => plots.forEach((plot) => Plotly.relayout(plot, layout));
-  addEventListener("beforeprint", () => draw({ autosize: false, width: PRINTED_WIDTH_PX }));
-  addEventListener("afterprint", () => draw({ autosize: true, width: null }));
+  const show = () => draw(dark.matches ? DARK : LIGHT, {});
+  show();
+  dark.addEventListener("change", show);
+  addEventListener("beforeprint", () => draw(LIGHT, { autosize: false, ...PRINTED_PX }));
+  addEventListener("afterprint", show);
 })();
