@@ -39,7 +39,7 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
 
     stamp: The first fields of every message that the agent makes now.
     inputs: The newest message of each port that the stage awaits or uses; None if there was none,
-        or it is too old.
+        or it is too old. Of orders: a tuple of all that have come, in the order of time.
     """
 
     stage: str

@@ -10,7 +10,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable
 from itertools import chain
-from typing import Final
+from typing import Any, Final
 
 from agents.agent import Stage
 from agents.plan import RunPlan
@@ -69,7 +69,7 @@ class Inputs:
     missing: Awaited inputs that a deadline found missing.
     old: Inputs that a stage used and that were older than they should have been.
     given_up: Inputs of agents that do not come back: nothing of them is awaited.
-    orders: Orders since the last stage that uses them, by their port; the newest one counts.
+    orders: Orders since the last stage that uses them, in the order in which they came.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Inputs:
         self.missing = 0
         self.old = 0
         self.given_up: set[Port[Message]] = set()
-        self.orders: dict[Port[Message], Message] = {}
+        self.orders: list[Order] = []
         self._order_bounds = bounds_of(Order, plan.tree.rating_kw(ROOT))
         self._hold_cycles = plan.control.hold_cycles
         self._cycles = plan.timing.cycles
@@ -152,7 +152,7 @@ class Inputs:
         elif order.cycle < cycle - self._hold_cycles - 1:
             self.drop("late", port, order, f"came in cycle {cycle}", cycle)
         else:
-            self.orders[port] = order
+            self.orders.append(order)
 
     def go_to(self, cycle: int) -> None:
         """Take the messages that came before their cycle began."""
@@ -161,15 +161,14 @@ class Inputs:
                 for due in sorted(of for of in one.ahead if of <= cycle):
                     self.take(one, one.ahead.pop(due), cycle)
 
-    def used(
-        self, stage: Stage, cycle: int
-    ) -> tuple[dict[Port[Message], Message | None], tuple[str, ...]]:
-        """Return the messages that a stage decides on, and its outputs' `missing`."""
-        found: dict[Port[Message], Message | None] = {}
+    def used(self, stage: Stage, cycle: int) -> tuple[dict[Port[Message], Any], tuple[str, ...]]:
+        """Return what a stage decides on, see `Turn.inputs`, and its outputs' `missing`."""
+        found: dict[Port[Message], Any] = {}
         missing: list[str] = []
         for port in chain(stage.awaits, stage.uses):
             if port.signal is ORDER:
-                found[port] = self.orders.pop(port, None) if cycle >= 0 else None
+                found[port] = tuple(self.orders) if cycle >= 0 else ()
+                self.orders = [] if cycle >= 0 else self.orders
                 continue
             one = self.of[port]
             message = one.newest

@@ -37,7 +37,12 @@ def decode_head(payload: bytes) -> Head:
     return _decoded(_heads, payload)
 
 
-def _decoded(decoder: msgspec.msgpack.Decoder[T], payload: bytes) -> T:
+def decode_json(data: bytes, type_: type[T]) -> T:
+    """Return what JSON from outside holds, or raise msgspec.DecodeError."""
+    return _decoded(msgspec.json.Decoder(type_), data)
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[T] | msgspec.json.Decoder[T], payload: bytes) -> T:
     try:
         return decoder.decode(payload)
     except UnicodeDecodeError as error:

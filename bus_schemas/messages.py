@@ -120,7 +120,8 @@ class Dispatch(Message, kw_only=True):
     was none yet. `order_state` is `silent` if its source has not renewed it in time, and `over` if
     its time is over and the schedule returns. `order_cycle` is the first cycle with it, and
     `order_renewed` the newest one in which it was renewed. `order_power_kw` is the power as it was
-    asked for, before it is clamped to 0 and the rating; nil: back to the schedule.
+    asked for, before it is clamped to 0 and the rating; nil: back to the schedule. `order_replaced`
+    lists the sources of the other orders that came for this cycle: they never came into force.
     """
 
     power_kw: float
@@ -136,6 +137,7 @@ class Dispatch(Message, kw_only=True):
     order_ramp_kw_per_min: float | None = None
     order_hold_s: float | None = None
     order_renew_s: float | None = None
+    order_replaced: tuple[Name, ...] = ()
 
 
 class Order(Message, kw_only=True):

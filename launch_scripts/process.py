@@ -13,6 +13,7 @@ from agents.plan import RunPlan, load_plan
 from agents.process.agent_process import run_controller
 from agents.process.launcher_link import LauncherLink
 from bus_schemas.errors import InputError
+from bus_schemas.tree import ROOT
 from recordings.record.recorder import run_recorder
 from sim_plant.order_desk import OrderDesk, PlantAtDesk
 from sim_plant.plant import Plant
@@ -40,7 +41,7 @@ def run_process(
         case "recorder":
             return run_recorder(plan, folder, link)
         case "plant":
-            with OrderDesk(folder) as desk:
+            with OrderDesk(folder, plan.tree.rating_kw(ROOT)) as desk:
                 return run_plant(
                     plan, lambda: PlantAtDesk(_plant(plan, folder), desk), link, patience_s
                 )

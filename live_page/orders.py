@@ -7,20 +7,22 @@ origin, with the token, which such a page has on the loopback address too.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Annotated, Final
 
 import msgspec
 from msgspec import Meta
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from agents.plan import load_plan
+from bus_schemas.codec import decode_json
 from bus_schemas.errors import FailureError, InputError
-from bus_schemas.tree import ROOT
-from results.live_answer import answer_text, watched
+from results.live_answer import LiveAnswer
 from sim_plant.order_desk import OrderLine
+from sim_plant.orders import PAGE
 
 _LARGEST_BYTES: Final = 1_000
 
@@ -39,24 +41,45 @@ def order_route(folder: Path) -> Route:
         if not _is_same_origin(request):
             return PlainTextResponse("expected a request of the page itself\n", 403)
         try:
-            asked = msgspec.json.decode(await _body(request), type=_Asked)
-            return PlainTextResponse(await asyncio.to_thread(_give, folder, asked))
+            asked = decode_json(await _body(request), _Asked)
+            lines = _lines(folder, asked)
+            reply, is_in_force = await asyncio.to_thread(next, lines)
         except (msgspec.DecodeError, InputError, FailureError) as error:
             return PlainTextResponse(f"{error}\n", 422)
+        if not is_in_force:
+            return PlainTextResponse(f"{reply}\n", 422)
+        return StreamingResponse(_texts(request, reply, lines), media_type="text/plain")
 
     return Route("/order", take, methods=["POST"])
 
 
-def _give(folder: Path, asked: _Asked) -> str:
-    """Give an order; return in a line how the plant answered."""
+def _lines(folder: Path, asked: _Asked) -> Iterator[tuple[str, bool]]:
+    """Give an order; yield the reply, how the plant settled, and empty texts meanwhile.
+
+    Each with whether the order is in force.
+    """
     plan = load_plan(folder / "plan.json")
-    rating_kw = plan.tree.rating_kw(ROOT)
-    if asked.power_kw is not None and asked.power_kw > rating_kw:
-        raise InputError(f"power: expected up to {rating_kw:,.10g} kW, got {asked.power_kw:,.10g}")
-    with OrderLine(folder) as line:
-        line.give("page", power_kw=asked.power_kw, ramp_kw_per_min=asked.ramp_kw_per_min)
-        found, remark = watched(line.statuses(), plan)
-    return answer_text(found) + remark
+    found = LiveAnswer(plan)
+    with OrderLine(folder, plan.timing.cycle_wall_ns / 1e9) as line:
+        line.give(PAGE, power_kw=asked.power_kw, ramp_kw_per_min=asked.ramp_kw_per_min)
+        for text in found.lines(line.heard()):
+            if found.reply is not None:
+                yield text, found.reply.is_in_force
+
+
+async def _texts(
+    request: Request, reply: str, lines: Iterator[tuple[str, bool]]
+) -> AsyncIterator[str]:
+    """Yield the lines of a response while the page is there."""
+    yield f"{reply}\n"
+    try:
+        while found := await asyncio.to_thread(next, lines, None):
+            if found[0]:
+                yield f"{found[0]}\n"
+            if await request.is_disconnected():
+                return
+    except FailureError as error:
+        yield f"{error}\n"
 
 
 def _is_same_origin(request: Request) -> bool:

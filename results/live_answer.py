@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import nan
 from typing import Final
 
@@ -14,7 +14,7 @@ from bus_schemas.errors import FailureError
 from bus_schemas.tree import ROOT
 from recordings.read.series import desired_powers
 from results.answers import TOLERANCE_PERCENT, Answer, answer
-from sim_plant.order_desk import TAKEN, PlantStatus
+from sim_plant.order_desk import FromPlant, PlantStatus, Reply
 from sim_plant.orders import order_of, target_kw
 
 _REST_S: Final = 10.0
@@ -34,29 +34,56 @@ def answer_text(found: Answer) -> str:
     return f"{reached}, overshoot {found.overshoot_percent or 0.0:z.1f} %"
 
 
-def watched(statuses: Iterator[PlantStatus], plan: RunPlan) -> tuple[Answer, str]:
-    """Follow the plant until it has settled; return its answer, and what ended it early."""
-    before, seen, remark = None, list[PlantStatus](), "; the run is over"
-    for status in statuses:
-        if not seen and status.answer not in {"", TAKEN}:
-            raise FailureError(f"order: {status.answer}")
-        if not seen and status.answer != TAKEN:
-            before = status
-            continue
-        seen.append(status)
-        if _order(status) != _order(seen[0]):
-            remark = "; then another order came, or its time was over"
-            seen.pop()
-            break
-        found = _answer(before, seen, plan)
+class LiveAnswer:
+    """Follows the plant from an order on until it has settled.
+
+    reply: What became of the order; None: the plant has not said it yet.
+    answer: The plant's answer, once it has settled, or something ended it early.
+    """
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.reply: Reply | None = None
+        self.answer: Answer | None = None
+        self._plan = plan
+        self._before: PlantStatus | None = None
+        self._seen: list[PlantStatus] = []
+
+    @property
+    def is_over(self) -> bool:
+        return self.answer is not None or (self.reply is not None and not self.reply.is_in_force)
+
+    def lines(self, heard: Iterable[FromPlant]) -> Iterator[str]:
+        """Yield what the plant says as text: its reply, how it settled, empty ones meanwhile."""
+        for one in heard:
+            yield self._reply(one) if isinstance(one, Reply) else self._follow(one)
+            if self.is_over:
+                return
+        if self.reply is None:
+            raise FailureError("order: the run ended before the plant took it")
+        yield self._end("; the run is over") if self._seen else "the run is over"
+
+    def _reply(self, reply: Reply) -> str:
+        self.reply = reply
+        return reply.text
+
+    def _follow(self, status: PlantStatus) -> str:
+        if self.reply is None:
+            self._before = status
+            return ""
+        if self._seen and _order(status) != _order(self._seen[0]):
+            return self._end("; then another order came, or its time was over")
+        self._seen.append(status)
+        found = _answer(self._before, self._seen, self._plan)
         there_s = found.duration_s - found.ramp_s if _is_there(status) else 0.0
         if there_s >= (_LONGEST_S if found.settling_s is None else _REST_S):
-            remark = ""
-            break
-    if not seen:
-        raise FailureError("order: the run ended before the plant took it")
-    found = _answer(before, seen, plan)
-    return found, remark if found.settling_s is not None else _reasons(found, seen, plan) + remark
+            return self._end("")
+        return ""
+
+    def _end(self, remark: str) -> str:
+        self.answer = found = _answer(self._before, self._seen, self._plan)
+        if found.settling_s is None:
+            remark = _reasons(found, self._seen, self._plan) + remark
+        return answer_text(found) + remark
 
 
 def _answer(before: PlantStatus | None, seen: list[PlantStatus], plan: RunPlan) -> Answer:

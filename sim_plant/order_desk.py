@@ -1,130 +1,268 @@
 """Where the plant's process takes orders from programs of the user who runs it.
 
 A socket in the run's folder that its owner alone may open. Who connects sends orders, one in a
-packet, and hears in each cycle what the plant does.
+packet. Each order gets one reply, as the next cycle begins; a program hears in every cycle what the
+plant does. The orders of the desk and those that came by the bus stand in one queue.
 """
 
 from __future__ import annotations
 
 import os
+import select
 import socket
+import threading
+import time
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, NamedTuple, Self, TypeAlias
 
 import msgspec
 
 from agents.agent import Turn
-from bus_schemas.bounds import bounds_of, is_within
+from bus_schemas.bounds import bounds_of
 from bus_schemas.bus import Delivery
-from bus_schemas.errors import InputError
+from bus_schemas.codec import decode_json
+from bus_schemas.errors import FailureError, InputError, printable
 from bus_schemas.messages import Dispatch, Meter, Order, Production
 from bus_schemas.signals import ORDER
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant.inverters import PlantState
+from sim_plant.orders import COMMAND, GIVERS, MODBUS, PAGE, replaced_text
 from sim_plant.plant import Plant
 
 SOCKET_NAME: Final = "orders.sock"
-TAKEN: Final = "taken"
 
-_MOST_CLIENTS: Final = 16
-_LARGEST_BYTES: Final = 4_096
+_MOST_CLIENTS: Final = 64
+_LARGEST_BYTES: Final = 8_192
 
-_SOURCES: Final = {"command", "page", "modbus"}
-_BOUNDS: Final = bounds_of(Order, 1.0)
+_MOST_ORDERS: Final = 1_000
+"""How many orders of one program may be open, without a reply that it has read."""
+
+_MOST_STATUSES: Final = 10
+"""How many packets may wait for a program, until it misses what the plant does."""
+
+_RETRY_S: Final = 0.05
+_SILENCE_S: Final = 60.0
+"""A program gives up on a plant that says nothing for this time and some cycles."""
 
 
-class PlantStatus(msgspec.Struct, frozen=True, kw_only=True):
-    """What the plant was asked for and did in a cycle. Powers in kW.
+class Reply(msgspec.Struct, frozen=True, kw_only=True, tag="reply"):
+    """What became of an order: `in force from cycle 90`, `replaced by the page in cycle 90`.
 
-    answer: To the client that hears this: `taken` if its order came into force in the cycle, or
-        why an order of it did not; empty if there was none.
+    is_in_force: Whether it came into force.
     """
+
+    text: str
+    is_in_force: bool = False
+
+
+class PlantStatus(msgspec.Struct, frozen=True, kw_only=True, tag="status"):
+    """What the plant was asked for and did in a cycle. Powers in kW."""
 
     dispatch: Dispatch
     available_kw: float
     delivered_kw: float
     frequency_hz: float | None = None
-    answer: str = ""
+
+
+FromPlant: TypeAlias = Reply | PlantStatus
+
+
+class _Client:
+    """A program at the desk, and what it is still to be sent.
+
+    owed: How many orders of it have no reply that was sent.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        self.connection = connection
+        self.owed = 0
+        self._outbox: deque[tuple[bytes, bool]] = deque()
+
+    @property
+    def awaits(self) -> int:
+        """What the desk waits for: its orders, unless too many are open, and that it reads."""
+        reads = select.POLLIN if self.owed < _MOST_ORDERS else 0
+        return reads | (select.POLLOUT if self._outbox else 0)
+
+    def packets(self) -> Iterator[bytes]:
+        """Yield the packets that have come; the last one is empty if the program has gone."""
+        packet = b"-"
+        while packet and self.owed < _MOST_ORDERS:
+            try:
+                packet = self.connection.recv(_LARGEST_BYTES)
+            except ConnectionResetError:  # It has gone without reading all; its orders still count.
+                continue
+            except BlockingIOError:
+                return
+            except OSError:
+                packet = b""
+            self.owed += 1
+            yield packet
+
+    def reply(self, text: str, *, is_in_force: bool = False) -> None:
+        reply = Reply(text=text, is_in_force=is_in_force)
+        self._outbox.append((msgspec.json.encode(reply), True))
+
+    def tell(self, status: bytes) -> None:
+        """Let it hear what the plant did; a program that does not read misses it."""
+        if len(self._outbox) < _MOST_STATUSES:
+            self._outbox.append((status, False))
+
+    def send(self) -> None:
+        try:
+            while self._outbox:
+                packet, is_reply = self._outbox[0]
+                self.connection.send(packet)
+                self._outbox.popleft()
+                self.owed -= is_reply
+        except BlockingIOError:
+            pass
+        except OSError:  # It has gone, and will be seen to have gone when it is next read.
+            self._outbox.clear()
+            self.owed = 0
+
+
+class _Queued(NamedTuple):
+    """An order, and the program at the desk that gave it; None: it came by the bus."""
+
+    order: Order
+    giver: _Client | None
 
 
 class OrderDesk:
-    """The plant's end of the socket. Nothing here waits."""
+    """The plant's end of the socket, with a thread that serves it: the plant never waits.
 
-    def __init__(self, folder: Path) -> None:
+    A wrong order is refused at once, all others stand in a queue until the plant takes them.
+    """
+
+    def __init__(self, folder: Path, rating_kw: float) -> None:
         self._folder = folder.absolute()
-        self._answers: dict[socket.socket, str] = {}
-        """Clients, with the answer that each hears at the end of the cycle."""
+        self._bounds = [
+            bound._replace(low=0.0, high=rating_kw) if bound.field == "power_kw" else bound
+            for bound in bounds_of(Order, rating_kw)
+        ]
+        self._clients: list[_Client] = []
+        self._queue: deque[_Queued] = deque()
+        self._taken: list[_Queued] = []
+        self._last_status = b""
+        self._is_over = False
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._thread = threading.Thread(target=self._serve, name="order desk", daemon=True)
 
     def __enter__(self) -> Self:
-        mask = os.umask(0o177)  # It never has another mode.
+        mask = os.umask(0o177)  # Create the socket with mode 0600 from the start.
         try:
             with short_path(self._folder) as path:
                 self._socket.bind(path)
         finally:
             os.umask(mask)
         self._socket.listen(_MOST_CLIENTS)
+        self._thread.start()
         return self
 
     def __exit__(self, *error: object) -> None:
-        for one in (self._socket, *self._answers):
-            one.close()
         (self._folder / SOCKET_NAME).unlink(missing_ok=True)
+        self._is_over = True
+        os.eventfd_write(self._wake, 1)
+        self._thread.join()
+        self._look()
+        for _, giver in (*self._taken, *self._queue):
+            if giver is not None:
+                giver.reply("refused: the run is over")
+        for client in self._clients:
+            client.send()
+            client.connection.close()
+        self._socket.close()
+        os.close(self._wake)
 
-    def take(self) -> Order | None:
-        with suppress(BlockingIOError):
-            while len(self._answers) < _MOST_CLIENTS:
-                client, _ = self._socket.accept()
-                client.setblocking(False)
-                self._answers[client] = ""
-        newest, giver = None, None
-        for client in [*self._answers]:
-            for given in self._given_by(client):
-                if giver is not None:
-                    self._answers[giver] = f"replaced at once by an order of {given.source}"
-                newest, giver = given, client
-                self._answers[client] = TAKEN
-        return newest
+    def take(self, others: tuple[Order, ...] = ()) -> tuple[Order, ...]:
+        """Return the orders that have come to the desk and others, in the order of time."""
+        taken = [_Queued(order, None) for order in others]
+        while self._queue:
+            taken.append(self._queue.popleft())
+        self._taken = sorted(taken, key=lambda one: one.order.publish_time_ns)
+        return tuple(one.order for one in self._taken)
+
+    def answer(self, dispatch: Dispatch) -> None:
+        """Say to the givers of the orders that were taken last what the dispatch made of them."""
+        newest = GIVERS.get(dispatch.order_source, dispatch.order_source)
+        for order, giver in self._taken:
+            if giver is None:
+                continue
+            if order is self._taken[-1].order:
+                text = f"in force from cycle {dispatch.order_cycle:,}{replaced_text(dispatch)}"
+                giver.reply(text, is_in_force=True)
+            else:
+                giver.reply(f"replaced by {newest} in cycle {dispatch.cycle:,}")
+        if self._taken:
+            os.eventfd_write(self._wake, 1)
+        self._taken = []
 
     def tell(self, status: PlantStatus) -> None:
-        """Tell the clients what the plant did; one that does not read in time misses it."""
-        for client, answer in [*self._answers.items()]:
-            answered = msgspec.structs.replace(status, answer=answer)
-            self._answers[client] = ""
+        """Tell all programs what the plant did."""
+        self._last_status = msgspec.json.encode(status)
+        for client in (clients := [*self._clients]):
+            client.tell(self._last_status)
+        if clients:
+            os.eventfd_write(self._wake, 1)
+
+    def _serve(self) -> None:
+        """Serve the socket, in the desk's thread, until the run is over."""
+        while not self._is_over:
+            poll = select.poll()
+            poll.register(self._wake, select.POLLIN)
+            if len(self._clients) < _MOST_CLIENTS:
+                poll.register(self._socket, select.POLLIN)
+            for client in self._clients:
+                if client.awaits:
+                    poll.register(client.connection, client.awaits)
+            poll.poll()
             with suppress(BlockingIOError):
+                os.eventfd_read(self._wake)
+            self._look()
+
+    def _look(self) -> None:
+        """Take in who comes and what they say; send what they are to hear."""
+        try:
+            while len(self._clients) < _MOST_CLIENTS:
+                client = _Client(self._socket.accept()[0])
+                if self._last_status:
+                    client.tell(self._last_status)
+                self._clients.append(client)
+        except BlockingIOError:
+            pass  # Nobody else waits.
+        except OSError:  # The process has too many open files: try again, but not at once.
+            time.sleep(_RETRY_S)
+        for client in [*self._clients]:
+            for packet in client.packets():
                 try:
-                    client.send(msgspec.json.encode(answered))
-                except (BrokenPipeError, ConnectionResetError):
-                    self._forget(client)
+                    self._queue.append(_Queued(self._read(packet), client))
+                except (msgspec.DecodeError, InputError) as error:
+                    client.reply(f"refused: {printable(str(error))}")
+                if not packet:
+                    client.send()
+                    client.connection.close()
+                    self._clients.remove(client)
+                    break
+            else:
+                client.send()
 
-    def _given_by(self, client: socket.socket) -> Iterator[Order]:
-        packet = b"-"
-        while packet:
-            try:
-                packet = client.recv(_LARGEST_BYTES)
-                if packet:
-                    yield _read_order(packet)
-            except BlockingIOError:
-                return
-            except ConnectionResetError:
-                break
-            except msgspec.DecodeError as error:
-                self._answers[client] = f"refused: {error}"
-        self._forget(client)
-
-    def _forget(self, client: socket.socket) -> None:
-        del self._answers[client]
-        client.close()
-
-
-def _read_order(packet: bytes) -> Order:
-    """Read an order of a program. Raises DecodeError: It is none."""
-    order = msgspec.json.decode(packet, type=Order)
-    if order.source not in _SOURCES or not is_within(order, _BOUNDS):
-        raise msgspec.ValidationError("its source, or a number of it, cannot be")
-    return order
+    def _read(self, packet: bytes) -> Order:
+        """Read an order of a program. Raises DecodeError or InputError: It is none."""
+        order = decode_json(packet, Order)
+        if order.source not in {COMMAND, PAGE, MODBUS}:
+            expected = f"{COMMAND}, {PAGE} or {MODBUS}"
+            raise InputError(f"source: expected {expected}, got {order.source!r}")
+        for bound in self._bounds:
+            value = getattr(order, bound.field)
+            if value is not None and not bound.low <= value <= bound.high:
+                raise InputError(f"{bound.field}: expected {bound}, got {value:.10g}")
+        return order
 
 
 class PlantAtDesk:
@@ -139,9 +277,14 @@ class PlantAtDesk:
         self.initial_state, self.stages = plant.initial_state, plant.stages
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
-        if turn.stage == "sense" and turn.cycle >= 0 and (order := self._desk.take()):
-            turn = msgspec.structs.replace(turn, inputs=turn.inputs | {ORDER.of(ROOT): order})
+        takes_orders = turn.stage == "sense" and turn.cycle >= 0
+        if takes_orders:
+            port = ORDER.of(ROOT)
+            orders: dict[Any, Any] = {port: self._desk.take(turn.inputs[port])}
+            turn = msgspec.structs.replace(turn, inputs=turn.inputs | orders)
         state, outputs = self._plant.step(state, turn)
+        if takes_orders:
+            self._desk.answer(state.dispatch)
         for _, message in outputs:
             if isinstance(message, Meter):
                 self._frequency_hz = message.frequency_hz
@@ -159,11 +302,14 @@ class PlantAtDesk:
 class OrderLine:
     """A program's end of the socket in a run's folder.
 
+    cycle_s: Wall time of a cycle [s].
+
     Raises InputError: The folder has no run that takes orders.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, cycle_s: float = 0.0) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.settimeout(_SILENCE_S + 3.0 * cycle_s)
         try:
             with short_path(folder.absolute()) as path:
                 self._socket.connect(path)
@@ -176,10 +322,10 @@ class OrderLine:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._socket.close()
+        self.close()
 
-    def fileno(self) -> int:
-        return self._socket.fileno()
+    def close(self) -> None:
+        self._socket.close()
 
     def give(
         self,
@@ -190,21 +336,43 @@ class OrderLine:
         hold_s: float | None = None,
         renew_s: float | None = None,
     ) -> None:
-        """Send an order, see `Order`; the plant answers at the end of its next cycle."""
+        """Send an order, see `Order`. Its reply comes as the plant's next cycle begins.
+
+        Raises FailureError: The run is over.
+        """
         order = Order(
             *(0, 0, source, ()),
+            publish_time_ns=time.monotonic_ns(),
             power_kw=power_kw,
             ramp_kw_per_min=ramp_kw_per_min,
             hold_s=hold_s,
             renew_s=renew_s,
         )
-        self._socket.send(msgspec.json.encode(order))
+        try:
+            self._socket.send(msgspec.json.encode(order))
+        except OSError:
+            raise FailureError("order: expected a run under way, the plant is gone") from None
+
+    def heard(self) -> Iterator[FromPlant]:
+        """Yield what the plant says, until the run is over.
+
+        Raises FailureError: It is silent.
+        """
+        decoder: msgspec.json.Decoder[FromPlant] = msgspec.json.Decoder(FromPlant)
+        while True:
+            try:
+                packet = self._socket.recv(_LARGEST_BYTES)
+            except ConnectionResetError:  # The plant is gone; what it said before can be read.
+                continue
+            except TimeoutError:
+                raise FailureError("order: the plant has said nothing for a minute") from None
+            if not packet:
+                return
+            yield decoder.decode(packet)
 
     def statuses(self) -> Iterator[PlantStatus]:
         """Yield what the plant does, cycle by cycle, until the run is over."""
-        with suppress(ConnectionResetError):
-            while packet := self._socket.recv(_LARGEST_BYTES):
-                yield msgspec.json.decode(packet, type=PlantStatus)
+        return (one for one in self.heard() if isinstance(one, PlantStatus))
 
 
 @contextmanager

@@ -6,6 +6,7 @@ recording tells all that the plant went by: the next dispatch follows from the l
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -13,13 +14,27 @@ from msgspec.structs import replace
 
 from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan
+from bus_schemas.errors import listed
 from bus_schemas.messages import Dispatch, Order, Stamp
-from bus_schemas.tree import PLANT, ROOT
+from bus_schemas.tree import OPERATOR, PLANT, ROOT
 from sim_plant import Floats
 from sim_plant.profile import Profile
 
 SCENARIO: Final = "scenario"
 """Source of the orders that a scenario states."""
+
+COMMAND: Final = "command"
+PAGE: Final = "page"
+MODBUS: Final = "modbus"
+
+GIVERS: Final = {
+    SCENARIO: "the scenario",
+    COMMAND: "`heliarch order`",
+    PAGE: "the page",
+    MODBUS: "the Modbus unit",
+    OPERATOR: "the operator's program",
+}
+"""What people call the sources of orders."""
 
 BEFORE_RUN: Final[Stamp] = (-1, 0, PLANT, (), 0, 0, 0, 0)
 """The head of the dispatch with which the plant begins; it is not published."""
@@ -27,8 +42,12 @@ BEFORE_RUN: Final[Stamp] = (-1, 0, PLANT, (), 0, 0, 0, 0)
 _ASKED: Final = ("source", "power_kw", "ramp_kw_per_min", "hold_s", "renew_s")
 """Fields of an order; a dispatch states them with `order_` before them."""
 
-_STATED: Final = tuple(name for name in Dispatch.__struct_fields__ if name.startswith("order_"))
-"""All fields of a dispatch that state an order, and what became of it."""
+_KEPT: Final = tuple(
+    name
+    for name in Dispatch.__struct_fields__
+    if name.startswith("order_") and name != "order_replaced"
+)
+"""The fields of a dispatch about its order that the next dispatch repeats."""
 
 
 def is_ordered(dispatch: Dispatch) -> bool:
@@ -61,9 +80,20 @@ def order_text(dispatch: Dispatch) -> str:
     return f"orders {asked}" + ("" if ramp is None else f", {ramp:,.10g} kW/min")
 
 
+def replaced_text(dispatch: Dispatch) -> str:
+    """Name the orders that never came into force because of the one of a dispatch; or nothing."""
+    givers = [GIVERS.get(source, source) for source in dispatch.order_replaced]
+    return f", in place of {listed(givers)} in the same cycle" if givers else ""
+
+
 def order_event(dispatch: Dispatch, last: Dispatch | None) -> tuple[str, str] | None:
-    """Return source and text of an order that is new, silent or over since the last dispatch."""
+    """Return source and text of an order that is new, silent or over since the last dispatch.
+
+    Also of one that only renews the last order, if another order gave way to it.
+    """
     source, began, state = order_of(dispatch)
+    if dispatch.order_replaced:
+        return source, order_text(dispatch) + replaced_text(dispatch)
     source_before, _, state_before = order_of(last) if last is not None else ("", 0, "none")
     if not source or (last is not None and order_of(last) == order_of(dispatch)):
         return None
@@ -106,17 +136,18 @@ class Orders:
             clear_sky_kw=clear_sky_kw,
         )
 
-    def next(self, last: Dispatch, given: Order | None, scheduled: Dispatch) -> Dispatch:
+    def next(self, last: Dispatch, given: Sequence[Order], scheduled: Dispatch) -> Dispatch:
         """Return the dispatch of a cycle: what is `scheduled`, or what an order makes of it.
 
-        The last one is of an earlier cycle: a plant may have missed some. `given` is an order that
-        came since.
+        The last one is of an earlier cycle: a plant may have missed some. `given` are the orders
+        that came since, in the order of time. The newest one counts, and one that was given counts
+        more than one of the scenario; the dispatch names the sources of the others.
         """
         cycle = scheduled.cycle
         passed = range(cycle, max(last.cycle, -1), -1)  # None in an arming round.
-        planned = next((self._planned[of] for of in passed if of in self._planned), None)
-        order = planned or given
-        asked = self._aged(last, cycle) if order is None else _accepted(order, last, cycle)
+        planned = [self._planned[of] for of in reversed(passed) if of in self._planned]
+        queue = [*planned, *given]
+        asked = _accepted(queue, last, cycle) if queue else self._aged(last, cycle)
         dispatch = replace(scheduled, **asked)
         power_kw = aim_kw = target_kw(dispatch)
         ramp = dispatch.order_ramp_kw_per_min
@@ -131,7 +162,7 @@ class Orders:
 
     def _aged(self, last: Dispatch, cycle: int) -> dict[str, Any]:
         """Return the fields that state an order if none came, or a like one, since the last."""
-        stated = {name: getattr(last, name) for name in _STATED}
+        stated = {name: getattr(last, name) for name in _KEPT}
         age_s = (cycle - last.order_renewed) * self._cycle_s
         if is_ordered(last):
             if last.order_hold_s is not None and age_s >= last.order_hold_s:
@@ -141,14 +172,21 @@ class Orders:
         return stated
 
 
-def _accepted(order: Order, last: Dispatch, cycle: int) -> dict[str, Any]:
-    """Return the fields that state an order from now on; one like the last one renews that."""
+def _accepted(queue: Sequence[Order], last: Dispatch, cycle: int) -> dict[str, Any]:
+    """Return the fields that state the last order of a queue; one like the last one renews that."""
+    *others, order = queue
     asked = {f"order_{name}": getattr(order, name) for name in _ASKED}
     is_renewal = last.order_state in {"holds", "silent"} and all(
         getattr(last, name) == value for name, value in asked.items()
     )
     began = last.order_cycle if is_renewal else cycle
-    return {**asked, "order_state": "holds", "order_cycle": began, "order_renewed": cycle}
+    return {
+        **asked,
+        "order_state": "holds",
+        "order_cycle": began,
+        "order_renewed": cycle,
+        "order_replaced": tuple(dict.fromkeys(other.source for other in others)),
+    }
 
 
 class Planned(NamedTuple):
@@ -167,15 +205,16 @@ def planned(plan: RunPlan, profile: Profile) -> Planned:
     schedule = zip(profile.commitment_kw.tolist(), profile.regulation_kw.tolist(), strict=True)
     for cycle, (commitment_kw, regulation_kw) in enumerate(schedule):
         scheduled = orders.scheduled((cycle, *BEFORE_RUN[1:]), commitment_kw, regulation_kw)
-        last = orders.next(last, None, scheduled)
+        last = orders.next(last, (), scheduled)
         found.append((last.power_kw, last.regulation_kw))
     return Planned(*np.array(found).T)
 
 
-def order_given(dispatch: Dispatch) -> Order | None:
-    """Return the order that a plant must have been given to send a dispatch; None: none."""
+def orders_given(dispatch: Dispatch) -> tuple[Order, ...]:
+    """Return orders that make a plant send a dispatch, if it is given them."""
     is_given = dispatch.order_source not in {"", SCENARIO}
     if not is_given or dispatch.order_renewed != dispatch.cycle:
-        return None
+        return ()
     asked = {name: getattr(dispatch, f"order_{name}") for name in _ASKED}
-    return Order(dispatch.cycle, dispatch.sim_time_ns, missing=(), **asked)
+    others = [source for source in dispatch.order_replaced if source != SCENARIO]
+    return (*(Order(0, 0, source, ()) for source in others), Order(0, 0, missing=(), **asked))

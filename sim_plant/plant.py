@@ -87,7 +87,7 @@ class Plant:
             commitment_kw = promise.share * clear_sky_kw
         schedule_kw = commitment_kw, regulation_kw, clear_sky_kw
         scheduled = self._orders.scheduled(turn.stamp, *schedule_kw)
-        dispatch = self._orders.next(state.dispatch, turn.get(ORDER.of(ROOT)), scheduled)
+        dispatch = self._orders.next(state.dispatch, turn.inputs[ORDER.of(ROOT)], scheduled)
         fed_in_kw = net_kw(total(state.power_kw.tolist()), self._grid)
         meter = Meter(
             *turn.stamp,

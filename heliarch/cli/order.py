@@ -26,7 +26,8 @@ def order(
 ) -> int:
     """Order a power from a run that `launch` has begun, or send its plant back to the schedule.
 
-    Prints the plant's answer. Exit status 1: its power has not settled there.
+    Prints at once whether the order is in force, and later how the plant's power settled. Exit
+    status 1: the order is not in force, or the power has not settled.
 
     Example: `heliarch order runs/oahu-20261121-120000-4711 2MW --ramp 500kW/min`
 
@@ -39,10 +40,11 @@ def order(
     """
     from agents.plan import load_plan
     from bus_schemas.tree import ROOT
-    from results.live_answer import answer_text, watched
+    from results.live_answer import LiveAnswer
     from scenarios.powers import parse_power_kw, parse_ramp_kw_per_min
     from scenarios.times import parse_duration_s
     from sim_plant.order_desk import OrderLine
+    from sim_plant.orders import COMMAND
 
     if power == "schedule" and hold is not None:
         raise InputError("--hold: expected a power with it, got schedule")
@@ -56,9 +58,13 @@ def order(
         "ramp_kw_per_min": None if ramp is None else parse_ramp_kw_per_min(ramp, "--ramp"),
         "hold_s": None if hold is None else parse_duration_s(hold, "--hold"),
     }
-    with OrderLine(folder) as line:
-        line.give("command", **asked)
-        answer, remark = watched(line.statuses(), plan)
-    output.say(answer_text(answer) + remark)
-    output.write(answer)
-    return FAILED if answer.settling_s is None else OK
+    found = LiveAnswer(plan)
+    with OrderLine(folder, plan.timing.cycle_wall_ns / 1e9) as line:
+        line.give(COMMAND, **asked)
+        for text in found.lines(line.heard()):
+            if text:
+                output.say(text)
+    if found.answer is None:
+        return FAILED
+    output.write(found.answer)
+    return FAILED if found.answer.settling_s is None else OK

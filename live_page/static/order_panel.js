@@ -2,23 +2,27 @@
 
 import {$} from "./dom.js";
 
+let following = new AbortController();  // The newest order; the answer to an older one is not shown.
+
 function number(id) {
   const text = $(id).value.trim();
   return text === "" ? null : Number(text);
 }
 
 async function give(order) {
-  const form = $("order-form"), answer = $("order-answer");
-  for (const button of form.querySelectorAll("button")) button.disabled = true;
-  answer.textContent = "ordered; waiting until the plant has settled";
+  following.abort();
+  following = new AbortController();
+  const {signal} = following, answer = $("order-answer");
+  answer.textContent = "ordered";
   try {
-    const body = JSON.stringify(order);
-    const reply = await fetch("order", {method: "POST", headers: {"Content-Type": "application/json"}, body});
-    answer.textContent = await reply.text();
+    const request = {method: "POST", headers: {"Content-Type": "application/json"}, body: JSON.stringify(order), signal};
+    const reply = await fetch("order", request);
+    const lines = reply.body.pipeThrough(new TextDecoderStream()).getReader();
+    answer.textContent = "";
+    for (let part = await lines.read(); !part.done; part = await lines.read()) answer.textContent += part.value;
   } catch (error) {
-    answer.textContent = error.message;
+    if (!signal.aborted) answer.textContent += ` ${error.message}`;
   }
-  for (const button of form.querySelectorAll("button")) button.disabled = false;
 }
 
 export function showOrders() {

@@ -34,7 +34,7 @@ from bus_schemas.tree import ROOT
 from recordings.record.plausibility import out_of_range
 from recordings.verify.comparison import AgentResult, Difference, Equality, Gap
 from recordings.verify.recorded_cycles import RecordedCycles
-from sim_plant.orders import order_given
+from sim_plant.orders import orders_given
 
 Messages: TypeAlias = Mapping[Port[Message], Message]
 Outputs: TypeAlias = dict[str, dict[Port[Message], Message]]
@@ -220,7 +220,7 @@ class AgentRerun:
         used, missing = process.inputs.used(stage, cycle)
         dispatch = recorded.get(DISPATCH.of(ROOT))
         if isinstance(dispatch, Dispatch):
-            used[ORDER.of(ROOT)] = order_given(dispatch)
+            used[ORDER.of(ROOT)] = orders_given(dispatch)
         sim_time_ns = self._plan.timing.sim_time_ns(cycle)
         stamp = (cycle, sim_time_ns, agent.name, missing, 0, 0, 0, process.incarnation)
         turn = Turn(stage.name, cycle, sim_time_ns, stamp, used)

@@ -12,6 +12,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from http.client import HTTPResponse
 from pathlib import Path
 from typing import Any
 
@@ -50,16 +51,21 @@ class Served:
 
     def order(self, body: bytes, method: str = "POST", **headers: str) -> tuple[int, str]:
         """Send an order as a browser does; return the status and the text of the answer."""
+        try:
+            with self.opened_order(body, method, **headers) as answer:
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode()
+
+    def opened_order(self, body: bytes, method: str = "POST", **headers: str) -> HTTPResponse:
+        """Send an order; return the answer while it comes."""
         origin = self.root.removesuffix("/")
         cookie = f"heliarch-page={self.address.partition('token=')[2]}"
         own = {"Origin": origin, "Content-Type": "application/json", "Cookie": cookie} | headers
         own = {name: value for name, value in own.items() if value}
         request = urllib.request.Request(self.root + "order", body, own, method=method)
-        try:
-            with urllib.request.urlopen(request, timeout=30) as answer:
-                return answer.status, answer.read().decode()
-        except urllib.error.HTTPError as error:
-            return error.code, error.read().decode()
+        answer: HTTPResponse = urllib.request.urlopen(request, timeout=30)
+        return answer
 
     def updates(self, path: str = "stream") -> Iterator[dict[str, Any]]:
         """Yield what a browser is sent."""

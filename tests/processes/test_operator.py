@@ -12,7 +12,7 @@ from test_launch import summary_of
 
 from bus_schemas.messages import Dispatch
 from bus_schemas.signals import DISPATCH, ORDER
-from bus_schemas.tree import OPERATOR
+from bus_schemas.tree import CENTRAL, OPERATOR
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
 
@@ -57,6 +57,21 @@ def test_a_program_with_the_operators_keys_gives_an_agc_signal_and_the_schedule_
     assert 3 <= len(given) == len({one.order_cycle for one in dispatches} - {0})
     (account,) = summary_of(run.folder).external
     assert (account.agent, account.recorded, account.lost) == (OPERATOR, {"order": len(given)}, 0)
+    assert verify(run.folder).equal
+
+
+def test_an_order_while_the_central_controller_is_away_is_answered_and_counts(
+    heliarch: Start, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--pace", "1", "--duration", "1h")
+    run.until_recorded(3)
+    run.process_of(CENTRAL).kill()
+    reply, settled = done("order", run.folder, "1MW").splitlines()
+    assert reply.startswith("in force from cycle ")
+    assert settled.startswith("1,000 kW reached")
+    run.interrupt()
+    (restarts,) = [summary_of(run.folder).launcher.restarts]
+    assert restarts == {CENTRAL: 1}
     assert verify(run.folder).equal
 
 

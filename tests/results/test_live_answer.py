@@ -12,8 +12,8 @@ from agents.settings import Droop, GridSettings
 from bus_schemas.errors import FailureError
 from bus_schemas.messages import Dispatch
 from bus_schemas.tree import PLANT
-from results.live_answer import answer_text, watched
-from sim_plant.order_desk import TAKEN, PlantStatus
+from results.live_answer import LiveAnswer
+from sim_plant.order_desk import FromPlant, PlantStatus, Reply
 
 FROM_KW, TO_KW = 100.0, 200.0
 
@@ -36,18 +36,20 @@ def text_of(grid: GridSettings, delivered_kw: Iterator[float], **status: Any) ->
     """What is said of an order of 200 kW to a plant of 400 kW that delivered this, by second."""
     plan = plan_of({"a": 200.0, "b": 200.0}, cycles=10_000, grid=grid)
 
-    def statuses() -> Iterator[PlantStatus]:
+    def heard() -> Iterator[FromPlant]:
         for cycle, kw in enumerate((FROM_KW, *delivered_kw)):
+            if cycle == 1:
+                yield Reply(text="in force from cycle 1", is_in_force=True)
             yield PlantStatus(
                 dispatch=dispatch_of(cycle),
                 available_kw=400.0,
                 delivered_kw=kw,
-                answer=TAKEN if cycle == 1 else "",
                 **status,
             )
 
-    found, remark = watched(statuses(), plan)
-    return answer_text(found) + remark
+    reply, *meanwhile, found = [text for text in LiveAnswer(plan).lines(heard()) if text]
+    assert (reply, meanwhile) == ("in force from cycle 1", [])
+    return found
 
 
 def test_the_plants_own_ramp_limit_makes_a_ramp_of_a_step() -> None:
@@ -73,13 +75,14 @@ def test_what_rounds_to_nothing_has_no_sign() -> None:
     assert "overshoot 0.0 %" in text_of(GridSettings(), iter([TO_KW - 1e-9] * 20))
 
 
-def test_an_order_that_did_not_come_into_force_is_a_failure() -> None:
-    plan = plan_of({"a": 400.0}, cycles=10)
-    status = PlantStatus(
-        dispatch=dispatch_of(0),
-        available_kw=1.0,
-        delivered_kw=1.0,
-        answer="replaced at once by an order of page",
-    )
-    with pytest.raises(FailureError, match="replaced at once"):
-        watched(iter([status]), plan)
+def test_an_order_that_did_not_come_into_force_ends_with_the_reply() -> None:
+    found = LiveAnswer(plan_of({"a": 400.0}, cycles=10))
+    replied: list[FromPlant] = [Reply(text="replaced by the page in cycle 3")]
+    assert list(found.lines(replied)) == ["replaced by the page in cycle 3"]
+    assert found.is_over
+    assert found.answer is None
+
+
+def test_a_run_that_ends_before_it_takes_the_order_is_a_failure() -> None:
+    with pytest.raises(FailureError, match="run ended"):
+        list(LiveAnswer(plan_of({"a": 400.0}, cycles=10)).lines([]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from math import inf, nan
 from typing import Any
 
@@ -16,7 +18,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.messages import Dispatch, Order
 from bus_schemas.signals import DISPATCH, ORDER
 from bus_schemas.tree import OPERATOR, ROOT
-from sim_plant.orders import BEFORE_RUN, Orders, is_ordered, planned
+from sim_plant.orders import BEFORE_RUN, Orders, is_ordered, orders_given, planned
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
@@ -28,7 +30,7 @@ def order(power_kw: float | None = None, source: str = "command", **fields: Any)
     return Order(0, 0, source, (), power_kw=power_kw, **fields)
 
 
-def after(last: Dispatch | None, cycle: int, given: Order | None, plan: RunPlan) -> Dispatch:
+def after(last: Dispatch | None, cycle: int, given: Sequence[Order], plan: RunPlan) -> Dispatch:
     """The dispatch of a cycle, where the schedule is 100 kW of commitment."""
     orders = Orders(plan)
     last = last or orders.scheduled(BEFORE_RUN, SCHEDULED_KW, 0.0)
@@ -37,13 +39,18 @@ def after(last: Dispatch | None, cycle: int, given: Order | None, plan: RunPlan)
 
 
 def dispatched(
-    given: dict[int, Order], *of_scenario: PlannedOrder, cycles: int = 8, cycle_s: float = 1.0
+    given: dict[int, Order | list[Order]],
+    *of_scenario: PlannedOrder,
+    cycles: int = 8,
+    cycle_s: float = 1.0,
 ) -> list[Dispatch]:
     """The dispatch of each cycle, from the orders that the plant finds in some of them."""
     plan = plan_of({"a": RATING_KW}, orders=of_scenario, cycle_ns=round(cycle_s * 1e9))
     found: list[Dispatch] = []
     for cycle in range(cycles):
-        found.append(after(found[-1] if found else None, cycle, given.get(cycle), plan))
+        now = given.get(cycle, [])
+        orders = [now] if isinstance(now, Order) else now
+        found.append(after(found[-1] if found else None, cycle, orders, plan))
     return found
 
 
@@ -67,7 +74,7 @@ def test_the_dispatch_ramps_to_an_order_and_back_and_then_follows_the_schedule_a
     assert powers_kw(found) == [100.0, 80.0, 60.0, 50.0, 50.0, 70.0, 90.0, 100.0, 100.0, 100.0]
     orders = Orders(plan_of({"a": RATING_KW}))
     scheduled = orders.scheduled((10, *BEFORE_RUN[1:]), 180.0, 0.0)
-    assert orders.next(found[-1], None, scheduled).power_kw == 180.0
+    assert orders.next(found[-1], (), scheduled).power_kw == 180.0
 
 
 def test_a_ramp_is_in_simulated_time_whatever_the_cycle() -> None:
@@ -81,6 +88,26 @@ def test_the_newest_order_wins_whatever_its_source() -> None:
     assert powers_kw(found) == [100.0, 10.0, 20.0, 30.0, 30.0, 40.0, 40.0, 40.0]
     sources = [one.order_source for one in found]
     assert sources == ["", "command", "modbus", "scenario", "scenario", "page", "page", "page"]
+
+
+def test_a_given_order_counts_before_the_scenarios_in_its_cycle_and_the_others_are_named() -> None:
+    at_three = PlannedOrder(at=3.0, power_kw=30.0)
+    found = dispatched({3: [order(10.0, "page"), order(20.0, "modbus"), order(40.0)]}, at_three)
+    assert powers_kw(found) == [100.0] * 3 + [40.0] * 5
+    assert [one.order_replaced for one in found[2:5]] == [(), ("scenario", "page", "modbus"), ()]
+
+
+def test_the_orders_that_a_dispatch_names_make_the_same_dispatch_again() -> None:
+    at_three = PlannedOrder(at=3.0, power_kw=30.0)
+    given: dict[int, Order | list[Order]] = {
+        1: order(10.0),
+        3: [order(10.0, "page"), order(40.0)],
+        4: order(40.0),
+    }
+    found = dispatched(given, at_three)
+    plan = plan_of({"a": RATING_KW}, orders=(at_three,))
+    for last, dispatch in pairwise(found):
+        assert after(last, dispatch.cycle, orders_given(dispatch), plan) == dispatch
 
 
 def test_an_order_that_is_not_renewed_is_silent_then_over_and_the_schedule_returns() -> None:
@@ -108,13 +135,13 @@ def test_an_order_out_of_range_is_clamped_and_recorded_as_it_was_asked(
 def test_a_plant_that_missed_cycles_obeys_the_order_that_they_had() -> None:
     order_at_two = PlannedOrder(at=2.0, power_kw=40.0, ramp_kw_per_min=600.0)
     plan = plan_of({"a": RATING_KW}, orders=(order_at_two,))
-    assert after(after(None, 0, None, plan), 3, None, plan).power_kw == 70.0
+    assert after(after(None, 0, (), plan), 3, (), plan).power_kw == 70.0
 
 
 def test_an_order_at_the_beginning_comes_into_force_in_cycle_0_and_in_no_arming_round() -> None:
     plan = plan_of({"a": RATING_KW}, orders=(PlannedOrder(at=0.0, power_kw=40.0),))
-    assert after(None, -999_999, None, plan).power_kw == SCHEDULED_KW
-    found = after(None, 0, None, plan)
+    assert after(None, -999_999, (), plan).power_kw == SCHEDULED_KW
+    found = after(None, 0, (), plan)
     assert (found.power_kw, found.order_cycle) == (40.0, 0)
 
 
