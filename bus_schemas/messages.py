@@ -310,12 +310,11 @@ class GivenUp(Message, kw_only=True):
 class Clock(Message, kw_only=True):
     """Where the replay of a recording stands: the simulated time that begins now.
 
-    Comes before the first message of a cycle, and when the replay pauses, goes on or
-    begins again. `rate` is recorded, or simulated, seconds a second; 0: as fast as possible.
+    Comes before the first message of a cycle. `rate` is recorded, or simulated, seconds a second;
+    0: as fast as possible.
     """
 
     rate: float
-    paused: bool
 
 
 class Missing(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, Self, TextIO
+from typing import Any, Protocol, Self, TextIO
 
 import zenoh
 
@@ -21,6 +21,16 @@ from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import REPLAYER, ROOT
 from bus_schemas.zenoh_session import ENCODING, SessionSettings, open_session
 from recordings.read.reader import RunReader
+
+
+class StatusLine(Protocol):
+    """Where the user reads how far a replay has come."""
+
+    def is_due(self) -> bool: ...
+
+    def show(self, text: str) -> None: ...
+
+    def end(self) -> None: ...
 
 
 class ReplayBus:
@@ -57,10 +67,10 @@ class ReplayBus:
         self._publishers[port].put(payload)
         return True
 
-    def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
+    def announce(self, cycle: int, *, rate: float) -> None:
         """Publish where the replay stands."""
         sim_time_ns = self._plan.timing.sim_time_ns(cycle)
-        message = Clock(cycle, sim_time_ns, REPLAYER, (), rate=rate, paused=paused)
+        message = Clock(cycle, sim_time_ns, REPLAYER, (), rate=rate)
         self._outbox.stamp(CLOCK.of(ROOT), message, time.monotonic_ns())
         self.put(CLOCK.of(ROOT), encode(message))
 

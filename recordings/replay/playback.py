@@ -1,46 +1,42 @@
-"""Replays a recording: waits until each message is due, publishes it, and obeys the keyboard."""
+"""Replays a recording: waits until each message is due, and publishes it."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Collection
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, Final, Protocol, TextIO
+from typing import Any, Final, TextIO
 
 from agents.process.interruption import Interruption, interruptible
 from agents.process.machine import wake_precisely
+from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from recordings.read.reader import RecordedMessage, RunReader
-from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
-from recordings.replay.keyboard import KEYS_IN_WORDS, Keyboard, has_keyboard, keyboard
+from recordings.replay.beside import replay_beside
+from recordings.replay.bus import ReplayBus, StatusLine, await_subscriber, replay_bus, say
 from recordings.replay.schedule import PlaybackClock, in_publish_order, positions
 
 _LOOK_S: Final = 0.02
-"""How often the keyboard is read."""
-
-
-class StatusLine(Protocol):
-    """Where the user reads how far a replay has come."""
-
-    def is_due(self) -> bool: ...
-
-    def show(self, text: str) -> None: ...
-
-    def end(self) -> None: ...
+"""How often the user's wish for an end is looked for."""
 
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """The options of the command. `rate` 0: as fast as possible."""
+    """The options of the command. `rate` 0: as fast as possible.
+
+    without: Nodes whose agents are left out. process_module: What runs such an agent by hand.
+    """
 
     start: str | None = None
     end: str | None = None
     rate: float = 1.0
-    start_paused: bool = False
     loop: bool = False
     wait: bool = False
     listen: str | None = None
+    without: str | None = None
+    process_module: str = ""
 
 
 def replay_recording(
@@ -54,19 +50,34 @@ def replay_recording(
     span = reader.clock.span(options.start, options.end)
     if options.end is None:  # The message that ends the run names the cycle after the last one.
         span = range(span.start, span.stop + 1)
-    with (
-        interruptible() as interruption,
-        replay_bus(reader, ports, options.listen, out) as bus,
-        keyboard() as keys,
-    ):
-        if has_keyboard():
-            say(out, KEYS_IN_WORDS)
-        clock = PlaybackClock(options.rate, paused=options.start_paused)
-        playback = Playback(reader, ports, span, bus, clock, keys, interruption, line)
+    with interruptible() as interruption, ExitStack() as stack:
+        beside = None
+        if options.without is None:
+            bus = stack.enter_context(replay_bus(reader, ports, options.listen, out))
+        else:
+            if not reader.plan.timing.lockstep and options.rate != 1.0:
+                raise InputError("--pace: expected 1: agents beside the replay have deadlines")
+            bus = beside = stack.enter_context(
+                replay_beside(
+                    reader,
+                    options.without,
+                    options.process_module,
+                    options.listen,
+                    interruption,
+                    out,
+                    line,
+                    options.end,
+                )
+            )
+        playback = Playback(
+            reader, ports, span, bus, PlaybackClock(options.rate), interruption, line
+        )
         if options.wait:
             await_subscriber(bus, interruption, out)
         began_at = time.monotonic()
         playback.play(loop=options.loop)
+        if beside is not None:
+            beside.finish()
         wall_s = time.monotonic() - began_at
     messages, cycles, latest_us = playback.messages, playback.cycles, playback.latest_us
     say(out, f"replayed {messages:,} messages of {cycles:,} cycles in {wall_s:.1f} s")
@@ -96,7 +107,6 @@ class Playback:
     span: range
     bus: ReplayBus
     clock: PlaybackClock
-    keyboard: Keyboard
     interruption: Interruption
     line: StatusLine
     messages: int = 0
@@ -105,7 +115,6 @@ class Playback:
 
     def __post_init__(self) -> None:
         self._cycle = -1
-        self._look_at_ns = 0
 
     def play(self, *, loop: bool = False) -> None:
         """Send all messages; begin again at the end if it is a loop."""
@@ -124,21 +133,19 @@ class Playback:
         for position_ns, record in positions(records, self.reader.plan):
             if is_first:
                 self.clock.move_to(position_ns)  # A wait for subscribers does not count.
-                if self.clock.paused:
-                    self._announce(record)
             is_first = False
             while not self._is_due(position_ns):
-                if not self._goes_on(record):
+                if self.interruption:
                     return False
             self._send(record, position_ns)
-            if not self._goes_on(record):
+            if self.line.is_due():
+                self._show()
+            if self.interruption:
                 return False
         return True
 
     def _is_due(self, position_ns: int) -> bool:
         """Whether the next message is due; if not, wait a little."""
-        if self.clock.paused:
-            return False
         left_s = (self.clock.due_ns(position_ns) - self.clock.now_ns()) / 1e9
         if left_s > 0.0:
             self.clock.sleep(min(left_s, _LOOK_S))
@@ -148,37 +155,17 @@ class Playback:
         if record.cycle > self._cycle:
             self._cycle = record.cycle
             self.cycles += record.cycle <= self.reader.last_cycle
-            self._announce(record)
+            self.bus.announce(record.cycle, rate=self.clock.rate)
         was_sent = self.bus.put(record.port, record.payload)
         self.messages += was_sent
         if self.clock.rate and was_sent:
             late_ns = self.clock.now_ns() - self.clock.due_ns(position_ns)
             self.latest_us = max(late_ns / 1e3, self.latest_us or 0.0)
 
-    def _announce(self, record: RecordedMessage) -> None:
-        self.bus.announce(record.cycle, rate=self.clock.rate, paused=self.clock.paused)
-
-    def _goes_on(self, record: RecordedMessage) -> bool:
-        """Do what a key asks for, if it is time to look; return whether the user lets it go on."""
-        clock, key = self.clock, ""
-        if clock.paused:
-            key = self.keyboard(_LOOK_S)
-        elif clock.now_ns() >= self._look_at_ns:
-            self._look_at_ns = clock.now_ns() + round(_LOOK_S * 1e9)
-            key = self.keyboard(0.0)
-            if self.line.is_due():
-                self._show()
-        if key == " ":
-            clock.toggle_pause()
-            self._announce(record)
-            self._show()
-        return key != "q" and not self.interruption
-
     def _show(self) -> None:
         if self._cycle >= 0:
             rate = f"pace {self.clock.rate:g}" if self.clock.rate else "as fast as possible"
-            paused = " paused" if self.clock.paused else ""
             last_cycle, clock = self.reader.last_cycle, self.reader.clock
             cycle = min(self._cycle, last_cycle)
             at = f"{clock.text(cycle)} cycle {cycle} of 0 to {last_cycle}"
-            self.line.show(f"{at}, {rate}{paused}")
+            self.line.show(f"{at}, {rate}")

@@ -64,21 +64,19 @@ def positions(
 class PlaybackClock:
     """Maps positions to times of the monotonic clock.
 
-    Every time is counted from one anchor, so errors do not add up. Only a pause and the beginning
-    of a loop set a new anchor. The rate is in seconds of the clock per second; at 0 everything is
-    due at once.
+    Every time is counted from one anchor, so errors do not add up. Only the beginning of a loop
+    sets a new anchor. The rate is in seconds of the clock per second; at 0 everything is due at
+    once.
     """
 
     def __init__(
         self,
         rate: float,
         *,
-        paused: bool = False,
         now_ns: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.rate = rate
-        self.paused = paused
         self.now_ns = now_ns
         self.sleep = sleep
         self._position_ns = 0
@@ -92,10 +90,3 @@ class PlaybackClock:
         if self.rate == 0.0:
             return self._moment_ns
         return self._moment_ns + round((position_ns - self._position_ns) / self.rate)
-
-    def toggle_pause(self) -> None:
-        """Pause, or go on from the same position."""
-        if not self.paused:
-            self._position_ns += round((self.now_ns() - self._moment_ns) * self.rate)
-        self._moment_ns = self.now_ns()
-        self.paused = not self.paused

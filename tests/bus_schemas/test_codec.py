@@ -39,7 +39,7 @@ def one(signal: Signal[Message]) -> Message:
         "protocol": 3,
         **{"order_source": "page", "order_state": "holds", "order_cycle": 1, "order_renewed": 1},
         **{"inverter_mpp_kw": (1.0, 2.0), "inverter_power_kw": (0.5, 2.0)},
-        **{"help_given": (HelpGiven("c1/inv08", 12.5),), "paused": True},
+        "help_given": (HelpGiven("c1/inv08", 12.5),),
         **{"stage": "solve", "readings": 1, "meter_cycle": 1, "clamped": 1, "agents": ("c1/a",)},
         **{"offers": (0.5, 0.25), "expected_kw": (0.5, 0.25)},
     }

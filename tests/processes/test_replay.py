@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
-import pty
+import shlex
 import signal
 import subprocess
-import sys
-import termios
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,13 +16,9 @@ import pytest
 import zenoh
 from command_line import done
 from mcap.reader import make_reader
-from plans_by_hand import with_changes
-from recordings_by_hand import write_messages
-from running import Start, assert_none_left, small_plant
+from running import Start, small_plant
 
 from agents.plan import RunPlan, load_plan
-from bus_schemas.signals import TELEMETRY
-from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 
@@ -116,132 +109,55 @@ def test_any_subscriber_hears_the_recorded_bytes_in_their_order_and_where_the_re
     assert clocks[7]["sim_time_ns"] == plan.timing.sim_time_ns(7)
 
 
-def test_keys_steer_a_replay_and_the_terminal_is_left_as_it_was(recorded: Path) -> None:
-    typing, terminal = pty.openpty()
-    before = termios.tcgetattr(terminal)
-    words = [sys.executable, "-m", "heliarch", "replay", str(recorded), "--start-paused"]
-    process = subprocess.Popen(words, stdin=terminal, stdout=terminal, stderr=terminal)
-    seen = ""
-    try:
-        for awaited, keys in (
-            ("space pauses", b" "),
-            ("12:00:01 cycle 1 of", b" "),
-            (" paused", b"q"),
-            ("replayed ", b""),
-        ):
-            while awaited not in seen:
-                seen += os.read(typing, 4096).decode()
-            seen = seen.partition(awaited)[2]
-            os.write(typing, keys)
-        assert process.wait(timeout=PATIENCE_S) == 0
-        assert termios.tcgetattr(terminal) == before
-    finally:
+@pytest.fixture
+def started() -> Iterator[Callable[[str], None]]:
+    """Runs commands that a replay prints; all of them end with the test."""
+    processes: list[subprocess.Popen[bytes]] = []
+    yield lambda command: processes.append(subprocess.Popen(shlex.split(command)))
+    for process in processes:
         process.kill()
         process.wait()
-        os.close(typing)
-        os.close(terminal)
 
 
-def some_live(plan: RunPlan) -> tuple[str, str]:
-    """An inverter's controller and a supervisor of another cluster."""
-    return plan.tree.leaves[0], next(
-        node for node in plan.tree.parents[1:] if not plan.tree.leaves[0].startswith(f"{node}/")
-    )
-
-
-@pytest.mark.parametrize("broke_off", [False, True])
-def test_live_agents_of_the_same_code_say_bit_for_bit_what_they_said(
-    heliarch: Start, recorded: Path, plan: RunPlan, tmp_path: Path, broke_off: bool
+@pytest.mark.parametrize("run", ["recorded", "real_time"])
+def test_agents_left_out_take_part_by_the_printed_commands(
+    heliarch: Start,
+    run: str,
+    plan: RunPlan,
+    started: Callable[[str], None],
+    request: pytest.FixtureRequest,
 ) -> None:
-    live, cycles = some_live(plan), CYCLES
-    if broke_off:
-        with RunReader(recorded) as reader:
-            left = [(port, message) for port, message in reader.messages() if message.cycle < 20]
-        write_messages(tmp_path / "run.mcap", left, plan=plan)
-        recorded, cycles = tmp_path, 19 - plan.control.periods.longest
-    replay = heliarch("replay", recorded, "--live", ",".join(live), "--json", "-")
-    assert replay.wait() == 0, replay.error_text()
-    figures = json.loads(replay.output.read_text())
-    with RunReader(recorded) as reader:
-        said = sum(m.cycle < cycles for port, m in reader.messages() if port.publisher in live)
-    assert (figures["compared"], figures["differing"]) == (said, {})
-    assert figures["cycles"] == cycles
-    assert replay.processes() == []
-    assert list(replay.folder.iterdir()) == []
+    folder: Path = request.getfixturevalue(run)
+    leaf = plan.tree.leaves[0]
+    other = next(node for node in plan.tree.parents[1:] if not leaf.startswith(f"{node}/"))
+    words = ("--pace", "max") if run == "recorded" else ()
+    replay = heliarch("replay", folder, "--without", f"{leaf},{other}", *words)
+    for agent in (leaf, other):
+        started(replay.until_said(f"start {agent}:"))
+    endpoint, keys = replay.until_said("endpoint"), replay.until_said("keys")
+    with subscriber(endpoint, keys) as heard:
+        assert replay.wait() == 0, replay.error_text()
+    at = len(f"{plan.run_id}/{plan.plant}/")
+    senders = {key[at:].rpartition("/")[0] for key, _ in heard}
+    own = {f"{leaf}/impp", f"{leaf}/command", f"{other}/impp"}
+    assert not own & {key[at:] for key, _ in heard}, "the replay does not send these"
+    assert {"c1", ""} <= senders
+    assert "replayed " in replay.output.read_text()
 
 
-def test_a_changed_controller_is_told_by_its_first_difference_and_heard_by_subscribers(
-    heliarch: Start, recorded: Path, plan: RunPlan, tmp_path: Path
+def test_a_replay_waits_in_lockstep_for_an_agent_that_stands_still(
+    heliarch: Start, recorded: Path, plan: RunPlan
 ) -> None:
-    leaf, _ = some_live(plan)
-    changed = tmp_path / "changed.json"
-    # The plan of a launched run has a secret, which the live controllers do not need.
-    its_plan = with_changes(plan, scheme="paper", secret="s", users_file="users")
-    changed.write_bytes(its_plan.as_json())
-    figures_path = tmp_path / "figures.json"
-    words = ("--wait", "--live", leaf, "--plan", changed, "--json", figures_path)
-    replay = heliarch("replay", recorded, *words)
-    endpoint = replay.until_said("endpoint")
-    with subscriber(endpoint, f"{plan.run_id}/{plan.plant}/{leaf}/impp") as heard:
-        assert replay.wait() == 1, replay.error_text()
-        until(lambda: len(heard) == CYCLES)
-    figures = json.loads(figures_path.read_bytes())
-    (account,) = figures["agents"]
-    first = account["first"]
-    assert figures["differing"] == {leaf: account["differences"]["differs"]}
-    assert (first["kind"], first["message"]) == ("differs", f"{leaf}/impp")
-    with RunReader(recorded) as reader:
-        recorded_kw = {m.cycle: m.power_kw for _, m in reader.messages("impp", nodes=leaf)}  # type: ignore[attr-defined]
-    heard_kw = {m["cycle"]: m["power_kw"] for m in (msgpack.unpackb(p) for _, p in heard)}
-    assert heard_kw.keys() == recorded_kw.keys()
-    differing = [cycle for cycle, power_kw in heard_kw.items() if power_kw != recorded_kw[cycle]]
-    assert min(differing) == first["cycle"]
-    (field,) = first["fields"]
-    cycle = first["cycle"]
-    assert (field["recorded"], field["new"]) == (recorded_kw[cycle], heard_kw[cycle])
-    assert str(field["new"]) in replay.output.read_text()
-
-
-def test_who_waits_for_what_the_recording_lacks_is_named(
-    heliarch: Start, recorded: Path, plan: RunPlan, tmp_path: Path
-) -> None:
-    leaf, cluster = some_live(plan)
-    impatient = with_changes(plan, stall_timeout_s=1.0)
-    with RunReader(recorded) as reader:
-        left = [
-            (port, message)
-            for port, message in reader.messages()
-            if not (port is TELEMETRY.of(leaf) and message.cycle == 7)
-        ]
-    write_messages(tmp_path / "run.mcap", left, plan=impatient)
-    replay = heliarch("replay", tmp_path, "--live", f"{leaf},{cluster}")
-    assert replay.wait() == 1
-    complaint = replay.error_text()
-    assert "stalled in cycle 7" in complaint
-    assert "from plant" in complaint
-    assert f"{leaf} waits for {leaf}/telemetry" in complaint
-    assert str(replay.folder) in complaint, "the logs stay"
-    assert replay.processes() == []
-
-
-def test_no_live_agent_outlives_its_replay(heliarch: Start, recorded: Path, plan: RunPlan) -> None:
-    replay = heliarch("replay", recorded, "--live", ",".join(plan.tree.agents()[2:]))
-    replay.until(lambda: len(replay.processes()) > 3, "its processes")
-    replay.process.send_signal(signal.SIGKILL)
-    replay.wait()
-    assert_none_left(replay.folder)
-
-
-def test_in_real_time_live_agents_have_the_pace_of_the_run_and_ctrl_c_keeps_what_was_compared(
-    heliarch: Start, plan: RunPlan, real_time: Path, tmp_path: Path
-) -> None:
-    leaf, _ = some_live(plan)
-    file = tmp_path / "figures.json"
-    replay = heliarch("replay", real_time, "--live", leaf, "--json", file)
-    replay.until(lambda: replay.output.read_text().count("12:00:") > 3, "some cycles")
-    assert replay.interrupt() == 130, replay.error_text()
-    figures = json.loads(file.read_bytes())
-    assert figures["interrupted"]
-    assert 0 < figures["cycles"] < 60
-    assert figures["compared"] >= figures["cycles"]
-    assert figures["wall_s"] > 0.2 * (figures["cycles"] - 1)
+    leaf = plan.tree.leaves[0]
+    replay = heliarch("replay", recorded, "--without", leaf, "--pace", "max")
+    words = shlex.split(replay.until_said(f"start {leaf}:"))
+    agent = subprocess.Popen(words)
+    try:
+        replay.until(lambda: "cycle 0" in replay.output.read_text(), "its first cycle")
+        agent.send_signal(signal.SIGSTOP)
+        replay.until(lambda: f"waits for {leaf}/" in replay.output.read_text(), "it to wait")
+        agent.send_signal(signal.SIGCONT)
+        assert replay.wait() == 0, replay.error_text()
+    finally:
+        agent.kill()
+        agent.wait()

@@ -59,7 +59,13 @@ def test_an_address_that_is_taken_is_refused(recorded: Path) -> None:
         assert endpoint in refusal("replay", recorded, "--listen", endpoint)
 
 
-def test_a_plan_of_another_plant_is_refused(recorded: Path, tmp_path: Path) -> None:
-    path = tmp_path / "plan.json"
-    path.write_bytes(with_changes(PLAN, period_cycles=(1, 1)).as_json())
-    assert "period_cycles" in refusal("replay", recorded, "--live", "c1", "--plan", path)
+def test_only_controllers_can_be_left_out_and_at_their_own_pace(tmp_path: Path) -> None:
+    folder = write(tmp_path / "run", SAID)
+    for words, named in (
+        (("--without", "c9"), "--without"),
+        (("--without", "c1", "--from", "3s"), "--from"),
+        (("--without", "c1", "--nodes", "c2"), "--nodes"),
+    ):
+        assert named in refusal("replay", folder, *words)
+    real_time = write(tmp_path / "real", SAID, with_changes(PLAN, cycle_wall_ns=CYCLE_NS))
+    assert "--pace" in refusal("replay", real_time, "--without", "c1", "--pace", "2")

@@ -1,4 +1,4 @@
-"""A replay sends what is due in its order, and does what keys ask for."""
+"""A replay sends what is due in its order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from bus_schemas.signals import IMPP, Port
 from heliarch.cli.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus
-from recordings.replay.keyboard import Keyboard
 from recordings.replay.playback import Playback
 from recordings.replay.schedule import PlaybackClock, positions
 
@@ -36,7 +35,7 @@ class Heard(ReplayBus):
         self.ports: list[Port[Message]] = []
         self.payloads: list[bytes] = []
         self.moments_ns: list[int] = []
-        self.states: list[tuple[int, float, bool]] = []
+        self.states: list[tuple[int, float]] = []
         self._on_put = on_put
 
     def put(self, port: Port[Message], payload: bytes) -> bool:
@@ -46,19 +45,8 @@ class Heard(ReplayBus):
         self._on_put(self)
         return True
 
-    def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
-        self.states.append((cycle, rate, paused))
-
-
-def hands(*keys: str) -> Keyboard:
-    """Keys that are pressed one after the other; then the user ends."""
-    left = iter(keys)
-    return lambda seconds: next(left, "q")
-
-
-def no_hands(seconds: float) -> str:
-    assert seconds == 0.0, "a replay under way does not stop to look at the keyboard"
-    return ""
+    def announce(self, cycle: int, *, rate: float) -> None:
+        self.states.append((cycle, rate))
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +69,6 @@ def play(
     span: range = range(41),
     rate: float = 0.0,
     waited_s: float = 0.0,
-    paused: bool = False,
-    keyboard: Keyboard = no_hands,
     interruption: Interruption | None = None,
     out: TextIO | None = None,
     loop: bool = False,
@@ -95,8 +81,7 @@ def play(
             ports,
             span,
             heard,
-            PlaybackClock(rate, paused=paused, now_ns=heard.clock, sleep=heard.clock.sleep),
-            keyboard,
+            PlaybackClock(rate, now_ns=heard.clock, sleep=heard.clock.sleep),
             Interruption() if interruption is None else interruption,
             StatusLine(out or io.StringIO(), in_place=False),
         )
@@ -118,7 +103,7 @@ def test_all_bytes_are_sent_on_their_ports_in_their_order(recorded: Path) -> Non
     assert (played.messages, played.cycles) == (len(SAID), 40)
     assert played.latest_us is None  # as fast as possible: nothing is due
     # The message that ends the run names the cycle after the last one.
-    assert heard.states == [(cycle, 0.0, False) for cycle in range(41)]
+    assert heard.states == [(cycle, 0.0) for cycle in range(41)]
     assert "12:00:39 cycle 39 of 0 to 39" in out.getvalue().splitlines()[-1]
 
 
@@ -143,16 +128,6 @@ def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) ->
     assert played.latest_us == 0.0
 
 
-def test_the_space_bar_continues_a_paused_replay_and_q_ends_it(recorded: Path) -> None:
-    heard = Heard()
-    play(recorded, heard, paused=True, keyboard=hands("x", " "), rate=1.0)
-    assert [state[2] for state in heard.states[:2]] == [True, False]
-    assert heard.payloads == payloads()[: len(heard.payloads)]
-    held = Heard()
-    play(recorded, held, paused=True, keyboard=hands("x"), rate=1.0)
-    assert held.payloads == []
-
-
 PUBLISHED = [(4, 1_000), (4, 1_300), (5, 1_400), (4, 1_350), (5, 1_700), (7, 2_000), (7, 3 * 10**9)]
 
 
@@ -172,15 +147,3 @@ def test_in_lockstep_a_cycle_begins_at_its_simulated_time(
     )
     found = [position for position, _ in positions(records, plan)]
     assert [position - found[0] for position in found] == expected
-
-
-def test_a_replay_goes_on_after_a_pause_from_where_it_was() -> None:
-    moment = ClockByHand(1_000)
-    clock = PlaybackClock(4.0, now_ns=moment)
-    clock.move_to(0)
-    moment.now_ns += 200
-    clock.toggle_pause()
-    moment.now_ns += 5_000
-    clock.toggle_pause()
-    assert clock.due_ns(800) == moment.now_ns
-    assert clock.due_ns(1_200) == moment.now_ns + 100
