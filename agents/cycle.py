@@ -115,7 +115,7 @@ class Periods:
         for tier, period in reversed(list(enumerate(self.cycles))):
             if period < 1 or period % below:
                 where = f"control.period_cycles[{tier}]"
-                raise InputError(f"{where}: expected a positive multiple of {below}, got {period}")
+                raise InputError.of(where, f"expected a positive multiple of {below}, got {period}")
             below = period
 
     def is_turn(self, parent: str, cycle: int) -> bool:

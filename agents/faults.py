@@ -106,7 +106,7 @@ def check_fault(
     else:
         objections = link_objections(fault, tree, external)
     for objection in objections:
-        raise InputError(f"{where}: {objection}")
+        raise InputError.of(where, objection)
 
 
 def _process_objections(fault: ProcessFault, tree: ControlTree, away: set[str]) -> Iterator[str]:

@@ -282,9 +282,9 @@ class PlannedOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     def __post_init__(self) -> None:
         if self.schedule == (self.power_kw is not None):
-            raise ValueError("expected either power_kw or schedule = true")
+            raise InputError("expected either power_kw or schedule = true")
         if self.schedule and self.hold_s is not None:
-            raise ValueError("hold_s: expected power_kw with it, got schedule = true")
+            raise InputError.of("hold_s", "expected power_kw with it, got schedule = true")
 
     def cycle(self, cycle_s: float) -> int:
         """Return the first cycle with it: the one under way at its time."""
@@ -463,7 +463,7 @@ def load_plan(path: Path) -> RunPlan:
         data = path.read_bytes()
         protocol = msgspec.json.decode(data, type=_Version).protocol
         if protocol != PROTOCOL:
-            raise InputError(f"protocol: expected {PROTOCOL}, got {protocol}")
+            raise InputError.of("protocol", f"expected {PROTOCOL}, got {protocol}")
         plan = msgspec.json.decode(data, type=RunPlan)
         check_plan(plan)
     except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -475,8 +475,8 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
     """Refuse a run that would take more memory than any machine is asked for."""
     most = min(MOST_CYCLES, MOST_VALUES // inverters)
     if not 0 < cycles <= most:
-        raise InputError(
-            f"{where}: expected up to {most:,} cycles with {inverters:,} inverters, got {cycles:,}"
+        raise InputError.of(
+            where, f"expected up to {most:,} cycles with {inverters:,} inverters, got {cycles:,}"
         )
 
 
@@ -491,7 +491,7 @@ def check_plan(plan: RunPlan) -> None:
     leaves, height = plan.tree.leaves, plan.tree.height
     if not 0 < plan.timing.cycle_ns <= LONGEST_CYCLE_NS:
         got = f"got {plan.timing.cycle_ns:,}"
-        raise InputError(f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, {got}")
+        raise InputError.of("cycle_ns", f"expected above 0, up to {LONGEST_CYCLE_NS:,}, {got}")
     _check_orders(plan)
     if plan.control.offers is not None:  # Refuse an interval that is not of whole cycles.
         plan.control.offers.law(plan.timing.cycle_s, is_seen=True)
@@ -499,10 +499,10 @@ def check_plan(plan: RunPlan) -> None:
         if not fnmatch.filter(leaves, entry.nodes):
             known = f"inverters ({listed(leaves)}) or a pattern such as c1/*"
             where = f"plant.settings[{number}].nodes"
-            raise InputError(f"{where}: expected {known}, got {entry.nodes!r}")
+            raise InputError.of(where, f"expected {known}, got {entry.nodes!r}")
     periods = len(plan.control.periods.cycles)
     if periods != height:
-        raise InputError(f"control.period_cycles: expected {height} entries, got {periods}")
+        raise InputError.of("control.period_cycles", f"expected {height} entries, got {periods}")
 
 
 def _check_orders(plan: RunPlan) -> None:
@@ -522,8 +522,8 @@ def _check_groups(plan: RunPlan) -> None:
     parents = [*map(agent_name, plan.tree.parents)]
     for group in plan.supervision.groups:
         if group not in parents:
-            raise InputError(f"processes: expected any of {listed(parents)}, got {group!r}")
+            raise InputError.of("processes", f"expected any of {listed(parents)}, got {group!r}")
     for parent in plan.supervision.standby:
         if len(plan.wiring.members_of(plan.wiring.process_of(parent))) > 1:
             expected = "parents with a process of their own"
-            raise InputError(f"standby: expected {expected}, got {parent}, which shares one")
+            raise InputError.of("standby", f"expected {expected}, got {parent}, which shares one")

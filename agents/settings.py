@@ -111,10 +111,12 @@ class OfferedCommitment(
         cycles, lead_cycles = round(self.interval_s / cycle_s), max(round(lead_s / cycle_s), 1)
         if abs(cycles * cycle_s - self.interval_s) > 1e-9 or cycles == 0:
             expected = f"whole cycles of {cycle_s:g} s"
-            raise InputError(f"commitment.interval_s: expected {expected}, got {self.interval_s:g}")
+            raise InputError.of(
+                "commitment.interval_s", f"expected {expected}, got {self.interval_s:g}"
+            )
         if lead_cycles > cycles:
             expected = f"at most interval_s, {self.interval_s:g}"
-            raise InputError(f"commitment.lead_s: expected {expected}, got {lead_s:g}")
+            raise InputError.of("commitment.lead_s", f"expected {expected}, got {lead_s:g}")
         sample_cycles = min(max(round(SAMPLE_S / cycle_s), 1), cycles)
         return OfferSettings(
             interval_cycles=cycles,
@@ -177,7 +179,7 @@ class GridSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     def __post_init__(self) -> None:
         if self.pmin > self.pmax:
-            raise ValueError(f"expected pmin up to pmax, got {self.pmin} and {self.pmax}")
+            raise InputError(f"expected pmin up to pmax, got {self.pmin} and {self.pmax}")
 
     @property
     def moves_target(self) -> bool:

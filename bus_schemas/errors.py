@@ -4,10 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from typing import Self
 
 
 class InputError(ValueError):
-    """Bad input from a user: where, what was expected and what was found. Exit status 2."""
+    """Bad input from a user: where, what was expected and what was found. Exit status 2.
+
+    `field` is the option, or the field of a scenario, that is wrong: `--pace`, `plant.grid`; it is
+    empty where a file is at fault. `place` is where that stands, such as a file and its line.
+    """
+
+    def __init__(self, complaint: str, *, field: str = "", place: str = "") -> None:
+        super().__init__(complaint)
+        self.complaint, self.field, self.place = complaint, field, place
+
+    @classmethod
+    def of(cls, field: str, complaint: str) -> Self:
+        """Return the error that a field is not as expected: `expected X, got Y`."""
+        return cls(complaint, field=field)
+
+    def within(self, place: str) -> Self:
+        """Return the same error with a place before it."""
+        place = ": ".join(filter(None, (place, self.place)))
+        return type(self)(self.complaint, field=self.field, place=place)
+
+    def renamed(self, field: str) -> Self:
+        """Return the same error about a field that the user knows by another name."""
+        return type(self)(self.complaint, field=field, place=self.place)
+
+    def __str__(self) -> str:
+        return ": ".join(filter(None, (self.place, self.field, self.complaint)))
 
 
 class FailureError(Exception):

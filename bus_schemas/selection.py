@@ -26,7 +26,7 @@ def find_signals(
     for name in _words(names, where) if isinstance(names, str) else names:
         text = name if isinstance(name, str) else name.name
         if text not in recorded:
-            raise InputError(f"{where}: {not_one_of(recorded, text)}")
+            raise InputError.of(where, not_one_of(recorded, text))
         found.append(recorded[text])
     return tuple(found)
 
@@ -59,7 +59,7 @@ def find_agents(
     for name in words:
         top = CENTRAL if name == _ALL else name.removesuffix(_SUBTREE)
         if top not in team or (top != name and top in also):
-            raise InputError(f"{where}: {not_one_of(team, top)}")
+            raise InputError.of(where, not_one_of(team, top))
         found.append(top)
         if top != name:
             below = "" if top == CENTRAL else f"{top}/"
@@ -70,5 +70,5 @@ def find_agents(
 def _words(text: str, where: str) -> list[str]:
     words = [word.strip() for word in text.split(",") if word.strip()]
     if text and not words:  # As `--nodes "$A,$B"` has it if these are not set.
-        raise InputError(f"{where}: expected names with commas between them, got {text!r}")
+        raise InputError.of(where, f"expected names with commas between them, got {text!r}")
     return words

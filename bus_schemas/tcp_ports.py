@@ -39,6 +39,6 @@ def reserved_ports(
                 where = f"--base-port: expected free ports, got port {wanted} of {agent}"
                 if base_port is None:
                     where = f"--address: expected an address of this host, got {address}"
-                raise InputError(f"{where}: {error.strerror}") from None
+                raise InputError.of(where, str(error.strerror)) from None
             ports[agent] = holder.getsockname()[1]
         yield ports

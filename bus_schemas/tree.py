@@ -173,7 +173,7 @@ def check_name(name: str, where: str) -> None:
     """Refuse a node name that could not stand in a key."""
     if not _NAME.fullmatch(name):
         expected = f"a name of up to {LONGEST_PATH} characters: letters, digits, '_' and '-'"
-        raise InputError(f"{where}: expected {expected}, got {name!r}")
+        raise InputError.of(where, f"expected {expected}, got {name!r}")
     if name in RESERVED_NAMES:
         reserved = ", ".join(sorted(RESERVED_NAMES))
-        raise InputError(f"{where}: expected a name other than {reserved}, got {name!r}")
+        raise InputError.of(where, f"expected a name other than {reserved}, got {name!r}")

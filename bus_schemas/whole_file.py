@@ -50,9 +50,11 @@ def named_in_errors(path: Path) -> Iterator[None]:
 def check_new(path: Path) -> None:
     """Refuse a place where nothing new can be put."""
     if path.exists() or path.is_symlink():
-        raise InputError(f"--out {path}: it exists already, expected a new name")
+        raise InputError.of(f"--out {path}", "it exists already, expected a new name")
     if not os.access(path.absolute().parent, os.W_OK):
-        raise InputError(f"--out {path}: expected a new name in a folder that can be written to")
+        raise InputError.of(
+            f"--out {path}", "expected a new name in a folder that can be written to"
+        )
 
 
 @contextmanager

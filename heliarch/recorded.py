@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection, Iterator
 from functools import cached_property, wraps
 from pathlib import Path
@@ -38,18 +37,25 @@ _PARAMETERS: Final = {
 def by_parameter(function: Callable[P, T]) -> Callable[P, T]:
     """Let errors of a function name its parameters in place of the command's options."""
 
-    def parameter(option: re.Match[str]) -> str:
-        return _PARAMETERS.get(option[0], option[0][2:].replace("-", "_"))
-
     @wraps(function)
     def call(*words: P.args, **options: P.kwargs) -> T:
         try:
             return function(*words, **options)
         except InputError as error:
-            text = re.sub(r"--[a-z][a-z-]+", parameter, str(error))
-            raise InputError(text) from error.__cause__
+            raise error.renamed(_as_parameters(error.field)) from error.__cause__
 
     return call
+
+
+def _as_parameters(field: str) -> str:
+    """Return `start` of `--from`, `faults RULE` of `--fault RULE`; other fields as they are."""
+    names = (name.split(" ", 1) for name in field.split(", "))
+    return ", ".join(" ".join([_parameter(first), *rest]) for first, *rest in names)
+
+
+def _parameter(option: str) -> str:
+    is_option = option.startswith("--")
+    return _PARAMETERS.get(option, option[2:].replace("-", "_")) if is_option else option
 
 
 class Run(RunReader):
@@ -90,8 +96,8 @@ class Run(RunReader):
         table: str,
         *,
         nodes: str | Collection[str] = (),
-        start: str | int | None = None,
-        end: str | int | None = None,
+        start: str | float | None = None,
+        end: str | float | None = None,
         cycles: int = 3600,
     ) -> Iterator[pa.Table]:
         """Yield a table, as of `frame`, in Arrow parts of so many cycles.
@@ -101,11 +107,11 @@ class Run(RunReader):
         import pyarrow as pa  # noqa: PLC0415 - it loads slowly
 
         if cycles < 1:
-            raise InputError(f"cycles: expected 1 or more, got {cycles}")
+            raise InputError.of("cycles", f"expected 1 or more, got {cycles}")
         span = self.clock.span(start, end, ("start", "end"))
         for first in range(span.start, span.stop, cycles):
             until = min(first + cycles, span.stop)
-            part = self.frame(table, nodes=nodes, start=first, end=until)
+            part = self.frame(table, nodes=nodes, start=f"c{first}", end=f"c{until}")
             if not part.empty:
                 names = part.select_dtypes("category").columns
                 yield pa.Table.from_pandas(part.astype(dict.fromkeys(names, "str")))

@@ -67,15 +67,16 @@ def simulate(
     scenario
         A shipped scenario, the path of a TOML file, or what `load_scenario` returned.
     settings
-        Fields of the scenario to change: `{"commitment.share": 0.5}`.
+        Fields of the scenario to change: `{"commitment.share": 0.5}`, or tables whose other fields
+        stay: `{"commitment": {"share": 0.5}}`.
     data
         Folder of the data files that the scenario names.
     out
         Folder of the run; by default a new one in `runs/`.
     options
-        By the names of `RunOptions`, as for the command: `start` and `end` (`"12:30"`; `end` is no
-        part of the run), `duration` (`"15m"`, or 900 for seconds), `seed`, `scheme`, `actuator`,
-        `faults` (`["source=c1/*,delay=50ms"]`), `pace`.
+        By the names of `RunOptions`, as for the command: `start` and `end` (`"12:30"`, seconds or
+        `"c90"`; `end` is no part of the run), `duration` (`"15m"`, or 900 for seconds), `seed`,
+        `scheme`, `actuator`, `faults` (`["source=c1/*,delay=50ms"]`), `pace`.
     """
     return _run(_request(scenario, settings, data, out, options))
 
@@ -118,7 +119,7 @@ def timing(
     request = _request(scenario, settings, data, out, options)
     rate_hz, highest_hz = parse_rates(str(rate))
     if rate_hz != highest_hz:
-        raise InputError(f"rate: expected one number, got {rate}")
+        raise InputError.of("rate", f"expected one number, got {rate}")
     preparation, folder = prepare_at(rate_hz, 60.0, request, request.out)
     with _nowhere() as console:
         return measured_run(preparation, folder, partial(PlainView, console))
@@ -135,7 +136,7 @@ def verify(
 ) -> Verification:
     """Run the agents of a recording again and compare, as `heliarch verify` does: see `equal`."""
     if not tolerance >= 0.0:
-        raise InputError(f"tolerance: expected 0 or more, got {tolerance}")
+        raise InputError.of("tolerance", f"expected 0 or more, got {tolerance}")
     return verify_run(_path(run), nodes, Equality(tolerance), start=start, end=end)
 
 
@@ -147,8 +148,8 @@ def export(
     out: str | Path | None = None,
     signals: str | Sequence[str] = (),
     nodes: str | Sequence[str] = (),
-    start: str | int | None = None,
-    end: str | int | None = None,
+    start: str | float | None = None,
+    end: str | float | None = None,
     clock: Clock | None = None,
 ) -> ExportSummary:
     """Make tables, or a file for viewers, from a recording, as `heliarch export` does."""
@@ -213,7 +214,7 @@ def compare(
     check_names("actuators", acting, get_args(Actuator))
     check_names("options", span, [field.name for field in fields(TimeOptions)])
     if workers < 1:
-        raise InputError(f"workers: expected 1 or more, got {workers}")
+        raise InputError.of("workers", f"expected 1 or more, got {workers}")
     listed = cases(
         _loaded(scenario, data),
         RunOptions.of(TimeOptions(**span)),

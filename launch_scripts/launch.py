@@ -341,14 +341,15 @@ def _links(plan: RunPlan, agent: str) -> str:
 def check_processes(plan: RunPlan) -> None:
     """Refuse what a run as processes cannot have."""
     if plan.timing.lockstep and plan.faults.rules:
-        raise InputError(
-            "--fault, faults: expected a --pace such as 1 with faults, got lockstep, where an "
-            "agent would wait forever for a lost message"
+        raise InputError.of(
+            "--pace",
+            "expected a number such as 1, since faults need real time, got lockstep, where an "
+            "agent would wait forever for a lost message",
         )
     kinds = {kind_of(agent, plan.tree) for agent in plan.processes}
     for kind in plan.supervision.machine.cpus_of.keys() - kinds:
         expected = "a kind that has processes of its own (see `processes` in the scenario)"
-        raise InputError(f"--cpus {kind}: expected {expected}")
+        raise InputError.of(f"--cpus {kind}", f"expected {expected}")
     check_devices(plan)
     if plan.access.keys_folder:
         from scenarios.plant_keys import check_keys  # noqa: PLC0415 - optional

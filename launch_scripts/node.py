@@ -20,8 +20,8 @@ def share_of(plan: RunPlan, host: str) -> tuple[str, ...]:
     agents = tuple(name for name in plan.processes if plan.access.addresses.get(name) == host)
     if not agents:
         hosts = ", ".join(dict.fromkeys(plan.access.addresses.values()))
-        raise InputError(
-            f"--host: expected a host of the plan ({hosts or 'it has none'}), got {host}"
+        raise InputError.of(
+            "--host", f"expected a host of the plan ({hosts or 'it has none'}), got {host}"
         )
     return agents
 

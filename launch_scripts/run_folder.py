@@ -35,7 +35,7 @@ class RunFolder:
             self.logs.mkdir(parents=True)
         except FileExistsError:
             got = f"got {self.path}, in which another run has begun"
-            raise InputError(f"--out: expected a new or empty folder, {got}") from None
+            raise InputError.of("--out", f"expected a new or empty folder, {got}") from None
 
     def fill(
         self,
@@ -85,10 +85,12 @@ def run_folder(run_id: str, out: Path | None) -> RunFolder:
     """Choose the folder of a run; it is not made yet."""
     path = out or Path("runs") / run_id
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise InputError(f"--out: expected a new or empty folder, got {path}, which exists already")
+        raise InputError.of(
+            "--out", f"expected a new or empty folder, got {path}, which exists already"
+        )
     parent = next(folder for folder in path.absolute().parents if folder.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise InputError(f"--out: expected a folder in which {path} can be made, got {parent}")
+        raise InputError.of("--out", f"expected a folder in which {path} can be made, got {parent}")
     return RunFolder(path)
 
 

@@ -59,8 +59,8 @@ def open_address(
     try:
         ip = ipaddress.ip_address("127.0.0.1" if address in {None, "localhost"} else address)
     except ValueError:
-        raise InputError(
-            f"--page-address: expected an IP address such as 127.0.0.1 or 0.0.0.0, got {address}"
+        raise InputError.of(
+            "--page-address", f"expected an IP address such as 127.0.0.1 or 0.0.0.0, got {address}"
         ) from None
     family = socket.AF_INET6 if ip.version == 6 else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
@@ -70,9 +70,10 @@ def open_address(
         listener.listen(100)
     except OSError as error:
         listener.close()
-        raise InputError(
-            f"--page-address, --page-port: expected a free port of this machine, got {ip} port "
-            f"{port or 'any'}: {error.strerror}"
+        raise InputError.of(
+            "--page-address, --page-port",
+            f"expected a free port of this machine, got {ip} port "
+            f"{port or 'any'}: {error.strerror}",
         ) from None
     return PageAddress(
         listener, "" if ip.is_loopback and not needs_token else secrets.token_urlsafe(16)

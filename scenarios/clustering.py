@@ -26,9 +26,10 @@ def control_tree(
 ) -> ControlTree:
     """Cluster inverters, then clusters, and so on, by their mean correlation in these hours."""
     if (control.cluster_sizes is None) == (control.cluster_count is None):
-        raise InputError(
-            "control.cluster_sizes, cluster_count: expected one of the two, got "
-            f"{'neither' if control.cluster_count is None else 'both'}"
+        raise InputError.of(
+            "control.cluster_sizes, cluster_count",
+            "expected one of the two, got "
+            f"{'neither' if control.cluster_count is None else 'both'}",
         )
     groups: list[tuple[int, ...]] = [(index,) for index in range(len(sites.names))]
     paths = list(sites.names)

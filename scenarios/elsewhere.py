@@ -38,7 +38,7 @@ def external_agents(external: Sequence[str], tree: ControlTree) -> tuple[str, ..
     team = (*(agent for agent in tree.agents() if agent != RECORDER), OPERATOR)
     for agent in external:
         if agent not in team:
-            raise InputError(f"--external: {not_one_of(team, agent)}")
+            raise InputError.of("--external", not_one_of(team, agent))
     return tuple(agent for agent in team if agent in external)
 
 
@@ -52,9 +52,9 @@ def check_base_port(base_port: int, plan: RunPlan) -> None:
     """Refuse ports that do not exist or are reserved for the system."""
     last = base_port + sum(map(len, listening(plan))) - 1
     if base_port not in _PORTS or last not in _PORTS:
-        raise InputError(
-            f"--base-port: expected ports from {_PORTS[0]} to {_PORTS[-1]}, got "
-            f"{base_port} to {last}"
+        raise InputError.of(
+            "--base-port",
+            f"expected ports from {_PORTS[0]} to {_PORTS[-1]}, got {base_port} to {last}",
         )
 
 
@@ -62,7 +62,7 @@ def read_address(text: str, where: str = "--address") -> IPv4Address | IPv6Addre
     try:
         return ip_address(text)
     except ValueError:
-        raise InputError(f"{where}: expected an IP address such as 10.0.0.1, got {text}") from None
+        raise InputError.of(where, f"expected an IP address such as 10.0.0.1, got {text}") from None
 
 
 def addresses_of(
@@ -75,18 +75,20 @@ def addresses_of(
         address, _, names = text.partition("=")
         agents = find_agents(tree, names, where)
         if not agents:
-            raise InputError(f"{where}: expected ADDRESS=AGENTS such as 10.0.0.2=c2/*")
+            raise InputError.of(where, "expected ADDRESS=AGENTS such as 10.0.0.2=c2/*")
         if not ip_address(address).is_loopback:
             if not secure:
                 why = "an address that others can reach"
-                raise InputError(f"{where}: expected --secure with {why}")
+                raise InputError.of(where, f"expected --secure with {why}")
             if ip_address(own).is_loopback:
-                raise InputError(f"{where}: expected --address with this host's address, got {own}")
+                raise InputError.of(
+                    where, f"expected --address with this host's address, got {own}"
+                )
         for agent in agents:
             if agent == PLANT:
-                raise InputError(f"{where}: expected controllers, got plant, which stays here")
+                raise InputError.of(where, "expected controllers, got plant, which stays here")
             if agent in external or found.setdefault(agent, address) != address:
-                raise InputError(f"{where}: expected each agent in one place, got {agent} in two")
+                raise InputError.of(where, f"expected each agent in one place, got {agent} in two")
     return found
 
 

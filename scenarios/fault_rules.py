@@ -12,7 +12,7 @@ from bus_schemas.errors import InputError, listed, not_one_of
 from bus_schemas.faults import Blackout, Disturbance, Partition
 from bus_schemas.tree import ControlTree
 from scenarios.fields import checked
-from scenarios.times import duration_s, split_range
+from scenarios.times import duration_s, read_seconds, split_range
 
 if TYPE_CHECKING:
     from scenarios.scenario import ScenarioFile
@@ -58,16 +58,19 @@ def parse_fault(text: str) -> Fault:
     words = _words(text, where)
     kinds = [word for word in words if word in _KINDS]
     if len(kinds) > 1:
-        raise InputError(f"{where}: expected one kind of fault, got {listed(kinds)}")
+        raise InputError.of(where, f"expected one kind of fault, got {listed(kinds)}")
     kind, values = _KINDS[kinds[0]][0] if kinds else Disturbance, dict[str, object]()
     for word, value in words.items():
         field = _KINDS[word][1] if word in _KINDS else _TIMES.get(word, word)
         if field in values or field not in kind.__struct_fields__:
             having = [name for name, (one, _) in _KINDS.items() if field in one.__struct_fields__]
             needed = f"no {kinds[0]}" if kinds else listed(having)
-            raise InputError(f"{where}: {word}: expected {needed} with it")
+            raise InputError.of(where, f"{word}: expected {needed} with it")
         values[field] = _read(kind, word, value, f"{where}: {word}")
-    return checked(values, kind, where)
+    try:
+        return checked(values, kind)
+    except InputError as error:
+        raise InputError.of(where, str(error)) from None
 
 
 def _words(text: str, where: str) -> dict[str, str]:
@@ -75,11 +78,11 @@ def _words(text: str, where: str) -> dict[str, str]:
     for part in text.split(","):
         word, _, value = (piece.strip() for piece in part.partition("="))
         if not value:
-            raise InputError(f"{where}: expected words such as {_EXAMPLE}, got {part.strip()!r}")
+            raise InputError.of(where, f"expected words such as {_EXAMPLE}, got {part.strip()!r}")
         if word in words:
-            raise InputError(f"{where}: expected {word} once, got it twice")
+            raise InputError.of(where, f"expected {word} once, got it twice")
         if word not in _WORDS:
-            raise InputError(f"{where}: {not_one_of(_WORDS, word, 'the words ')}")
+            raise InputError.of(where, not_one_of(_WORDS, word, "the words "))
         words[word] = value
     return words
 
@@ -94,9 +97,9 @@ def _read(kind: type[Fault], word: str, value: str, where: str) -> object:
         case "partition":
             read = value.split("|")
         case "at" | "blackout" if kind is not Kill:
-            read = [_duration_s(time, where) for time in split_range(value, where)]
+            read = [_second(time, where) for time in split_range(value, where)]
         case "at":
-            read = _duration_s(value, where)
+            read = _second(value, where)
     return read
 
 
@@ -124,7 +127,14 @@ def _text(field: str, value: str | float | tuple[Any, ...]) -> str:
 def _duration_s(text: str, where: str) -> float:
     found_s = duration_s(text)
     if found_s is None:
-        raise InputError(f"{where}: expected a duration such as 50ms, 0.05s or 2m, got {text!r}")
+        raise InputError.of(where, f"expected a duration such as 50ms, 0.05s or 2m, got {text!r}")
+    return found_s
+
+
+def _second(text: str, where: str) -> float:
+    found_s = read_seconds(text)
+    if found_s is None:
+        raise InputError.of(where, f"expected seconds such as 60, 60s or 2m, got {text!r}")
     return found_s
 
 
@@ -132,4 +142,4 @@ def _share(text: str, where: str) -> float:
     try:
         return float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     except ValueError:
-        raise InputError(f"{where}: expected a share such as 2% or 0.02, got {text!r}") from None
+        raise InputError.of(where, f"expected a share such as 2% or 0.02, got {text!r}") from None

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Final, TypeVar, get_args, get_origin
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, TypeVar, cast
 
 import msgspec
 from msgspec import inspect
@@ -19,27 +19,28 @@ _NO_BOUND: Final = 1e12
 
 _HEADING: Final = re.compile(r"\s*(\[\[?)\s*([\w.-]+)\s*\]+\s*(#.*)?$")
 _ENTRY: Final = re.compile(r"\s*([\w.-]+)\s*=")
-_LAST_PART: Final = re.compile(r"(\.?[^.\[]+|\[\d+\])$")
+_PATH: Final = re.compile(r"`\$([^`]*?)(?:\[\.\.\.\].*)?`$")
+_PART: Final = re.compile(r"\.[^.\[]+|\[\d+\]")
 
 
-def checked(document: object, kind: type[_T], where: str, text: str = "") -> _T:
-    """Return a document as a struct, or refuse it with all fields that are wrong.
+def checked(document: object, kind: type[_T], where: str = "", text: str = "") -> _T:
+    """Return a document as a struct, or refuse it with the first field that is wrong.
 
-    `text` is the TOML that the document was read from: each field is named with its line there.
+    `text` is the TOML that the document was read from, which says in which line the field stands.
     """
     try:
         return msgspec.convert(document, kind, str_keys=True)
-    except msgspec.ValidationError:
-        complaints = (with_line(one, text) for one in _wrong(kind, document, ""))
-        raise InputError(f"{where}: {'; '.join(complaints)}") from None
+    except msgspec.ValidationError as error:
+        wrong = _refusal(error, kind, document)
+        raise wrong.within(line_of(wrong.field, text)).within(where) from None
 
 
-def with_line(complaint: str, text: str) -> str:
-    """Put before a complaint, `FIELD: ...`, in which line of a TOML text the field stands."""
-    lines, field = _field_lines(text), complaint.partition(": ")[0]
+def line_of(field: str, text: str) -> str:
+    """Say in which line of a TOML text a field stands, or the table that lacks it."""
+    lines = _field_lines(text)
     while field and field not in lines:
-        field = _LAST_PART.sub("", field)  # Of a field that is missing, its table.
-    return f"line {lines[field]}: {complaint}" if field else complaint
+        field = field[: max(field.rfind("."), field.rfind("["), 0)]
+    return f"line {lines[field]}" if field else ""
 
 
 def _field_lines(text: str) -> dict[str, int]:
@@ -59,75 +60,74 @@ def _field_lines(text: str) -> dict[str, int]:
     return found
 
 
-def _wrong(kind: object, value: object, path: str) -> Iterator[str]:
-    """Yield a complaint for each field at or below a path that does not take its value."""
-    try:
-        msgspec.convert(value, kind, str_keys=True)
-    except msgspec.ValidationError as error:
-        found = list(_wrong_inside(kind, value, path))
-        types = _of_tag(members(inspect.type_info(kind)), value)
-        if not found and isinstance(value, Mapping) and isinstance(types[0], inspect.StructType):
-            # From a `__post_init__`, in its own words: about the table, or one of its fields.
-            of_table = str(error).startswith("expected")
-            found = [f"{path}: {error}" if of_table else _join(path, str(error))]
-        yield from found or [f"{path}: expected {takes(types)}, got {value!r:.60}"]
+def _refusal(error: msgspec.ValidationError, kind: type, document: object) -> InputError:
+    """Name the field that msgspec's path leads to, what it takes and what stands there."""
+    path = _PATH.search(str(error))
+    types, field, value = members(inspect.type_info(kind)), "", cast(Any, document)
+    for part in _PART.findall(path[1] if path else ""):
+        step = int(part[1:-1]) if part[0] == "[" else part.lstrip(".")
+        if any(getattr(one, "tag_field", None) == step for one in types):
+            break  # The kind of the table is not known.
+        types = _types_inside(_of_tag(types, value), step)
+        value, field = value[step], (field + part).lstrip(".")
+    types = _of_tag(types, value)
+    tables = [one for one in types if isinstance(one, inspect.StructType)]
+    if isinstance(value, Mapping) and len(tables) == 1:
+        return _table_refusal(error, tables[0], value, field)
+    if isinstance(value, Mapping) and tables:
+        tag = str(tables[0].tag_field)
+        expected = " or ".join(f'"{table.tag}"' for table in tables)
+        got = value.get(tag, "nothing")
+        return InputError.of(_join(field, tag), f"expected {expected}, got {got!r:.60}")
+    return InputError.of(field, f"expected {takes(types)}, got {value!r:.60}")
 
 
-def _wrong_inside(kind: object, value: object, path: str) -> Iterator[str]:
-    types = _of_tag(members(inspect.type_info(kind)), value)
-    if isinstance(value, Mapping):
-        tables = [one for one in types if isinstance(one, inspect.StructType)]
-        if len(tables) == 1:
-            yield from _wrong_in_table(tables[0], value, path)
-        elif tables:
-            tags = " or ".join(f'"{table.tag}"' for table in tables)
-            tag_field = str(tables[0].tag_field)
-            got = value.get(tag_field, "nothing")
-            yield f"{_join(path, tag_field)}: expected {tags}, got {got!r:.60}"
-        for _, item_kind in _items_of(kind, dict):
-            for name, item in value.items():
-                yield from _wrong(item_kind, item, _join(path, str(name)))
-    elif isinstance(value, Sequence) and not isinstance(value, str):
-        for item_kind, *_ in _items_of(kind, tuple):
-            for number, item in enumerate(value):
-                yield from _wrong(item_kind, item, f"{path}[{number}]")
-
-
-def _wrong_in_table(
-    table: inspect.StructType, value: Mapping[str, object], path: str
-) -> Iterator[str]:
-    tag = () if table.tag_field is None else (table.tag_field,)
-    fields = {field.encode_name: field for field in msgspec.structs.fields(table.cls)}
+def _table_refusal(
+    error: msgspec.ValidationError,
+    table: inspect.StructType,
+    value: Mapping[str, object],
+    path: str,
+) -> InputError:
+    fields = {field.encode_name: field for field in table.fields}
+    known = [*([table.tag_field] if table.tag_field else []), *fields]
     for name in value:
-        if name not in fields and name not in tag:
-            yield f"{_join(path, name)}: {not_one_of((*tag, *fields), name, 'the fields ')}"
+        if name not in known:
+            return InputError.of(_join(path, name), not_one_of(known, name, "the fields "))
     for name, field in fields.items():
-        if name in value:
-            yield from _wrong(field.type, value[name], _join(path, name))
-        elif field.required:
-            text = takes(members(inspect.type_info(field.type)))
-            yield f"{_join(path, name)}: expected {text}, got nothing"
+        if field.required and name not in value:
+            expected = takes(members(field.type))
+            return InputError.of(_join(path, name), f"expected {expected}, got nothing")
+    cause = error.__cause__  # From a `__post_init__`, about the table or one of its fields.
+    if isinstance(cause, InputError):
+        return cause.renamed(_join(path, cause.field) if cause.field else path)
+    return InputError.of(path, str(cause or error))
 
 
 def _join(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
 
-def _items_of(kind: object, container: type) -> Iterator[tuple[object, ...]]:
-    """Yield the types of the items of a container, also where it is one member of a union."""
-    if get_origin(kind) is container:
-        yield get_args(kind)
-    elif get_origin(kind) is not dict:
-        for part in get_args(kind):
-            yield from _items_of(part, container)
+def _types_inside(types: tuple[inspect.Type, ...], step: str | int) -> tuple[inspect.Type, ...]:
+    """Return what a field or an item of a value of these types takes."""
+    for one in types:
+        match one:
+            case inspect.StructType(fields=fields) if step in {each.encode_name for each in fields}:
+                return next(members(each.type) for each in fields if each.encode_name == step)
+            case inspect.DictType(value_type=value) if isinstance(step, str):
+                return members(value)
+            case inspect.VarTupleType(item_type=item) if isinstance(step, int):
+                return members(item)
+            case inspect.TupleType(item_types=items) if isinstance(step, int):
+                return members(items[step])
+    return ()
 
 
-def _of_tag(types: Sequence[inspect.Type], value: object) -> Sequence[inspect.Type]:
+def _of_tag(types: tuple[inspect.Type, ...], value: object) -> tuple[inspect.Type, ...]:
     """Return those types whose tag the document names; all, where it names none."""
     if not isinstance(value, Mapping):
         return types
     tables = [one for one in types if isinstance(one, inspect.StructType) and one.tag_field]
-    return [one for one in tables if value.get(one.tag_field) == one.tag] or types
+    return tuple(one for one in tables if value.get(str(one.tag_field)) == one.tag) or types
 
 
 def members(kind: inspect.Type) -> tuple[inspect.Type, ...]:

@@ -30,9 +30,9 @@ def power_source(
     irradiance = scenario_file.scenario.irradiance
     plant = scenario_file.scenario.plant
     if (plant.inverters or plant.grid) and not isinstance(irradiance, CloudIrradiance):
-        raise InputError(
-            "plant.inverters, plant.grid: expected none with measured data, which says where the "
-            "inverters are"
+        raise InputError.of(
+            "plant.inverters, plant.grid",
+            "expected none with measured data, which says where the inverters are",
         )
     match irradiance:
         case CloudIrradiance():
@@ -51,8 +51,8 @@ def _cloudy_sky(
     plant, time = scenario_file.scenario.plant, scenario_file.scenario.time
     clear_until = table.clear_until
     if (plant.inverters is None) == (plant.grid is None):
-        raise InputError(
-            "plant.inverters: expected a CSV with the columns inverter, lat, lon, or plant.grid"
+        raise InputError.of(
+            "plant.inverters", "expected a CSV with the columns inverter, lat, lon, or plant.grid"
         )
     return CloudySky(
         sites=plant.grid.sites(plant.rating_kw)
@@ -63,7 +63,9 @@ def _cloudy_sky(
         clouds=table.clouds,
         seed=table.seed if seed is None else seed,
         history_seed=table.seed,
-        clear_until=None if clear_until is None else pd.Timestamp(zoned(clear_until, time)),
+        clear_until=None
+        if clear_until is None
+        else pd.Timestamp(zoned(clear_until, time, "irradiance.clear_until")),
         is_kept=keeps,
     )
 
@@ -82,9 +84,10 @@ def _oahu_sky(
     scenario = scenario_file.scenario
     folder = scenario_file.data_path(table.folder) if table.folder else scenario_file.data_folder
     if not any(folder.glob("*.txt")):
-        raise InputError(
-            "irradiance.folder: expected daily files YYYYMMDD.txt (unzip the archive's months) "
-            f"there or in the folder of --data, got none in {folder}"
+        raise InputError.of(
+            "irradiance.folder",
+            "expected daily files YYYYMMDD.txt (unzip the archive's months) "
+            f"there or in the folder of --data, got none in {folder}",
         )
     positions = scenario_file.data_path(table.positions)
     day = times[0].tz_convert(oahu_grid.TIMEZONE).date()

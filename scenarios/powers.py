@@ -23,7 +23,7 @@ def parse_power_kw(text: str, where: str, rating_kw: float) -> float:
     power_kw = float(found[1]) * _UNITS_KW[found[2]] if found else -1.0
     if not 0.0 <= power_kw <= rating_kw:
         expected = f"a power from 0 to the plant's rating of {rating_kw:,.10g} kW, such as 1.5MW"
-        raise InputError(f"{where}: expected {expected}, got {text[:40]}")
+        raise InputError.of(where, f"expected {expected}, got {text[:40]}")
     return power_kw
 
 
@@ -31,5 +31,5 @@ def parse_ramp_kw_per_min(text: str, where: str) -> float:
     found = _RAMP.fullmatch(text)
     ramp = float(found[1]) * _UNITS_KW[found[2]] * _PER_MIN[found[3]] if found else 0.0
     if ramp <= 0.0:
-        raise InputError(f"{where}: expected a ramp above 0 such as 500kW/min, got {text[:40]}")
+        raise InputError.of(where, f"expected a ramp above 0 such as 500kW/min, got {text[:40]}")
     return ramp

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
-from datetime import UTC
+from datetime import UTC, datetime, time, timedelta
 from pathlib import Path
 from typing import Final
 
@@ -52,7 +53,7 @@ from scenarios.scenario import (
     ScenarioFile,
     local_start,
 )
-from scenarios.times import on_day, parse_duration_s, parse_time
+from scenarios.times import LONGEST_S, Cycle, on_day, parse_duration_s, parse_moment
 from sim_plant.commitment import commitment_kw, is_hindsight
 from sim_plant.frequency import frequency_hz
 from sim_plant.profile import Profile
@@ -138,15 +139,17 @@ def prepare(
     if options.cycle_s is not None:
         scenario = replace(scenario, time=replace(scenario.time, cycle_s=options.cycle_s))
     if options.seed is not None and not isinstance(scenario.irradiance, CloudIrradiance):
-        raise InputError("--seed: expected a scenario with synthetic clouds, got measured data")
+        raise InputError.of(
+            "--seed", "expected a scenario with synthetic clouds, got measured data"
+        )
     path, pace = scenario_file.path, parse_pace(options.pace) or scenario.pace
-    times = _times(scenario_file, scenario, options)
+    times, remarks_on_time = _times(scenario_file, scenario, options)
     wall_ns = cycle_wall_ns(
         scenario.time.cycle_s, pace, "--pace" if options.pace else f"{path}: pace"
     )
     if options.priority is not None and pace == "max":
         why = "got lockstep, where nothing can be late"
-        raise InputError(f"--priority: expected a --pace such as 1 with it, {why}")
+        raise InputError.of("--priority", f"expected a --pace such as 1 with it, {why}")
     keys_folder, offer = _keys_folder(scenario, options), scenario.regulation
     with scenario_file.named():
         day = _day(scenario_file, scenario, options.seed, times, keeps=keeps)
@@ -156,7 +159,8 @@ def prepare(
             regulation = regulation_kw(offer, times, zone, data_path)
         frequency = _frequency_hz(scenario_file, scenario, len(times))
     plan = _plan(scenario_file, scenario, options, run_id, day, wall_ns, keys_folder)
-    remarks = [f"warning: {one}" for one in _warnings(day)] + list(day.source.remarks)
+    remarks = [*remarks_on_time, *(f"warning: {one}" for one in _warnings(day))]
+    remarks += day.source.remarks
     hides_maximum = plan.control.actuator == "limit" and not plan.site.states_all
     if plan.grid_law.reserve_kw > 0.0 and hides_maximum:
         remarks.append(
@@ -191,7 +195,7 @@ def _day(
     keeps: bool,
 ) -> _Day:
     own = scenario_file.scenario  # Clusters and neighbours are its own, whatever the options.
-    own_times = _times(scenario_file, own, RunOptions())
+    own_times, _ = _times(scenario_file, own, RunOptions())
     source = power_source(scenario_file, seed, times, keeps=keeps)
     check_size(len(times), len(source.sites.names), "time.duration_s")
     available_kw = source.available_kw(times)
@@ -258,9 +262,9 @@ def _plan(
         groups = process_groups(scenario.processes, day.tree)
     external = external_agents(options.external or (), day.tree)
     if OPERATOR in external and not keys_folder:
-        raise InputError(
-            "--external operator: expected --secure with it, since any program of this host could "
-            "give orders"
+        raise InputError.of(
+            "--external operator",
+            "expected --secure with it, since any program of this host could give orders",
         )
     addresses = addresses_of(
         options.on or (), day.tree, external, options.address, secure=bool(keys_folder)
@@ -359,11 +363,12 @@ def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
     address = read_address(options.address)
     if not options.secure:
         if options.keys is not None:
-            raise InputError("--keys: expected --secure with it")
+            raise InputError.of("--keys", "expected --secure with it")
         if not address.is_loopback:
-            raise InputError(
-                f"--address {options.address}: expected --secure with it, since anyone who reaches "
-                "that address could command the plant"
+            raise InputError.of(
+                f"--address {options.address}",
+                "expected --secure with it, since anyone who reaches "
+                "that address could command the plant",
             )
         return ""
     return str((options.keys or Path("keys") / scenario.name).absolute())
@@ -371,31 +376,58 @@ def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
 
 def _times(
     scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions
-) -> pd.DatetimeIndex:
-    table, time_table = scenario.time, f"{scenario_file.path}: time"
-    text, where = options.start, "--from"
-    if text is None:
-        text, where = table.start.isoformat(), f"{time_table}.start"
-    start = on_day(parse_time(text, where), local_start(table))
-    where, duration_s = f"{time_table}.duration_s", table.duration_s
+) -> tuple[pd.DatetimeIndex, tuple[str, ...]]:
+    """Return the beginnings of the cycles, and a remark if the first one is a time that repeats."""
+    table = scenario.time
+    with scenario_file.named():
+        own = local_start(table)
+        starts = on_day(table.start, own, "time.start")
+    cycle_s = table.cycle_s
+    if options.start is not None:
+        starts = _moments(options.start, "--from", own, own, cycle_s)
+    start = starts[0]
+    where, duration_s = "time.duration_s", table.duration_s
     if options.duration is not None:
-        where, duration_s = "--duration", parse_duration_s(options.duration, "--duration")
+        where = "--duration"
+        duration_s = parse_duration_s(options.duration, where, cycle_s)
     if options.end is not None:
-        end = on_day(parse_time(options.end, "--to"), start)
+        where, ends = "--to", _moments(options.end, "--to", start, own, cycle_s)
         # In UTC: between two times of one zone Python counts the hours of the wall clock.
-        where, duration_s = "--to", (end.astimezone(UTC) - start.astimezone(UTC)).total_seconds()
+        lengths_s = [(end.astimezone(UTC) - start.astimezone(UTC)).total_seconds() for end in ends]
+        duration_s = next((one for one in lengths_s if one > 0.0), 0.0)
         if duration_s <= 0.0:
-            raise InputError(f"--to: expected a time after {start:%H:%M:%S}, got {options.end}")
-    cycles = round(duration_s / table.cycle_s)
-    if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
-        raise InputError(
-            f"{where}: expected a whole number of cycles of {table.cycle_s:g} s, "
-            f"got {duration_s:g} s"
-        )
-    check_size(cycles, 1, where)
-    step = pd.Timedelta(seconds=table.cycle_s)
+            raise InputError.of(where, f"expected a time after {start:%H:%M:%S}, got {options.end}")
+    with scenario_file.named() if where == "time.duration_s" else nullcontext():
+        cycles = round(duration_s / cycle_s)
+        if cycles < 1 or abs(cycles * cycle_s - duration_s) > 1e-6:
+            expected = f"a whole number of cycles of {cycle_s:g} s"
+            raise InputError.of(where, f"expected {expected}, got {duration_s:g} s")
+        check_size(cycles, 1, where)
     first = pd.Timestamp(start).tz_convert("UTC")
-    return pd.date_range(first, periods=cycles, freq=step, unit="ns")
+    times = pd.date_range(first, periods=cycles, freq=pd.Timedelta(seconds=cycle_s), unit="ns")
+    return times, tuple(_of_two(starts))
+
+
+def _moments(
+    given: str | float, where: str, day: datetime, own_start: datetime, cycle_s: float
+) -> tuple[datetime, ...]:
+    """Return the times that an option may mean; seconds and cycles count from `own_start`."""
+    moment = parse_moment(given, where)
+    if isinstance(moment, time | datetime):
+        return on_day(moment, day, where)
+    since_s = moment.number * cycle_s if isinstance(moment, Cycle) else moment
+    later = own_start.astimezone(UTC) + timedelta(seconds=min(since_s, 2 * LONGEST_S))
+    return (later.astimezone(own_start.tzinfo),)
+
+
+def _of_two(starts: Sequence[datetime]) -> Iterator[str]:
+    """Say which one is taken of two times that the clocks show alike."""
+    if len(starts) > 1:
+        first, second = (one.strftime("%z") for one in starts)
+        yield (
+            f"{starts[0]:%Y-%m-%d %H:%M:%S} comes twice, since the clocks are put back: the first "
+            f"one is taken, at {first}; {starts[1]:%Y-%m-%dT%H:%M:%S}{second} is the second"
+        )
 
 
 def _deviations(

@@ -30,8 +30,8 @@ def parse_pace(pace: str | float | None) -> float | Literal["max"] | None:
     except ValueError:
         found = 0.0
     if not SLOWEST_PACE <= found <= FASTEST_PACE:
-        raise InputError(
-            f"--pace: expected {SLOWEST_PACE:g} to {FASTEST_PACE:g}, or max, got {pace}"
+        raise InputError.of(
+            "--pace", f"expected {SLOWEST_PACE:g} to {FASTEST_PACE:g}, or max, got {pace}"
         )
     return found
 
@@ -42,9 +42,10 @@ def cycle_wall_ns(cycle_s: float, pace: float | Literal["max"], where: str) -> i
         return 0
     length_ns = round(cycle_s / pace * 1e9)
     if length_ns < SHORTEST_CYCLE_NS:
-        raise InputError(
-            f"{where} {pace:g}: expected cycles of {SHORTEST_CYCLE_NS / 1e3:g} us or more, as long "
-            f"as it may take to wake a process, got {cycle_s:g} s in {length_ns / 1e3:g} us"
+        raise InputError.of(
+            f"{where} {pace:g}",
+            f"expected cycles of {SHORTEST_CYCLE_NS / 1e3:g} us or more, as long "
+            f"as it may take to wake a process, got {cycle_s:g} s in {length_ns / 1e3:g} us",
         )
     return length_ns
 
@@ -62,7 +63,7 @@ def process_groups(processes: Processes, tree: ControlTree) -> tuple[str, ...]:
         expected = (
             f"a plant that has a {processes} between its inverters and the central controller"
         )
-        raise InputError(f"processes: expected {expected}, got none")
+        raise InputError.of("processes", f"expected {expected}, got none")
     return tuple(path for path in tree.parents if path and path in found)
 
 
@@ -73,7 +74,7 @@ def machine_settings(cpus: Sequence[str], priority: int | None = None) -> Machin
         kind, equals, listed = entry.rpartition("=")
         if equals and kind not in KINDS:
             known = not_one_of(KINDS, kind, "a kind of process: ")
-            raise InputError(f"--cpus {entry}: {known}")
+            raise InputError.of(f"--cpus {entry}", known)
         by_kind[kind] = _cpu_list(f"--cpus {entry}", listed)
     everywhere = by_kind.pop("", ())
     return MachineSettings(everywhere, cast("dict[Kind, tuple[int, ...]]", by_kind), priority or 0)
@@ -82,7 +83,7 @@ def machine_settings(cpus: Sequence[str], priority: int | None = None) -> Machin
 def _cpu_list(where: str, text: str) -> tuple[int, ...]:
     """Read a list of processors as the kernel writes it: `0`, `0-3` or `0,2-3`."""
     if not re.fullmatch(r"\d{1,4}(-\d{1,4})?(,\d{1,4}(-\d{1,4})?)*", text):
-        raise InputError(f"{where}: expected processors such as 0, 0-3 or plant=0, got {text!r}")
+        raise InputError.of(where, f"expected processors such as 0, 0-3 or plant=0, got {text!r}")
     cpus: set[int] = set()
     for part in text.split(","):
         first, _, last = part.partition("-")
@@ -90,5 +91,5 @@ def _cpu_list(where: str, text: str) -> tuple[int, ...]:
     known = os.sched_getaffinity(0)
     if not cpus or not cpus <= known:
         listed = ", ".join(map(str, sorted(known)))
-        raise InputError(f"{where}: expected processors of this machine, {listed}, got {text}")
+        raise InputError.of(where, f"expected processors of this machine, {listed}, got {text}")
     return tuple(sorted(cpus))

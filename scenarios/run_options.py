@@ -17,9 +17,8 @@ from agents.process.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError, not_one_of
 from scenarios.elsewhere import read_address, split_devices
-from scenarios.fault_rules import parse_fault
 from scenarios.real_time import machine_settings, parse_pace
-from scenarios.times import parse_duration_s, parse_time
+from scenarios.times import SHORTEST_CYCLE_S, parse_duration_s, parse_moment
 from sunspec.addresses import parse_address
 
 LARGEST_SEED = 2**32
@@ -45,7 +44,7 @@ Whole: TypeAlias = Annotated[int, Parameter(converter=_whole_number)]
 Seed: TypeAlias = Annotated[
     Whole | None, Parameter("--seed", group=PLANT, help="Seed of the synthetic clouds.")
 ]
-_Text: TypeAlias = str | None
+_Moment: TypeAlias = str | float | None
 _Texts: TypeAlias = list[str] | None
 
 
@@ -57,25 +56,28 @@ class TimeOptions:
     Parameters
     ----------
     start
-        Local time of the first cycle: 12:30, or 2010-04-01T12:30.
+        Begin of the first cycle: local time (12:30, 2010-04-01T12:30), seconds (90, 15m, 1h30m) or
+        cycles (c90) after the scenario's start.
     duration
-        Simulated time, in place of --to: seconds, or 90s, 15m, 1h30m.
+        Simulated time, in place of --to: seconds (90, 15m, 1h30m), or cycles (c90).
     end
-        Local time at which the last cycle ends.
+        End of the last cycle, in the forms of --from.
     """
 
-    start: Annotated[_Text, Parameter("--from", metavar="TIME")] = None
-    duration: Annotated[str | float | None, Parameter(metavar="TIME")] = None
-    end: Annotated[_Text, Parameter("--to", metavar="TIME")] = None
+    start: Annotated[_Moment, Parameter("--from", metavar="TIME")] = None
+    duration: Annotated[_Moment, Parameter(metavar="TIME")] = None
+    end: Annotated[_Moment, Parameter("--to", metavar="TIME")] = None
 
     def __post_init__(self) -> None:
         for name, moment in (("--from", self.start), ("--to", self.end)):
             if moment is not None:
-                parse_time(moment, name)
+                parse_moment(moment, name)
         if self.duration is not None:
             if self.end is not None:
-                raise InputError("--to: expected no --duration with it")
-            parse_duration_s(self.duration, "--duration")
+                raise InputError.of(
+                    "--to", "expected no second length of the run, --duration, with it"
+                )
+            parse_duration_s(self.duration, "--duration", SHORTEST_CYCLE_S)
 
 
 @Parameter("*", group=TIME)
@@ -109,10 +111,10 @@ class PlantOptions:
         Whether a command is a fraction of the maximum or a power limit.
     faults
         Make links imperfect: `source=c1/*,delay=50ms` (fields: source, listener, signal, delay,
-        jitter, distribution, loss, duplicate, reorder, reorder-by, at=60s..90s). Or cut links,
-        freeze or kill controllers: `source=c1,blackout=5s..9s`, `partition=c1|c2,at=5s..9s`,
-        `freeze=c2,at=5s..9s`, `kill=c2,at=5s`, `trip=c2/inv07,at=5s..9s`. May be given several
-        times.
+        jitter, distribution, loss, duplicate, reorder, reorder-by, at=60..90). In `launch` faults
+        need a --pace. Or cut links, freeze or kill controllers: `source=c1,blackout=5s..9s`,
+        `partition=c1|c2,at=5s..9s`, `freeze=c2,at=5s..9s`, `kill=c2,at=5s`,
+        `trip=c2/inv07,at=5s..9s`. May be given several times.
     """
 
     seed: Seed = None
@@ -124,8 +126,6 @@ class PlantOptions:
         _check_range("--seed", self.seed, 0, LARGEST_SEED)
         check_names("--scheme", self.scheme, get_args(Scheme))
         check_names("--actuator", self.actuator, get_args(Actuator))
-        for text in self.faults or ():
-            parse_fault(text)
 
 
 @Parameter("*")
@@ -218,10 +218,10 @@ class RunOptions(SpanOptions, PlantOptions, ProcessOptions):
 def check_names(where: str, names: str | Iterable[str] | None, known: Collection[str]) -> None:
     for name in [names] if isinstance(names, str) else names or ():
         if name not in known:
-            raise InputError(f"{where}: {not_one_of(known, name)}")
+            raise InputError.of(where, not_one_of(known, name))
 
 
 def _check_range(where: str, number: float | None, least: float, most: float) -> None:
     kind = Integral if isinstance(least, int) else Real
     if number is not None and not (isinstance(number, kind) and least <= number <= most):
-        raise InputError(f"{where}: expected {least} to {most:.10g}, got {number}")
+        raise InputError.of(where, f"expected {least} to {most:.10g}, got {number}")

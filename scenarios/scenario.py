@@ -30,10 +30,10 @@ from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import check_name
 from scenarios.elsewhere import DeviceTable
-from scenarios.fields import checked, with_line
+from scenarios.fields import checked, line_of
 from scenarios.real_time import FASTEST_PACE, SLOWEST_PACE, Processes
 from scenarios.run_options import LARGEST_SEED
-from scenarios.times import LONGEST_S
+from scenarios.times import LONGEST_S, SHORTEST_CYCLE_S, on_day
 from sim_plant.clouds import CloudSettings
 from sim_plant.commitment import CommitmentSettings
 from sim_plant.frequency import FrequencySettings
@@ -75,12 +75,12 @@ class TimeTable(_Table, frozen=True):
     start: datetime
     timezone: str
     duration_s: Annotated[float, Meta(gt=0.0, le=LONGEST_S)]
-    cycle_s: Annotated[float, Meta(ge=0.001, le=3600.0)] = 1.0
+    cycle_s: Annotated[float, Meta(ge=SHORTEST_CYCLE_S, le=3600.0)] = 1.0
 
     def __post_init__(self) -> None:
         if self.timezone not in available_timezones():
             expected = "an IANA name such as Pacific/Honolulu"
-            raise InputError(f"timezone: expected {expected}, got {self.timezone!r}")
+            raise InputError.of("timezone", f"expected {expected}, got {self.timezone!r}")
 
 
 class PlantTable(_Table, frozen=True):
@@ -177,6 +177,10 @@ class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
     full_power_current: Annotated[float, Meta(gt=0.0, le=1e9)] = 100.0
     lat: Annotated[float, Meta(ge=-80.0, le=80.0)] | None = None
     lon: Annotated[float, Meta(ge=-180.0, le=180.0)] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.lat is None) != (self.lon is None):
+            raise InputError.of("lat", f"expected lon with it, got {self.lat} and {self.lon}")
 
     @property
     def place(self) -> tuple[float, float] | None:
@@ -358,7 +362,8 @@ class ScenarioFile(msgspec.Struct, frozen=True):
         try:
             yield
         except InputError as error:
-            raise InputError(f"{self.path}: {with_line(str(error), self.source)}") from None
+            found = error.within(line_of(error.field, self.source))
+            raise found.within(str(self.path)) from None
 
     def data_path(self, name: str) -> Path:
         """Path of a file or folder that the scenario names.
@@ -388,7 +393,7 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
     Data files that are not beside the scenario are looked for in `data_folder`.
     """
     if data_folder is not None and not data_folder.is_dir():
-        raise InputError(f"--data: expected a folder with data files, got {data_folder}")
+        raise InputError.of("--data", f"expected a folder with data files, got {data_folder}")
     path = _find(name_or_path)
     try:
         # An editor may have put a byte order mark first.
@@ -401,12 +406,12 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
 
 
 def local_start(time: TimeTable) -> datetime:
-    return zoned(time.start, time)
+    return zoned(time.start, time, "time.start")
 
 
-def zoned(moment: datetime, time: TimeTable) -> datetime:
-    zone = ZoneInfo(time.timezone)
-    return moment.astimezone(zone) if moment.tzinfo else moment.replace(tzinfo=zone)
+def zoned(moment: datetime, time: TimeTable, where: str) -> datetime:
+    """Return a time in the zone of a scenario; the first one where the clocks repeat it."""
+    return on_day(moment, datetime(1970, 1, 1, tzinfo=ZoneInfo(time.timezone)), where)[0]
 
 
 def _find(name_or_path: str) -> Path:
@@ -417,5 +422,5 @@ def _find(name_or_path: str) -> Path:
         return path
     if name_or_path not in shipped_scenarios():
         known = not_one_of(shipped_scenarios(), name_or_path, "the path of a .toml file, or ")
-        raise InputError(f"scenario: {known}")
+        raise InputError.of("scenario", known)
     return _SHIPPED / f"{name_or_path}.toml"

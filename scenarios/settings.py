@@ -28,8 +28,8 @@ def parse_setting(text: str) -> Setting:
     """Read `commitment.share=0.5,0.7`: a field, and its values as TOML; `1..20` are 20 values."""
     field, _, values = (part.strip() for part in text.partition("="))
     if not re.fullmatch(r"\w+(\.\w+)*", field) or not values:
-        raise InputError(
-            f"--set: expected a field and values such as commitment.share=0.5,0.7, got {text}"
+        raise InputError.of(
+            "--set", f"expected a field and values such as commitment.share=0.5,0.7, got {text}"
         )
     if numbers := re.fullmatch(r"(\d{1,6})\.\.(\d{1,6})", values):
         return Setting(field, tuple(range(int(numbers[1]), int(numbers[2]) + 1)))
@@ -53,7 +53,7 @@ def with_single_settings(scenario: ScenarioFile, texts: Iterable[str]) -> Scenar
     for setting in settings:
         if len(setting.values) != 1:
             got = f"got {len(setting.values)}"
-            raise InputError(f"--set {setting.field}: expected one value, {got}")
+            raise InputError.of(f"--set {setting.field}", f"expected one value, {got}")
     return with_settings(scenario, [(one.field, one.values[0]) for one in settings])
 
 
@@ -68,19 +68,32 @@ def with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, object]]) 
         _put(document, field, value)
         _put(stated, field, value)
     where = " ".join(f"--set {field}={setting_text(value)}" for field, value in fields)
-    changed = checked(document, Scenario, where)
+    try:
+        changed = checked(document, Scenario)
+    except InputError as error:
+        raise InputError.of(where, str(error)) from None
     text = _toml_text(stated)
     return msgspec.structs.replace(scenario, scenario=changed, text=text, source="")
 
 
 def _put(document: dict[str, Any], field: str, value: object) -> None:
-    """Set a field; what stands where a table belongs gives way, and is refused later."""
+    """Set a field; what stands where a table belongs gives way, and is refused later.
+
+    A table changes the fields that it names; one of another kind replaces the old one.
+    """
     *tables, name = field.split(".")
     for part in tables:
         if not isinstance(document.get(part), dict):
             document[part] = {}
         document = document[part]
-    document[name] = value
+    old = document.get(name)
+    document[name] = _merged(old, value) if isinstance(old, dict) else value
+
+
+def _merged(old: dict[str, Any], value: object) -> object:
+    if isinstance(value, Mapping) and value.get("kind", old.get("kind")) == old.get("kind"):
+        return {**old, **value}
+    return value
 
 
 def plain(value: object) -> object:

@@ -109,7 +109,9 @@ def commitment_kw(
         case ShareOfMedian(share=share):
             median_kw = float(np.median(available_kw))
             if median_kw <= 0.0:
-                raise InputError("commitment: expected a run with daylight for most of its time")
+                raise InputError.of(
+                    "commitment", "expected a run with daylight for most of its time"
+                )
             return np.full(available_kw.shape, share * median_kw)
         case ShareOfClearSky(share=share):
             return share * clear_sky_kw(times)

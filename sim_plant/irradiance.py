@@ -155,4 +155,4 @@ def check_stations(stations: Sequence[str], known: Sequence[str], where: str) ->
     """Refuse stations that are not known or come twice, and none at all."""
     if not stations or len(set(stations)) < len(stations) or not set(stations) <= set(known):
         got = ", ".join(stations) or "none"
-        raise InputError(f"{where}: expected {listed(known)}, each at most once, got {got}")
+        raise InputError.of(where, f"expected {listed(known)}, each at most once, got {got}")

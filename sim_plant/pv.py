@@ -141,8 +141,9 @@ def _check_night_is_dark(ghi_wm2: Floats, times: pd.DatetimeIndex, sun: pd.DataF
     bad = np.flatnonzero((zenith_deg > _TWILIGHT_ZENITH_DEG) & (row_max_wm2 > _TWILIGHT_MAX_WM2))
     if bad.size:
         row = bad[0]
-        raise InputError(
-            "irradiance: expected time stamps whose offset from UTC is right, and the coordinates "
+        raise InputError.of(
+            "irradiance",
+            "expected time stamps whose offset from UTC is right, and the coordinates "
             f"of the sensors, got {row_max_wm2[row]:.1f} W/m2 at {times[row].isoformat()} with the "
-            f"sun {zenith_deg[row] - 90.0:.1f} degrees below the horizon"
+            f"sun {zenith_deg[row] - 90.0:.1f} degrees below the horizon",
         )

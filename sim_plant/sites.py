@@ -50,7 +50,7 @@ class Grid(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         """Return them by the names `inv001`, `inv002` and so on."""
         count = self.rows * self.columns
         if count > MOST_INVERTERS:
-            raise InputError(f"plant.grid: expected 1 to {MOST_INVERTERS:,}, got {count:,}")
+            raise InputError.of("plant.grid", f"expected 1 to {MOST_INVERTERS:,}, got {count:,}")
         row, column = np.divmod(np.arange(count), self.columns)
         step_deg = self.apart_m / _METRES_PER_DEGREE
         return Sites(
@@ -78,9 +78,10 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
         expected = "a number above 0, up to 1e7"
         rating_kw = table.numbers(("rating_kw",), expected, smallest_kw, 1e7)[:, 0]
         if plant_rating_kw is not None and not isclose(plant_rating_kw, rating_kw.sum()):
-            raise InputError(
-                f"plant.rating_kw: expected none, or {rating_kw.sum():.10g}, the sum of the column "
-                f"rating_kw of {path.name}, got {plant_rating_kw:.10g}"
+            raise InputError.of(
+                "plant.rating_kw",
+                f"expected none, or {rating_kw.sum():.10g}, the sum of the column "
+                f"rating_kw of {path.name}, got {plant_rating_kw:.10g}",
             )
     else:
         rating_kw = equal_ratings_kw(plant_rating_kw, len(names), path.name)
@@ -94,7 +95,7 @@ def inverter_name(station: str) -> str:
 
 def equal_ratings_kw(plant_rating_kw: float | None, inverters: int, where: str) -> Floats:
     if plant_rating_kw is None:
-        raise InputError(f"{where}: expected plant.rating_kw or a column rating_kw, got neither")
+        raise InputError.of(where, "expected plant.rating_kw or a column rating_kw, got neither")
     return np.full(inverters, plant_rating_kw / inverters)
 
 

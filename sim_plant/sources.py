@@ -122,14 +122,15 @@ class MeasuredPlant:
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return what `available_kw` was at the same times of an earlier day, shape (T, n)."""
         if self.earlier is None:
-            raise InputError("neighbours.history: expected 'hindsight' with data of one day")
+            raise InputError.of("neighbours.history", "expected 'hindsight' with data of one day")
         return self.earlier.available_kw(times - self.earlier_by)
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
         if self.sky is None:
-            raise InputError(
-                "irradiance.lat, lon: expected both, the place of the plant, since its commitment "
-                "is a share of the clear-sky power"
+            raise InputError.of(
+                "irradiance.lat, lon",
+                "expected both, the place of the plant, since its commitment "
+                "is a share of the clear-sky power",
             )
         return np.asarray(self.sky.cloudless_kw(times, _CLEAN_AIR_TURBIDITY).sum(axis=1))
 

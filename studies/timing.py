@@ -55,11 +55,12 @@ def prepare_at(
         timing = prepare_run(request)[0].plan.timing
         length_s = timing.cycles * timing.cycle_s
     elif request.options.duration is not None:
-        length_s = parse_duration_s(request.options.duration, "--duration")
+        length_s = parse_duration_s(request.options.duration, "--duration", 1.0 / rate_hz)
     if length_s * rate_hz < 1.0:
-        raise InputError(
-            f"--duration {length_s:g} s: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
-            f"more at {cycles_per_s(rate_hz)}"
+        raise InputError.of(
+            f"--duration {length_s:g} s",
+            f"shorter than one cycle, expected {1.0 / rate_hz:g} s or "
+            f"more at {cycles_per_s(rate_hz)}",
         )
     cycle_s = 1.0 / rate_hz
     duration = f"{round(length_s * rate_hz) * cycle_s:.9f}"
@@ -140,7 +141,7 @@ def parse_rates(text: str) -> tuple[float, float]:
         is_range = len(rates) <= 2 and rates == sorted(set(rates))
         if is_range and rates[0] >= LOWEST_HZ and rates[-1] <= HIGHEST_HZ:
             return rates[0], rates[-1]
-    raise InputError(f"--rate: expected {_EXPECTED}, got {text}")
+    raise InputError.of("--rate", f"expected {_EXPECTED}, got {text}")
 
 
 def sweep(lowest_hz: float, highest_hz: float, timed: Callable[[float], TimingReport]) -> Sweep:

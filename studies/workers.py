@@ -87,11 +87,11 @@ def _share_over_cluster(
     try:
         from distributed import Client, KilledWorker, as_completed  # noqa: PLC0415 - optional
     except ImportError:
-        raise InputError("--cluster: expected Dask: pip install 'heliarch[cluster]'") from None
+        raise InputError.of("--cluster", "expected Dask: pip install 'heliarch[cluster]'") from None
     try:
         client = Client(address, timeout=_ANSWER_S)
     except (OSError, ValueError):
-        raise InputError(f"--cluster: no Dask scheduler answers at {address}") from None
+        raise InputError.of("--cluster", f"no Dask scheduler answers at {address}") from None
     with client:
         futures = client.map(function, items, pure=False)
         try:

@@ -17,4 +17,4 @@ def parse_address(address: str, where: str) -> tuple[str, int, int]:
         if parts.scheme == "modbus" and parts.hostname and port and 1 <= unit <= 247:
             return parts.hostname, port, unit
     expected = "an address such as modbus://10.0.0.7:502/1 (host, port, unit 1 to 247)"
-    raise InputError(f"{where}: expected {expected}, got {address}")
+    raise InputError.of(where, f"expected {expected}, got {address}")

@@ -141,7 +141,8 @@ def main() -> None:
             sys.stdout.flush()
             sys.stdin.read()
     except InputError as error:
-        sys.stdout.write(f"{str(error).replace('--address', '--operator')}\n")
+        known = error.renamed("--operator") if error.field == "--address" else error
+        sys.stdout.write(f"{known}\n")
 
 
 if __name__ == "__main__":

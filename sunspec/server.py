@@ -65,9 +65,10 @@ def served(
     """
     names = [*inverters, "meter"]
     if len(names) > _MOST_UNITS and not a_port_each:
-        raise InputError(
-            f"inverters: expected up to {_MOST_UNITS - 1} at one port, got {len(inverters)}; "
-            "--base-port gives each a port of its own"
+        raise InputError.of(
+            "inverters",
+            f"expected up to {_MOST_UNITS - 1} at one port, got {len(inverters)}; "
+            "--base-port gives each a port of its own",
         )
 
     def begin_sky() -> None:
@@ -106,7 +107,7 @@ async def listening(
             except (RuntimeError, OverflowError):  # No port is above 65535.
                 expected = "an address and free port of this machine"
                 got = f"{host} port {wanted}"
-                raise InputError(f"--address: expected {expected}, got {got}") from None
+                raise InputError.of("--address", f"expected {expected}, got {got}") from None
             transport = server.transport
             assert isinstance(transport, asyncio.Server)
             found = transport.sockets[0].getsockname()[1]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Final, NoReturn
 
 from cyclopts import App, Group, Parameter
@@ -23,6 +25,9 @@ COMMANDS: Final = {
 }
 """The commands under the headings of `heliarch --help`."""
 
+_DEBUG: Final = "--debug"
+"""Of all commands: show the traceback of an unexpected error."""
+
 
 def _default_text(value: object) -> str | None:
     if value is None or value is False:
@@ -30,24 +35,40 @@ def _default_text(value: object) -> str | None:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-app: Final = App(
-    name="heliarch",
-    help="Run a utility-scale solar plant's controllers as a team of processes.",
-    version=lambda: f"heliarch {version('heliarch')}",
-    help_format="markdown",
-    default_parameter=Parameter(negative=(), show_default=_default_text),
-    group_commands=Group.create_ordered("Help"),
-    group_parameters=OPTIONS,
-    result_action="return_value",
-    print_error=False,
-    exit_on_error=False,
-    suppress_keyboard_interrupt=False,
-)
-for _heading, _names in COMMANDS.items():
-    _group = Group.create_ordered(_heading)
-    for _name in _names:  # By its path: only the command that the user named is imported.
-        app.command(f"heliarch.cli.{_name}:{_name}", name=_name, group=_group)
-app.register_install_completion_command()
+def _first_line(name: str) -> str:
+    """Return the first line of a command's docstring, which need not be imported for it."""
+    text = (Path(__file__).parent / f"{name}.py").read_text(encoding="utf-8")
+    functions = (one for one in ast.parse(text).body if isinstance(one, ast.FunctionDef))
+    command = next(one for one in functions if one.name == name)
+    return (ast.get_docstring(command) or "").partition("\n\n")[0]
+
+
+def _make_app(*, with_first_lines: bool = False) -> App:
+    """Return the program; `with_first_lines` for its own help, which describes each command."""
+    made = App(
+        name="heliarch",
+        help="Run a utility-scale solar plant's controllers as a team of processes.",
+        help_epilogue="With --debug, any command shows the traceback of an unexpected error.",
+        version=lambda: f"heliarch {version('heliarch')}",
+        help_format="markdown",
+        default_parameter=Parameter(negative=(), show_default=_default_text),
+        group_commands=Group.create_ordered("Help"),
+        group_parameters=OPTIONS,
+        result_action="return_value",
+        print_error=False,
+        exit_on_error=False,
+        suppress_keyboard_interrupt=False,
+    )
+    for heading, names in COMMANDS.items():
+        group = Group.create_ordered(heading)
+        for name in names:  # By its path: only the command that the user named is imported.
+            text = _first_line(name) if with_first_lines else None
+            made.command(f"heliarch.cli.{name}:{name}", name=name, group=group, help=text)
+    made.register_install_completion_command()
+    return made
+
+
+app: Final = _make_app()
 
 
 def run_command(words: Sequence[str]) -> NoReturn:
@@ -55,16 +76,18 @@ def run_command(words: Sequence[str]) -> NoReturn:
 
     Commands return their exit status, or None for success.
     """
-    with boundary():
-        if words:
+    debug = _DEBUG in words
+    words = [word for word in words if word != _DEBUG]
+    with boundary(words, debug=debug):
+        if not words or words[0] in app.help_flags:
+            _make_app(with_first_lines=True).help_print([])
+            status = OK if words else BAD_INPUT
+        else:
             command, bound, rest = app.parse_args(checked(words))
             if "given" in rest:
                 options = (word.partition("=")[0] for word in words if word[:2] == "--")
                 bound.arguments["given"] = frozenset(one.replace("_", "-") for one in options)
             status = command(*bound.args, **bound.kwargs)
-        else:
-            app.help_print([])
-            status = BAD_INPUT
         sys.stdout.flush()
     sys.exit(status or OK)
 

@@ -6,11 +6,13 @@ import os
 import signal
 import sys
 import time
+import traceback
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from math import inf
+from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NoReturn
 
@@ -30,22 +32,24 @@ INTERRUPTED: Final = 130
 _ONCE_S: Final = 1.0
 """Signals so soon after each other count as one: `timeout` sends two."""
 
-_BAD_INPUT: Final = (
-    InputError,
-    CycloptsError,
+_BAD_PATH: Final = (
     FileExistsError,
     FileNotFoundError,
     IsADirectoryError,
     NotADirectoryError,
     PermissionError,
 )
+"""Bad input where the user named the path; elsewhere a failure."""
+
 _EXTRAS: Final = {"cryptography": "keys", "pymodbus": "modbus", "sunspec2": "modbus"}
 """Packages that not every user needs, and the extra that installs them."""
 
 
 @contextmanager
-def boundary() -> Iterator[None]:
+def boundary(words: Sequence[str] = (), *, debug: bool = False) -> Iterator[None]:
     """Turn errors and signals into one line on standard error and an exit status.
+
+    `words` are the user's; `debug` shows the traceback of an error that is no bad input.
 
     Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit, so that every `with` and
     `finally` cleans up. A signal that is ignored (`nohup`) stays ignored.
@@ -63,17 +67,13 @@ def boundary() -> Iterator[None]:
     except BrokenPipeError:  # `heliarch ... | head`: the reader has left.
         _discard_output()
         sys.exit(FAILED)
-    except _BAD_INPUT as error:
-        _end(_text(error), BAD_INPUT)
-    except (FailureError, OSError, MemoryError) as error:
-        _end(_text(error), FAILED)
     except KeyboardInterrupt:
         _end("interrupted", INTERRUPTED)
-    except ModuleNotFoundError as error:
-        if error.name not in _EXTRAS:
-            raise
-        extra = f"pip install 'heliarch[{_EXTRAS[error.name]}]'"
-        _end(f"{error.name} is not installed: {extra}", BAD_INPUT)
+    except Exception as error:
+        text, status = _verdict(error, words)
+        if status == FAILED and debug:
+            traceback.print_exc()
+        _end(text, status)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -121,6 +121,27 @@ def _text(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error) or "not enough memory"
+
+
+def _verdict(error: Exception, words: Sequence[str]) -> tuple[str, int]:
+    """Return what to say of an error, and the exit status."""
+    if isinstance(error, InputError | CycloptsError):
+        return _text(error), BAD_INPUT
+    if isinstance(error, FailureError | OSError | MemoryError):
+        is_bad = isinstance(error, _BAD_PATH) and _is_named(error, words)
+        return _text(error), BAD_INPUT if is_bad else FAILED
+    if isinstance(error, ModuleNotFoundError):
+        package = (error.name or "").partition(".")[0]
+        if extra := _EXTRAS.get(package):
+            return f"{package} is not installed: pip install 'heliarch[{extra}]'", BAD_INPUT
+    return f"unexpected {type(error).__name__}: {error} (--debug shows where)", FAILED
+
+
+def _is_named(error: OSError, words: Sequence[str]) -> bool:
+    """Whether a path, or the folder that it is in, is one of the user's words."""
+    path = Path(os.fsdecode(error.filename or "")).absolute()
+    named = (Path(word.rpartition("=")[2]).absolute() for word in words)
+    return any(path.is_relative_to(one) for one in named if one != Path.cwd())
 
 
 def _end(text: str, status: int) -> NoReturn:

@@ -58,7 +58,9 @@ def compare(
     csv: Annotated[str | None, Parameter(metavar="FILE", group=FILES, validator=new_table)] = None,
     given: Given = frozenset(),
 ) -> None:
-    """Compare control schemes under the same sky, for one day or many; or two recorded runs.
+    """Compare control schemes under the same sky.
+
+    For one day or many; or compare two recorded runs.
 
     For a single case, --frontier or two runs, --report writes a page, compare.html by default.
 
@@ -142,7 +144,9 @@ def compare(
         result, rows = _one_case(found[0], names, actuators)
         of_cases = [rows]
     elif files.report is not None and knob is None:
-        raise InputError(f"--report: expected one case, got {len(found):,}; see --csv and --json")
+        raise InputError.of(
+            "--report", f"expected one case, got {len(found):,}; see --csv and --json"
+        )
     else:
         run = partial(run_case, names, actuators)
         of_cases = shared(run, found, workers, "cases", cluster)

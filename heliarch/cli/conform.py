@@ -32,7 +32,9 @@ def conform(
     out: Annotated[Path | None, Parameter(metavar="DIR", group=FILES)] = None,
     json: Json = None,
 ) -> int:
-    """Test your own device against each requirement of the wire document.
+    """Test your own device against the wire document.
+
+    Each requirement is one trial.
 
     Plays the agents around the device: a normal run, inputs at their limits, wrong, random, late or
     missing inputs, random faults, a restart. Compares each answer with that of Heliarch's own
@@ -84,7 +86,7 @@ def conform(
     try:
         preparation, folder = prepare_run(RunRequest(file, options, out))
     except InputError as error:  # The user has not typed the option that says the same.
-        raise InputError(str(error).replace("--external:", "AGENT:")) from None
+        raise (error.renamed("AGENT") if error.field == "--external" else error) from None
     with device:
         trials = Conformance(preparation, folder, device, Equality(tolerance), output.say)
         findings = trials.run(seed or 0)

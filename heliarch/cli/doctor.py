@@ -43,7 +43,9 @@ def doctor(
     out: Annotated[Path, Parameter(metavar="DIR", group=FILES)] = Path(),
     json: Json = None,
 ) -> int:
-    """Check whether a run will work on this machine, what will slow it down, and what to do.
+    """Check whether a run will work on this machine.
+
+    It says what will slow the run down, and what to do.
 
     Exit status 1: a run would not work.
 
@@ -55,7 +57,7 @@ def doctor(
         Folder in which runs will be recorded.
     """
     if not out.is_dir():
-        raise InputError(f"--out: expected an existing folder, got {out}")
+        raise InputError.of("--out", f"expected an existing folder, got {out}")
     found, output = [*_machine(), _zenoh(), *_limits(out), *_versions()], Output(json)
     output.write([finding._asdict() for finding in found])
     for about, what, verdict, advice in found:

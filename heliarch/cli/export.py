@@ -26,7 +26,9 @@ def export(
     out: Annotated[Path | None, Parameter(group=FILES)] = None,
     json: Json = None,
 ) -> None:
-    """Make one whole file of a cut or damaged recording, a file for viewers, or tidy tables.
+    """Make tables, or a file for viewers, of a recording.
+
+    Or one whole file of a cut or damaged recording.
 
     Example: `heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*`
 

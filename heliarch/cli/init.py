@@ -19,7 +19,7 @@ def init(
     *,
     out: Annotated[Path, Parameter(group=FILES, metavar="FILE")] = Path("my-plant.toml"),
 ) -> None:
-    """Write a commented scenario for measured irradiance, which runs at once.
+    """Write a scenario for measured irradiance, which runs at once.
 
     Example: `heliarch init positions.csv ghi.csv --out mesa.toml`
 

@@ -35,7 +35,9 @@ def inspect(
     cycle: Annotated[str | None, Parameter(metavar="TIME")] = None,
     json: Json = None,
 ) -> None:
-    """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
+    """Show what a recording holds, by node or by cycle.
+
+    Or the whole plant in one cycle.
 
     With --nodes, these nodes cycle by cycle. Without --nodes and --cycle: plant, time span,
     versions, messages and rate of each signal, the health of the run, and what is missing.
@@ -45,16 +47,17 @@ def inspect(
     Parameters
     ----------
     cycle
-        Show the whole plant in this cycle; same forms as --from.
+        Show the whole plant in this cycle: its number, or a time in the forms of --from.
     """
     from recordings.read.reader import RunReader
 
     if cycle is not None and (start or end or nodes):
-        raise InputError("--cycle: expected neither --nodes, --from nor --to with it")
+        raise InputError.of("--cycle", "expected neither --nodes, --from nor --to with it")
     output = Output(json)
     with RunReader(run) as reader:
         if cycle is not None:
-            output.write(_show_plant(reader, reader.clock.cycle(cycle, "--cycle"), output))
+            moment = f"c{cycle}" if cycle.isdigit() else cycle
+            output.write(_show_plant(reader, reader.clock.cycle(moment, "--cycle"), output))
         elif nodes is not None:
             names, cycles = find_nodes(reader.plan.tree, nodes), reader.clock.span(start, end)
             output.write_rows(_show_nodes(reader, names, cycles, output))

@@ -33,7 +33,7 @@ def inverters(
     span: TimeOptions = TimeOptions(),
     data: Data = None,
 ) -> None:
-    """Serve a plant's simulated inverters over Modbus TCP, in real time.
+    """Serve simulated inverters over Modbus TCP, in real time.
 
     They are SunSpec inverters under the clouds of the scenario: another plant controller can read
     and limit them. The last unit is the meter at the plant's connection. Ends with the scenario, or
@@ -53,7 +53,7 @@ def inverters(
         Let the clouds stand still until the first limit is written.
     """
     if base_port is not None and port != _PORT:
-        raise InputError("--port: expected no --base-port with it")
+        raise InputError.of("--port", "expected no --base-port with it")
     read_address(address)
     from scenarios.preparation import prepare
     from sunspec.server import Sky, served

@@ -24,7 +24,9 @@ def keys(
     out: Annotated[Path | None, Parameter(metavar="DIR", group=FILES)] = None,
     json: Json = None,
 ) -> None:
-    """Make a certificate authority for a plant, and a certificate for each of its agents.
+    """Make the certificates of a plant's agents.
+
+    A certificate authority for the plant, and a certificate for each agent.
 
     Run it again to renew the certificates, also during a run; the private keys stay the same.
     Give a device only its own certificate, its own key and ca.pem. Keep ca.key secret: it can sign

@@ -50,7 +50,7 @@ def node(
         run_plan = changed(run_plan, access={"keys_folder": str(own)})
         check_keys(run_plan, agents)
     elif keys is not None:
-        raise InputError(f"--keys: expected a plan with keys, got {plan}, which has none")
+        raise InputError.of("--keys", f"expected a plan with keys, got {plan}, which has none")
     folder = run_folder(new_run_id(run_plan.plant), out)
     with ForkServerProcess() as server:
         number = f"{len(agents)} processes of {run_plan.plant}"

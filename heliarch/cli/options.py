@@ -79,7 +79,7 @@ Report = Annotated[_Text, _option("--report", "[FILE.html]", FILES, _REPORT, val
 _WORKERS = "Processes that share the work."
 _SOME: Final = Number(gte=1, lte=256)
 Workers = Annotated[Whole, _option("--workers", None, OPTIONS, _WORKERS, validator=_SOME)]
-_FROM = "First cycle: 13:49:00, 90s, or its number."
+_FROM = "First cycle: local time (13:49:00), seconds (90, 15m) or a cycle (c90)."
 Start = Annotated[_Text, _option("--from", "TIME", OPTIONS, _FROM)]
 _TO = "The cycle before which to end, in the same forms."
 End = Annotated[_Text, _option("--to", "TIME", OPTIONS, _TO)]
@@ -126,9 +126,9 @@ class PageOptions:
 
     def __post_init__(self) -> None:
         if not self.page and (self.page_port is not None or self.page_address is not None):
-            raise InputError("--page-address, --page-port: expected --page with it")
+            raise InputError.of("--page-address, --page-port", "expected --page with it")
         if self.orders and not self.page:
-            raise InputError("--orders: expected --page with it")
+            raise InputError.of("--orders", "expected --page with it")
 
 
 @Parameter("*", group=FILES)

@@ -24,7 +24,7 @@ def order(
     hold: Annotated[str | None, Parameter(metavar="TIME")] = None,
     json: Json = None,
 ) -> int:
-    """Order a power from a run that `launch` has begun, or send its plant back to the schedule.
+    """Order a power from a running plant, or its schedule back.
 
     Prints at once whether the order is in force, and later how the plant's power settled. Exit
     status 1: the order is not in force, or the power has not settled.
@@ -47,7 +47,7 @@ def order(
     from sim_plant.orders import COMMAND
 
     if power == "schedule" and hold is not None:
-        raise InputError("--hold: expected a power with it, got schedule")
+        raise InputError.of("--hold", "expected a power with it, got schedule")
     folder, output = run if run.is_dir() else run.parent, Output(json)
     if not (folder / "plan.json").exists():
         raise InputError(f"{run}: expected the folder of a run, got none")

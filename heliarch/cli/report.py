@@ -9,7 +9,9 @@ from heliarch.cli.output import Output
 
 
 def report(run: Run, /, *, page: Report = None) -> None:
-    """Write the figures and tables of a run as one HTML page, which opens without a network.
+    """Write the figures and tables of a run as one HTML page.
+
+    It opens without a network.
 
     Example: `heliarch report runs/oahu-20261121-120000-4711`
     """

@@ -17,13 +17,15 @@ def simulate(
     page: PageOptions = PageOptions(),
     files: FileOptions = FileOptions(),
 ) -> int:
-    """Run a plant's agents in one process: the same messages and recording as `launch`.
+    """Run a plant in one process, and record it as `launch` does.
 
     Example: `heliarch simulate valley --seed 8 --set commitment.share=0.4 --report`
     """
     from heliarch.cli.run import run_and_print, run_request
 
     if page.orders:
-        raise InputError("--orders: expected none, since only the plant of `launch` takes them")
+        raise InputError.of(
+            "--orders", "expected none, since only the plant of `launch` takes them"
+        )
     options = RunOptions.of(span, plant)
     return run_and_print(run_request(scenario, settings, files, options), files, page)

@@ -30,7 +30,9 @@ def timing(
     files: FileOptions = FileOptions(),
     given: Given = frozenset(),
 ) -> int:
-    """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
+    """Run a plant in real time and report whether it meets deadlines.
+
+    For every tier, and by how much.
 
     Given a recorded run instead of a scenario, report on that. --report writes timing.html into the
     run's folder by default.

@@ -26,7 +26,9 @@ def verify(
     tolerance: Tolerance = 0.0,
     json: Json = None,
 ) -> int:
-    """Run the agents of a recording again on the inputs that they used, and compare the outputs.
+    """Run the agents of a recording again and compare outputs.
+
+    They act on the inputs that they used.
 
     Exit status 1: outputs differ, or not all of them could be compared. The first difference of
     each agent is shown with its inputs, and the verdict says what share was compared. The same code

@@ -24,7 +24,9 @@ def view(
     page_port: PagePort = None,
     page_address: PageAddress = None,
 ) -> int:
-    """Show a run in a browser, with play, pause and seek, also while it is being recorded.
+    """Show a run in a browser, also while it is being recorded.
+
+    With play, pause and seek.
 
     For a folder of runs, lists the runs with their figures. Ends with Ctrl-C.
 

@@ -59,7 +59,7 @@ def export(
     The new file, or folder of tables, is by default beside the recording.
     """
     if clock is not None and form != "json-mcap":
-        raise InputError(f"--clock: expected --format json-mcap with it, got {form}")
+        raise InputError.of("--clock", f"expected --format json-mcap with it, got {form}")
     if form == "mcap" and (signals or nodes or cycles):
         options = "--signals, --nodes, --from, --to"
         raise InputError(f"{options}: expected another --format, since mcap is the whole recording")

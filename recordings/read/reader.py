@@ -138,14 +138,14 @@ class RunReader:
         self,
         *signals: Signal[Message] | str,
         nodes: str | Collection[str] = (),
-        start: str | int | None = None,
-        end: str | int | None = None,
+        start: str | float | None = None,
+        end: str | float | None = None,
     ) -> Iterator[Delivery]:
         """Yield messages with their ports, in the order in which they were recorded.
 
         signals, nodes: Which signals and which nodes, see `find_nodes`; by default all.
         start, end: The first cycle, and the one before which to end: local time (`13:49:00`),
-            time since the start (`90s`) or number.
+            seconds since cycle 0 (`90`, `"15m"`) or a cycle (`"c90"`).
         """
         ports = self.ports(*signals, nodes=nodes)
         if start is None and end is None:
@@ -216,8 +216,8 @@ class RunReader:
         signal: Signal[Message] | str,
         *,
         nodes: str | Collection[str] = (),
-        start: str | int | None = None,
-        end: str | int | None = None,
+        start: str | float | None = None,
+        end: str | float | None = None,
     ) -> pd.DataFrame:
         """Return the messages of one signal as a table, one row each; for the rest see `messages`.
 
@@ -232,8 +232,8 @@ class RunReader:
         self,
         *tables: Signal[Message] | str,
         nodes: str | Collection[str] = (),
-        start: str | int | None = None,
-        end: str | int | None = None,
+        start: str | float | None = None,
+        end: str | float | None = None,
     ) -> dict[str, pd.DataFrame]:
         """Return several tables by name, each as `frame` does: the recording is read once."""
         lists = [name for name in tables if isinstance(name, str) and name in LISTS]

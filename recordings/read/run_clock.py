@@ -1,4 +1,4 @@
-"""Times of a run as a user writes them: local time, time since the start, or a cycle's number.
+"""Times of a run as a user writes them: local time, seconds since the start, or a cycle.
 
 Cycles are numbered from 0, and cycle k begins at `start + k * cycle length`: a time belongs to the
 cycle that has begun by then. A time of day is the first one in the run. The end of a span is not
@@ -7,19 +7,15 @@ part of it. Every command uses these rules.
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterator
 from datetime import datetime, time, timedelta
 from typing import Final
 from zoneinfo import ZoneInfo
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from scenarios.times import LONGEST_S, duration_s, on_day, read_time
+from scenarios.times import Cycle, on_day, parse_moment
 
-_FORMS: Final = (
-    "a local time (13:49:00, 2010-04-01T13:49:00), a time since the start (90s, 1h30m) or the "
-    "number of a cycle"
-)
 _SECOND_NS: Final = 1_000_000_000
 
 
@@ -31,24 +27,21 @@ class RunClock:
         self._zone = ZoneInfo(plan.timing.timezone)
         self._end = last_cycle + 1
 
-    def cycle(self, when: str | int, where: str, *, is_end: bool = False) -> int:
-        """Return the cycle of a time: `13:49:00`, `2010-04-01T13:49:00`, `90s` or a number.
+    def cycle(self, when: str | float, where: str, *, is_end: bool = False) -> int:
+        """Return the cycle of a time: `13:49:00`, `2010-04-01T13:49:00`, seconds, or `c90`.
 
-        The end of a span may be the end of the run. An error begins with `where`, such as `--from`.
+        The end of a span may be the end of the run. An error is about `where`, such as `--from`.
         """
-        text = str(when).strip()
-        try:
-            cycle = int(text) if re.fullmatch(r"-?\d{1,18}", text) else self._cycle_at(text)
-            if not 0 <= cycle < self._end + is_end:
-                raise InputError(f"a time of the run, {self.extent()}")
-        except InputError as expected:
-            raise InputError(f"{where}: expected {expected}, got {text[:40]}") from None
-        return cycle
+        for cycle in self._cycles_at(when, where):
+            if 0 <= cycle < self._end + is_end:
+                return cycle
+        got = str(when).strip()[:40]
+        raise InputError.of(where, f"expected a time of the run, {self.extent()}, got {got}")
 
     def span(
         self,
-        start: str | int | None,
-        end: str | int | None,
+        start: str | float | None,
+        end: str | float | None,
         names: tuple[str, str] = ("--from", "--to"),
     ) -> range:
         """Return the cycles from one time to before another; None: from or to the run's end."""
@@ -56,7 +49,7 @@ class RunClock:
         stop = self._end if end is None else self.cycle(end, names[1], is_end=True)
         if end is not None and stop <= first:
             begin = "the beginning" if start is None else start
-            raise InputError(f"{names[1]}: expected a time after {begin}, got {end}")
+            raise InputError.of(names[1], f"expected a time after {begin}, got {end}")
         return range(first, stop)
 
     def local(self, cycle: int) -> datetime:
@@ -83,18 +76,17 @@ class RunClock:
         first, last = self.local(0), self.local(last_cycle)
         return f"which goes from {first:%F %T} to {last:%F %T %Z} (cycles 0 to {last_cycle})"
 
-    def _cycle_at(self, text: str) -> int:
-        since_start_s = duration_s(text)
-        if since_start_s is not None:
-            since_start_s = min(since_start_s, 2 * LONGEST_S)
-            return round(since_start_s * _SECOND_NS) // self.plan.timing.cycle_ns
-        moment = read_time(text)
-        if moment is None:
-            raise InputError(_FORMS)
-        local = on_day(moment, self.local(0))
-        if isinstance(moment, time) and self._cycle_of(local) < 0:
-            local += timedelta(days=1)
-        return self._cycle_of(local)
+    def _cycles_at(self, when: str | float, where: str) -> Iterator[int]:
+        """Yield the cycles that a time may mean: clocks that are put back show it twice."""
+        moment = parse_moment(when, where)
+        if isinstance(moment, Cycle):
+            yield moment.number
+        elif isinstance(moment, float):
+            yield round(moment * _SECOND_NS) // self.plan.timing.cycle_ns
+        else:
+            for days in range(2 if isinstance(moment, time) else 1):
+                day = self.local(0) + timedelta(days=days)
+                yield from map(self._cycle_of, on_day(moment, day, where))
 
     def _cycle_of(self, local: datetime) -> int:
         moment_ns = round(local.timestamp() * 1e6) * 1000

@@ -44,9 +44,9 @@ class ReplayBus:
             self.session = open_session(SessionSettings(plan.run_id, [endpoint], []))
         except zenoh.ZError as error:
             reason = str(error).partition(" at /")[0]
-            raise InputError(
-                f"--listen: expected a free address such as tcp/127.0.0.1:7447, got {endpoint}: "
-                f"{reason}"
+            raise InputError.of(
+                "--listen",
+                f"expected a free address such as tcp/127.0.0.1:7447, got {endpoint}: {reason}",
             ) from None
         self._plan = plan
         self._outbox = Outbox()
@@ -94,7 +94,7 @@ def selected_ports(
     """Return the ports that are replayed: by default the recorded ones, and the replay's clock."""
     ports = list(reader.ports(*find_signals(signals or ""), nodes=nodes or ""))
     if not ports:
-        raise InputError("--signals, --nodes: expected some message, got none")
+        raise InputError.of("--signals, --nodes", "expected some message, got none")
     return [*ports, CLOCK.of(ROOT)]
 
 

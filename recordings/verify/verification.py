@@ -180,7 +180,7 @@ def _team(
         elif (profile := run_profile(plan, recording)) is not None:
             team[name] = partial(Plant, plan, profile)
         elif nodes:
-            raise InputError(f"--nodes {PLANT}: expected {PROFILE_NAME} beside {recording}")
+            raise InputError.of(f"--nodes {PLANT}", f"expected {PROFILE_NAME} beside {recording}")
         else:
             left_out[name] = f"there is no {PROFILE_NAME} beside the recording"
     return team, left_out

@@ -125,9 +125,9 @@ def loop_inputs(
 ) -> tuple[ControlArrays, LoopSettings, Floats, Schedule, Floats, Floats]:
     """Return the arguments of `closed_loop`; InputError where its inverters do not suffice."""
     if any(plan.site.follows_within_s(leaf) for leaf in plan.tree.leaves):
-        raise InputError(
-            "plant.ramp_percent_per_s, delay_s: expected neither, since a study over arrays has "
-            "inverters that obey at once"
+        raise InputError.of(
+            "plant.ramp_percent_per_s, delay_s",
+            "expected neither, since a study over arrays has inverters that obey at once",
         )
     is_forecast, is_limited = scheme == "predictive", actuator == "limit"
     settings = LoopSettings(
@@ -155,7 +155,7 @@ def loop_inputs(
 def _schedule(plan: RunPlan, profile: Profile, record: Floats | None) -> Schedule:
     offers = plan.offer_law
     if offers is not None and plan.orders:
-        raise InputError("orders: expected none in a study over arrays with offers")
+        raise InputError.of("orders", "expected none in a study over arrays with offers")
     settings = NO_OFFERS if offers is None else offers
     memory = memory_of(nothing_offered(settings) if record is None else record, settings)
     begin_run(memory, settings)

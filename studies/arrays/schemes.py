@@ -48,7 +48,7 @@ def reference_groups(inverters: int, sizes: Sequence[int] = _SIZES) -> Iterator[
     every single inverter.
     """
     if inverters < 2:
-        raise InputError("--schemes: expected two inverters or more with grouping, got one")
+        raise InputError.of("--schemes", "expected two inverters or more with grouping, got one")
     generator = np.random.default_rng(1)
     for size in (size for size in sizes if size < inverters):
         for choice in range(inverters if size == 1 else _CHOICES):
@@ -66,9 +66,10 @@ def run_scheme(
     By default these are `reference_groups`.
     """
     if plan.grid.moves_target:
-        raise InputError(
-            "grid: expected losses and meter_error_percent alone, since a study over arrays has no "
-            "ramp limits and no frequency response; use simulate"
+        raise InputError.of(
+            "grid",
+            "expected losses and meter_error_percent alone, since a study over arrays has no "
+            "ramp limits and no frequency response; use simulate",
         )
     if name in get_args(Scheme):
         results = [run_loop(plan, profile, cast(Scheme, name), actuator)._asdict()]

@@ -13,7 +13,7 @@ from bus_schemas.errors import InputError
 from scenarios.preparation import RunOptions
 from scenarios.scenario import ScenarioFile, local_start
 from scenarios.settings import Setting, setting_text, with_settings
-from scenarios.times import read_time
+from scenarios.times import parse_moment
 
 _MOST: Final = 100_000
 _NO_FAULT: Final = "none"
@@ -81,7 +81,9 @@ def cases(
     choices = [[(setting.field, value) for value in setting.values] for setting in settings]
     count = prod(len(values) or 1 for values in (*choices, faults, days, seeds))
     if count > _MOST:
-        raise InputError(f"--days, --seeds, --set: expected at most {_MOST:,} cases, got {count:,}")
+        raise InputError.of(
+            "--days, --seeds, --set", f"expected at most {_MOST:,} cases, got {count:,}"
+        )
     listed = []
     for chosen in product(*choices):
         changed = with_settings(scenario, chosen)
@@ -103,7 +105,13 @@ def cases(
 
 def _start_on(day: date, scenario: ScenarioFile, options: RunOptions) -> str:
     start = options.start
-    clock = local_start(scenario.scenario.time).time() if start is None else read_time(start)
+    clock = (
+        local_start(scenario.scenario.time).time()
+        if start is None
+        else parse_moment(start, "--from")
+    )
     if not isinstance(clock, time):
-        raise InputError(f"--from: expected a time of day such as 12:30 with --days, got {start}")
+        raise InputError.of(
+            "--from", f"expected a time of day such as 12:30 with --days, got {start}"
+        )
     return datetime.combine(day, clock).isoformat()

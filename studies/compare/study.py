@@ -26,8 +26,7 @@ def run_case(schemes: Sequence[str], actuators: Sequence[Actuator], case: Case) 
         preparation = prepare(case.scenario, case.options, "study")
         return [{**case.columns, **row} for row, _ in run_schemes(preparation, schemes, actuators)]
     except InputError as error:
-        name = label(case.columns)
-        raise InputError(f"{name}: {error}" if name else str(error)) from None
+        raise error.within(label(case.columns)) from None
 
 
 def run_schemes(

@@ -38,7 +38,7 @@ class Device:
             words = [word.format(plan=plan, node=self._node) for word in shlex.split(self._command)]
         if not words or shutil.which(words[0]) is None:
             expected = "a program that is there, with its words"
-            raise InputError(f"--command: expected {expected}, got {self._command!r}")
+            raise InputError.of("--command", f"expected {expected}, got {self._command!r}")
         return words
 
     def start(self, plan: Path) -> None:

@@ -6,14 +6,19 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
 from command_line import python
+from msgspec.structs import replace
 
 import heliarch
 from bus_schemas.errors import InputError
+from scenarios.scenario import load_scenario
+from scenarios.settings import with_settings
+from sim_plant.commitment import CommitmentSettings
 
 
 def test_a_simulation_returns_its_summary_and_its_recording_and_prints_nothing(
@@ -165,14 +170,27 @@ def test_two_recordings_are_compared_with_their_first_difference(
     assert "cycle" in heliarch.compare_runs(first, first).differences.columns
 
 
+def test_a_table_of_settings_changes_the_fields_that_it_names() -> None:
+    oahu = load_scenario("oahu")
+    share = with_settings(
+        oahu, [("commitment", {"share": 0.4}), ("plant", {"delay_s": 2})]
+    ).scenario
+    assert share.commitment == replace(oahu.scenario.commitment, share=0.4)
+    assert share.plant == replace(oahu.scenario.plant, delay_s=2.0)
+    other = {"kind": "constant", "power_kw": 5}
+    assert with_settings(oahu, [("commitment", other)]).scenario.commitment == msgspec.convert(
+        other, CommitmentSettings
+    )
+
+
 @pytest.mark.parametrize(
     ("bad", "named"),
     [
         ({"settings": {"no.such": 1}}, r"^settings no\.such=1: no"),
         ({"faults": "kill"}, "^faults kill: expected"),
         ({"seed": "x"}, "^seed: expected 0 to"),
-        ({"start": 12}, "^start: expected a local time"),
-        ({"end": "12:30", "duration": 5}, "^end: expected no duration"),
+        ({"start": "noon"}, "^start: expected a local time"),
+        ({"end": "12:30", "duration": 5}, "^end: expected no second length"),
         ({"colour": 1}, "^options: expected one of"),
         ({"duration": -60}, "duration: expected seconds above 0"),
         ({"settings": {"commitment.share": "much"}}, "share"),

@@ -43,9 +43,36 @@ def test_help_at_80_columns_shows_an_example_and_cuts_no_word(
     assert max(map(len, text.splitlines())) <= 80
 
 
+def test_help_describes_each_command_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert done("-h") == done("--help")
+    lines = [line.strip("│ ") for line in done("-h").splitlines() if line.startswith("│ ")]
+    described = dict(line.split(None, 1) for line in lines if not line.startswith("--"))
+    assert sorted(described) == sorted(NAMES)
+    assert all(text.endswith(".") for text in described.values())
+
+
 def test_the_help_of_compare_lists_every_scheme_and_figure_of_merit() -> None:
     words = {word.strip("│,.:") for word in help_of("compare").split()}
     assert {*SCHEMES, *FIGURES} <= words
+
+
+def test_a_file_that_the_user_did_not_name_is_no_bad_input(tmp_path: Path) -> None:
+    assert heliarch("inspect", tmp_path / "none").exit_code == 2
+    assert heliarch("init", "positions.csv", "ghi.csv", "--out", tmp_path / "x.toml").exit_code == 2
+    own = "open('/nowhere/of/heliarch')"
+    code = f"import heliarch.cli.scenarios as s\ns.Output = lambda *_: {own}\n{MAIN}"
+    failed = python(code, "scenarios", status=1)
+    assert failed.stderr == "heliarch: /nowhere/of/heliarch: No such file or directory\n"
+    assert "Traceback" in python(code, "scenarios", "--debug", status=1).stderr
+
+
+def test_an_unexpected_error_is_one_line_and_its_traceback_is_asked_for() -> None:
+    code = f"import heliarch.cli.scenarios as s\ns.Output = lambda *_: 1 / 0\n{MAIN}"
+    failed = python(code, "scenarios", status=1)
+    assert failed.stderr.startswith("heliarch: unexpected ZeroDivisionError")
+    assert len(failed.stderr.splitlines()) == 1
+    assert "Traceback" in python(code, "--debug", "scenarios", status=1).stderr
 
 
 @pytest.mark.parametrize("words", [["--help"], ["launch", "--help"], ["compare", "--help"]])

@@ -49,10 +49,26 @@ def test_a_time_of_day_is_the_first_one_in_the_run_also_after_midnight() -> None
     assert clock.cycle("2010-04-02T13:00:00", "--from") == 25 * 3600
 
 
+def test_a_local_time_that_comes_twice_is_the_one_in_the_run() -> None:
+    begins_ns = (
+        1_382_835_600 * 10**9
+    )  # 02:00 in Berlin on 27 October 2013, after the clocks went back.
+    berlin = with_changes(PLAN, start_time_ns=begins_ns, timezone="Europe/Berlin")
+    assert RunClock(berlin, last_cycle=3599).cycle("02:10", "--from") == 600
+    before = with_changes(berlin, start_time_ns=begins_ns - 3600 * 10**9)
+    assert RunClock(before, last_cycle=7199).cycle("02:10", "--from") == 600
+    assert RunClock(before, last_cycle=7199).cycle("2013-10-27T02:10:00+01:00", "--from") == 4200
+
+
 def test_a_span_ends_before_its_end() -> None:
     assert CLOCK.span("12:00:10", "12:00:12") == range(10, 12)
     assert CLOCK.span(None, 2) == range(2)
-    assert CLOCK.span("12:16:38", None) == CLOCK.span(998, "12:16:40") == range(998, 1000)
+    assert (
+        CLOCK.span("12:16:38", None)
+        == CLOCK.span("c998", "12:16:40")
+        == CLOCK.span(998, "cycle 1000")
+        == range(998, 1000)
+    )
 
 
 def test_a_recording_without_a_cycle_has_no_end_before_its_beginning() -> None:
@@ -67,8 +83,11 @@ NO_TIME = "a local time"
 @pytest.mark.parametrize(
     ("moment", "expected"),
     [
-        *((one, OUTSIDE) for one in ("11:59:59", "12:16:40", "1000", -1, "2h", "9" * 300 + "h")),
-        *((one, NO_TIME) for one in ("", "noon", "25:00", "12:61", "1.5", "--", "90 s")),
+        *(
+            (one, OUTSIDE)
+            for one in ("11:59:59", "12:16:40", "1000", "c1000", "2h", "9" * 300 + "h")
+        ),
+        *((one, NO_TIME) for one in ("", "noon", "25:00", "12:61", "c", "--", "90 s")),
     ],
 )
 def test_a_moment_that_is_none_of_the_run_is_refused(moment: str | int, expected: str) -> None:
