@@ -41,7 +41,7 @@ def one(signal: Signal[Message]) -> Message:
         **{"inverter_mpp_kw": (1.0, 2.0), "inverter_power_kw": (0.5, 2.0)},
         "help_given": (HelpGiven("c1/inv08", 12.5),),
         **{"stage": "solve", "readings": 1, "meter_cycle": 1, "clamped": 1, "agents": ("c1/a",)},
-        **{"offers": (0.5, 0.25), "expected_kw": (0.5, 0.25)},
+        **{"offers": (0.5, 0.25), "expected_kw": (0.5, 0.25), "order_replaced": ("page",)},
     }
     names = signal.type.__struct_fields__
     return msgspec.convert({name: plain.get(name, 1.5) for name in names}, signal.type)
