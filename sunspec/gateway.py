@@ -15,17 +15,18 @@ import select
 import sys
 import threading
 import time
-from collections import deque
+from bisect import bisect_left
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from itertools import accumulate
 from math import nan
 from pathlib import Path
 from typing import Final
 
 import msgspec
-from hdrh.histogram import HdrHistogram
 
 from agents.plan import RunPlan
 from sim_plant.real_inverters import METER, Reading
@@ -44,7 +45,6 @@ _READ_AT: Final = 0.75
 
 _RETRY_S: Final = 1.0
 _ACCOUNTS_S: Final = 2.0
-_LONGEST_US: Final = 60_000_000
 _SMALL_CHANGE: Final = 1e-4
 """Share of the rating that no inverter can tell apart: 0.01 %."""
 
@@ -85,6 +85,27 @@ class Gateway:
             pipes.close()
 
 
+class Latencies:
+    """How long requests took, to two digits."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[float] = Counter()
+
+    @contextmanager
+    def timed(self) -> Iterator[None]:
+        began_s = time.monotonic()
+        yield
+        self._counts[float(f"{1e3 * (time.monotonic() - began_s):.2g}")] += 1
+
+    def latency(self) -> Latency:
+        if not self._counts:
+            return Latency(0, 0.0, 0.0)
+        values_ms = sorted(self._counts)
+        sums = [*accumulate(self._counts[ms] for ms in values_ms)]
+        p50_ms, p99_ms = (values_ms[bisect_left(sums, part * sums[-1])] for part in (0.5, 0.99))
+        return Latency(sums[-1], p50_ms, p99_ms)
+
+
 class _Link:
     """The link to one device, with its thread, and what is measured and counted of it."""
 
@@ -95,7 +116,7 @@ class _Link:
         self._wake, self._over = threading.Event(), threading.Event()
         self._late = self._refused = self._breaks = 0
         self._gone_at: float | None = None
-        self._reads, self._writes = (HdrHistogram(1, _LONGEST_US, 2) for _ in range(2))
+        self._reads, self._writes = (Latencies() for _ in range(2))
         self._written_kw, self._written_at = nan, 0.0  # Any limit differs from NaN.
         self._device: SunSpecDevice
         if node == "meter":
@@ -131,8 +152,8 @@ class _Link:
         return DeviceAccount(
             self._node,
             self._device.address,
-            _latency(self._reads),
-            _latency(self._writes),
+            self._reads.latency(),
+            self._writes.latency(),
             self._late,
             self._refused,
             self._breaks,
@@ -163,7 +184,7 @@ class _Link:
 
     def _read(self) -> Reading:
         before = self._device.state
-        with _timed(self._reads):
+        with self._reads.timed():
             reading = self._device.read()
         state = self._device.state
         if state != before and not {before, state} <= {"MPPT", "RUNNING", "THROTTLED"}:
@@ -182,7 +203,7 @@ class _Link:
             revert_kw = to * self._rating_kw
         elif to == "release":
             revert_kw = nan
-        with _timed(self._writes):
+        with self._writes.timed():
             self._device.limit(limit.kw, after_s, revert_kw)
         self._written_kw, self._written_at = limit.kw, time.monotonic()
 
@@ -206,19 +227,6 @@ class _Link:
         if text != self._said:
             self._said = text
             self._tell(f"{self._node}: {text}")
-
-
-@contextmanager
-def _timed(took: HdrHistogram) -> Iterator[None]:
-    began_ns = time.monotonic_ns()
-    yield
-    took_us = (time.monotonic_ns() - began_ns) // 1_000
-    took.record_value(min(max(took_us, 1), _LONGEST_US))
-
-
-def _latency(took: HdrHistogram) -> Latency:
-    p50_us, p99_us = map(took.get_value_at_percentile, (50.0, 99.0))
-    return Latency(took.get_total_count(), p50_us / 1e3, p99_us / 1e3)
 
 
 def _tell(text: str) -> None:

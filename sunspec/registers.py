@@ -16,6 +16,7 @@ from pymodbus.constants import ExcCodes
 from pymodbus.simulator import DataType, SimData, SimDevice
 from sunspec2.device import Model
 
+from bus_schemas.errors import FailureError
 from sunspec.limited_inverter import LIMIT_POINTS, LimitedInverter
 
 Points: TypeAlias = dict[int, dict[str, float | str]]
@@ -39,7 +40,8 @@ class Registers:
 
     points: Returns its present points; the first model is the common one, 1.
     write_limit: Called with a model's number and the fields of `LimitSettings` that were written
-        to it. Not used for units without a model of `writable`.
+        to it. Raises ValidationError: A value is out of range. Raises FailureError: Not now. Not
+        used for units without a model of `writable`.
     writable: By model, the points that may be written, and the fields that they set.
     """
 
@@ -103,6 +105,8 @@ class Registers:
             self._write_limit(model.model_id, written)
         except msgspec.ValidationError:
             return ExcCodes.ILLEGAL_VALUE
+        except FailureError:
+            return ExcCodes.DEVICE_BUSY
         return None
 
 
@@ -186,14 +190,7 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
     rating, watts, energy = 1e3 * rating_kw, 1e3 * power_kw, 1e3 * inverter.energy_kwh
     signed, unsigned = _scale(rating), _scale(rating, _UNSIGNED)
     amperes, phase_volts = _amperes(watts), _VOLTS / sqrt(3.0)
-    held_kw = available_kw - power_kw
-    throttled = 100.0 * held_kw / rating_kw if held_kw > 1e-6 * rating_kw else 0.0
-    if not connected:
-        state = _OFF
-    elif available_kw <= 0.0:
-        state = _SLEEPING
-    else:
-        state = _THROTTLED if throttled else _RUNNING
+    state, _ = _state(rating_kw, power_kw, available_kw, connected=connected)
     limits = {
         number: {name: getattr(inverter.settings, field) for name, field in fields.items()}
         for number, fields in LIMIT_POINTS.items()
@@ -224,19 +221,54 @@ def inverter_points(inverter: LimitedInverter, at: float) -> Points:
             "WMaxLimPct_SF": -2, "OutPFSet_SF": -2, "OutPFSet": 1, "OutPFSet_Ena": 0,
             "VArPct_Ena": 0, **limits[123],
         },
-        701: {
-            "W_SF": signed, "TotWh_SF": 0, "Hz_SF": -2, "V_SF": 0, "ACType": 2, "St": connected,
-            "ConnSt": connected, "Alrm": 0, "W": watts, "InvSt": state - 1, "Hz": 60,
-            "LLV": _VOLTS, "TotWhInj": energy, "ThrotPct": ceil(throttled),
-            "ThrotSrc": 1 if throttled else 0,
-        },
-        702: {"W_SF": unsigned, "WMaxRtg": rating, "WMax": rating},
+        701: operating_points(
+            rating_kw, power_kw, available_kw, inverter.energy_kwh, connected=connected
+        ),
+        702: rating_points(rating_kw),
         704: {
             "WMaxLimPct_SF": -2, **limits[704],
             "WMaxLimPctRvrtRem": ceil(inverter.revert_in_s(at)),
-            **({} if ramp == inf else {"WRmp": round(ramp), "WRmpRef": 1}),
+            # A whole number of percent, and 0 is no ramp: a slower one than 1 %/s is 1 %/s.
+            **({} if ramp == inf else {"WRmp": max(round(ramp), 1), "WRmpRef": 1}),
         },
     }  # fmt: skip
+
+
+def operating_points(
+    rating_kw: float,
+    power_kw: float,
+    available_kw: float,
+    energy_kwh: float,
+    *,
+    connected: bool = True,
+) -> dict[str, float | str]:
+    """Return the points of model 701: power, energy, and how much a limit holds back."""
+    state, throttled = _state(rating_kw, power_kw, available_kw, connected=connected)
+    return {
+        "W_SF": _scale(1e3 * rating_kw), "TotWh_SF": 0, "Hz_SF": -2, "V_SF": 0, "ACType": 2,
+        "St": connected, "ConnSt": connected, "Alrm": 0, "W": 1e3 * power_kw, "InvSt": state - 1,
+        "Hz": 60, "LLV": _VOLTS, "TotWhInj": 1e3 * energy_kwh, "ThrotPct": ceil(throttled),
+        "ThrotSrc": 1 if throttled else 0,
+    }  # fmt: skip
+
+
+def rating_points(rating_kw: float) -> dict[str, float | str]:
+    """Return the points of model 702."""
+    rating = 1e3 * rating_kw
+    return {"W_SF": _scale(rating, _UNSIGNED), "WMaxRtg": rating, "WMax": rating}
+
+
+def _state(
+    rating_kw: float, power_kw: float, available_kw: float, *, connected: bool
+) -> tuple[int, float]:
+    """Return the state of model 103, and how much of the rating a limit holds back [%]."""
+    held_kw = available_kw - power_kw
+    throttled = 100.0 * held_kw / rating_kw if held_kw > 1e-6 * rating_kw else 0.0
+    if not connected:
+        return _OFF, throttled
+    if available_kw <= 0.0:
+        return _SLEEPING, throttled
+    return (_THROTTLED if throttled else _RUNNING), throttled
 
 
 def common_points(what: str, name: str, unit: int) -> Points:

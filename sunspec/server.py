@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
+from contextlib import (
+    AbstractAsyncContextManager,
+    AsyncExitStack,
+    asynccontextmanager,
+    contextmanager,
+)
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
-from anyio.from_thread import start_blocking_portal
 from numpy.typing import NDArray
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import SimDevice
@@ -19,6 +25,8 @@ from sunspec.limited_inverter import LimitedInverter
 from sunspec.registers import Points, inverter_device, inverter_points, meter_device, no_unit
 
 _MOST_UNITS = 247
+
+T = TypeVar("T")
 
 logging.getLogger("pymodbus").setLevel(logging.ERROR)  # Its warnings are said in our words.
 
@@ -84,11 +92,26 @@ def served(
         {name: device(unit, name) for unit, name in enumerate(names, start=1)}
         for names in at_each_port
     ]
-    with (
-        start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(listening(devices, host, port)) as addresses,
-    ):
+    with in_thread(listening(devices, host, port)) as addresses:
         yield addresses
+
+
+@contextmanager
+def in_thread(context: AbstractAsyncContextManager[T]) -> Iterator[T]:
+    """Enter an asynchronous context, whose event loop runs in a thread of its own."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+    try:
+        found = asyncio.run_coroutine_threadsafe(context.__aenter__(), loop).result()
+        try:
+            yield found
+        finally:
+            asyncio.run_coroutine_threadsafe(context.__aexit__(None, None, None), loop).result()
+    finally:
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+        loop.close()
 
 
 @asynccontextmanager

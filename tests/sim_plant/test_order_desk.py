@@ -3,68 +3,29 @@
 from __future__ import annotations
 
 import random
-import socket
 import stat
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Self
 
-import msgspec
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from order_desks import obeying_plant
+from order_desks import SCHEDULED_KW, Giver, PlantByHand, obeying_plant, plant_by_hand
 from plans_by_hand import plan_of
 
-from agents.loop import Loop
-from agents.plan import PlannedOrder, RunPlan
-from bus_schemas.messages import Dispatch, Order
-from bus_schemas.signals import DISPATCH, ORDER
-from bus_schemas.tree import OPERATOR, ROOT
+from agents.plan import PlannedOrder
+from bus_schemas.messages import Order
+from bus_schemas.tree import OPERATOR
 from sim_plant.order_desk import (
     SOCKET_NAME,
-    OrderDesk,
     OrderLine,
-    PlantAtDesk,
-    PlantStatus,
     Reply,
-    short_path,
 )
-from sim_plant.plant import Plant
-from sim_plant.profile import Profile
 
 HEAD = b'{"cycle": 0, "sim_time_ns": 0, "missing": [], '
-RATING_KW, SCHEDULED_KW, CYCLES = 200.0, 100.0, 2_000
-
-
-class PlantByHand:
-    """A plant at a desk that goes through its cycles when the test says so."""
-
-    def __init__(self, plan: RunPlan, desk: OrderDesk) -> None:
-        profile = Profile(np.full((CYCLES, 1), 90.0), np.full(CYCLES, SCHEDULED_KW))
-        self.loop = Loop(PlantAtDesk(Plant(plan, profile), desk), plan)
-        self.loop.begin(0, 0)
-
-    def go_on(self) -> Dispatch:
-        """Go through a cycle; return its dispatch."""
-        dispatch = dict(self.loop.close_stage(0))[DISPATCH.of(ROOT)]
-        self.loop.close_stage(0)
-        assert isinstance(dispatch, Dispatch)
-        return dispatch
-
-    def hear(self, order: Order) -> None:
-        self.loop.hear(ORDER.of(ROOT), order, 0)
-
-
-@contextmanager
-def plant_by_hand(folder: Path, *planned: PlannedOrder) -> Iterator[PlantByHand]:
-    plan = plan_of({"a": RATING_KW}, cycles=CYCLES, orders=planned)
-    with OrderDesk(folder, RATING_KW) as desk:
-        yield PlantByHand(plan, desk)
 
 
 def operators_order(cycle: int, power_kw: float) -> Order:
@@ -72,43 +33,10 @@ def operators_order(cycle: int, power_kw: float) -> Order:
     return Order(cycle, 0, OPERATOR, (), publish_time_ns=stamp, power_kw=power_kw)
 
 
-class Giver:
-    """A program at a desk that sends what it likes."""
-
-    def __init__(self, folder: Path) -> None:
-        self.raw = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.raw.settimeout(30.0)
-        with short_path(folder) as path:
-            self.raw.connect(path)
-
-    def give(self, source: str, power_kw: float, publish_time_ns: int = 0) -> None:
-        stamp = publish_time_ns or time.monotonic_ns()
-        order = Order(0, 0, source, (), publish_time_ns=stamp, power_kw=power_kw)
-        self.raw.send(msgspec.json.encode(order))
-
-    def arrive(self) -> None:
-        """Wait until the desk has read all orders so far: it refuses this one at once."""
-        self.raw.send(b"-")
-        assert self.reply().text.startswith("refused: ")
-
-    def reply(self) -> Reply:
-        while packet := self.raw.recv(8_192):
-            found = msgspec.json.decode(packet, type=Reply | PlantStatus)
-            if isinstance(found, Reply):
-                return found
-        raise AssertionError("the desk hung up")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.raw.close()
-
-
 def test_its_socket_is_for_the_owner_alone_and_goes_with_the_run(tmp_path: Path) -> None:
     folder = tmp_path / ("long" * 40)  # Longer than the path of a socket may be.
     folder.mkdir()
-    plan = plan_of({"a": RATING_KW}, cycles=1_000)
+    plan = plan_of({"a": 200.0}, cycles=1_000)
     with obeying_plant(folder, plan):
         found = (folder / SOCKET_NAME).stat().st_mode
         assert stat.S_ISSOCK(found)

@@ -136,7 +136,7 @@ def test_orders_come_by_all_five_ways_in_one_run_and_verify_repeats_it(
     headers |= {"Cookie": f"heliarch-page={token}"}
     request = urllib.request.Request(f"{page}order", b'{"power_kw": 450}', headers)
     with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
-        assert answer.read().startswith(b"450 kW reached")
+        assert b"450 kW reached" in answer.read()
     with master(unit) as scada:
         control = scada.models[704][0]
         for name, value in {"WSet": 550_000, "WSetMod": 1, "WSetEna": 1}.items():
