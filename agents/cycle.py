@@ -12,7 +12,7 @@ from typing import Final, Literal, TypeAlias, get_args
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, agent_of, depth
+from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, depth
 
 Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "recorder"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
@@ -39,7 +39,6 @@ _LATER: Final = {"setpoint": "solve", "command": "actuate", "production": "apply
 
 
 def kind_of(agent: str, tree: ControlTree) -> Kind:
-    agent = agent_of(agent)
     return _ALONE.get(agent) or ("direct" if tree.is_leaf(agent) else "supervisor")
 
 

@@ -11,18 +11,15 @@ import logging
 from collections.abc import Callable, Collection
 from typing import Final, Generic, TypeVar
 
-import msgspec
-
 from agents.agent import Agent, Stage, Turn
 from agents.inputs import Input, Inputs
 from agents.plan import RunPlan
 from agents.run_times import RunTimes
-from agents.standby import Standby
 from bus_schemas.bounds import is_within
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import GivenUp, Message, Order, Run, Takeover
-from bus_schemas.signals import DISPATCH, RUN, TAKEOVER, Port
-from bus_schemas.tree import CENTRAL, ROOT
+from bus_schemas.messages import GivenUp, Message, Order, Run
+from bus_schemas.signals import DISPATCH, RUN, Port
+from bus_schemas.tree import ROOT
 
 S = TypeVar("S")
 
@@ -44,8 +41,8 @@ class Loop(Generic[S]):
     dispatch of a round takes a controller into it, and the plant's `run` into cycle 0.
 
     on_drop: See `Inputs`.
-    process: Name of its process, where it is a standby.
 
+    incarnation: The cycle in which its process joined the run: 0, unless it replaces another.
     waiting: Ports of which the open stage still awaits a message.
     deadline_ns: When the open stage closes at the latest, on the run's clock. None: it waits.
     """
@@ -55,15 +52,14 @@ class Loop(Generic[S]):
         agent: Agent[S],
         plan: RunPlan,
         on_drop: Callable[[int, str], None] = lambda count, why: None,
-        process: str | None = None,
     ) -> None:
         self.agent = agent
-        self.name = process or agent.name
+        self.name = agent.name
         # The plant, which goes through every cycle, hears controllers that did not wait for it.
         horizon = plan.control.periods.longest + 1 if agent.may_skip else _PLANT_HORIZON
         self.inputs = Inputs(plan, agent.name, horizon, on_drop)
         self.times = RunTimes(plan, agent)
-        self.standby = Standby(plan, agent.name, self.name)
+        self.incarnation = 0
         self.cycle = BEFORE_ARMING
         self.waiting: set[Port[Message]] = set()
         self.deadline_ns: int | None = None
@@ -115,13 +111,9 @@ class Loop(Generic[S]):
                 self.inputs.hear_order(port, message, self.cycle)
 
     def _hear_input(self, one: Input, message: Message, time_ns: int) -> None:
-        inputs, standby, port = self.inputs, self.standby, one.port
+        inputs, port = self.inputs, one.port
         if not inputs.admits(one, message, self.cycle):
             return
-        if port in standby.heard and not standby.silent:
-            silences = is_within(message, one.bounds) and standby.yield_to(port, message)
-            if not silences:
-                return
         # A dispatch takes a controller into another round, or into a run that is under way.
         enters = port is _DISPATCH and self.cycle < 0 and message.cycle > self.cycle
         if enters and is_within(message, one.bounds):
@@ -169,7 +161,7 @@ class Loop(Generic[S]):
     def begin(self, start_ns: int, now_ns: int, cycle: int = 0) -> None:
         """Enter the first cycle of a run; cycle 0 begins at a time of the run's clock."""
         self.times.start(start_ns)
-        self.standby.incarnation = cycle
+        self.incarnation = cycle
         self.enter(cycle, now_ns)
 
     def _join(self, dispatch: Message, now_ns: int) -> None:
@@ -181,7 +173,7 @@ class Loop(Generic[S]):
         times.start(start_ns)
         # A dispatch that was long on its way is of a cycle that is over: no stage of it is left.
         cycle = times.goes_on_in(cycle, now_ns) or cycle
-        self.standby.join(cycle)
+        log.info("joined the run in cycle %d", cycle)
         self.begin(start_ns, now_ns, cycle)
 
     def end_before(self, cycle: int) -> None:
@@ -229,55 +221,26 @@ class Loop(Generic[S]):
         if self._position < len(self._stages):
             stage, inputs, cycle = self._stages[self._position], self.inputs.of, self.cycle
             self.deadline_ns = self.times.deadline_ns(cycle, stage.name)
-            awaits = stage.awaits
-            if self.standby.silent:
-                awaits += self.standby.awaited(stage.name, cycle)
-                if self.deadline_ns is not None:
-                    self.deadline_ns += self.standby.extra_ns(stage.name)
-            self.waiting = {port for port in awaits if inputs[port].newest_cycle != cycle}
+            self.waiting = {port for port in stage.awaits if inputs[port].newest_cycle != cycle}
             self.waiting -= self.inputs.given_up
 
     def close_stage(self, now_ns: int) -> list[Delivery]:
         """Close the open stage with what there is; return what the agent sends."""
-        stage, cycle, standby = self._stages[self._position], self.cycle, self.standby
-        takes_over = standby.silent and self._may_take_over(stage, now_ns)
+        stage, cycle = self._stages[self._position], self.cycle
         if self.waiting or stage.timed:
             deadline_ns = self.deadline_ns
             self._ready_ns = now_ns if deadline_ns is None else deadline_ns
-            self.inputs.missing += len(self.waiting.difference(standby.heard))
+            self.inputs.missing += len(self.waiting)
         inputs, missing = self.inputs.used(stage, cycle)
         sim_time_ns = self.times.timing.sim_time_ns(cycle)
         # The bus adds when each message goes out, and its number.
-        incarnation = cycle if takes_over else standby.incarnation
-        stamp = (cycle, sim_time_ns, self.agent.name, missing, self._ready_ns, 0, 0, incarnation)
+        name, incarnation = self.agent.name, self.incarnation
+        stamp = (cycle, sim_time_ns, name, missing, self._ready_ns, 0, 0, incarnation)
         turn = Turn(stage.name, cycle, sim_time_ns, stamp, inputs)
-        before = self._state
-        self._state, outputs = self.agent.step(before, turn)
-        if takes_over and outputs:
-            standby.take_over(cycle)
-            outputs = [self._takeover(before, turn), *outputs]
-        elif standby.silent:
-            outputs = []
-        for port, message in outputs if standby.heard else ():
-            if port in standby.heard:
-                standby.sent[port] = message
+        self._state, outputs = self.agent.step(self._state, turn)
         self._position += 1
         if self._position < len(self._stages):
             self._open_stage(now_ns)
         elif cycle >= 0:
             self._go_to(cycle + 1, now_ns)
         return outputs
-
-    # Taking over ----------------------------------------------------------------------------------
-
-    def _may_take_over(self, stage: Stage, now_ns: int) -> bool:
-        if self.deadline_ns is None:
-            return False
-        late_ns = now_ns - self.deadline_ns
-        return self.standby.may_take_over(stage, self.cycle, self.waiting, self.inputs, late_ns)
-
-    def _takeover(self, state: S, turn: Turn) -> Delivery:
-        """Return the message that says that the process has taken over, with what it knows."""
-        known = msgspec.structs.asdict(state) if isinstance(state, msgspec.Struct) else {}
-        port = TAKEOVER.of("" if self.agent.name == CENTRAL else self.agent.name)
-        return port, Takeover(*turn.stamp, stage=turn.stage, **known)

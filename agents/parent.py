@@ -43,7 +43,6 @@ from bus_schemas.messages import (
     Offer,
     Residual,
     Setpoint,
-    Takeover,
 )
 from bus_schemas.signals import DISPATCH, IMPP, METER, NOTICE, OFFER, RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT, ControlTree, agent_name, parent_of
@@ -190,7 +189,16 @@ class Supervisor(Parent):
 
 
 class CentralState(msgspec.Struct, frozen=True, gc=False):
-    """What the central controller remembers; see `Takeover` for each field."""
+    """What the central controller remembers.
+
+    expected_kw: What the meter should show of its last turns, the newest first [kW].
+    metered_kw, readings: Sum and number of the meter's readings since the last turn.
+    meter_cycle: Cycle of the newest reading.
+    clamped: How many dispatches were beyond what the plant can give.
+    error_kw: Mean error of the plant's power.
+    offers: What its offers rest on, see `agents.control.offers`.
+    reference_kw: The dispatch within the ramp limits; None: there was none yet.
+    """
 
     correction_kw: float = 0.0
     expected_kw: tuple[float, ...] = ()
@@ -201,10 +209,6 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     error_kw: float = 0.0
     offers: tuple[float, ...] = ()
     reference_kw: float | None = None
-
-
-# A standby that takes over says its state in these fields, and `verify` goes on from them.
-assert {*CentralState.__struct_fields__} <= {*Takeover.__struct_fields__}
 
 
 class CentralController(Parent):

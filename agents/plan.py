@@ -45,7 +45,6 @@ from bus_schemas.tree import (
     check_name,
     depth,
     parent_of,
-    standby_of,
 )
 from bus_schemas.wiring import Links, Wiring
 
@@ -294,12 +293,10 @@ class PlannedOrder(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class Supervision(msgspec.Struct, frozen=True, kw_only=True):
     """How the launcher keeps the processes of a run going.
 
-    standby: Parents that have a standby, except in lockstep, where nothing has a deadline.
     groups: Agents that share their process with all agents below them, but those of other groups.
     """
 
     restart: RestartPolicy = RestartPolicy()
-    standby: tuple[str, ...] = ()
     groups: tuple[str, ...] = ()
     machine: MachineSettings = MachineSettings()
 
@@ -345,7 +342,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return Wiring(
             self.plant,
             self.tree,
-            self.standbys,
             self._process_of(),
             has_operator=self.has_operator,
         )
@@ -381,21 +377,12 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return when != "never" and not (lockstep and self.control.periods.longest > 1)
 
     @property
-    def standbys(self) -> tuple[str, ...]:
-        return () if self.timing.lockstep else self.supervision.standby
-
-    @property
     def has_operator(self) -> bool:
         return OPERATOR in self.access.external
 
     @property
     def agents(self) -> tuple[str, ...]:
         return (*self.tree.agents(), *((OPERATOR,) if self.has_operator else ()))
-
-    @property
-    def members(self) -> tuple[str, ...]:
-        """All agents and standbys, each of which is in one of the processes."""
-        return (*self.agents, *map(standby_of, self.standbys))
 
     @property
     def processes(self) -> tuple[str, ...]:
@@ -523,7 +510,3 @@ def _check_groups(plan: RunPlan) -> None:
     for group in plan.supervision.groups:
         if group not in parents:
             raise InputError.of("processes", f"expected any of {listed(parents)}, got {group!r}")
-    for parent in plan.supervision.standby:
-        if len(plan.wiring.members_of(plan.wiring.process_of(parent))) > 1:
-            expected = "parents with a process of their own"
-            raise InputError.of("standby", f"expected {expected}, got {parent}, which shares one")

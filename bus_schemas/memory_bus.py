@@ -15,7 +15,6 @@ from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import UNHARMED, NetworkFaults
 from bus_schemas.signals import Port
-from bus_schemas.tree import agent_of
 
 
 class VirtualClock:
@@ -74,7 +73,7 @@ class MemoryBus:
             self._on_publish(port, message)
         faults, arrived = self.faults, self._arrived
         for agent in self._listeners.get(port, ()):
-            fate = UNHARMED if faults is None else faults.fates(port, agent_of(agent), message)
+            fate = UNHARMED if faults is None else faults.fates(port, agent, message)
             if fate is UNHARMED:
                 arrived.append(Arrival(agent, port, message, now_ns))
             else:

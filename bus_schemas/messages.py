@@ -275,29 +275,6 @@ class Notice(Message, kw_only=True):
     count: LongCount
 
 
-class Takeover(Message, kw_only=True):
-    """A standby takes over: from this message on, its messages are those of the agent.
-
-    `incarnation` is this cycle, and `stage` the first stage that the standby decides. The other
-    fields are the state of a central controller at the beginning of this stage, so that `verify`
-    can repeat the recording: its correction, what the meter should show of its last turns (the
-    newest first), the sum of the meter's readings since the last one, their number, the cycle of
-    the last reading, how many dispatches it has clamped, the mean error of the plant's power, what
-    its offers rest on, and the dispatch within the ramp limits.
-    """
-
-    stage: Annotated[str, msgspec.Meta(max_length=20)]
-    correction_kw: float | None = None
-    expected_kw: Powers | None = None
-    metered_kw: float | None = None
-    readings: Count | None = None
-    meter_cycle: Cycle | None = None
-    clamped: Count | None = None
-    error_kw: float | None = None
-    offers: Powers | None = None
-    reference_kw: float | None = None
-
-
 class GivenUp(Message, kw_only=True):
     """Agents that do not come back: their processes ended more often than they may.
 

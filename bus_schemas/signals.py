@@ -139,14 +139,13 @@ NOTICE: Final     = Signal("notice",     messages.Notice,     About.NODES,    Ro
 RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.CONTROLLERS, Role.OPERATOR), Occurrence.EVENT, decided=False)
 READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False, decided=False)
 CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False, decided=False)
-TAKEOVER: Final   = Signal("takeover",   messages.Takeover,   About.NODES,    Role.NODE,     (),              Occurrence.EVENT, decided=False)
 GIVEN_UP: Final   = Signal("given_up",   messages.GivenUp,    About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.EVENT, decided=False)
 ORDER: Final      = Signal("order",      messages.Order,      About.PLANT,    Role.OPERATOR, (Role.PLANT,),   Occurrence.EVENT, decided=False)
 OFFER: Final      = Signal("offer",      messages.Offer,      About.PLANT,    Role.CENTRAL,  (Role.PLANT,),   Occurrence.NEED)
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
     TELEMETRY, DISPATCH, METER, IMPP, RESIDUAL, HELP, SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN,
-    READY, CLOCK, TAKEOVER, GIVEN_UP, ORDER, OFFER,
+    READY, CLOCK, GIVEN_UP, ORDER, OFFER,
 )
 # fmt: on
 """The table itself. A new signal comes at the end: recordings number their channels in this order."""

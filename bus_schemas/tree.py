@@ -28,22 +28,6 @@ LARGEST_RATING_KW: Final = 1e9
 
 RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, OPERATOR, "alive"})
 _NAME = re.compile(rf"[A-Za-z0-9_-]{{1,{LONGEST_PATH}}}")
-_STANDBY: Final = "+standby"
-
-
-def standby_of(agent: str) -> str:
-    return f"{agent}{_STANDBY}"
-
-
-def agent_of(process: str) -> str:
-    """Name of the agent that a process runs: most are named as it is, its standby is not."""
-    return process.removesuffix(_STANDBY)
-
-
-def other_process(process: str) -> str:
-    """Name of the other one of an agent's two processes."""
-    agent = agent_of(process)
-    return standby_of(agent) if process == agent else agent
 
 
 def agent_name(path: str) -> str:

@@ -8,20 +8,18 @@ a link of its own (see docs/decisions/0002-explicit-links.md).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import IMPP, Occurrence, Port, Signal, listeners, ports
+from bus_schemas.signals import IMPP, Port, Signal, listeners, ports
 from bus_schemas.tree import (
     OPERATOR,
     RECORDER,
     ControlTree,
-    agent_of,
     ancestors,
     common_ancestor,
-    standby_of,
 )
 
 
@@ -31,17 +29,14 @@ class Wiring:
     process_of: The process of each agent that shares one; the others have one of their own name.
     has_operator: Whether the operator is a program on the bus; else nobody may publish orders.
 
-    listeners, hearers: Agents, and with them standbys, that hear each port.
+    listeners: Agents that hear each port.
     published, heard: Ports of each agent.
-    last_ports: Of an agent with a standby: its last port in each cycle, and in each of its turns.
-        Its two processes hear them from each other.
     """
 
     def __init__(
         self,
         plant: str,
         tree: ControlTree,
-        standbys: Collection[str] = (),
         process_of: Mapping[str, str] | None = None,
         *,
         has_operator: bool = False,
@@ -56,24 +51,15 @@ class Wiring:
         }
         self.published: dict[str, list[Port[Message]]] = {}
         self.heard: dict[str, list[Port[Message]]] = {}
-        self.last_ports: dict[str, tuple[Port[Message], ...]] = {}
         for port, names in self.listeners.items():
             self.published.setdefault(port.publisher, []).append(port)
             for name in names:
                 self.heard.setdefault(name, []).append(port)
-        self.hearers = dict(self.listeners)
-        for agent in standbys:
-            last = {port.signal.occurrence: port for port in self.published[agent]}
-            self.last_ports[agent] = (last[Occurrence.CYCLE], last[Occurrence.TURN])
-            self.heard[agent] += self.last_ports[agent]
-            for port in self.heard[agent]:
-                own = (agent,) if port in self.last_ports[agent] else ()
-                self.hearers[port] += (*own, standby_of(agent))
         self._port_of = {self.key(port): port for port in self.ports}
         self._process_of = process_of or {}
         self._members: dict[str, list[str]] = {}
         operator = (OPERATOR,) if has_operator else ()
-        for name in (*tree.agents(), *map(standby_of, standbys), *operator):
+        for name in (*tree.agents(), *operator):
             self._members.setdefault(self.process_of(name), []).append(name)
 
     @property
@@ -81,29 +67,26 @@ class Wiring:
         return tuple(self._members)
 
     def process_of(self, name: str) -> str:
-        """Return the process that runs an agent or a standby."""
+        """Return the process that runs an agent."""
         return self._process_of.get(name, name)
 
     def members_of(self, process: str) -> tuple[str, ...]:
-        """Return the agents, or the standby, that a process runs."""
+        """Return the agents that a process runs."""
         return tuple(self._members[process])
 
     def hearers_in(self, process: str) -> dict[Port[Message], tuple[str, ...]]:
         """Return who hears each port in a process."""
         found: dict[Port[Message], tuple[str, ...]] = {}
         for name in self.members_of(process):
-            for port in self.heard.get(agent_of(name), ()):
+            for port in self.heard.get(name, ()):
                 found[port] = (*found.get(port, ()), name)
         return found
 
     def heard_from_others(self, process: str) -> list[Port[Message]]:
         """Return the ports that a process hears and that not only its own agents publish on."""
-        return [port for port in self.hearers_in(process) if self._sources(port) - {process}]
-
-    def _sources(self, port: Port[Message]) -> set[str]:
-        """Return the processes, if they exist, that may publish on a port."""
-        standby = {standby_of(port.publisher)} & self._members.keys()
-        return {self.process_of(port.publisher)} | standby
+        return [
+            port for port in self.hearers_in(process) if self.process_of(port.publisher) != process
+        ]
 
     @cached_property
     def carried(self) -> dict[tuple[str, str], list[Port[Message]]]:
@@ -112,10 +95,10 @@ class Wiring:
         The recorder, which hears all, has the ports of every process.
         """
         found: dict[tuple[str, str], list[Port[Message]]] = {}
-        for port, hearers in self.hearers.items():
-            sinks = {RECORDER, *map(self.process_of, hearers)}
-            for source in self._sources(port) & self._members.keys():
-                for sink in sinks - {source}:
+        for port, hearers in self.listeners.items():
+            source = self.process_of(port.publisher)
+            if source in self._members:
+                for sink in {RECORDER, *map(self.process_of, hearers)} - {source}:
                     found.setdefault((source, sink), []).append(port)
         return found
 
@@ -179,8 +162,7 @@ class Wiring:
         rank = {process: number for number, process in enumerate(self.processes)}
         pairs = set()
         for pair in self.carried:
-            # A standby is as near to the top as its agent, and comes after it.
-            top, below = sorted(pair, key=lambda one: (rank[agent_of(one)], one))
+            top, below = sorted(pair, key=rank.__getitem__)
             pairs.add((top, below))
         return Links(tuple(sorted(pairs, key=lambda pair: (rank[pair[0]], rank[pair[1]]))))
 

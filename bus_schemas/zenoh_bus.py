@@ -25,7 +25,7 @@ from bus_schemas.memory_bus import MemoryBus
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal
-from bus_schemas.tree import PLANT, RECORDER, agent_of
+from bus_schemas.tree import PLANT, RECORDER
 from bus_schemas.wiring import Wiring
 from bus_schemas.zenoh_session import ENCODING, AgentSessions, SessionSettings
 
@@ -78,7 +78,7 @@ class ZenohBus(AgentSessions):
         puts: dict[Port[Message], list[Put]] = {}
         for port in published:
             # The session for devices needs only what is heard there; the recorder hears all.
-            hears_there = not devices.isdisjoint({RECORDER, *wiring.hearers[port]})
+            hears_there = not devices.isdisjoint({RECORDER, *wiring.listeners[port]})
             must_arrive = settings.lockstep or port.signal.occurrence is Occurrence.EVENT
             control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
             how: dict[str, Any] = {"encoding": ENCODING, "congestion_control": control}
@@ -224,8 +224,7 @@ class FaultyBus:
             due_ns = self._under_way[0][0]
             until_ns = due_ns if until_ns is None else min(until_ns, due_ns)
         for arrival in self._bus.receive(until_ns, wanted):
-            agent = agent_of(arrival.agent)
-            for delay_ns in self._faults.fates(arrival.port, agent, arrival.message):
+            for delay_ns in self._faults.fates(arrival.port, arrival.agent, arrival.message):
                 late = arrival._replace(time_ns=arrival.time_ns + delay_ns)
                 heappush(self._under_way, (late.time_ns, next(self._numbers), late))
         now_ns, arrived = self._bus.now_ns(), []

@@ -39,9 +39,7 @@ class DirectController(Member):
 
     def __init__(self, plan: dict[str, Any], node: str, endpoints: list[str]) -> None:
         self.node, self.parent = node, node.rpartition("/")[0] or "central"
-        # From the parent or its standby, where it has one, it hears setpoints.
-        talks_to = ["recorder", "plant", self.parent, f"{self.parent}+standby"]
-        super().__init__(plan, node, talks_to, endpoints)
+        super().__init__(plan, node, ["recorder", "plant", self.parent], endpoints)
         self.rating_kw: float = dict(plan["inverters"])[node]
         self.plant_rating_kw: float = sum(dict(plan["inverters"]).values())
         self.parent_period: int = plan["control"]["period_cycles"][node.count("/")]

@@ -40,7 +40,6 @@ class RunAccount:
     is_complete: Whether every process has said what it published.
     dropped: Messages that processes could not use: port, cause and number.
     restarts: How often each process was started again.
-    takeovers: How often a standby took each agent over.
     given_up: Processes that were not started again, and since which cycle.
     recording_gaps: First and last cycle of what the recorder did not hear in time.
     """
@@ -55,7 +54,6 @@ class RunAccount:
     dropped: list[tuple[str, str, int]] = field(default_factory=list)
     processes: list[ProcessAccount] = field(default_factory=list)
     restarts: Counter[str] = field(default_factory=Counter)
-    takeovers: Counter[str] = field(default_factory=Counter)
     given_up: dict[str, int] = field(default_factory=dict)
     recording_gaps: list[tuple[int, int]] = field(default_factory=list)
 
@@ -115,7 +113,6 @@ class RunAccount:
             launcher=LauncherAccount(
                 dropped=dropped,
                 restarts=dict(self.restarts),
-                takeovers=dict(self.takeovers),
                 given_up=self.given_up,
                 recording_gaps=tuple(self._unrecorded()),
                 skipped_cycles=sum(process.skipped_cycles for process in self.processes),

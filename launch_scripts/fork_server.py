@@ -33,7 +33,7 @@ from agents.process.launcher_link import LauncherLink, Packets, packets
 from agents.process.machine import die_with_parent
 from agents.process.session import session_settings
 from agents.team import controller
-from bus_schemas.tree import OPERATOR, RECORDER, agent_of
+from bus_schemas.tree import OPERATOR, RECORDER
 from launch_scripts.process import run_process
 from recordings.read.run_file import log_name
 
@@ -118,7 +118,7 @@ class ForkServer:
             own = [process for process in plan.processes if process != OPERATOR]
             for process in own[-1:]:
                 for name in plan.wiring.members_of(process):
-                    Loop(controller(plan, agent_of(name)), plan)
+                    Loop(controller(plan, name), plan)
                 session_settings(plan, process)
             _ = plan.network_faults
             gc.collect()

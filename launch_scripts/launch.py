@@ -23,13 +23,12 @@ from agents.process.events import (
     RecordingEnded,
     Start,
     Status,
-    TookOver,
 )
 from agents.process.interruption import Interruption, interruptible
 from agents.process.machine import refusals
 from bus_schemas.errors import FailureError, InputError, listed
 from bus_schemas.tcp_ports import reserved_ports
-from bus_schemas.tree import PLANT, RECORDER, agent_of
+from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.account import RunAccount
 from launch_scripts.hearing import Hearing
 from launch_scripts.restarts import Restarts
@@ -107,8 +106,6 @@ class _Launch:
     def run(self) -> RunSummary:
         """Start the processes, see them through the run, compare what they say at its end."""
         children, account, plan = self._children, self._account, self._plan
-        if plan.timing.lockstep and plan.supervision.standby:
-            self._view.say("no standby in lockstep, where nothing has a deadline: give a --pace")
         self._view.say(
             f"starting {len(children.by_agent)} processes, logs in {account.folder.logs}"
         )
@@ -212,9 +209,6 @@ class _Launch:
             self._hear(event)
             self._watch.hear(child, event)
             self._externals.hear(event)
-            self._restarts.hear(child, event)
-            if isinstance(event, TookOver):
-                self._account.takeovers[agent_of(child.agent)] += 1
         if self._gateway is not None:
             self._gateway.look(self._view.say)
         if self._unit is not None and (status := self._unit.process.poll()) is not None:
@@ -284,8 +278,7 @@ class _Launch:
             children.ask_to_end(children.controllers())
         self._await(children.controllers(), is_through)
         for child in children.controllers():
-            # A standby of an external agent is not the launcher's to account for.
-            if child.finished and agent_of(child.agent) not in self._plan.elsewhere:
+            if child.finished:
                 account.published.update(child.finished.published)
         account.is_complete = not self._restarts.lost_processes
         # It is unknown what a process that died had published: wait until nothing more comes.

@@ -11,8 +11,8 @@ from typing import Final
 
 from agents.faults import Incident, incidents
 from agents.plan import RunPlan
-from agents.process.events import Event, Exited, TookOver
-from bus_schemas.tree import PLANT, RECORDER, agent_of, standby_of
+from agents.process.events import Exited
+from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.supervision import Child, Children
 from launch_scripts.watch import Watch
 
@@ -149,11 +149,6 @@ class Restarts:
             if is_judged or child.kind == "recorder":
                 self.kill(child, why)
 
-    def hear(self, child: Child, event: Event) -> None:
-        if isinstance(event, TookOver):
-            self._say(f"{child.agent} took over in cycle {event.cycle}")
-            self._faults.speakers[agent_of(child.agent)] = child.agent
-
     def mends(self, to_blame: Sequence[str]) -> bool:
         """In lockstep: kill those that a stalled run waits for, or wait for their return."""
         children = [self._children.by_agent.get(name) for name in to_blame]
@@ -176,14 +171,12 @@ class Restarts:
         is_told = PLANT in self._children.by_agent or not self._plan.timing.lockstep
         if not self._faults.has_begun or not (is_told or child.kind == "recorder"):
             return False
-        name, agent = child.agent, agent_of(child.agent)
+        name = child.agent
         self.given_up[name] = max(self._children.table.read(PLANT).cycle, 0)
         child.row.state = "given up"
         times = f" after {self.counts[name]} restarts" if self.counts[name] else ""
         self._say(f"{why}; it is given up{times}: the run goes on without {name}")
-        both = {agent, standby_of(agent)} & self._children.by_agent.keys()
-        if both <= self.given_up.keys():
-            self._children.table.give_up(agent)
+        self._children.table.give_up(name)
         return True
 
     def _start_due(self, now_s: float) -> None:
@@ -219,12 +212,9 @@ class _FaultRules:
 
     def __init__(self, plan: RunPlan) -> None:
         self._due = incidents(plan.faults.rules, plan.tree, plan.wiring)
-        self._frozen: dict[str, str] = {}
         self._process_of = plan.wiring.process_of
         self._wall_per_s = plan.timing.cycle_wall_ns / plan.timing.cycle_ns
         self.begin_s = inf  # Of cycle 0.
-        # The process that speaks for each agent with a standby.
-        self.speakers: dict[str, str] = {}
 
     @property
     def has_begun(self) -> bool:
@@ -235,11 +225,5 @@ class _FaultRules:
         found: list[Incident] = []
         while self._due and self._due[0].time_s * self._wall_per_s <= now_s - self.begin_s:
             one = self._due.pop(0)
-            # A rule means the process that speaks, or that was frozen.
-            name = self.speakers.get(one.agent, self._process_of(one.agent))
-            if one.what == "freeze":
-                self._frozen[one.agent] = name
-            elif one.what == "thaw":
-                name = self._frozen.pop(one.agent, name)
-            found.append(one._replace(agent=name))
+            found.append(one._replace(agent=self._process_of(one.agent)))
         return [*dict.fromkeys(found)]

@@ -28,8 +28,8 @@ from bus_schemas.codec import encode
 from bus_schemas.errors import FailureError
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message
-from bus_schemas.signals import RUN, TAKEOVER, Port
-from bus_schemas.tree import PLANT, ROOT, agent_name, agent_of, standby_of
+from bus_schemas.signals import RUN, Port
+from bus_schemas.tree import PLANT, ROOT, agent_name
 from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import who_waits
@@ -75,14 +75,10 @@ class MemoryRun:
         self._frozen: dict[str, tuple[Loop[Any], int]] = {}
         self._restarted_s: dict[str, list[float]] = {}
         self.given_up: dict[str, int] = {}
-        self.bus = MemoryBus(self.plan.wiring.hearers, on_publish, clock, faults)
+        self.bus = MemoryBus(self.plan.wiring.listeners, on_publish, clock, faults)
         team: list[Agent[Any]] = [make_plant(self.plan, profile)]
         team += [controller(self.plan, agent_name(node)) for node in self.plan.tree.nodes]
-        loops = [
-            *(Loop(agent, self.plan) for agent in team),
-            *(self._loop(standby_of(agent)) for agent in self.plan.standbys),
-        ]
-        self.loops = {loop.name: loop for loop in loops}
+        self.loops = {agent.name: Loop(agent, self.plan) for agent in team}
         self.driver = Driver(self.loops.values(), self.bus, clock or time.monotonic_ns)
         self._clock = clock
         self._due: list[tuple[int, int, Callable[[], None]]] = []
@@ -143,13 +139,13 @@ class MemoryRun:
 
     def start(self, name: str) -> None:
         """Start a new process of a controller that was taken out."""
-        self.loops[name] = self._loop(name)
+        self.loops[name] = Loop(controller(self.plan, name), self.plan)
         self.bus.release(name)
         self.driver.join(self.loops[name])
 
     def _apply(self, incident: Incident) -> None:
         """Kill, freeze or thaw a controller, if it is in a state for it."""
-        name = self._process_of(incident)
+        name = incident.agent
         match incident.what:
             case "kill" if name in self.driver.loops or name in self._frozen:
                 self._kill(name)
@@ -180,22 +176,6 @@ class MemoryRun:
         earlier_s.append(now_s)
         self.after(wait_s + RESTART_TAKES_S, partial(self.start, name))
 
-    def _loop(self, name: str) -> Loop[Any]:
-        return Loop(controller(self.plan, agent_of(name)), self.plan, process=name)
-
-    def _process_of(self, incident: Incident) -> str:
-        """Return the process that a rule means: of an agent with a standby, the one that speaks."""
-        name, what = incident.agent, incident.what
-        if name not in self.plan.standbys:
-            return name
-        both = (name, standby_of(name))
-        if what == "thaw":
-            return next((one for one in both if one in self._frozen), name)
-        there = [one for one in both if one in self.driver.loops]
-        loops = self.loops  # One that has not joined yet does not speak either.
-        key = [(loops[one].standby.silent or loops[one].cycle < 0, one) for one in there]
-        return min(key, default=(False, name))[1]
-
     @property
     def restarts(self) -> dict[str, int]:
         return {name: len(times_s) for name, times_s in self._restarted_s.items() if times_s}
@@ -223,8 +203,6 @@ def simulate(
     )
     plan = folder.fill(preparation, tcp_ports={})
     account = RunAccount(preparation, folder, "simulate", began_at)
-    if plan.supervision.standby and not plan.faults.rules:
-        view.say("no standby: without a --fault nothing has a deadline here")
     progress = RunProgress(plan)
     # A virtual clock stands at 0 when the run begins.
     anchor = ClockAnchor(0, time.time_ns()) if plan.faults.rules else ClockAnchor.now()
@@ -238,8 +216,6 @@ def simulate(
     )
 
     def record(port: Port[Message], message: Message) -> None:
-        if port.signal is TAKEOVER:
-            account.takeovers[port.publisher] += 1
         if port.signal.logged:
             writer.add(port, message, encode(message), message.publish_time_ns)
             progress.hear(port, message)

@@ -34,7 +34,7 @@ from agents.process.events import (
 from agents.process.launcher_link import Packets, decode_event, packets
 from agents.process.side_process import SideProcess
 from bus_schemas.errors import FailureError, listed
-from bus_schemas.tree import RECORDER, agent_of
+from bus_schemas.tree import RECORDER
 from recordings.read.run_file import log_name
 
 _LOG_LINES: Final = 5
@@ -349,9 +349,7 @@ def who_waits(
         for port, publisher in event.needs:
             process = plan.wiring.process_of(publisher)
             needed.setdefault(process, []).append(f"{agent} waits for {port}")
-    places = {
-        name: stage_place(agent_of(name), one.stage, plan.tree) for name, one in stuck.items()
-    }
+    places = {name: stage_place(name, one.stage, plan.tree) for name, one in stuck.items()}
     earliest = [agent for agent, place in places.items() if place == min(places.values())]
     to_blame = [*stopped] or [agent for agent in needed if agent not in stuck] or earliest
     what = "stopped by a signal:" if stopped else "nothing that can be used came from"

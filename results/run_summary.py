@@ -121,7 +121,7 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
         """Whether messages, inputs or agents were missing at some time."""
         launcher = self.launcher
         counts = self.lost, self.missing_inputs, launcher.skipped_cycles, launcher.recording_ended
-        events = launcher.dropped, launcher.wrong, launcher.restarts, launcher.takeovers
+        events = launcher.dropped, launcher.wrong, launcher.restarts
         lacks = launcher.given_up, launcher.recording_gaps
         return any((*counts, *events, *lacks, *(device.has_faults for device in self.devices)))
 

@@ -28,7 +28,7 @@ from agents.plan import (
 )
 from agents.settings import OfferedCommitment, Revert
 from bus_schemas.errors import InputError
-from bus_schemas.tree import OPERATOR, ROOT, ControlTree, agent_name
+from bus_schemas.tree import OPERATOR, ROOT, ControlTree
 from scenarios.clustering import control_tree, neighbourhoods
 from scenarios.elsewhere import (
     METER,
@@ -332,7 +332,6 @@ def _plan(
         ),
         supervision=Supervision(
             restart=scenario.restart,
-            standby=_standby(scenario.standby, day.tree, external),
             machine=machine_settings(options.cpus or (), options.priority),
             groups=groups,
         ),
@@ -349,13 +348,6 @@ def _plan(
 def _renewable(revert: Revert, scenario: Scenario) -> Revert:
     """Let a revert time be three cycles at least: commands are renewed within a third of it."""
     return replace(revert, after_s=max(revert.after_s, 3.0 * scenario.time.cycle_s))
-
-
-def _standby(kinds: Sequence[str], tree: ControlTree, external: Sequence[str]) -> tuple[str, ...]:
-    """Return the parents that have a standby: devices are the user's own affair."""
-    kind_of = dict.fromkeys(tree.parents, "supervisors") | {ROOT: "central"}
-    names = [agent_name(node) for node, kind in kind_of.items() if kind in kinds]
-    return tuple(name for name in names if name not in external)
 
 
 def _keys_folder(scenario: Scenario, options: RunOptions) -> str:

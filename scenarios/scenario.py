@@ -305,7 +305,6 @@ class Scenario(_Table, frozen=True):
     faults_seed: Seed of what is drawn for faults.
     restart: What happens if a process ends before the run.
     devices: Real inverters; `--device` adds to them.
-    standby: Parents that have a standby, in real time.
     processes: What a process holds: one `agent`; a `cluster` or `zone` with all below it; or so
         for the parents that are listed.
     orders: Orders to the plant during the run.
@@ -329,7 +328,6 @@ class Scenario(_Table, frozen=True):
     faults_seed: Seed = 0
     restart: RestartPolicy = RestartPolicy()
     devices: tuple[DeviceTable, ...] = ()
-    standby: tuple[Literal["central", "supervisors"], ...] = ()
     processes: Processes = "agent"
     timing: TimingTable = TimingTable()
     orders: tuple[PlannedOrder, ...] = ()

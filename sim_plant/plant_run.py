@@ -52,7 +52,7 @@ def run_plant(
     """Join the bus and lead the run; all agents must appear within the patience."""
 
     def run() -> None:
-        with AgentProcess(plan, PLANT, {PLANT: make_plant()}, link) as process:
+        with AgentProcess(plan, PLANT, [make_plant()], link) as process:
             _lead(process, patience_s)
 
     return run_guarded(PLANT, link, run)
@@ -77,7 +77,7 @@ def _lead(process: AgentProcess, patience_s: float) -> None:
 
 def _await_all(process: AgentProcess, give_up_at: float) -> None:
     alive_key = process.plan.wiring.alive_key
-    others = {alive_key(agent): agent for agent in process.plan.members if agent != PLANT}
+    others = {alive_key(agent): agent for agent in process.plan.agents if agent != PLANT}
     tokens = process.watch_tokens()
     while not others.keys() <= tokens.alive():
         if time.monotonic() > give_up_at:

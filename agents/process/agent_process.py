@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from math import inf
 from typing import Any, Final
@@ -19,7 +19,7 @@ from agents.inputs import log_drop
 from agents.loop import Loop
 from agents.plan import RunPlan
 from agents.process.beats import BEAT_S
-from agents.process.events import Failed, Finished, Joined, TookOver, Waiting
+from agents.process.events import Failed, Finished, Joined, Waiting
 from agents.process.launcher_link import LauncherLink
 from agents.process.machine import own_memory_mb, take_machine
 from agents.process.session import session_settings
@@ -29,7 +29,7 @@ from bus_schemas.errors import FailureError
 from bus_schemas.host_clock import HostClock
 from bus_schemas.messages import GivenUp, Message
 from bus_schemas.signals import GIVEN_UP, Port
-from bus_schemas.tree import PLANT, ROOT, agent_of, other_process
+from bus_schemas.tree import PLANT, ROOT
 from bus_schemas.zenoh_bus import FaultyBus, ZenohBus
 
 log = logging.getLogger(__name__)
@@ -88,7 +88,7 @@ def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
 
 def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> bool:
     """Run a process of controllers; return False if the plant disappeared, and may come back."""
-    agents = {member: controller(plan, agent_of(member)) for member in plan.wiring.members_of(name)}
+    agents = [controller(plan, member) for member in plan.wiring.members_of(name)]
     with AgentProcess(plan, name, agents, link) as process:
         log.info("%s is on the bus", name)
         if rejoins:
@@ -156,11 +156,11 @@ class AgentProcess:
     """
 
     def __init__(
-        self, plan: RunPlan, name: str, agents: Mapping[str, Agent[Any]], link: LauncherLink
+        self, plan: RunPlan, name: str, agents: Sequence[Agent[Any]], link: LauncherLink
     ) -> None:
         self.plan = plan
         self.link = link
-        set_up_process(plan, agent_of(name))
+        set_up_process(plan, name)
         is_away = name in plan.access.addresses
         self._bus = ZenohBus(
             name,
@@ -170,11 +170,11 @@ class AgentProcess:
             clock=HostClock() if is_away else None,
             starts=link.starts,
         )
-        loops = [Loop(agent, plan, log_drop, member) for member, agent in agents.items()]
+        loops = [Loop(agent, plan, log_drop) for agent in agents]
         self.loop = loops[0]
         self.driver = driver_of(loops, self._bus, plan)
         faults = plan.network_faults()
-        if any(faults.concern(agent.name) for agent in agents.values()):
+        if any(faults.concern(agent.name) for agent in agents):
             self.driver = Driver(loops, FaultyBus(self._bus, faults), self._bus.now_ns)
         if plan.faults.device:
             disturbed = DeviceFaults(plan.faults.device).disturbed
@@ -196,8 +196,7 @@ class AgentProcess:
 
     def drive(self) -> Iterator[None]:
         """Drive the agents through the run; tell the launcher if they cannot go on in lockstep."""
-        loop, driver = self.loop, self.driver
-        was_silent = loop.standby.silent
+        driver = self.driver
         closed, waits_since = driver.closed, time.monotonic()
         for _ in driver.run():
             if driver.closed != closed:
@@ -208,10 +207,7 @@ class AgentProcess:
             ):
                 waits_since = time.monotonic()
                 self._tell_waiting()
-            if was_silent and not loop.standby.silent:
-                self.link.tell(TookOver(loop.standby.incarnation))
             self.beat()
-            was_silent = loop.standby.silent
             yield
 
     def _tell_waiting(self) -> None:
@@ -226,15 +222,9 @@ class AgentProcess:
                 return
 
     def beat(self) -> None:
-        """Show that the process is alive, and see what the others have noted.
-
-        An agent's other process may have taken over; the plant publishes the agents given up since.
-        """
+        """Show that the process is alive; the plant publishes which agents were given up since."""
         loop, table = self.loop, self.link.table
-        standby = loop.standby
-        self.link.beat(loop.cycle, 0 if standby.silent else standby.incarnation)
-        if standby.heard and table is not None:
-            standby.yield_after(table.read(other_process(loop.name)).took_over_in)
+        self.link.beat(loop.cycle)
         if loop.name != PLANT or table is None or loop.cycle < 0:
             return
         if table.number_given_up != self._given_up:

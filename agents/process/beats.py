@@ -23,22 +23,20 @@ _HEAD: Final = struct.Struct("qq?7x")
 """Messages to expect, counted from 1 (0: not known), how many agents were given up, and whether the
 recording is closed."""
 
-_PLACE: Final = struct.Struct("qqq??6x")
-_SENDS: Final = 24
-_GIVEN_UP: Final = 25
+_PLACE: Final = struct.Struct("qq??6x")
+_SENDS: Final = 16
+_GIVEN_UP: Final = 17
 
 
 class Beat(NamedTuple):
     """The newest beat of a process.
 
     time_ns: Its monotonic time; 0: there was none.
-    took_over_in: The cycle in which it took over from the agent's other process; 0: it did not.
     sends: Whether the process is sending a message, for which it may have to wait in lockstep.
     """
 
     time_ns: int
     cycle: int
-    took_over_in: int
     sends: bool
     is_given_up: bool
 
@@ -54,9 +52,9 @@ class BeatTable:
         self._memory = mmap(file, size)
         self._places = {name: _HEAD.size + n * _PLACE.size for n, name in enumerate(names)}
 
-    def beat(self, name: str, cycle: int = -1, took_over_in: int = 0) -> None:
+    def beat(self, name: str, cycle: int = -1) -> None:
         now_ns = time.monotonic_ns()
-        struct.pack_into("qqq", self._memory, self._places[name], now_ns, cycle, took_over_in)
+        struct.pack_into("qq", self._memory, self._places[name], now_ns, cycle)
 
     def sends(self, name: str) -> memoryview:
         """Return the byte in which a process notes whether it is sending."""

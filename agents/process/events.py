@@ -49,12 +49,6 @@ class Status(Event, frozen=True):
     not_heard: list[str] = []
 
 
-class TookOver(Event, frozen=True):
-    """The standby has taken over in this cycle."""
-
-    cycle: int
-
-
 class Finished(Event, frozen=True):
     """The agent has come to the end of the run, or was dismissed by SIGTERM.
 

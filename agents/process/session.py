@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 from agents.plan import RunPlan
-from bus_schemas.tree import RECORDER, agent_of
+from bus_schemas.tree import RECORDER
 from bus_schemas.wiring import Links
 from bus_schemas.zenoh_session import (
     LONGEST_LEASE_S,
@@ -46,17 +46,16 @@ program: the recorder accepts all messages, so that it can name the senders of f
 
 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
-    """Return how a process of the plan joins the bus; it has the name of an agent or a standby.
+    """Return how a process of the plan joins the bus.
 
     With keys, a certificate names the agent at the other end of a link. Without, every process of
     ours has a password. A run that was set up by hand has neither: any program may join.
     """
     links, access = plan.links, plan.access
     if access.keys_folder:
-        keys = KeyFiles.of(Path(access.keys_folder), agent_of(agent))
+        keys = KeyFiles.of(Path(access.keys_folder), agent)
         subjects: Subjects = {
-            peer: {"cert_common_names": [common_name(agent_of(peer))]}
-            for peer in links.peers(agent)
+            peer: {"cert_common_names": [common_name(peer)]} for peer in links.peers(agent)
         }
         return _settings(plan, agent, links, access.tcp_ports, subjects, keys.config())
     if access.secret:

@@ -1,6 +1,6 @@
 /* A direct controller on zenoh-pico, written from docs/wire.md: the paper's rule for one inverter.
 
-       controller PLAN.JSON NODE [RECORDER PLANT PARENT [STANDBY]]
+       controller PLAN.JSON NODE [RECORDER PLANT PARENT]
 
    Endpoints such as tcp/10.0.0.2:7500 take the place of the plan's ports on 127.0.0.1. Each link has a
    session of its own, so that it comes and goes by itself. Zenoh's threads decode messages and queue
@@ -13,7 +13,7 @@
 
 #include "msgpack.h"
 
-enum { RECORDER, PLANT, PARENT, STANDBY, LINKS }; /* The last one only where the plan has it. */
+enum { RECORDER, PLANT, PARENT, LINKS };
 enum { TELEMETRY, DISPATCH, SETPOINT, RUN, INPUTS };
 enum { IMPP, RESIDUAL, HELP, COMMAND, OUTPUTS };
 enum { CYCLE, INCARNATION, PUBLISHED, POWER, ALPHA, RATING, AVAILABLE, FIELDS };
@@ -144,7 +144,7 @@ static bool open_link(int to) {
     zp_config_insert(z_loan_mut(config), Z_CONFIG_CONNECT_KEY, plan.endpoints[to]);
     if (z_open(&links[to].session, z_move(config), NULL) < 0) return false;
     const z_loaned_session_t *session = z_loan(links[to].session);
-    if (to == PARENT || to == STANDBY) subscribe(to, SETPOINT, plan.node);
+    if (to == PARENT) subscribe(to, SETPOINT, plan.node);
     if (to == PLANT) subscribe(to, TELEMETRY, plan.node), subscribe(to, DISPATCH, ""), subscribe(to, RUN, "");
     z_view_keyexpr_t alive = key_of(text, plan.node, "alive");
     z_liveliness_declare_token(session, &links[to].token, z_loan(alive), NULL);
@@ -245,7 +245,6 @@ static void estimate(void) {
     mp_integer(&impp, "stale_cycles", self.stale_cycles);
     mp_number(&residual, "power_kw", residual_kw);
     put(&impp, IMPP, PARENT), put(&residual, RESIDUAL, PARENT);
-    put(&impp, IMPP, STANDBY), put(&residual, RESIDUAL, STANDBY);
     put(&impp, IMPP, RECORDER), put(&residual, RESIDUAL, RECORDER);
     if (!(residual_kw < 0.0)) return;
     mp_writer help = begin(HELP, 1);
@@ -341,14 +340,12 @@ static void read_deadlines(const char *json, int level) {
 static void read_plan(const char *json, const char *node, char **endpoints) {
     int level = 1;
     const char *slash = strrchr(node, '/'), *period = value_of(json, "period_cycles"), *run, *plant, *port;
-    char standby[sizeof plan.parent + 8];
     run = value_of(json, *value_of(json, "namespace") == '"' ? "run_id" : "namespace");
     plant = value_of(json, "plant");
     snprintf(plan.prefix, sizeof plan.prefix, "%.*s/%.*s", (int)strcspn(run, "\""), run, (int)strcspn(plant, "\""), plant);
     snprintf(plan.node, sizeof plan.node, "/%s", node);
     snprintf(plan.parent, sizeof plan.parent, "%.*s", slash ? (int)(slash - node) : 7, slash ? node : "central");
-    snprintf(standby, sizeof standby, "%s+standby", plan.parent);
-    const char *names[] = {"recorder", "plant", plan.parent, standby};
+    const char *names[] = {"recorder", "plant", plan.parent};
     for (int to = 0; to < LINKS; to++) {
         port = value_of(value_of(json, "tcp_ports"), names[to]);
         if (*port) snprintf(plan.endpoints[to], sizeof plan.endpoints[to], "tcp/127.0.0.1:%d", atoi(port));
@@ -368,9 +365,9 @@ static void read_plan(const char *json, const char *node, char **endpoints) {
 int main(int count, char **words) {
     static char json[1 << 22];
     message new;
-    FILE *file = count == 3 || count == 6 || count == 7 ? fopen(words[1], "r") : NULL;
+    FILE *file = count == 3 || count == 6 ? fopen(words[1], "r") : NULL;
     if (!file || !fread(json, 1, sizeof json - 1, file) || !*value_of(json, words[2]))
-        return fprintf(stderr, "expected: controller PLAN.JSON NODE [RECORDER PLANT PARENT [STANDBY]]\n"), 2;
+        return fprintf(stderr, "expected: controller PLAN.JSON NODE [RECORDER PLANT PARENT]\n"), 2;
     if (atoi(value_of(json, "protocol")) != PROTOCOL)
         return fprintf(stderr, "%s: expected a plan of protocol %d\n", words[1], PROTOCOL), 2;
     if (count == 3 && !strchr("\"", *value_of(json, "keys_folder")))

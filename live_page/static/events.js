@@ -4,7 +4,7 @@ const MOST = 500;
 const BAD = new Set(["not heard", "cut off", "given up", "gap"]);
 // What charts mark, in which colour.
 const MARKED = {
-  fault: "--warn", restart: "--good", takeover: "--good", back: "--good", order: "--accent",
+  fault: "--warn", restart: "--good", back: "--good", order: "--accent",
   "not heard": "--bad", "cut off": "--bad", "given up": "--bad", failure: "--bad", gap: "--bad",
 };
 const MOST_MARKS = 200;

@@ -2,7 +2,7 @@
 
 const FOLDED_ABOVE = 30;
 const LEVELS = ["good", "late", "bad"], SIGNS = ["●", "○", "✕"];
-const QUIET = new Set(["fine", "restarted", "standby in charge", "given up"]);
+const QUIET = new Set(["fine", "restarted", "given up"]);
 
 // How an agent was in the cycle shown: `frozen for 3`.
 export function stateText(agents, agent) {

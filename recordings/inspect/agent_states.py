@@ -33,14 +33,11 @@ Word: TypeAlias = Literal[
     "frozen",
     "killed",
     "restarted",
-    "standby in charge",
     "given up",
     "not recorded",
 ]
 
-How: TypeAlias = Literal[
-    "back", "restarted", "standby took over", "not back", "not heard", "cut off"
-]
+How: TypeAlias = Literal["back", "restarted", "not back", "not heard", "cut off"]
 
 _UNHEARD: Final = 2
 """After so many missed cycles in a row an agent is worth an event."""
@@ -80,11 +77,11 @@ class AgentState(msgspec.Struct, frozen=True):
 class Absence(msgspec.Struct, frozen=True):
     """An agent that was absent for some cycles; 0 of them if it only restarted.
 
-    how: `back` as it was, `restarted` as another process, replaced by its standby, or `not back`:
-        nothing of it came, and its numbers show that it published nothing. `not heard`: the
+    how: `back` as it was, `restarted` as another process, or `not back`: nothing
+        of it came, and its numbers show that it published nothing. `not heard`: the
         recorder did not hear what it published. `cut off`: those who await its messages lacked
         them, or it lacked theirs. The recorder is `not heard` where it heard nobody.
-    back_in: The cycle in which it was heard again, or its other process joined; None: it was not.
+    back_in: The cycle in which it was heard again, or its next process joined; None: it was not.
     cause: What a fault rule did to it.
 
     A real inverter is named `device c2/inv07`: it has no telemetry while it is gone.
@@ -120,9 +117,8 @@ class Absence(msgspec.Struct, frozen=True):
             return f"{self.agent}: cut off {span}"
         gone = f"nothing {span}, " if span else ""
         cause = f"{self.cause}, " if self.cause else ""
-        how = f"its {self.how}" if self.how.startswith("standby") else self.how
         back = "" if self.back_in is None else f" in cycle {self.back_in:,}"
-        return f"{self.agent}: {gone}{cause}{how}{back}"
+        return f"{self.agent}: {gone}{cause}{self.how}{back}"
 
 
 class Change(NamedTuple):
@@ -290,8 +286,6 @@ class AgentStates:
 
     def _process_word(self, agent: _Agent, name: str, cycle: int) -> Word:
         number = bisect_right(agent.restarts, cycle)
-        if number and name in self._plan.standbys:
-            return "standby in charge"
         if number and cycle <= agent.restarts[number - 1] + self._plan.control.hold_cycles:
             return "restarted"
         return "fine"
@@ -358,18 +352,13 @@ class AgentStates:
             return
         first, back_in = (gone.start, cycle) if gone else (joined, joined)
         assert first is not None
-        # Where there is a standby, a restarted process becomes the new standby.
-        how: How = "standby took over" if name in self._plan.standbys else "restarted"
+        how: How = "back" if joined is None else "restarted"
         cause = agent.cause(first - 1, cycle)
-        yield Absence(name, first, len(gone), back_in, "back" if joined is None else how, cause)
+        yield Absence(name, first, len(gone), back_in, how, cause)
 
     def _note_restart(self, name: str, agent: _Agent) -> None:
         agent.restarts.append(self.newest)
-        is_standby = name in self._plan.standbys
-        kind, text = (
-            ("takeover", "its standby took over") if is_standby else ("restart", "restarted")
-        )
-        self._note(kind, self.newest, name, text)
+        self._note("restart", self.newest, name, "restarted")
 
     def _give_up(self, record: RecordedMessage) -> None:
         try:

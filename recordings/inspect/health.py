@@ -71,16 +71,14 @@ class WrongMessages(msgspec.Struct, frozen=True):
 class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
     """The part of a run's health that only the launcher knows.
 
-    `dropped`: messages that agents could not use, by cause. `takeovers` counts how often a standby
-    took each agent over. `skipped_cycles` were over before a process came to them.
-    `recording_ended`: why the recording does not hold the run as a whole. `given_up`: processes
-    that were not started again, and since which cycle. `recording_gaps`: first and last cycles that
-    the recorder did not hear.
+    `dropped`: messages that agents could not use, by cause. `skipped_cycles` were over before a
+    process came to them. `recording_ended`: why the recording does not hold the run as a whole.
+    `given_up`: processes that were not started again, and since which cycle. `recording_gaps`:
+    first and last cycles that the recorder did not hear.
     """
 
     dropped: dict[str, int] = {}
     restarts: dict[str, int] = {}
-    takeovers: dict[str, int] = {}
     skipped_cycles: int = 0
     recording_ended: str = ""
     given_up: dict[str, int] = {}

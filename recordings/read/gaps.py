@@ -113,7 +113,7 @@ class MissedInputs:
 
     def count(self, port: Port[Message], message: Message) -> list[str]:
         if not message.missing or not port.signal.is_cyclic:
-            return []  # A takeover tells of cycles whose own messages are counted.
+            return []
         agent, cycle, stage = port.publisher, message.cycle, stage_of(port, self._tree)
         if cycle <= self._counted.get((agent, stage), -1):
             return []  # All messages of a stage say the same.

@@ -40,11 +40,11 @@ _MOST_CHANNELS: Final = 65_535
 def recorded_ports(plan: RunPlan) -> tuple[Port[Message], ...]:
     """Return the ports that a recording has channels for, numbered from 1 in this order.
 
-    A plant with too many has none for what single agents never say: a takeover without a standby.
+    A plant with too many has none for what single agents never say.
     """
     found = [port for port in ports(plan.tree) if port.signal.logged]
     if len(found) > _MOST_CHANNELS:
-        speakers = {agent_name(ROOT), PLANT, *plan.supervision.standby}
+        speakers = {agent_name(ROOT), PLANT}
         found = [
             port
             for port in found

@@ -98,8 +98,6 @@ class SecondSenders:
             port: {} for port in plan.wiring.ports if port.signal.is_cyclic or port.signal is RUN
         }
         self._newest = dict.fromkeys(self._payloads, 0)
-        # Of these two processes may speak, until one has heard the other.
-        self._standbys = plan.standbys
         self._elsewhere = plan.elsewhere
 
     def hear(
@@ -114,7 +112,7 @@ class SecondSenders:
             self.note_extra(port)
             return CONFLICTING, f"it is of cycle {cycle}, and its process joined in {incarnation}"
         if incarnation < newest:
-            if cycle <= newest or port.publisher in self._standbys:  # It was on its way.
+            if cycle <= newest:  # It was on its way.
                 return None
             self.note_extra(port)
             joined = f"one joined in cycle {newest}, another in {incarnation}"

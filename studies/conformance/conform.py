@@ -99,7 +99,6 @@ class Conformance:
             timing={"stall_timeout_s": _STALL_S},
             access={"keys_folder": ""},
             faults={"rules": plan.faults.rules if self._agent == PLANT else ()},
-            supervision={"standby": ()},
         )
         self.preparation = dataclasses.replace(self.preparation, plan=plan)
 

@@ -21,7 +21,6 @@ from agents.agent import Stage, Turn
 from agents.inputs import log_drop
 from agents.loop import Loop
 from agents.plan import START_WITHIN_NS, RunPlan
-from agents.team import controller
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Notice, Residual, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, NOTICE, RESIDUAL, RUN, SETPOINT, Port
@@ -276,54 +275,6 @@ def test_messages_of_the_cycle_in_which_one_joins_may_overtake_its_dispatch() ->
     assert (loop.cycle, loop.is_complete, loop.inputs.dropped) == (20, True, {})
 
 
-def test_one_that_has_just_joined_leaves_its_standby_a_cycle_to_speak_first() -> None:
-    loop = Loop(Clerk(), plan(cycle_wall_ns=REAL_TIME, standby=("c1",)))
-    loop.hear(*dispatch(20, 1.0, 200.0), 0)
-    spoke = {}
-    for cycle in (20, 21, 22):
-        for port, message in both(cycle):
-            loop.hear(port, message, 0)
-        assert loop.deadline_ns is not None
-        loop.close_stage(loop.deadline_ns)
-        spoke[cycle] = not loop.standby.silent
-    assert spoke == {20: False, 21: False, 22: True}
-
-
-def test_one_whose_standby_took_over_unheard_falls_silent_until_it_takes_over_itself() -> None:
-    loop = Loop(Clerk(), plan(cycle_wall_ns=REAL_TIME, standby=("c1",)))
-    loop.begin(0, 0)
-    spoke = {}
-    for cycle in range(4):
-        if cycle == 1:
-            assert loop.standby.yield_after(1)  # The memory that both share says so.
-        for port, message in both(cycle):
-            loop.hear(port, message, 0)
-        sent = loop.close_stage(loop.deadline_ns or 0)
-        spoke[cycle] = [message.incarnation for port, message in sent if port == SENT]
-    assert spoke == {0: [0], 1: [], 2: [2], 3: [2]}
-
-
-def test_where_both_processes_of_an_agent_took_over_in_one_cycle_the_first_goes_on() -> None:
-    run_plan = plan(cycle_wall_ns=REAL_TIME, standby=("c1",))
-    pair = [Loop(controller(run_plan, "c1"), run_plan, process=n) for n in ("c1", "c1+standby")]
-    sent: list[Delivery] = []
-    for loop in pair:
-        loop.hear(*dispatch(20, 1.0, 200.0), 0)
-        for cycle in (20, 21, 22):
-            for port, message in (*both(cycle), *residuals(cycle)):
-                loop.hear(port, message, 0)
-            while loop.cycle == cycle:
-                sent += loop.close_stage(loop.deadline_ns or 0)
-    residual = [message for port, message in sent if port == RESIDUAL.of("c1")]
-    assert [message.incarnation for message in residual] == [22, 22]
-    for number, message in enumerate(residual):
-        message.publish_time_ns = number
-    for message in residual:  # Each process hears its own messages, too.
-        for loop in pair:
-            loop.hear(RESIDUAL.of("c1"), message, 0)
-    assert [loop.standby.silent for loop in pair] == [False, True]
-
-
 def test_whoever_wakes_late_goes_to_the_cycle_under_way() -> None:
     clerk = AtWork(ON_THE_CLOCK, Clerk())
     clerk.hear(*both(0))
@@ -365,7 +316,7 @@ def test_one_that_joins_by_a_dispatch_of_a_cycle_that_is_over_begins_with_the_cy
     message.publish_time_ns = start_ns + sent_cycle * REAL_TIME
     loop.hear(port, message, now_ns)
     assert (loop.cycle, loop.times.start_ns) == (under_way, start_ns)
-    assert loop.standby.incarnation == under_way
+    assert loop.incarnation == under_way
 
 
 @pytest.mark.parametrize(

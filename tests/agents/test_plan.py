@@ -82,7 +82,6 @@ def test_an_agent_is_in_the_process_of_the_nearest_group_above_it_on_its_host() 
         groups=("z1", "z1/c1", "z2"),
         external=("z1/c1/b",),
         addresses=away,
-        standby=("central",),
     )
     assert plan.processes == (
         *("recorder", "plant", "central", "z1", "z2", "z1/c1", "z1/c2"),
@@ -90,14 +89,12 @@ def test_an_agent_is_in_the_process_of_the_nearest_group_above_it_on_its_host() 
     )
     assert plan.wiring.members_of("z1/c1") == ("z1/c1", "z1/c1/a")
     assert plan.wiring.members_of("z2") == ("z2", "z2/c3")
-    assert "z1/c1+standby" not in plan.members
 
 
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
         ({"groups": ("z9",)}, "processes: expected any of central, z1"),
-        ({"groups": ("z1",), "standby": ("z1/c1",)}, "standby: expected parents with a process"),
     ],
 )
 def test_groups_that_cannot_be_are_refused(changes: dict[str, object], complaint: str) -> None:

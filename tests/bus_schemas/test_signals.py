@@ -74,7 +74,7 @@ def test_a_process_may_publish_what_its_agents_may_and_nothing_else(groups: obje
             node: head for head in heads for node in TALL.nodes if f"{node}/".startswith(f"{head}/")
         }
     assert isinstance(groups, dict)
-    wiring = Wiring("tall", TALL, (), groups)
+    wiring = Wiring("tall", TALL, groups)
     keys = {wiring.key(port): port for port in wiring.ports}
     for (source, sink), carried in wiring.carried.items():
         allowed = [zenoh.KeyExpr(expr) for expr in wiring.key_exprs(carried)]
@@ -86,13 +86,15 @@ def test_a_process_may_publish_what_its_agents_may_and_nothing_else(groups: obje
         assert through == {*carried}, (source, sink)
         assert {wiring.process_of(port.publisher) for port in carried} == {source}
         if sink != "recorder":
-            hearers = {wiring.process_of(name) for port in carried for name in wiring.hearers[port]}
+            hearers = {
+                wiring.process_of(name) for port in carried for name in wiring.listeners[port]
+            }
             assert sink in hearers
 
 
 def test_a_process_shows_the_tokens_of_its_agents_and_no_others() -> None:
     groups = dict.fromkeys(("c9", "c9/i1"), "c9") | {"z1/c11/i1": "z1", "z1": "z1"}
-    wiring = Wiring("tall", TALL, (), groups)
+    wiring = Wiring("tall", TALL, groups)
     for process in wiring.processes:
         shown = [zenoh.KeyExpr(expr) for expr in wiring.alive_keys(process)]
         found = {

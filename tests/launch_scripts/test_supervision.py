@@ -113,7 +113,7 @@ def watched() -> Iterator[Callable[..., Watched]]:
     made: list[Watched] = []
 
     def make(*, begun: bool = True, **changes: Any) -> Watched:
-        defaults: dict[str, Any] = {"cycle_wall_ns": REAL_TIME, "standby": ("c1",)}
+        defaults: dict[str, Any] = {"cycle_wall_ns": REAL_TIME}
         made.append(Watched(plan_at_noon(**defaults | changes | {"cycles": 10**6}), begun=begun))
         return made[-1]
 
@@ -165,7 +165,7 @@ def test_the_plant_alone_ends_a_run_and_only_if_it_does_not_beat(watched: Make) 
 
 
 def test_in_lockstep_who_waits_to_send_is_not_silent(watched: Make) -> None:
-    run = watched(cycle_wall_ns=0, standby=())
+    run = watched(cycle_wall_ns=0)
     run.table.sends("c2")[0] = True
     run.pass_by(60.0, "c2", stuck=["central", "c1"])
     assert run.got(SIGKILL) == []
@@ -236,7 +236,7 @@ def test_where_a_fault_rule_cuts_links_nobody_is_started_again_for_it(watched: M
 def test_a_recorder_that_does_not_hear_the_plant_is_cut_off_and_the_gap_is_named(
     watched: Make, others: tuple[str, ...]
 ) -> None:
-    run = watched(standby=())
+    run = watched()
     run.cycle = 40
     run.pass_by(14.0, status=Status(41, 0, 0.0, 0.0, 0.0, [], 0, not_recorded=[PLANT, *others]))
     assert run.sent == []
@@ -262,14 +262,6 @@ def test_each_restart_waits_longer_until_the_process_is_given_up(watched: Make) 
     assert not run.dies(PLANT), "but not without the plant"
 
 
-def test_an_agent_with_a_standby_is_given_up_with_its_last_process(watched: Make) -> None:
-    run = watched(restart=RestartPolicy(when="never"))
-    assert run.dies("c1")
-    assert run.table.given_up() == ()
-    assert run.dies("c1+standby")
-    assert run.table.given_up() == ("c1",)
-
-
 @pytest.mark.parametrize(
     ("when", "status", "goes_on"),
     [(None, -9, True), ("never", -9, False), (None, 1, True)],
@@ -277,7 +269,7 @@ def test_an_agent_with_a_standby_is_given_up_with_its_last_process(watched: Make
 def test_a_process_that_dies_before_cycle_0_is_started_again_also_in_lockstep(
     watched: Make, when: Literal["never"] | None, status: int, goes_on: bool
 ) -> None:
-    run = watched(begun=False, cycle_wall_ns=0, standby=(), restart=RestartPolicy(when=when))
+    run = watched(begun=False, cycle_wall_ns=0, restart=RestartPolicy(when=when))
     assert run.dies(NODE, status) == goes_on
     assert run.started == [NODE] * goes_on
 
@@ -285,7 +277,7 @@ def test_a_process_that_dies_before_cycle_0_is_started_again_also_in_lockstep(
 def test_in_lockstep_a_controller_is_given_up_at_once_and_a_recorder_comes_back(
     watched: Make,
 ) -> None:
-    run = watched(cycle_wall_ns=0, standby=())
+    run = watched(cycle_wall_ns=0)
     assert run.dies("c2")
     assert run.dies(RECORDER)
     assert (run.table.given_up(), run.started) == (("c2",), [RECORDER])

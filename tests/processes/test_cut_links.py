@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import time
 from collections import defaultdict
@@ -15,13 +14,12 @@ from typing import NamedTuple
 import pytest
 from cut_network import Network, network_of_its_own
 from running import Heliarch, Start
-from test_external import misses_nothing
 from test_launch import summary_of
 
 from agents.plan import RunPlan, load_plan
 from bus_schemas.messages import Dispatch, Message, Production
-from bus_schemas.signals import SETPOINT, Occurrence, Port
-from bus_schemas.tree import CENTRAL, PLANT, RECORDER
+from bus_schemas.signals import Occurrence, Port
+from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.simulation import MemoryRun
 from recordings.read.reader import RunReader
 from scenarios.preparation import RunOptions, prepare
@@ -184,24 +182,6 @@ def test_a_controller_that_is_killed_while_its_links_look_whole_is_heard_again_a
     run.until_back(LEAF)  # Its old links are closed once nothing has come over them for 8 s.
     assert run.interrupt() == 130, run.error_text()
     assert summary_of(run.folder).launcher.restarts == {LEAF: 1}
-
-
-def test_a_parent_whose_links_were_cut_is_heard_again_also_if_its_standby_has_died_meanwhile(
-    heliarch: Start, network: Network, plant: str
-) -> None:
-    settings = ("--set", 'standby=["central"]', "--set", "restart.when=never")
-    run = heliarch(
-        "launch", plant, "--pace", "5", "--duration", "1h", *settings, network=network.name
-    )
-    run.until_recorded(5)
-    network.cut_links(run.process_of(CENTRAL).pid)
-    run.until_shown("central+standby took over in cycle")
-    run.process_of("central+standby").kill()
-    network.heal()
-    run.until_shown("central took over in cycle")
-    (cycle,) = re.findall(r"central took over in cycle (\d+)", run.output.read_text())
-    run.until(lambda: misses_nothing(run, SETPOINT, LEAF, int(cycle)), "that c1 hears its parent")
-    run.interrupt()
 
 
 @pytest.mark.soak

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import signal
 import subprocess
 import time
@@ -18,7 +17,7 @@ from test_launch import decided, decisions, summary_of
 from wrong_device import FIRST_ABSURD
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import COMMAND, IMPP, Signal
+from bus_schemas.signals import Signal
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
 from results.run_summary import RunSummary
@@ -96,25 +95,6 @@ def test_in_real_time_a_device_may_die_and_come_back(
     (account,) = summary_of(run.folder).external
     assert account.agent == NODE
     assert 0 < account.answered < account.expected
-
-
-def test_a_device_goes_on_with_the_standby_of_its_parent(
-    heliarch: Start, device: Device, plant: str
-) -> None:
-    words = ("--pace", "10", "--external", NODE)
-    settings = ("--set", 'standby=["supervisors"]', "--set", "restart.frozen_s=1000")
-    run = heliarch("launch", plant, "--duration", "1h", *words, *settings)
-    controller(device, run.folder)
-    run.until_recorded()
-    parent = run.process_of("c1")
-    parent.send_signal(signal.SIGSTOP)  # If it died it would come back, and might take over.
-    run.until_shown("c1+standby took over in cycle")
-    taken = re.findall(r"took over in cycle (\d+)", run.output.read_text())
-    late = int(taken[0]) + 5  # By then an input that nobody sends has expired.
-    run.until(lambda: misses_nothing(run, COMMAND, NODE, late), "a setpoint of the standby")
-    run.until(lambda: misses_nothing(run, IMPP, "c1", late), "an answer to the standby")
-    parent.send_signal(signal.SIGCONT)
-    run.interrupt()
 
 
 def misses_nothing(run: Heliarch, wanted: Signal[Any], node: str, since: int) -> bool:

@@ -32,18 +32,3 @@ def test_launch_offers_what_simulate_offers_and_verify_repeats_it(tmp_path: Path
     assert share.iloc[5:10].to_numpy() == pytest.approx(offers["share"].iloc[0])
     verified = heliarch("verify", str(tmp_path / "launch"))
     assert verified.exit_code == 0, verified.output
-
-
-def test_offers_outlive_a_takeover_and_verify_knows_what_they_rest_on(tmp_path: Path) -> None:
-    options = ("--duration", "60", "--set", OFFERED, "--set", 'standby=["central"]')
-    result = heliarch(
-        *("simulate", "oahu", *options, "--fault", "kill=central,at=30s"),
-        *("--out", str(tmp_path / "run")),
-    )
-    assert result.exit_code == 0, result.output
-    with open_run(tmp_path / "run") as run:
-        assert len(run.frame("takeover")) >= 1
-        shares = run.frame("offer")["share"]
-    assert shares.iloc[-1] > shares.iloc[0], "the standby knows the record of offers"
-    verified = heliarch("verify", str(tmp_path / "run"))
-    assert verified.exit_code == 0, verified.output

@@ -58,7 +58,7 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
 def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
     heliarch: Start, plant: str
 ) -> None:
-    settings = ("--set", 'standby=["supervisors"]', "--set", "restart.frozen_s=2")
+    settings = ("--set", "restart.frozen_s=2")
     words = ("--duration", "1h", "--pace", "2", *settings)
     run = heliarch("launch", plant, *words, "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)
@@ -66,7 +66,6 @@ def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
     other.process_of("c2/inv03").send_signal(signal.SIGSTOP)
     run.until_shown(f"c2/inv03 ({SECOND}) is back in cycle")
     other.process_of("c2").send_signal(signal.SIGKILL)
-    run.until_shown("c2+standby took over in cycle")
     run.until_shown(f"c2 ({SECOND}) is back in cycle")
     run.interrupt()
     assert other.wait() == 0, other.error_text()
@@ -77,7 +76,6 @@ def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
     log = (other.folder / "logs" / "c2.inv04.log").read_text()
     assert "did not say that the run is over" not in log, "nobody waits in vain for its end"
     summary = summary_of(run.folder)
-    assert summary.launcher.takeovers["c2"] >= 1
     assert summary.lost_by_processes == 0
 
 

@@ -13,11 +13,8 @@ from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded
 
 from agents.plan import load_plan
-from recordings.inspect.overview import read_overview
-from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
 from recordings.verify.verification import verify
-from results.timing.run_timing import run_timing
 
 pytestmark = pytest.mark.processes
 
@@ -62,37 +59,6 @@ def test_killed_controllers_are_started_again_with_all_of_their_process_and_the_
     ended(run)
     assert summary_of(run.folder).launcher.restarts == dict.fromkeys(agents, 1)
     assert_equal_as_far_as_recorded(run, verify(run.folder))
-
-
-# A standby ----------------------------------------------------------------------------------------
-
-STANDBY = (*REAL_TIME, "--set", 'standby=["central","supervisors"]')
-
-
-def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
-    heliarch: Start, plant: str
-) -> None:
-    run = heliarch("launch", plant, *STANDBY)
-    run.until_running()
-    for number, process in enumerate(("central", "central+standby"), start=1):
-        run.process_of(process).send_signal(signal.SIGKILL)
-        until_joined(run, process)
-        until_taken_over(run, "central", number)
-    ended(run)
-    summary = summary_of(run.folder)
-    assert summary.launcher.takeovers["central"] >= 2
-    assert summary.launcher.restarts == {"central": 1, "central+standby": 1}
-    found = verify(run.folder)
-    assert_equal_as_far_as_recorded(run, found)
-    with RunReader(run.folder) as reader:
-        inspected = sum(one.inputs for one in read_overview(reader).health.misses)
-        timed = run_timing(reader).processes.missing_inputs.sum()
-    assert summary.missing_inputs == inspected == timed
-
-
-def until_taken_over(run: Heliarch, agent: str, times: int = 1) -> None:
-    took_over = re.compile(rf"^{agent}\S* took over", re.MULTILINE)
-    run.until(lambda: len(took_over.findall(run.output.read_text())) >= times, "a takeover")
 
 
 # Controllers that run and say nothing -------------------------------------------------------------

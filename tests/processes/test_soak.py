@@ -67,8 +67,7 @@ def test_a_kill_or_a_cut_every_five_seconds_leaves_no_orphan_no_leak_and_nothing
     folder = REPOSITORY / "build" / f"soak-{seed}"  # It stays if the test fails.
     folder.mkdir(parents=True)
     scenario = small_plant(folder, ("duration_s = 3600", f"duration_s = {cycles}"))
-    options = ('standby=["central","supervisors"]', "restart.when=always")
-    words = [word for option in options for word in ("--set", option)]
+    words = ("--set", "restart.when=always")
     with commands_in(folder) as start, (folder / "faults.txt").open("w") as faults:
         run = start("launch", scenario, "--pace", str(RATE), *words, network=network.name)
         kills, uses = attack(run, network, random.Random(seed), cycles, faults)

@@ -100,7 +100,6 @@ def test_each_message_is_there_with_its_times_and_is_json_as_its_schema_says(run
             validators[after.schema.name] = Draft202012Validator(document)
         validators[after.schema.name].validate(fields)
     assert validators.keys() == {signal.type.__name__ for signal in RECORDED} - {
-        "Takeover",
         "Order",
         "Offer",
     }

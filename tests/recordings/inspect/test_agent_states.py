@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 from command_line import done
-from plans_by_hand import with_changes
-from recordings_by_hand import PLAN, whole_run, write_run
+from recordings_by_hand import whole_run, write_run
 from running import small_plant
 
 from bus_schemas.messages import GivenUp
@@ -89,20 +88,6 @@ def test_an_agent_that_is_given_up_stays_so(tmp_path: Path) -> None:
     assert words(states, "c2/d", 4, 5, 8, 9, 19) == [
         *(("fine", 0), ("not heard", 1), ("not heard", 2)),
         *(("given up", 2), ("given up", 2)),
-    ]
-
-
-def test_a_successor_of_an_agent_with_a_standby_is_that_standby(tmp_path: Path) -> None:
-    deliveries = list(whole_run(20))
-    for _, message in deliveries:
-        if message.source == "c1" and message.cycle >= 9:
-            message.incarnation = 9
-    plan = with_changes(PLAN, cycle_wall_ns=1_000_000_000, standby=("c1",))
-    write_run(tmp_path / "run.mcap", deliveries, plan=plan)
-    with RunReader(tmp_path / "run.mcap") as reader:
-        states = states_at(reader, 19)
-    assert words(states, "c1", 8, 9, 19) == [
-        *(("fine", 0), ("standby in charge", 0), ("standby in charge", 0)),
     ]
 
 

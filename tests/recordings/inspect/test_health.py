@@ -13,13 +13,11 @@ from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, numbered, whole_run, write_messages, write_run
 
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Takeover
-from bus_schemas.signals import HELP, TAKEOVER, TELEMETRY
-from bus_schemas.tree import ROOT
-from recordings.inspect.agent_states import Absence, How, states_at
+from bus_schemas.messages import Message
+from bus_schemas.signals import HELP, TELEMETRY
+from recordings.inspect.agent_states import Absence, states_at
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME, Health, health_lines
 from recordings.inspect.overview import read_overview
-from recordings.read.gaps import MissedInputs
 from recordings.read.reader import RunReader
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
@@ -118,16 +116,15 @@ def test_a_run_that_ended_before_its_last_cycle_was_interrupted(
     assert text in health_of(tmp_path)[1].splitlines()[-1]
 
 
-@pytest.mark.parametrize(("standby", "how"), [((), "restarted"), (("c2",), "standby took over")])
 def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(
-    tmp_path: Path, standby: tuple[str, ...], how: How
+    tmp_path: Path,
 ) -> None:
-    plan = with_changes(PLAN, standby=standby, cycle_wall_ns=PLAN.timing.cycle_ns)
+    plan = with_changes(PLAN, cycle_wall_ns=PLAN.timing.cycle_ns)
     deliveries = joined_in_cycle_20("c2", lambda pair: not 15 <= pair[1].cycle < 30)
     write_messages(tmp_path / "run.mcap", deliveries, plan=plan)
     health, text = health_of(tmp_path)
     assert set(health.absences) == {
-        Absence("c2", 20, 0, 20, how),
+        Absence("c2", 20, 0, 20, "restarted"),
         Absence("recorder", 15, 15, 30, "not heard"),
     }
     assert "recorder: recorded nothing in cycles 15 to 29" in text
@@ -213,12 +210,3 @@ def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(
     (act,) = health.fault_effects
     assert act.messages == health.faults["lost"]
     assert "loss=0.05: acted on" in text
-
-
-def test_a_takeover_is_no_stage_that_missed_inputs() -> None:
-    missed = MissedInputs(PLAN)
-    takeover = Takeover(
-        cycle=3, source="central", sim_time_ns=0, missing=("c1/residual",), stage="solve"
-    )
-    missed.count(TAKEOVER.of(ROOT), takeover)
-    assert not missed.missing["central"]
