@@ -20,13 +20,13 @@ import numpy as np
 from bus_schemas.codec import decode
 from bus_schemas.messages import Dispatch, Message, Meter, Notice, Production, Run
 from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
-from bus_schemas.tree import PLANT, RECORDER, parent_of
+from bus_schemas.tree import PLANT, RECORDER
 from live_page.run_events import RunEvents
 from recordings.inspect.agent_states import AgentStates
 from recordings.inspect.health import failure_in
 from recordings.read.mcap_file import Chunk, walk_on
 from recordings.read.reader import RunReader
-from recordings.read.series import SeriesCollector
+from recordings.read.series import SeriesCollector, columns_of
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
 from sim_plant.orders import order_event
@@ -60,8 +60,7 @@ class RunFollower:
         wall_s = self.plan.timing.cycle_wall_ns / 1e9
         self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
         self._firsts: list[int] = []
-        clusters = tuple(dict.fromkeys(map(parent_of, self.plan.tree.leaves)))
-        self._powers = SeriesCollector(self.plan, clusters)
+        self._powers = SeriesCollector(self.plan, columns_of(self.plan))
         self._dispatch: Dispatch | None = None
 
     def advance(self, budget_s: float) -> bool:
@@ -117,13 +116,13 @@ class RunFollower:
             "dispatch": part.desired_kw,
             "available": part.available_kw,
             "delivered": part.delivered_kw,
+            "without_help": part.without_help_kw,
             "unavoidable": unavoidable,
-            "control_caused": np.maximum(part.shortfall_kw - unavoidable, 0.0),
         }
         rows = np.arange(part.cycles)
         if len(rows) > points:
-            drawn = ("dispatch", "available", "delivered")
-            kept = [extremes(columns[name], max(points // 6, 1)) for name in drawn]
+            drawn = ("dispatch", "available", "delivered", "without_help")
+            kept = [extremes(columns[name], max(points // 8, 1)) for name in drawn]
             rows = np.unique(np.concatenate(kept))
         thinned = {name: values[rows].round(2).tolist() for name, values in columns.items()}
         return {"cycle": (rows + begin).tolist()} | thinned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from contextlib import suppress
 from functools import lru_cache
@@ -11,14 +12,24 @@ from typing import Any, Final
 import msgspec
 
 from bus_schemas.errors import InputError, listed
+from bus_schemas.tree import ROOT
 from recordings.inspect.health import SUMMARY_NAME, LauncherAccount, failure_in
 from recordings.read.mcap_file import read_outline
 from recordings.read.run_file import RECORDING_NAME, read_origin
-from results.figures import Shown, shown_in
 from scenarios.fault_rules import fault_text
 
 _STILL_S: Final = 10.0
-"""A recording that has grown since so long ago is still being written."""
+"""A recording that has not grown for this long, and for three cycles, is no longer written."""
+
+_FIGURES: Final = ("control-caused", "without-help", "unavoidable", "over-delivered", "curtailed")
+"""What a list shows of a run: missed, its baseline, and the rest."""
+
+_UNREADABLE: Final[dict[str, Any]] = {
+    **dict.fromkeys(("scenario", "scheme", "actuator"), ""),
+    **dict.fromkeys(("inverters", "rating_kw"), None),
+    "cycle_wall_s": 0.0,
+    "faults": [],
+}
 
 
 class _Facts(msgspec.Struct):
@@ -44,40 +55,49 @@ def recordings_in(folder: Path) -> dict[str, Path]:
     """
     patterns = (f"*/{RECORDING_NAME}", f"*/*/{RECORDING_NAME}")
     paths = [path for pattern in patterns for path in folder.glob(pattern)]
-    paths.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+    written = {path: stat.st_mtime for path in paths if (stat := _stat(path))}
+    paths = sorted(written, key=written.__getitem__, reverse=True)
     return {path.parent.relative_to(folder).as_posix().replace("/", "~"): path for path in paths}
+
+
+def _stat(path: Path) -> os.stat_result | None:
+    """Return what the system says of a file; None: it was deleted meanwhile."""
+    with suppress(OSError):
+        return path.stat()
+    return None
 
 
 def run_list(folder: Path) -> dict[str, Any]:
     """Return the runs in a folder, the newest first, and the figures that are shown of them."""
-    figures = shown_in(Shown.COMPARE, Shown(0))
     return {
         "folder": str(folder),
-        "figures": [{"heading": one.heading, "decimals": one.decimals} for one in figures],
         "runs": [
-            _row(name, recording, [figure.name for figure in figures])
+            _row(name, recording, stat)
             for name, recording in recordings_in(folder).items()
+            if (stat := _stat(recording))
         ],
     }
 
 
-def _row(name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
-    written = recording.stat()
+def _row(name: str, recording: Path, written: os.stat_result) -> dict[str, Any]:
     summary = None
     with suppress(OSError, msgspec.DecodeError):
         document = (recording.parent / SUMMARY_NAME).read_bytes()
         summary = msgspec.json.decode(document, type=_Summary)
-    is_growing = time.time() - written.st_mtime < _STILL_S
+    run = _what_was_run(recording, written.st_ino, written.st_size if summary is None else 0)
+    longest_s = max(_STILL_S, 3.0 * run["cycle_wall_s"])
     found = summary or _Summary()
     return {
         "name": name,
-        "state": _end(recording.parent, summary, is_growing=is_growing),
+        "state": _end(
+            recording.parent, summary, is_growing=time.time() - written.st_mtime < longest_s
+        ),
         "recorded_ms": written.st_mtime * 1e3,
         "size_mb": written.st_size / 1e6,
         "start": found.run.sim_start,
         "simulated_s": found.cycles * found.run.cycle_s,
-        "figures": [(found.figures or {}).get(figure) for figure in figures],
-        **_what_was_run(recording, written.st_ino),
+        "figures": {figure: (found.figures or {}).get(figure) for figure in _FIGURES},
+        **run,
     }
 
 
@@ -101,23 +121,23 @@ def _end(folder: Path, summary: _Summary | None, *, is_growing: bool) -> str:
 
 
 @lru_cache(1000)
-def _what_was_run(recording: Path, file_number: int) -> dict[str, Any]:
-    """Return scheme, actuator and faults; a file of another number is another recording."""
+def _what_was_run(recording: Path, file_number: int, size: int) -> dict[str, Any]:
+    """Return what a run was planned as; a file of another number is another recording.
+
+    One that has not ended is looked at again when it has grown: it may have had no head yet.
+    """
     try:
         with recording.open("rb", buffering=0) as file:
             _, plan = read_origin(read_outline(file), recording)
     except (InputError, OSError) as error:
-        return {
-            "scenario": "",
-            "scheme": "",
-            "actuator": "",
-            "faults": [],
-            "unreadable": str(error),
-        }
+        return _UNREADABLE | {"unreadable": str(error)}
     return {
         "scenario": plan.plant,
         "scheme": plan.control.scheme,
         "actuator": plan.control.actuator,
+        "inverters": len(plan.inverters),
+        "rating_kw": plan.tree.rating_kw(ROOT),
+        "cycle_wall_s": plan.timing.cycle_wall_ns / 1e9,
         "faults": [fault_text(fault) for fault in plan.faults.rules],
         "unreadable": "",
     }

@@ -59,7 +59,6 @@ _HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-_COOKIE: Final = "heliarch-page"
 
 
 class EventStream(StreamingResponse):
@@ -144,7 +143,7 @@ class PageServer:
                 Route("/compare", self._compare),
                 Mount("/run/{run}", routes=of_run),
             ]
-        middleware = [Middleware(_Guard, token=self._address.token)]
+        middleware = [Middleware(_Guard, token=self._address.token, cookie=self._cookie)]
         if not self._address.token:
             # Another site's page must not reach this one under a name of its own.
             own = self._address.socket.getsockname()[0]
@@ -153,11 +152,16 @@ class PageServer:
         errors: Any = {ValueError: _bad_input}
         return Starlette(routes=routes, middleware=middleware, exception_handlers=errors)
 
+    @property
+    def _cookie(self) -> str:
+        """Name of the cookie with the token: browsers keep one jar for all ports of a host."""
+        return f"heliarch-page-{self._address.socket.getsockname()[1]}"
+
     def _file(self, name: str) -> Callable[[Request], Awaitable[Response]]:
         async def answer(request: Request) -> Response:
             page, token = FileResponse(_STATIC / name), self._address.token
             if token:
-                page.set_cookie(_COOKIE, token, httponly=True, samesite="strict")
+                page.set_cookie(self._cookie, token, httponly=True, samesite="strict")
             return page
 
         return answer
@@ -217,15 +221,16 @@ class PageServer:
 class _Guard:
     """Admits only requests that have the token, and says what their pages may load."""
 
-    def __init__(self, app: ASGIApp, token: str) -> None:
+    def __init__(self, app: ASGIApp, token: str, cookie: str) -> None:
         self._app = app
         self._token = token
+        self._cookie = cookie
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             return
         request = Request(scope)
-        given = request.query_params.get("token") or request.cookies.get(_COOKIE, "")
+        given = request.query_params.get("token") or request.cookies.get(self._cookie, "")
         if self._token and not secrets.compare_digest(given.encode(), self._token.encode()):
             refusal = PlainTextResponse("the address needs the token that was printed\n", 403)
             await refusal(scope, receive, send)

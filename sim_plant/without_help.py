@@ -37,11 +37,12 @@ def powers_without_help_kw(
         Relative error of the inverters' meters, a number or shape (T, n).
     """
     rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves])
-    aim_kw = [gross_kw(kw, plan.grid_law) for kw in (desired_kw + plan.control.offset_kw).tolist()]
-    level = np.clip(np.array(aim_kw) / rating_kw.sum(), 0.0, 1.0)
+    aim_kw, law = desired_kw + plan.control.offset_kw, plan.grid_law
+    if law.loss_kw or law.loss_per_kw:
+        aim_kw = np.array([gross_kw(kw, law) for kw in aim_kw.tolist()])
+    level = np.clip(aim_kw / rating_kw.sum(), 0.0, 1.0)
     share_kw = np.empty_like(mpp_kw)
-    settings = [plan.site.settings_of(leaf) for leaf in plan.tree.leaves]
-    kinds = [(one.delay_s or 0.0, one.ramp_percent_per_s or inf) for one in settings]
+    kinds = _kinds(plan)
     for kind in dict.fromkeys(kinds):
         alike = np.array([other == kind for other in kinds])
         obeyed = _obeyed(level, plan.timing.cycle_s, *kind)
@@ -52,6 +53,18 @@ def powers_without_help_kw(
     impp_kw = np.minimum(metered_kw, rating_kw)
     fraction = np.divide(share_kw, impp_kw, out=np.ones_like(share_kw), where=impp_kw > 0.0)
     return np.asarray(mpp_kw * np.clip(fraction, plan.control.alpha_min, 1.0))
+
+
+def settling_cycles(plan: RunPlan) -> int:
+    """Return after how many cycles no inverter is still on its way to an older command."""
+    seconds = max(delay_s + 100.0 / ramp for delay_s, ramp in _kinds(plan))
+    return int(np.ceil(seconds / plan.timing.cycle_s))
+
+
+def _kinds(plan: RunPlan) -> list[tuple[float, float]]:
+    """Return delay [s] and ramp [%/s] of each inverter."""
+    settings = [plan.site.settings_of(leaf) for leaf in plan.tree.leaves]
+    return [(one.delay_s or 0.0, one.ramp_percent_per_s or inf) for one in settings]
 
 
 def _obeyed(level: Floats, cycle_s: float, delay_s: float, ramp_percent_per_s: float) -> Floats:

@@ -109,7 +109,7 @@ def _show_plant(run: RunReader, cycle: int, output: Output) -> dict[str, Any]:
     states = {agent: followed.at(agent, cycle) for agent in followed.agents}
     output.show(states_table(states))
     # By cluster, as the live page adds up: both say the same to the last bit.
-    series = plant_series_of(run, most_inverters=0).between(0, cycle + 1)
+    series = plant_series_of(run).between(0, cycle + 1)
     figures = run_figures(series) if series.known.any() else None
     output.show(figures_table("Figures of merit up to this cycle", figures))
     return {

@@ -5,12 +5,14 @@ import {$, json} from "./dom.js";
 import {eventList} from "./events.js";
 import {plantMap} from "./map.js";
 import {showOrders} from "./order_panel.js";
+import {keepInAddress, placeInAddress} from "./links.js";
 import {nodePanel} from "./node_panel.js";
 import {figures} from "./panels.js";
 import {playback} from "./playback.js";
 import {positionBar} from "./position_bar.js";
 import {powerPanel} from "./power_panel.js";
 import {runTime, timeSpan} from "./run_time.js";
+import {sentence} from "./sentence.js";
 import {toggleTheme} from "./theme.js";
 import {controlTree} from "./tree.js";
 
@@ -44,14 +46,18 @@ function inTurn(act) {
 function showRun(plan) {
   showHeader(plan);
   if (plan.takes_orders) showOrders();
-  const time = runTime(plan);
-  const {at, connect, seek, keys} = playback(update);
+  const time = runTime(plan), place = placeInAddress();
+  let chosen = place.cycle;
+  const {at, connect, seek, keys} = playback(update, place.cycle, cycle => { chosen = cycle; keep(); });
   const reload = inTurn(async () => {
     const {from, to} = span.shown(at), part = `from=${Math.floor(from)}&to=${Math.ceil(to)}`;
     await power.load(part);
     await node.load(part);
   });
-  const span = timeSpan($("windows"), plan, reload);
+  const span = timeSpan($("windows"), plan, () => { reload(); keep(); }, place.span);
+  function keep() {
+    if (node?.selected != null) keepInAddress({cycle: chosen, node: plan.nodes[node.selected].path, span: span.zoomed()});
+  }
   const group = chartGroup({
     timezone: plan.timezone,
     onPick: x => seek(time.cycleAt(x)),
@@ -70,6 +76,7 @@ function showRun(plan) {
     map.select(number);
     tree.select(number);
     reload();
+    keep();
   }
 
   function update(news, fresh) {
@@ -94,10 +101,14 @@ function showRun(plan) {
     const more = map.show(frame);
     if (plan.positions_m.length) $("map-note").textContent = more > 0 ? `${more} smaller helps are not drawn.` : "";
     tree.show(frame);
+    $("sentence").textContent = `${time.timeOf(at.cycle)}: ${sentence(plan, frame)}`;
     $("clock").textContent = time.timeOf(at.cycle);
     $("day").textContent = time.dayOf(at.cycle);
     bar.show();
-    if (node.selected === null) select(plan.nodes.findIndex(each => each.inverter));
+    if (node.selected === null) {
+      const named = plan.nodes.findIndex(each => place.node && each.path === place.node);
+      select(named >= 0 ? named : plan.nodes.findIndex(each => each.inverter));
+    }
   }
 
   const neighbour = by => select(tree.order[(tree.order.indexOf(node.selected) + by + tree.order.length) % tree.order.length]);

@@ -6,6 +6,16 @@ export const kw = value => value == null ? "–" : value.toLocaleString("en", {
   minimumFractionDigits: Math.abs(value) < 1000 ? 1 : 0, maximumFractionDigits: Math.abs(value) < 1000 ? 1 : 0, signDisplay: "negative",
 });
 
+// A power with the unit that suits its size, as number and unit.
+export function power(value) {
+  if (value == null) return ["–", "kW"];
+  return Math.abs(value) < 10000 ? [kw(value), "kW"] : [(value / 1e3).toLocaleString("en", {maximumFractionDigits: 1, minimumFractionDigits: 1}), "MW"];
+}
+function tick(value) {
+  const inMegawatts = Math.abs(value) >= 10000, number = inMegawatts ? value / 1e3 : value;
+  return value === 0 ? "0" : `${number.toLocaleString("en", {maximumFractionDigits: 3})} ${inMegawatts ? "MW" : "kW"}`;
+}
+
 const FONT = "12px system-ui, sans-serif";
 const DOUBLE_CLICK_MS = 250;
 const charts = new Set();
@@ -20,18 +30,12 @@ export function chartGroup({timezone, onPick, onZoom}) {
   return {timezone, onPick, onZoom, marks: [], key: "run"};
 }
 
-const RANGES = {
-  fromZero: (self, low, high) => low == null ? [0, 1] : [Math.min(low, 0), high > 0 ? high * 1.06 : low < 0 ? 0 : 1],
-  // Zero in the middle: which side a value is on is what matters.
-  aroundZero: (self, low, high) => {
-    const far = Math.max(Math.abs(low ?? 1), Math.abs(high ?? 1), 1e-3) * 1.1;
-    return [-far, far];
-  },
-};
+// From zero to beyond what is drawn, on either side.
+const fromZero = (self, low, high) => low == null ? [0, 1] : [Math.min(low * 1.06, 0), high > 0 ? high * 1.06 : low < 0 ? 0 : 1];
 
 // `lines`: {label, color, width?, dash?, fill?} each, colours as names of CSS variables.
-// `range` is a name of RANGES. `onCursor` gets the row under the cursor, null without one.
-export function timeChart(element, lines, group, {height, range = "fromZero", onCursor}) {
+// `onCursor` gets the row under the cursor, null without one.
+export function timeChart(element, lines, group, {height, onCursor}) {
   const axis = {stroke: () => css("--quiet"), grid: {stroke: () => css("--grid"), width: 1}, ticks: {show: false}, font: FONT};
   let now = null;
   const chart = new uPlot({
@@ -48,10 +52,10 @@ export function timeChart(element, lines, group, {height, range = "fromZero", on
       sync: {key: group.key, scales: ["x", null], filters: {pub: type => !type.includes("click") && type !== "mousedown" && type !== "mouseup"}},
       bind: {dblclick: () => null},
     },
-    scales: {y: {range: RANGES[range]}},
+    scales: {y: {range: fromZero}},
     axes: [
       {...axis, size: 26, space: 76, values: "{HH}:{mm}:{ss}"},
-      {...axis, size: 62, label: "kW", labelSize: 16, labelFont: FONT, labelGap: 0, space: Math.min(34, height / 5)},
+      {...axis, size: 66, values: (self, ticks) => ticks.map(tick), space: Math.min(34, height / 5)},
     ],
     series: [{}, ...lines.map(line => ({
       label: line.label, stroke: () => css(line.color), fill: line.fill && (() => css(line.fill)),
@@ -62,6 +66,7 @@ export function timeChart(element, lines, group, {height, range = "fromZero", on
   new ResizeObserver(() => chart.setSize({width: element.clientWidth, height})).observe(element);
   listenToClicks(chart, group);
   return {
+    canvas: chart.ctx.canvas,
     show(columns, from, to, moment) {
       now = moment;
       chart.batch(() => { chart.setData(columns, true); chart.setScale("x", {min: from, max: to}); });
@@ -73,7 +78,7 @@ export function timeChart(element, lines, group, {height, range = "fromZero", on
 export function bareChart(element, lines, height) {
   const chart = new uPlot({
     width: element.clientWidth, height, padding: [0, 0, 0, 0], legend: {show: false}, cursor: {show: false},
-    scales: {y: {range: RANGES.fromZero}}, axes: [{show: false}, {show: false}],
+    scales: {y: {range: fromZero}}, axes: [{show: false}, {show: false}],
     series: [{}, ...lines.map(line => ({stroke: () => css(line.color), fill: line.fill && (() => css(line.fill)), width: 1, points: {show: false}}))],
   }, [[], ...lines.map(() => [])], element);
   charts.add(chart);

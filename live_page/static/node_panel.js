@@ -2,6 +2,7 @@
 
 import {$, json} from "./dom.js";
 import {kw, timeChart} from "./chart.js";
+import {fileButtons} from "./files.js";
 import {appended, empty, joined} from "./history.js";
 import {values} from "./panels.js";
 
@@ -21,6 +22,7 @@ export function nodePanel(plan, time, group, shown, at) {
   const onCursor = next => { if (next !== row) { row = next; showValues(); } };
   const powerChart = timeChart($("node-chart"), POWERS, group, {height: 300, onCursor});
   const helpChart = timeChart($("help-chart"), [HELP], group, {height: 130});
+  fileButtons($("node-files"), "node", time, () => history, [powerChart, helpChart]);
 
   function draw() {
     const {from, to} = shown(at), x = history.cycle.map(time.seconds);

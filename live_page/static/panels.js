@@ -1,13 +1,14 @@
 // The smaller panels: values beside a chart, figures of merit.
 
-import {kw} from "./chart.js";
+import {power} from "./chart.js";
 
 export function values(element, entries) {
   element.replaceChildren(...entries.map(({label, color, dash, value}) => {
     const box = document.createElement("div"), name = document.createElement("span"), number = document.createElement("b");
     if (color) name.append(Object.assign(document.createElement("i"), {className: dash ? "swatch dashed" : "swatch", style: `color: var(${color})`}));
     name.append(label);
-    number.innerHTML = `${kw(value)} <small>kW</small>`;
+    const [text, unit] = power(value);
+    number.append(`${text} `, Object.assign(document.createElement("small"), {textContent: unit}));
     box.append(name, number);
     return box;
   }));

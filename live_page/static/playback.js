@@ -2,16 +2,19 @@
 
 import {$} from "./dom.js";
 
+const RETRY_MS = 2000;
 const STATES = {waiting: "starting", stalled: "nothing new", over: "over", interrupted: "interrupted", failed: "failed", running: "running"};
 
 // `onUpdate` gets each update of the server, and whether it is the first one of its stream.
 // `at`: the cycle shown, how many cycles there are, and whether the run is over.
-export function playback(onUpdate) {
-  const at = {cycle: -1, cycles: 0, over: false};
-  let live = true, playing = false, source = null;
+// `first`: the cycle to begin with; null: the newest one. `onSeek` gets the cycle that the user chose, or null.
+export function playback(onUpdate, first, onSeek) {
+  const at = {cycle: first ?? -1, cycles: 0, over: false};
+  let live = first === null, playing = false, source = null, again = null;
 
   function connect() {
     source?.close();
+    clearTimeout(again);
     source = new EventSource(live ? "stream" : `stream?from=${Math.max(at.cycle, 0)}&speed=${playing ? $("speed").value : 0}`);
     let fresh = true;
     source.onopen = () => { $("banner").hidden = true; fresh = true; };
@@ -20,6 +23,9 @@ export function playback(onUpdate) {
         ? "The run is over and the page is no longer served. What is shown stays; `heliarch view` opens the recording."
         : "Connection lost: the page shows what came last and tries again.";
       $("banner").hidden = false;
+      // The browser would ask for the first cycle again, and after a refusal for nothing.
+      source.close();
+      again = setTimeout(connect, RETRY_MS);
     };
     source.onmessage = message => {
       const news = JSON.parse(message.data);
@@ -29,6 +35,8 @@ export function playback(onUpdate) {
       if (!live && playing && at.cycle >= at.cycles - 1) { playing = false; live = !at.over; connect(); }
     };
     $("live").setAttribute("aria-pressed", live);
+    $("speed").hidden = live && !at.over;  // What is followed goes at the run's own pace.
+    onSeek(live ? null : at.cycle);
   }
 
   function showState(news) {
@@ -42,7 +50,8 @@ export function playback(onUpdate) {
 
   function seek(target) {
     live = playing = false;
-    at.cycle = Math.round(Math.min(Math.max(target, 0), Math.max(at.cycles - 1, 0)));
+    const last = at.cycles ? at.cycles - 1 : target;
+    at.cycle = Math.round(Math.min(Math.max(target, 0), last));
     connect();
   }
   const step = by => seek(at.cycle + by);

@@ -25,7 +25,7 @@ export function positionBar(plan, time, at, seek) {
       if (!isOld) return;
       drawn = at.cycles;
       const whole = await json(`window?from=0&to=${at.cycles}&points=600`);
-      overview.show([whole.cycle.map(time.seconds), ...POWERS.map(line => whole[line.label])], time.seconds(0), time.seconds(Math.max(last(), 1)));
+      overview.show([whole.cycle.map(time.seconds), ...POWERS.map(line => whole[line.name])], time.seconds(0), time.seconds(Math.max(last(), 1)));
     },
   };
 }

@@ -1,19 +1,21 @@
-// The plant's power, how far it is from what was asked for, and its shortfall over time.
+// The plant's power, and how far it is from what was asked for, with help and without.
 
 import {$, json} from "./dom.js";
 import {timeChart} from "./chart.js";
+import {fileButtons} from "./files.js";
 import {appended, empty, hasRoom, joined} from "./history.js";
 import {values} from "./panels.js";
 
 export const POWERS = [
-  {label: "available", color: "--available", fill: "--available-fill", width: 1},
-  {label: "delivered", color: "--delivered", width: 2},
-  {label: "dispatch", color: "--dispatch", dash: [7, 4], width: 2},
+  {label: "available", name: "available", color: "--available", fill: "--available-fill", width: 1},
+  {label: "without help", name: "without_help", color: "--alone", width: 1},
+  {label: "delivered", name: "delivered", color: "--delivered", width: 2},
+  {label: "dispatch", name: "dispatch", color: "--dispatch", dash: [7, 4], width: 2},
 ];
-const DEVIATION = {label: "delivered − dispatch", color: "--delivered", fill: "--deviation-fill", width: 1.5};
-const SHORTFALLS = [
-  {label: "all", color: "--control", fill: "--control", width: 0},
-  {label: "unavoidable", color: "--unavoidable", fill: "--unavoidable", width: 0},
+const DEVIATIONS = [
+  {label: "denied by the sky", color: "--unavoidable", fill: "--unavoidable", width: 0},
+  {label: "without help", color: "--alone", width: 1},
+  {label: "delivered − dispatch", color: "--delivered", fill: "--deviation-fill", width: 1.5},
 ];
 const difference = (a, b) => a == null || b == null ? null : a - b;
 
@@ -21,18 +23,17 @@ export function powerPanel(time, group, shown, at) {
   let history = empty(), current = {}, row = null;
   const onCursor = next => { if (next !== row) { row = next; describe(); } };
   const powerChart = timeChart($("power-chart"), POWERS, group, {height: 230, onCursor});
-  const deviationChart = timeChart($("deviation-chart"), [DEVIATION], group, {height: 120, range: "aroundZero"});
-  const shortfallChart = timeChart($("shortfall-chart"), SHORTFALLS, group, {height: 96});
+  const deviationChart = timeChart($("deviation-chart"), DEVIATIONS, group, {height: 150});
+  fileButtons($("power-files"), "plant-power", time, () => history, [powerChart, deviationChart]);
 
   function draw() {
     const {from, to} = shown(at), x = history.cycle.map(time.seconds);
     const range = [from, to, at.cycle].map(time.seconds);
     const column = name => history[name] ?? x.map(() => null);
-    powerChart.show([x, ...POWERS.map(line => column(line.label))], ...range);
-    const asked = column("dispatch"), unavoidable = column("unavoidable");
-    deviationChart.show([x, column("delivered").map((value, i) => difference(value, asked[i]))], ...range);
-    const all = column("control_caused").map((value, i) => value === null ? null : value + unavoidable[i]);
-    shortfallChart.show([x, all, unavoidable], ...range);
+    powerChart.show([x, ...POWERS.map(line => column(line.name))], ...range);
+    const asked = column("dispatch"), off = name => column(name).map((value, i) => difference(value, asked[i]));
+    const denied = column("unavoidable").map(value => value == null ? null : -value);
+    deviationChart.show([x, denied, off("without_help"), off("delivered")], ...range);
     describe();
   }
 
@@ -49,10 +50,9 @@ export function powerPanel(time, group, shown, at) {
     const value = name => pointed ? history[name][row] : current[name];
     $("cursor-time").textContent = pointed ? cursorText(history.cycle[row]) : "";
     values($("values"), [
-      ...POWERS.map(line => ({...line, value: value(line.label)})),
-      {...DEVIATION, color: null, value: difference(value("delivered"), value("dispatch"))},
-      {label: "shortfall, unavoidable", value: value("unavoidable")},
-      {label: "control-caused", value: value("control_caused")},
+      ...POWERS.map(line => ({...line, value: value(line.name)})),
+      {label: "delivered − dispatch", value: difference(value("delivered"), value("dispatch"))},
+      {label: "denied by the sky", value: value("unavoidable")},
     ]);
   }
 

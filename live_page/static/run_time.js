@@ -1,5 +1,6 @@
 // The times of a run's cycles, and the cycles that the charts show.
 
+const LEAST_CYCLES = 60, GROWTH = 1.25;
 const SPANS = [["2 min", 120], ["10 min", 600], ["1 h", 3600], ["all", Infinity]];
 
 export function runTime(plan) {
@@ -16,8 +17,8 @@ export function runTime(plan) {
 }
 
 // The user chooses how many cycles are shown: those up to the current one, or those zoomed to.
-export function timeSpan(element, plan, onChange) {
-  let span = SPANS[1][1], zoomed = null;
+export function timeSpan(element, plan, onChange, zoomed = null) {
+  let span = SPANS[1][1];
   const buttons = SPANS.map(([name, length]) => {
     const button = Object.assign(document.createElement("button"), {textContent: name});
     button.onclick = () => { span = length; zoomTo(null); };
@@ -27,19 +28,23 @@ export function timeSpan(element, plan, onChange) {
   back.onclick = () => zoomTo(null);
   element.append(back, ...buttons);
 
-  function zoomTo(cycles) {
-    zoomed = cycles;
+  function press() {
     back.hidden = !zoomed;
     buttons.forEach((button, number) => button.setAttribute("aria-pressed", !zoomed && SPANS[number][1] === span));
+  }
+  function zoomTo(cycles) {
+    zoomed = cycles;
+    press();
     onChange();
   }
   function shown({cycle, cycles}) {
     if (zoomed) return zoomed;
-    const length = Math.min(span / plan.cycle_s, span === Infinity ? cycles : Infinity, Math.max(plan.cycles, 2));
-    const end = Math.max(cycle, Math.min(length, plan.cycles) - 1, 1);
+    // It grows with the run: a chart that has hardly begun is not an empty one.
+    const whole = span === Infinity ? cycles : span / plan.cycle_s;
+    const length = Math.max(Math.min(whole, Math.ceil((cycle + 1) * GROWTH), plan.cycles), Math.min(LEAST_CYCLES, plan.cycles), 2);
+    const end = Math.max(cycle, length - 1);
     return {from: Math.max(end - length + 1, 0), to: end};
   }
-  back.hidden = true;
-  buttons[1].setAttribute("aria-pressed", true);
-  return {shown, zoomTo};
+  press();
+  return {shown, zoomTo, zoomed: () => zoomed};
 }

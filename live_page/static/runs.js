@@ -1,25 +1,37 @@
 // The list of runs in a folder: sorted by a click on a heading, filtered, and two of them compared.
 
 import {$, json} from "./dom.js";
+import {power} from "./chart.js";
 import {toggleTheme} from "./theme.js";
 
 const number = (value, digits) => value?.toLocaleString("en", {minimumFractionDigits: digits, maximumFractionDigits: digits}) ?? "–";
+const percent = share => share == null ? "–" : `${number(share, share !== 0 && share < 0.1 ? 3 : 2)} %`;
+const duration = seconds => seconds < 600 ? `${number(seconds, 0)} s` : seconds < 36000 ? `${number(seconds / 60, 0)} min` : `${number(seconds / 3600, 1)} h`;
 const WHEN = {day: "numeric", month: "short", hour: "2-digit", minute: "2-digit"};
 
-// Each column: its heading, what it sorts by, and what it shows; those with `wide` only in wide windows.
+// Each column: its heading, what it sorts by, and what it shows. Those with `wide` or `middle`
+// show only in wider windows, those with `small` in the narrowest ones too.
+const figure = (heading, name, more = {}) => ({heading, by: run => run.figures[name], show: run => percent(run.figures[name]), digits: true, ...more});
 const COLUMNS = [
   {heading: "run", by: run => run.name, show: link, words: true},
+  {heading: "plant", by: run => run.scenario},
+  {heading: "rating", by: run => run.rating_kw, show: run => run.rating_kw === null ? "–" : power(run.rating_kw).join(" "), digits: true},
+  {heading: "inverters", by: run => run.inverters, digits: true, middle: true},
+  figure("missed", "control-caused", {small: true}),
+  figure("without help", "without-help", {small: true}),
+  figure("denied by the sky", "unavoidable", {middle: true}),
+  figure("over-delivered", "over-delivered", {wide: true}),
+  figure("left unused", "curtailed", {wide: true}),
   {heading: "how it ended", by: run => run.state, show: run => text(run.unreadable || run.state, run.state === "over" ? "good" : "late"), words: true},
-  {heading: "scheme", by: run => run.scheme},
-  {heading: "actuator", by: run => run.actuator},
-  {heading: "faults", by: run => run.faults.length, show: faults, words: true},
+  {heading: "scheme", by: run => run.scheme, wide: true},
+  {heading: "actuator", by: run => run.actuator, wide: true},
+  {heading: "faults", by: run => run.faults.length, show: faults, words: true, middle: true},
   {heading: "recorded", by: run => run.recorded_ms, show: recorded},
-  {heading: "simulated from", by: run => run.start, wide: true},
-  {heading: "for [s]", by: run => run.simulated_s, show: run => run.simulated_s ? number(run.simulated_s, 0) : "–", digits: true},
+  {heading: "for", by: run => run.simulated_s, show: run => run.simulated_s ? duration(run.simulated_s) : "–", digits: true},
   {heading: "MB", by: run => run.size_mb, show: run => number(run.size_mb, 1), digits: true, wide: true},
 ];
 
-let list = {runs: [], figures: []}, columns = COLUMNS, sortedBy = 5, downwards = true;
+let list = {runs: []}, sortedBy = COLUMNS.findIndex(column => column.heading === "recorded"), downwards = true;
 const chosen = new Set();
 
 function text(content, className = "") {
@@ -41,7 +53,7 @@ function recorded(run) {
 }
 
 function drawHeading() {
-  $("heading").replaceChildren(document.createElement("th"), ...columns.map((column, place) => {
+  $("heading").replaceChildren(document.createElement("th"), ...COLUMNS.map((column, place) => {
     const head = document.createElement("th"), button = document.createElement("button");
     button.textContent = column.heading + (place === sortedBy ? (downwards ? " ↓" : " ↑") : "");
     button.onclick = () => { [downwards, sortedBy] = [place === sortedBy ? !downwards : Boolean(column.digits), place]; draw(); };
@@ -50,7 +62,7 @@ function drawHeading() {
     return head;
   }));
 }
-const classOf = column => [column.digits && "n", column.wide && "wide", column.words && "words", column.figure && "figure"].filter(Boolean).join(" ");
+const classOf = column => [column.digits && "n", column.wide && "wide", column.middle && "middle", column.words && "words", column.small && "small"].filter(Boolean).join(" ");
 
 function compareValues(a, b) {
   if (a == null || b == null) return a == null ? (b == null ? 0 : 1) : -1;  // What is unknown comes last.
@@ -65,7 +77,7 @@ function draw() {
     const all = [run.name, run.state, run.scenario, run.scheme, run.actuator, ...run.faults].join(" ").toLowerCase();
     return words.every(word => all.includes(word));
   });
-  found.sort((a, b) => compareValues(columns[sortedBy].by(a), columns[sortedBy].by(b)));
+  found.sort((a, b) => compareValues(COLUMNS[sortedBy].by(a), COLUMNS[sortedBy].by(b)));
   $("rows").replaceChildren(...found.map(row));
   $("nothing").hidden = found.length > 0;
   $("compare").disabled = chosen.size !== 2;
@@ -81,10 +93,11 @@ function row(run) {
     draw();
   };
   line.insertCell().append(box);
-  for (const column of columns) {
+  for (const column of COLUMNS) {
     const cell = line.insertCell();
     cell.className = classOf(column);
-    cell.append(column.show ? column.show(run) : column.by(run) || "–");
+    cell.dataset.heading = column.heading;
+    cell.append(column.show ? column.show(run) : column.by(run) ?? "–");
   }
   return line;
 }
@@ -99,9 +112,6 @@ async function refresh() {
     return;
   }
   $("about").textContent = list.folder;
-  columns = [...COLUMNS, ...list.figures.map(({heading, decimals}, place) => (
-    {heading, by: run => run.figures[place], show: run => number(run.figures[place], decimals), digits: true, figure: true, wide: place > 2}
-  ))];
   draw();
 }
 

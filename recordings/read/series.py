@@ -26,7 +26,7 @@ from bus_schemas.tree import ROOT, parent_of
 from recordings.read.reader import RunReader
 from sim_plant.orders import order_of
 from sim_plant.profile import PROFILE_NAME, load_profile
-from sim_plant.without_help import powers_without_help_kw
+from sim_plant.without_help import powers_without_help_kw, settling_cycles
 
 _MOST_COLUMNS: Final = 100
 
@@ -51,8 +51,7 @@ class RunSeries:
         that it applied.
     unknown_kw: What real inverters that do not answer may give beside the delivered power, (T,).
     unlisted_kw: What the plant's own meter reads beyond the sum of its inverters, (T,).
-    without_help_kw: What the plant would have delivered if each inverter were held to its share of
-        the desired power under the same sky, shape (T,): the baseline of every run.
+    baseline_kw: `without_help_kw` of a plant whose columns are clusters, shape (T,).
     first_cycle: Cycle of the run that the first row stands for.
     of_agents: Figures of merit that only a run of agents in a study counts, by name.
     orders: The dispatches with which an order came into force, or its state changed.
@@ -74,7 +73,7 @@ class RunSeries:
     frequency_hz: NDArray[np.float64]
     desired_kw: NDArray[np.float64]
     response_kw: NDArray[np.float64]
-    without_help_kw: NDArray[np.float64]
+    baseline_kw: NDArray[np.float64] | None = None
     first_cycle: int = 0
     of_agents: Mapping[str, float] = field(default_factory=dict)
     orders: tuple[Dispatch, ...] = ()
@@ -102,9 +101,6 @@ class RunSeries:
         }
         arrays.setdefault("dispatch_kw", arrays["commitment_kw"] + arrays["regulation_kw"])
         arrays |= desired_powers(plan, arrays["dispatch_kw"], arrays["frequency_hz"])
-        arrays["without_help_kw"] = (
-            unknown if clusters else _without_help_kw(plan, arrays["mpp_kw"], arrays["desired_kw"])
-        )
         return cls(label, plan, clusters or plan.tree.leaves, **arrays)
 
     @property
@@ -153,6 +149,18 @@ class RunSeries:
         return np.maximum(self.desired_kw - self.delivered_kw, 0.0)
 
     @property
+    def without_help_kw(self) -> NDArray[np.float64]:
+        """The baseline, shape (T,): the plant's power if each inverter were held to its share.
+
+        Of the desired power, under the same sky. NaN where that is not known.
+        """
+        if self.baseline_kw is not None:
+            return self.baseline_kw
+        if self.inverters != self.plan.tree.leaves:
+            return np.full(self.cycles, nan)
+        return _without_help_kw(self.plan, self.mpp_kw, self.desired_kw)
+
+    @property
     def known(self) -> NDArray[np.bool_]:
         """Whether the recording has dispatch and production of each cycle, shape (T,)."""
         of_dispatch = self.dispatch_kw + self.commitment_kw + self.regulation_kw
@@ -167,6 +175,16 @@ class RunSeries:
 
     def between(self, first: int, end: int) -> RunSeries:
         """Return the rows from the first one on to before the end alone."""
+        part = self._rows(first, end)
+        lead = settling_cycles(self.plan)
+        if not lead or self.baseline_kw is not None:
+            return part
+        # What inverters obey in the first rows depends on the rows before.
+        begin = max(first - lead, 0)
+        baseline_kw = self._rows(begin, end).without_help_kw[first - begin :]
+        return replace(part, baseline_kw=baseline_kw)
+
+    def _rows(self, first: int, end: int) -> RunSeries:
         values = {one.name: getattr(self, one.name) for one in fields(self)}
         part: dict[str, Any] = {
             name: rows[first:end] for name, rows in values.items() if isinstance(rows, np.ndarray)
@@ -319,7 +337,7 @@ def series_of(
     reader: RunReader, most_inverters: int | None = None, also: Sequence[Listener] = ()
 ) -> RunSeries:
     """Read a recording; in a plant of more inverters, clusters stand for them."""
-    clusters = _clusters(reader.plan, most_inverters)
+    clusters = columns_of(reader.plan, most_inverters)
     signals = (IMPP, RESIDUAL) if clusters else (IMPP, RESIDUAL, COMMAND)
     nodes = clusters or reader.plan.tree.leaves
     return _read(reader, reader.ports(*signals, nodes=nodes), clusters, also)
@@ -330,10 +348,10 @@ def plant_series_of(reader: RunReader, most_inverters: int | None = _MOST_COLUMN
 
     In a plant of more inverters, clusters stand for them: a day is to fit into memory.
     """
-    return _read(reader, frozenset(), _clusters(reader.plan, most_inverters))
+    return _read(reader, frozenset(), columns_of(reader.plan, most_inverters))
 
 
-def _clusters(plan: RunPlan, most_inverters: int | None) -> tuple[str, ...]:
+def columns_of(plan: RunPlan, most_inverters: int | None = _MOST_COLUMNS) -> tuple[str, ...]:
     """Return the clusters that stand for the inverters; none if there are few enough."""
     leaves = plan.tree.leaves
     if most_inverters is None or len(leaves) <= most_inverters:
@@ -367,4 +385,4 @@ def _with_baseline(series: RunSeries, reader: RunReader) -> RunSeries:
     if not path.exists():
         return series
     mpp_kw = load_profile(path, plan.timing.cycles, len(plan.tree.leaves)).mpp_kw[: series.cycles]
-    return replace(series, without_help_kw=_without_help_kw(plan, mpp_kw, series.desired_kw))
+    return replace(series, baseline_kw=_without_help_kw(plan, mpp_kw, series.desired_kw))

@@ -60,7 +60,8 @@ class Served:
     def opened_order(self, body: bytes, method: str = "POST", **headers: str) -> HTTPResponse:
         """Send an order; return the answer while it comes."""
         origin = self.root.removesuffix("/")
-        cookie = f"heliarch-page={self.address.partition('token=')[2]}"
+        port, token = self.root.rstrip("/").rpartition(":")[2], self.address.partition("token=")[2]
+        cookie = f"heliarch-page-{port}={token}"
         own = {"Origin": origin, "Content-Type": "application/json", "Cookie": cookie} | headers
         own = {name: value for name, value in own.items() if value}
         request = urllib.request.Request(self.root + "order", body, own, method=method)

@@ -191,3 +191,60 @@ def test_a_folder_of_runs_leads_to_each_of_them(window: Browser, run: Path) -> N
         window.until(at(CYCLES - 1), "the run")
         window.run("document.querySelector('#back').click()")
         window.until("return document.querySelector('#rows a')", "the list again")
+
+
+def test_an_address_leads_to_its_cycle_and_node_and_says_who_helped(
+    window: Browser, run: Path
+) -> None:
+    with served(run) as page:
+        window.open(f"{page.address}#cycle=20&node=c2/d")
+        window.until(at(20), "the cycle of the address")
+        window.until("return document.querySelector('#node-title').textContent == 'c2/d'", "node")
+        assert window.text("#sentence").startswith("12:00:20")
+        window.press("ArrowRight")
+        window.until(at(21), "the next cycle")
+        window.until("return location.hash == '#cycle=21&node=c2/d'", "its address")
+        window.press("End")
+        window.until("return location.hash == '#node=c2/d'", "an address that follows the run")
+        assert window.problems() == []
+
+
+def test_a_chart_is_saved_with_times_and_units(window: Browser, run: Path) -> None:
+    with served(run) as page:
+        window.open(page.address)
+        window.run(
+            "import('/static/files.js').then(({csvOf}) => window.saved = csvOf("
+            "{cycle: [3, 4], power: [1.5, null]}, {seconds: cycle => cycle}))"
+        )
+        saved = window.until("return window.saved", "the file")
+    assert saved.splitlines() == [
+        "cycle,time,power [kW]",
+        "3,1970-01-01T00:00:03.000Z,1.5",
+        "4,1970-01-01T00:00:04.000Z,",
+    ]
+
+
+def test_the_page_goes_on_from_the_cycle_shown_when_its_server_is_back(
+    window: Browser, run: Path
+) -> None:
+    with served(run) as page:
+        window.open(f"{page.address}#cycle=5")
+        window.until(at(5), "the cycle of the address")
+        window.press("ArrowRight")
+        window.until(at(6), "the next cycle")
+        port = int(page.root.rstrip("/").rpartition(":")[2])
+    window.until("return !document.querySelector('#banner').hidden", "the loss of its server")
+    with served(run, port=port):
+        window.until("return document.querySelector('#banner').hidden", "its server again")
+        window.until(at(6), "the cycle that it showed")
+
+
+def test_two_pages_with_tokens_on_one_host_do_not_lock_each_other_out(
+    window: Browser, run: Path
+) -> None:
+    with served(run, orders=True) as one, served(run, orders=True) as other:
+        for page in (one, other, one):
+            window.open(page.address)
+            window.until(at(CYCLES - 1), "the run")
+        window.open(other.root)
+        window.until(at(CYCLES - 1), "the run, by its cookie")

@@ -106,7 +106,7 @@ def test_the_runs_of_a_folder_are_listed_with_their_figures(run: Path, tmp_path:
                 "run": {"scenario": "field", "cycle_s": 1.0, "planned_cycles": 1000},
                 "launcher": {"interrupted": True},
                 "cycles": CYCLES,
-                "figures": {"rmse": 4.2},
+                "figures": {"control-caused": 4.2},
             }
         )
     )
@@ -117,7 +117,8 @@ def test_the_runs_of_a_folder_are_listed_with_their_figures(run: Path, tmp_path:
         found = page.get("runs")
         rows = {row["name"]: row for row in found["runs"]}
         assert set(rows) == {"one", "rates~rate-1"}
-        assert 4.2 in rows["one"]["figures"]
+        assert rows["one"]["figures"]["control-caused"] == 4.2
+        assert (rows["one"]["inverters"], rows["one"]["rating_kw"]) == (4, 400.0)
         assert rows["one"]["state"].startswith("interrupted")
         assert (rows["one"]["scheme"], rows["one"]["actuator"]) == ("paper", "fraction")
         assert page.get("run/rates~rate-1/plan")["plant"] == "field"

@@ -133,7 +133,7 @@ def test_orders_come_by_all_five_ways_in_one_run_and_verify_repeats_it(
     run.until_recorded(30)
     assert "400 kW reached" in done("order", run.folder, "400kW")
     headers = {"Origin": page.removesuffix("/"), "Content-Type": "application/json"}
-    headers |= {"Cookie": f"heliarch-page={token}"}
+    headers |= {"Cookie": f"heliarch-page-{page.rstrip('/').rpartition(':')[2]}={token}"}
     request = urllib.request.Request(f"{page}order", b'{"power_kw": 450}', headers)
     with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
         assert b"450 kW reached" in answer.read()
