@@ -97,7 +97,19 @@ class Table:
         ]
 
     def parts(self, width: int) -> list[Table]:
-        """Split a table into as many as it takes for each to fit; all have the key columns."""
+        """Split a table into as many as it takes for each to fit; all have the key columns.
+
+        A column that says nothing in any row is left out.
+        """
+        texts = self.texts()
+        says = [
+            at
+            for at, column in enumerate(self.columns)
+            if column.key or not texts or _says(texts, at)
+        ]
+        return self._only(says)._fitting(width)
+
+    def _fitting(self, width: int) -> list[Table]:
         widths = [least + _GAP for least in self.widths()]
         keys = [at for at, column in enumerate(self.columns) if column.key]
         groups: list[list[int]] = [[]]
@@ -126,6 +138,10 @@ class Table:
                 longest = max(min(longest, _WORDS), *words, 0)
             widths.append(max(longest, *map(len, _heading(column, longest)), 0))
         return widths
+
+
+def _says(texts: Sequence[tuple[str, ...]], at: int) -> bool:
+    return any(row[at] not in {"-", ""} for row in texts)
 
 
 def counted(number: int, noun: str) -> str:

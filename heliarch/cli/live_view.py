@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from datetime import datetime
 from typing import IO, Final, Self
 from zoneinfo import ZoneInfo
@@ -70,14 +71,24 @@ class PlainView:
         """Show where the run stands, if the last line about it is old enough."""
         if status.cycle < 0 or not self._line.is_due():
             return
-        # A cluster that lacks power contains inverters that do: the clusters come first.
-        nodes = sorted(status.needy, key=lambda node: (node.count("/"), node))
-        needy = listed([node or "the whole plant" for node in nodes], _NAMED) or "none"
         local = datetime.fromtimestamp(status.sim_time_ns / 1e9, self._zone)
         text = (
             f"{local:%H:%M:%S} {status.cycle + 1} of {self._cycles} cycles, "
             f"dispatch {status.dispatch_kw:.0f} kW, delivered {status.delivered_kw:.0f} kW, "
-            f"available {status.available_kw:.0f} kW; help: {needy}"
+            f"available {status.available_kw:.0f} kW; help: "
         )
         # A line that wraps cannot be renewed.
-        self._line.show(text[: self._console.width - 1] if self._console.is_terminal else text)
+        room = self._console.width - 1 if self._console.is_terminal else None
+        self._line.show((text + _needy(status.needy, room and room - len(text)))[:room])
+
+
+def _needy(nodes: Sequence[str], room: int | None) -> str:
+    """Name nodes that lack power, as many as there is room for.
+
+    A cluster that lacks power contains inverters that do: the clusters come first.
+    """
+    ordered = sorted(nodes, key=lambda node: (node.count("/"), node))
+    names = [node or "the whole plant" for node in ordered]
+    texts = [listed(names, most) for most in range(min(len(names), _NAMED), 0, -1)]
+    fitting = (text for text in texts if room is None or len(text) <= room)
+    return next(fitting, f"{len(names)} nodes" if names else "none")

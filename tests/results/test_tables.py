@@ -66,9 +66,17 @@ def test_words_wrap_and_numbers_do_not() -> None:
     ],
 )
 def test_cells_as_text(cell: float | str | None, text: str) -> None:
-    table = Table("", (Column("Value"),), ((cell,),))
+    table = Table("", (key_column("Value"),), ((cell,),))
     assert table.texts() == [(text,)]
     assert text in " ".join(lines_of(table, 80))
+
+
+def test_a_column_that_says_nothing_is_not_printed_but_is_in_the_json() -> None:
+    columns = (key_column("Case"), Column("Energy"), Column("Score"), word_column("Note"))
+    table = Table("", columns, (("a", 1.0, None, ""), ("b", None, nan, "")))
+    heading = lines_of(table, 80)[1]
+    assert heading.split() == ["Case", "Energy"]
+    assert [*json_rows(table)[0]] == ["Case", "Energy", "Score", "Note"]
 
 
 def test_json_has_all_digits_and_no_nan() -> None:
