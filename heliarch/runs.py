@@ -23,8 +23,8 @@ from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import is_run
 from heliarch.cli.run import run
 from heliarch.recorded import Run, by_parameter, open_run
+from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.run_folder import RunRequest
-from launch_scripts.supervision import ForkServerProcess
 from recordings.export.exporting import ExportSummary, Form
 from recordings.export.exporting import export as export_run
 from recordings.export.mcap_copies import Clock

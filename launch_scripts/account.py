@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from agents.process.events import ExternalAccount, Finished, Recorded
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
+from launch_scripts.processes import Process
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import Child
 from recordings.inspect.health import Health, LauncherAccount, WrongMessages
 from recordings.read.counting import checked
 from recordings.read.reader import RunReader
@@ -57,18 +57,18 @@ class RunAccount:
     given_up: dict[str, int] = field(default_factory=dict)
     recording_gaps: list[tuple[int, int]] = field(default_factory=list)
 
-    def add_process(self, child: Child) -> None:
-        finished = child.finished or Finished({}, [])
+    def add_process(self, process: Process) -> None:
+        finished = process.finished or Finished({}, [])
         self.dropped += finished.dropped
         self.processes.append(
             ProcessAccount(
-                child.agent,
-                child.kind,
+                process.name,
+                process.kind,
                 _by_cause(finished.dropped),
-                child.exited.resident_mb if child.exited else 0.0,
-                (child.recorded or finished).own_mb,
+                process.exited.resident_mb if process.exited else 0.0,
+                (process.recorded or finished).own_mb,
                 skipped_cycles=finished.skipped_cycles,
-                cpu_s=child.cpu_in_run_s(),
+                cpu_s=process.cpu_in_run_s(),
             )
         )
 

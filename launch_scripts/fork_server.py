@@ -1,8 +1,8 @@
 """The fork server: one process that has imported everything starts all processes of a run by fork.
 
-It has neither threads nor a session, so a fork copies nothing that a child could not use. It speaks
-with the launcher through one socket that keeps packets apart: requests come in, events of all
-processes go out. `python -m launch_scripts.fork_server SOCKET BEATS`
+It has neither threads nor a session, so a fork copies nothing that a child could not use. Requests
+come in through one socket that keeps packets apart, with the socket of each process that it is to
+start. `python -m launch_scripts.fork_server SOCKET BEATS`
 
 No process outlives the launcher: the kernel ends the server with it, and with the server the agents
 at once, and the recorder as soon as it has closed its file.
@@ -29,7 +29,7 @@ from agents.loop import Loop
 from agents.plan import RunPlan, load_plan
 from agents.process.beats import BEAT_S, FORK_SERVER, BeatTable
 from agents.process.events import Event, Exited, Failed, Request, Signal, Start, Started
-from agents.process.launcher_link import LauncherLink, Packets, packets
+from agents.process.launcher_link import LauncherLink
 from agents.process.machine import die_with_parent
 from agents.process.session import session_settings
 from agents.team import controller
@@ -54,7 +54,6 @@ class ForkServer:
         self._control = control
         self._beats = beats
         self._run: tuple[RunPlan, BeatTable] | None = None
-        self._requests = Packets()
         self._pids: dict[int, str] = {}
         self._starts: Counter[str] = Counter()
         self._pid = os.getpid()
@@ -76,10 +75,7 @@ class ForkServer:
                     with suppress(BlockingIOError):
                         os.read(self._ended, 4096)
                     self._reap()
-                elif packet := self._receive():
-                    if (request := self._requests.feed(packet)) is not None:
-                        self._do(_decoder.decode(request[1]))
-                else:
+                elif not self._do_next():
                     return
             if self._run is not None:
                 self._run[1].beat(FORK_SERVER)
@@ -95,52 +91,57 @@ class ForkServer:
         for pid in self._pids:
             os.kill(pid, signal.SIGKILL)
 
-    def _receive(self) -> bytes:
+    def _do_next(self) -> bool:
+        """Do what the launcher asks next; return False if it is gone."""
         try:
-            return self._control.recv(_LARGEST)
+            packet, sockets, *_ = socket.recv_fds(self._control, _LARGEST, 1)
         except ConnectionResetError:  # The launcher has gone before it has read everything.
-            return b""
-
-    def _do(self, request: Request) -> None:
-        match request:
-            case Start():
-                self._start(request)
-            case Signal():
+            return False
+        if not packet:
+            return False
+        match _decoder.decode(packet):
+            case Start() as request:
+                self._fork(request, sockets[0])
+            case Signal() as request:
                 for pid, agent in self._pids.items():
-                    if agent in request.agents:
+                    if agent == request.agent:
                         os.kill(pid, request.number)
+        return True
 
-    def _start(self, request: Start) -> None:
+    def _run_of(self, request: Start) -> tuple[RunPlan, BeatTable]:
+        """Return the plan of the run, and what all processes need, worked out once."""
         if self._run is None:
             plan = load_plan(Path(request.plan))
             self._run = plan, BeatTable(self._beats, plan.processes)
-            # What all of them need is worked out once, before there are many.
             own = [process for process in plan.processes if process != OPERATOR]
             for process in own[-1:]:
                 for name in plan.wiring.members_of(process):
                     Loop(controller(plan, name), plan)
                 session_settings(plan, process)
-            _ = plan.network_faults
             gc.collect()
             gc.freeze()
-        for agent in request.agents:
-            self._fork(agent, *self._run, request)
+        return self._run
 
-    def _fork(self, agent: str, plan: RunPlan, table: BeatTable, request: Start) -> None:
+    def _fork(self, request: Start, link: int) -> None:
+        plan, table = self._run_of(request)
         pid = os.fork()
         if pid == 0:
-            self._become(agent, plan, table, request)
-        self._pids[pid] = agent
-        self._starts[agent] += 1
-        self._tell(agent, Started(pid))
+            self._become(request, plan, table, socket.socket(fileno=link))
+        os.close(link)
+        self._pids[pid] = request.agent
+        self._starts[request.agent] += 1
+        self._tell(Started(request.agent, pid))
 
-    def _become(self, agent: str, plan: RunPlan, table: BeatTable, request: Start) -> NoReturn:
-        status = 1
+    def _become(
+        self, request: Start, plan: RunPlan, table: BeatTable, events: socket.socket
+    ) -> NoReturn:
+        status, agent = 1, request.agent
         try:
             self._set_up(agent, Path(request.logs) / log_name(agent))
-            link = LauncherLink(agent, self._control, table, self._starts[agent])
+            link = LauncherLink(agent, events, table, self._starts[agent])
             link.end_on(signal.SIGTERM)
             table.sends(agent)[0] = False
+            link.beat(-1)
             status = run_process(
                 agent, plan, link, Path(request.plan).parent, rejoins=request.again
             )
@@ -159,6 +160,7 @@ class ForkServer:
             os._exit(1)
         os.close(self._ended)
         os.close(self._wake)
+        self._control.close()
         try:
             log_file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         except OSError:  # The run's folder has been removed.
@@ -177,13 +179,16 @@ class ForkServer:
             if pid == 0:
                 return
             cpu_s, resident_mb = usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1.024e-3
-            exited = Exited(os.waitstatus_to_exitcode(status), cpu_s, resident_mb)
-            self._tell(self._pids.pop(pid), exited)
+            code = os.waitstatus_to_exitcode(status)
+            self._tell(Exited(self._pids.pop(pid), code, cpu_s, resident_mb))
 
-    def _tell(self, agent: str, event: Event) -> None:
+    def fail(self, error: Exception) -> None:
+        with suppress(OSError):
+            self._tell(Failed(f"{type(error).__name__}: {error}"))
+
+    def _tell(self, event: Event) -> None:
         with suppress(BrokenPipeError, ConnectionResetError):
-            for packet in packets(agent, msgspec.json.encode(event)):
-                self._control.send(packet)
+            self._control.send(msgspec.json.encode(event))
 
 
 def main() -> None:
@@ -195,10 +200,7 @@ def main() -> None:
     except ConnectionResetError:
         pass  # The launcher is gone, and left events unread.
     except Exception as error:
-        event = Failed(f"{type(error).__name__}: {error}")
-        with suppress(OSError):
-            for packet in packets("", msgspec.json.encode(event)):
-                control.send(packet)
+        server.fail(error)
         raise
     finally:
         server.end()

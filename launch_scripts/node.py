@@ -6,13 +6,12 @@ import time
 from collections.abc import Callable, Sequence
 
 from agents.plan import RunPlan, changed
-from agents.process.events import Failed, Start
+from agents.process.events import Failed
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import PLANT
-from launch_scripts.restarts import Restarts
+from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.processes import Processes
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import Children, ForkServerProcess
-from launch_scripts.watch import Watch
 
 
 def share_of(plan: RunPlan, host: str) -> tuple[str, ...]:
@@ -40,26 +39,21 @@ def run_share(
     folder.make()
     folder.write_plan(plan)
 
-    def start(*names: str, again: bool = True) -> None:
-        server.ask(Start(str(folder.plan), names, str(folder.logs), again))
-
-    with Children(server, plan, agents, folder.logs) as children:
-        watch = Watch(plan, children)
-        # The launcher alone does what fault rules ask for.
-        restarts = Restarts(changed(plan, faults={"rules": ()}), children, watch, start, say)
-        start(*agents, again=False)
-        are_ready = False
-        while not all(child.finished or child.row.state == "given up" for child in children):
-            for child, event in children.events(0.1):
-                watch.hear(child, event)
+    # The launcher alone does what fault rules ask for.
+    plan = changed(plan, faults={"rules": ()})
+    with Processes(server, plan, agents, folder, say) as processes:
+        processes.start()
+        own = processes.own
+        while not all(one.finished or one.state == "given up" for one in own):
+            for process, event in processes.look():
                 if isinstance(event, Failed):
-                    raise children.failure(child.agent, f"{child.agent} gave up: {event.text}")
-            if not are_ready and all(child.ready for child in children):
-                are_ready = True
-                restarts.begin(time.monotonic())
+                    text = f"{process.name} gave up: {event.text}"
+                    raise processes.failure(process.name, text)
+            if not processes.has_begun and all(process.is_there for process in own):
+                processes.begin(time.monotonic())
                 where = f"{plan.access.host_of(PLANT)}:{plan.access.tcp_ports[PLANT]}"
                 say(f"all are ready for the plant at {where}")
-            restarts.look()
-        children.await_end([*children], 10.0)
-    if restarts.given_up:
-        raise FailureError(f"given up in the run: {', '.join(restarts.given_up)}")
+        processes.await_end(own, 10.0)
+        given_up = processes.given_up
+    if given_up:
+        raise FailureError(f"given up in the run: {', '.join(given_up)}")

@@ -32,7 +32,7 @@ from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name
 from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import who_waits
+from launch_scripts.stall import who_waits
 from launch_scripts.view import View
 from recordings.record.phases import RunProgress
 from recordings.record.writer import ClockAnchor, RunWriter

@@ -15,9 +15,9 @@ import psutil
 from agents.process.interruption import interruptible
 from agents.process.machine_watch import MachineWatch
 from bus_schemas.errors import FailureError, InputError
+from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.launch import check_processes, launch
 from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
-from launch_scripts.supervision import ForkServerProcess
 from launch_scripts.view import ViewFor
 from results.report.result import Result
 from results.tables import Column, Table, attributes, key_column, word_column

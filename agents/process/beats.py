@@ -23,9 +23,10 @@ _HEAD: Final = struct.Struct("qq?7x")
 """Messages to expect, counted from 1 (0: not known), how many agents were given up, and whether the
 recording is closed."""
 
-_PLACE: Final = struct.Struct("qq??6x")
+_PLACE: Final = struct.Struct("qq???5x")
 _SENDS: Final = 16
 _GIVEN_UP: Final = 17
+_DISMISSED: Final = 18
 
 
 class Beat(NamedTuple):
@@ -39,6 +40,10 @@ class Beat(NamedTuple):
     cycle: int
     sends: bool
     is_given_up: bool
+    is_dismissed: bool
+
+
+NO_BEAT: Final = Beat(0, -1, sends=False, is_given_up=False, is_dismissed=False)
 
 
 class BeatTable:
@@ -63,6 +68,13 @@ class BeatTable:
 
     def read(self, name: str) -> Beat:
         return Beat._make(_PLACE.unpack_from(self._memory, self._places[name]))
+
+    def dismiss(self, name: str) -> None:
+        """Ask a process to end in order."""
+        self._memory[self._places[name] + _DISMISSED] = True
+
+    def is_dismissed(self, name: str) -> bool:
+        return bool(self._memory[self._places[name] + _DISMISSED])
 
     def give_up(self, name: str) -> None:
         """Say that an agent does not come back."""

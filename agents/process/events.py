@@ -32,7 +32,8 @@ class Waiting(Event, frozen=True):
 class Status(Event, frozen=True):
     """What the recorder has seen so far, for a live view. Powers in kW.
 
-    `unheard` are the keys on which external agents have said nothing in an arming round. In real
+    `unheard` are the keys on which external agents have said nothing in an arming round, and
+    `never_heard` some agents that have said nothing in any of them, and how many there are. In real
     time, `not_recorded` are the agents that the recorder has not heard for a while, `not_heard` the
     processes that none of their listeners hears.
     """
@@ -45,6 +46,7 @@ class Status(Event, frozen=True):
     needy: list[str]
     recorded: int
     unheard: list[str] = []
+    never_heard: tuple[list[str], int] = ([], 0)
     not_recorded: list[str] = []
     not_heard: list[str] = []
 
@@ -64,14 +66,16 @@ class Finished(Event, frozen=True):
 
 
 class Started(Event, frozen=True):
-    """The fork server has started a process for an agent."""
+    """The fork server has started a process."""
 
+    agent: str
     pid: int
 
 
 class Exited(Event, frozen=True):
     """A process has ended: its status (below 0: the signal), processor time, largest memory."""
 
+    agent: str
     status: int
     cpu_s: float
     resident_mb: float = 0.0
@@ -156,21 +160,21 @@ class Failed(Event, frozen=True):
 
 
 class Start(msgspec.Struct, frozen=True, tag=True):
-    """Start the processes of these agents, those first that the others connect to.
+    """Start a process; its end of the link to the launcher comes with this.
 
-    `plan` is a path, `logs` a folder. `again`: they join a run that is under way.
+    `plan` is a path, `logs` a folder. `again`: it joins a run that is under way.
     """
 
     plan: str
-    agents: tuple[str, ...]
     logs: str
+    agent: str
     again: bool = False
 
 
 class Signal(msgspec.Struct, frozen=True, tag=True):
-    """Send a signal to the processes of these agents that have not ended."""
+    """Send a signal to a process if it has not ended."""
 
-    agents: tuple[str, ...]
+    agent: str
     number: int
 
 

@@ -25,7 +25,7 @@ def launch(
 
     Example: `heliarch launch oahu --from 12:30 --duration 15m --pace 1`
     """
-    from launch_scripts.supervision import ForkServerProcess
+    from launch_scripts.fork_server_process import ForkServerProcess
 
     with ForkServerProcess() as server:  # It imports what its processes need, beside the launcher.
         from heliarch.cli.run import run_and_print, run_request

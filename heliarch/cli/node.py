@@ -37,9 +37,9 @@ def node(
     out
         Folder of the logs; default runs/PLANT-TIME.
     """
+    from launch_scripts.fork_server_process import ForkServerProcess
     from launch_scripts.node import run_share, share_of
     from launch_scripts.run_folder import new_run_id, run_folder
-    from launch_scripts.supervision import ForkServerProcess
 
     run_plan, output = load_plan(plan), Output()
     agents = share_of(run_plan, host)

@@ -17,10 +17,10 @@ from heliarch.cli.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import FileOptions, PageOptions, changed_scenario
 from heliarch.cli.output import Output, do_all
+from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.launch import check_processes, launch
 from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.simulation import simulate
-from launch_scripts.supervision import ForkServerProcess
 from live_page.process import PageProcess
 from results.headline import print_headline
 from results.run_summary import RunSummary

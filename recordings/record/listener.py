@@ -34,6 +34,10 @@ _FAR_AHEAD: Final = 1000
 """A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
 
 
+_NAMED: Final = 3
+"""How many of those that do not answer in arming rounds are named."""
+
+
 class _Key(NamedTuple):
     """What the recorder knows of a key, worked out once for all its messages.
 
@@ -120,8 +124,13 @@ class RunListener:
     def status(self) -> Status:
         """Return where the run stands, and the agents that are unresponsive or not heard yet."""
         status = self.progress.status(self._writer.recorded.total())
-        if self._plan.elsewhere and self.progress.newest_cycle < 0:
-            status = replace(status, unheard=self._arming.unheard(self._plan.elsewhere))
+        if self.progress.newest_cycle < 0:
+            silent = self._arming.never_heard()
+            status = replace(
+                status,
+                unheard=self._arming.unheard(self._plan.elsewhere),
+                never_heard=(silent[:_NAMED], len(silent)),
+            )
         if not self._plan.timing.lockstep:
             now_ns = self._now_ns()
             status = replace(

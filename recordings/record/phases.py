@@ -59,6 +59,10 @@ class ArmingRound:
         self.answered = self.answered or not self._open
         return not self._open
 
+    def never_heard(self) -> list[str]:
+        """Return the agents that have said nothing in any round."""
+        return sorted({port.publisher for port in self._all - self._last.keys()})
+
     def unheard(self, agents: Collection[str]) -> list[str]:
         """Keys, without the plant's name, on which nothing of some agents came in this round."""
         return sorted(str(port) for port in self._open if port.publisher in agents)

@@ -17,9 +17,9 @@ from agents.plan import RunPlan, changed
 from agents.process.events import Status
 from bus_schemas.errors import FailureError, listed
 from bus_schemas.tree import PLANT
+from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.launch import launch
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import ForkServerProcess
 from recordings.record.complaints import OUT_OF_RANGE, UNDECODABLE, UNKNOWN, WRONG_SENDER
 from recordings.verify.comparison import LOSSES, Equality
 from recordings.verify.verification import verify

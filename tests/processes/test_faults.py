@@ -26,9 +26,10 @@ from bus_schemas.signals import GIVEN_UP, IMPP
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import RECORDER
 from heliarch.cli.live_view import PlainView
+from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.launch import launch
+from launch_scripts.processes import Processes
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.supervision import Children, ForkServerProcess
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
 from scenarios.preparation import RunOptions, prepare
@@ -275,18 +276,17 @@ def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
 
 def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path: Path) -> None:
     preparation = prepare(load_scenario(plant), RunOptions(duration="5"), "asked")
-    folder, agents = RunFolder(tmp_path / "run"), (RECORDER,)
+    folder = RunFolder(tmp_path / "run")
     with reserved_ports(preparation.plan.links.listening) as tcp_ports:
         plan, server = folder.fill(preparation, tcp_ports), ForkServerProcess()
-        with Children(server, plan, agents, folder.logs) as children:
-            children.events(0.0)
+        with Processes(server, plan, (RECORDER,), folder, print) as processes:
             server.process.send_signal(signal.SIGSTOP)
             for _ in range(2000):  # More than the socket between them takes.
-                server.ask(events.Signal(agents, signal.SIGCONT))
-            server.ask(events.Start(str(folder.plan), agents, str(folder.logs)))
+                server.ask(events.Signal(RECORDER, signal.SIGCONT))
+            processes.start()
             server.process.send_signal(signal.SIGCONT)
-            while not children[RECORDER].ready:
-                children.events(0.1)
+            while not processes[RECORDER].is_there:
+                processes.look()
     assert_none_left(folder.path)
 
 
