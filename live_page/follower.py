@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 import time
-from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
 from contextlib import suppress
-from math import ceil
+from itertools import pairwise
 from pathlib import Path
+from sys import maxsize
 from typing import Final, Literal, TypeAlias
 
 import msgspec
@@ -22,10 +23,10 @@ from bus_schemas.messages import Dispatch, Message, Meter, Notice, Production, R
 from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER
 from live_page.run_events import RunEvents
-from recordings.inspect.agent_states import AgentStates
+from recordings.inspect.agent_states import AgentStates, Change
 from recordings.inspect.health import failure_in
 from recordings.read.mcap_file import Chunk, walk_on
-from recordings.read.reader import RunReader
+from recordings.read.reader import RunReader, stop_after
 from recordings.read.series import SeriesCollector, columns_of
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
@@ -37,10 +38,6 @@ by its launcher."""
 
 _STALLED_S: Final = 5.0
 """Nothing new in the file for this long, or for three cycles, is worth saying."""
-
-_LATEST_S: Final = 1.0
-"""So late a message may come in real time and still be found. In lockstep it may come among those
-of the next cycle."""
 
 
 class RunFollower:
@@ -55,13 +52,10 @@ class RunFollower:
         self.cycles = 0
         self.events = RunEvents()
         self.states = AgentStates(self.plan)
-        self._stop_cycle = -1
-        self._failed = False
-        wall_s = self.plan.timing.cycle_wall_ns / 1e9
-        self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
-        self._firsts: list[int] = []
+        self._stops: set[int] = set()
+        self._failed = self._finished = False
+        self._chunk_cycles: list[range] = []
         self._powers = SeriesCollector(self.plan, columns_of(self.plan))
-        self._dispatch: Dispatch | None = None
 
     def advance(self, budget_s: float) -> bool:
         """Read on for a while; return whether all that is in the file has been read."""
@@ -74,6 +68,10 @@ class RunFollower:
             self._read(chunk)
             if time.monotonic() >= until:
                 break
+        if self.run.outline.closed and self._next_chunk() is None and not self._finished:
+            self._finished = True
+            self.states.finish(self.states.end_cycle(stop_after(self._stops, self.states.newest)))
+        self.events.replace(self._changes())
         if not self._failed and (failure := failure_in(self.run.path.parent)):
             self._failed = True
             self.events.add("failure", self.cycles, "launcher", failure)
@@ -83,9 +81,9 @@ class RunFollower:
     def state(self) -> State:
         if self._failed:
             return "failed"
-        if self.run.outline.closed or self._stop_cycle >= self.cycles:
-            # Unless the plant has gone on: then another program said so.
-            return "over" if self._stop_cycle >= self.plan.timing.cycles else "interrupted"
+        stop = stop_after(self._stops, self.states.newest)
+        if self.run.outline.closed or stop is not None:
+            return "over" if (stop or 0) >= self.plan.timing.cycles else "interrupted"
         if not self.cycles:
             return "waiting"
         longest_s = max(_STALLED_S, 3.0 * self.plan.timing.cycle_wall_ns / 1e9)
@@ -97,13 +95,12 @@ class RunFollower:
         """Share of the file's chunks that has been read; None: all of them."""
         if self._next_chunk() is None:
             return None
-        return round(len(self._firsts) / len(self.run.outline.chunks), 3)
+        return round(len(self._chunk_cycles) / len(self.run.outline.chunks), 3)
 
     def chunks_with(self, cycle: int) -> list[Chunk]:
-        """Return the chunks that can hold messages of a cycle."""
-        begin = bisect_left(self._firsts, cycle - self._disorder) - 1
-        end = bisect_right(self._firsts, cycle + self._disorder)
-        return self.run.outline.chunks[max(begin, 0) : end]
+        """Return the chunks that hold messages of a cycle."""
+        chunks = zip(self.run.outline.chunks, self._chunk_cycles, strict=False)
+        return [chunk for chunk, cycles in chunks if cycle in cycles]
 
     def powers(self, cycles: range, points: int) -> dict[str, list[float]]:
         """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
@@ -136,46 +133,48 @@ class RunFollower:
 
     def _next_chunk(self) -> Chunk | None:
         """Return the next chunk that is there as a whole."""
-        outline, number = self.run.outline, len(self._firsts)
+        outline, number = self.run.outline, len(self._chunk_cycles)
         return outline.chunks[number] if number < len(outline.chunks) else None
 
     def _read(self, chunk: Chunk) -> None:
-        cycles = []
+        first, last = maxsize, -1
         for record in self.run.records_of(chunk):
-            cycles.append(record.cycle)
+            cycle = record.cycle
+            first, last = min(first, cycle), max(last, cycle)
             self.states.see(record)
-            while self.states.changes:
-                self.events.add(*self.states.changes.popleft())
             if record.port.signal in _FOLLOWED:
                 with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
                     self._see(record.port, record.payload)
         if chunk in self.run.damage:
             self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
-        first = min(cycles[0], cycles[-1]) if cycles else self.cycles - 1
-        self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
+        self._chunk_cycles.append(range(first, last + 1))
 
     def _see(self, port: Port[Message], payload: bytes) -> None:
         message = decode(port.signal, payload)
         cycle = message.cycle
         match message:
-            case Dispatch():
+            case Dispatch() | Meter():
                 self._powers.see(port, message)
-                if event := order_event(message, self._dispatch):
-                    self.events.add("order", cycle, *event)
-                self._dispatch = message
             case Production() if 0 <= cycle < self.plan.timing.cycles:
                 self._powers.see(port, message)
                 self.cycles = max(self.cycles, cycle + 1)
-            case Meter():
-                self._powers.see(port, message)
             case Notice():
                 self.events.add("notice", cycle, message.source, message.text)
             case Run(state="start"):
                 self.events.add("run", cycle, PLANT, "the run begins")
             case Run(state="stop"):
-                self._stop_cycle = cycle
-                how = "over" if cycle >= self.plan.timing.cycles else "interrupted"
-                self.events.add("run", cycle, PLANT, f"the run is {how}")
+                self._stops.add(cycle)
+
+    def _changes(self) -> Iterator[Change]:
+        """Yield what is worked out from several messages."""
+        yield from self.states.changes()
+        dispatches = self._powers.orders.changes()
+        for last, dispatch in pairwise([None, *dispatches]):
+            if dispatch is not None and (event := order_event(dispatch, last)):
+                yield Change("order", dispatch.cycle, *event)
+        if (stop := stop_after(self._stops, self.states.newest)) is not None:
+            how = "over" if stop >= self.plan.timing.cycles else "interrupted"
+            yield Change("run", stop, PLANT, f"the run is {how}")
 
 
 _FOLLOWED: Final = frozenset({DISPATCH, METER, PRODUCTION, NOTICE, RUN})

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections import deque
-from itertools import islice
-from typing import Final
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from typing import Final, TypeAlias
 
 import msgspec
 
-_KEPT: Final = 500
-_MERGED: Final = 40
-"""An event like one of the last ones is counted with it."""
+from recordings.inspect.agent_states import Change
 
+_MOST: Final = 500
 _MERGED_CYCLES: Final = 60
+"""What happens again within so many cycles is one event with a count."""
+
+Subject: TypeAlias = tuple[str, str, str]
+"""Kind, agent and text of events."""
 
 
 class Event(msgspec.Struct):
     """Something that happened, once or `count` times from `cycle` to `last_cycle`.
 
-    `revision` grows whenever an event is new or has changed.
+    `revision` grows whenever an event is new or has changed; its count is 0 once it turns out not
+    to have happened.
     """
 
     number: int
@@ -32,28 +37,62 @@ class Event(msgspec.Struct):
 
 
 class RunEvents:
-    """The newest events of a run."""
+    """The events of a run. What is known of them may change, since messages can come late."""
 
     def __init__(self) -> None:
         self.revision = 0
-        self._events: deque[Event] = deque(maxlen=_KEPT)
-        self._number = 0
+        self._times = defaultdict[Subject, Counter[int]](Counter)
+        self._changes: set[Change] = set()
+        self._unwritten: set[Subject] = set()
+        self._events = defaultdict[Subject, dict[int, Event]](dict)
+        self._count = 0
 
     def add(self, kind: str, cycle: int, agent: str, text: str, count: int = 1) -> None:
-        """Enter an event; one of the same kind, agent and text shortly before is counted on."""
-        self.revision += 1
-        for event in islice(reversed(self._events), _MERGED):
-            same = (event.kind, event.agent, event.text) == (kind, agent, text)
-            if same and cycle <= event.last_cycle + _MERGED_CYCLES:
-                event.count += count
-                event.last_cycle = max(cycle, event.last_cycle)
-                event.revision = self.revision
-                return
-        self._number += 1
-        self._events.append(
-            Event(self._number, self.revision, kind, cycle, cycle, agent, text, count)
-        )
+        subject = kind, agent, text
+        self._times[subject][cycle] += count
+        self._unwritten.add(subject)
+
+    def replace(self, changes: Iterable[Change]) -> None:
+        """Let these changes take the place of those that were given before."""
+        new = set(changes)
+        for change in self._changes - new:
+            self.add(*change, count=-1)
+        for change in new - self._changes:
+            self.add(*change)
+        self._changes = new
 
     def since(self, revision: int) -> list[Event]:
-        """Return the events that are newer than a revision, or have changed since."""
-        return [event for event in self._events if event.revision > revision]
+        """Return the newest events of those that are newer than a revision, or have changed."""
+        for subject in self._unwritten:
+            self._write(subject)
+        self._unwritten.clear()
+        events = chain.from_iterable(one.values() for one in self._events.values())
+        found = [event for event in events if event.revision > revision]
+        return sorted(found, key=lambda event: (event.cycle, event.number))[-_MOST:]
+
+    def _write(self, subject: Subject) -> None:
+        """Bring the events of a subject up to date."""
+        groups = {first: (last, count) for first, last, count in _groups(+self._times[subject])}
+        events = self._events[subject]
+        for event in events.values():
+            last, count = groups.pop(event.cycle, (event.cycle, 0))
+            if (event.last_cycle, event.count) != (last, count):
+                self.revision += 1
+                event.last_cycle, event.count, event.revision = last, count, self.revision
+        kind, agent, text = subject
+        for first, (last, count) in groups.items():
+            self.revision += 1
+            self._count += 1
+            events[first] = Event(self._count, self.revision, kind, first, last, agent, text, count)
+
+
+def _groups(times: Counter[int]) -> Iterator[tuple[int, int, int]]:
+    """Yield first and last cycle and count of what happened again and again."""
+    first, last, count = -1, -1, 0
+    for cycle in sorted(times):
+        if count and cycle > last + _MERGED_CYCLES:
+            yield first, last, count
+            count = 0
+        first, last, count = first if count else cycle, cycle, count + times[cycle]
+    if count:
+        yield first, last, count

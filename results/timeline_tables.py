@@ -61,7 +61,7 @@ def states_table(states: Mapping[str, AgentState]) -> Table:
     shown = {
         agent: state
         for agent, state in states.items()
-        if state.word != "fine" or state.missed_inputs or state.restarts
+        if state.kind != "fine" or state.missed_inputs or state.restarts
     }
     columns = (
         key_column("agent"),

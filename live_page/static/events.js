@@ -1,11 +1,11 @@
 // What happened up to the cycle shown, the newest first. What comes later shows only when asked for.
 
 const MOST = 500;
-const BAD = new Set(["not heard", "cut off", "given up", "gap"]);
+const BAD = new Set(["absent", "cut off", "given up"]);
 // What charts mark, in which colour.
 const MARKED = {
   fault: "--warn", restart: "--good", back: "--good", order: "--accent",
-  "not heard": "--bad", "cut off": "--bad", "given up": "--bad", failure: "--bad", gap: "--bad",
+  absent: "--bad", "cut off": "--bad", "given up": "--bad", failure: "--bad",
 };
 const MOST_MARKS = 200;
 
@@ -51,8 +51,16 @@ export function eventList(list, laterButton, timeOf, seek) {
     add(events) {
       for (const event of events) {
         const line = found.get(event.number)?.line ?? document.createElement("li");
+        if (!event.count) {  // It turned out not to have happened.
+          line.remove();
+          found.delete(event.number);
+          continue;
+        }
         write(line, event);
-        if (!found.has(event.number)) list.prepend(line);
+        if (!found.has(event.number)) {
+          line.cycle = event.cycle;
+          list.insertBefore(line, [...list.children].find(other => other.cycle <= event.cycle) ?? null);
+        }
         found.set(event.number, {event, line});
       }
       while (found.size > MOST) {

@@ -1,7 +1,6 @@
 // The inverters where they stand: filled by available power, ringed by delivered power, with help.
 
 import {kw} from "./chart.js";
-import {stateText} from "./tree.js";
 
 const NS = "http://www.w3.org/2000/svg";
 const RAMP = ["#00224e", "#123570", "#3b496c", "#575d6d", "#707173", "#8a8678", "#a59c74", "#c3b369", "#e1cc55", "#fee838"];
@@ -128,7 +127,7 @@ export function plantMap(svg, note, legend, plan, select) {
         body.setAttribute("fill", available === null ? "none" : ramp(available / node.rating_kw));
         const share = made === null ? 0 : Math.min(Math.max(made / node.rating_kw, 0), 1) * 100;
         ring.setAttribute("stroke-dasharray", `${share} 200`);
-        title.textContent = `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW; ${stateText(frame.agents, agent)}`;
+        title.textContent = `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW; ${frame.agents.text[agent]}`;
       }
       for (const number of clusters) {
         const level = frame.agents.level[number + 1];

@@ -2,14 +2,6 @@
 
 const FOLDED_ABOVE = 30;
 const LEVELS = ["good", "late", "bad"], SIGNS = ["●", "○", "✕"];
-const QUIET = new Set(["fine", "restarted", "given up"]);
-
-// How an agent was in the cycle shown: `frozen for 3`.
-export function stateText(agents, agent) {
-  const word = agents.word[agent], missed = agents.missed_cycles[agent];
-  return missed > 1 && !QUIET.has(word) ? `${word} for ${missed}` : word;
-}
-
 export function controlTree(body, plan, select) {
   const plant = {path: "plant", parent: null, number: null, depth: 0, children: []};
   const rows = plan.nodes.map((node, number) => ({...node, number, children: []}));
@@ -51,13 +43,13 @@ export function controlTree(body, plan, select) {
     const agents = frame.agents;
     for (const row of order) {
       if (row.line.hidden) continue;
-      const own = row.agent, heard = !agents.missed_cycles[own];
+      const own = row.agent, heard = !agents.level[own];
       const unread = frame.unread.includes(row.number);
       const hidden = row.folded ? below(row).slice(1) : [];
       const worst = Math.max(agents.level[own], unread ? 2 : 0, ...hidden.map(each => agents.level[each.agent]));
       const [state, inputs, oldest, loop, restarts] = row.cells;
       const ill = hidden.filter(each => agents.level[each.agent]).length;
-      const own_text = unread && heard ? "no reading" : stateText(agents, own);
+      const own_text = unread && heard ? "no reading" : agents.text[own];
       state.className = LEVELS[worst];
       state.textContent = `${SIGNS[worst]} ${ill && !agents.level[own] ? `${ill} below missing` : own_text}`;
       const now = agents.missed_now[own];

@@ -1,98 +1,67 @@
-"""The state of each agent in each cycle, by what was recorded up to its end, and its absences.
+"""When agents were absent, cut off or given up: what page, `heliarch inspect` and report show.
 
-The live page and `heliarch inspect` show them. A cycle ends where the next one begins in the
-recording: a message that comes later does not change what was known before.
+It follows from cycles, sequence numbers and the inputs that agents missed. The order in which
+messages were recorded, and when, says nothing: a recorder can be late.
 """
 
 from __future__ import annotations
 
 from array import array
-from bisect import bisect_right
-from collections import deque
-from collections.abc import Iterator
+from bisect import bisect_left, bisect_right
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
+from msgspec import structs
 
-from agents.faults import Fault, Kill, incidents
+from agents.faults import Fault, Freeze, Kill, incidents
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import GivenUp, Message
-from bus_schemas.signals import GIVEN_UP, IMPP, TELEMETRY, Port
-from bus_schemas.tree import PLANT, RECORDER, agent_name
+from bus_schemas.signals import DISPATCH, GIVEN_UP, IMPP, PRODUCTION, TELEMETRY, Port
+from bus_schemas.tree import PLANT, RECORDER, ROOT, agent_name
 from recordings.inspect.cut_off import Listeners
-from recordings.read.gaps import MissedInputs, gaps_of_ports
-from recordings.read.reader import RecordedMessage, RunReader
+from recordings.read.gaps import MissedInputs, Stretch, gaps_of_ports
+from recordings.read.reader import RecordedMessage, RunReader, most_disorder
 from recordings.read.run_clock import RunClock
 from scenarios.fault_rules import fault_text
 
-Word: TypeAlias = Literal[
-    "fine",
-    "not heard",
-    "cut off",
-    "frozen",
-    "killed",
-    "restarted",
-    "given up",
-    "not recorded",
-]
+Kind: TypeAlias = Literal["absent", "cut off", "given up"]
 
-How: TypeAlias = Literal["back", "restarted", "not back", "not heard", "cut off"]
+BY_RECORDER: Final = "from the recorder"
 
-_UNHEARD: Final = 2
-"""After so many missed cycles in a row an agent is worth an event."""
+_NOTABLE_CYCLES: Final = {"absent": 2, "cut off": 5, "given up": 1}
+"""Shorter spans are no events: single lost messages count as missed inputs."""
 
-_CAUSES: Final[dict[str, Word]] = {"kill": "killed", "freeze": "frozen"}
-"""What is said of a silent agent to which a fault rule did this."""
+_LOOK_EVERY: Final = 4096
+"""Messages between two looks whether enough has been read."""
+
+_CAUSES: Final = {"kill": "killed", "freeze": "frozen"}
 
 
-class AgentState(msgspec.Struct, frozen=True):
-    """How an agent was in a cycle.
+class AgentSpan(msgspec.Struct, frozen=True):
+    """Cycles in which an agent was `absent`, `cut off` or `given up`.
 
-    missed_cycles: For how many cycles up to this one nothing of it came, or it was cut off.
-    missed_inputs: Inputs that it missed at its deadlines, so far and in this cycle.
-    restarts: How often another process had taken its place by then.
-    """
+    kind: `absent`: it published nothing; for 0 cycles if its process was only replaced. `cut off`:
+        those who await its messages lacked them, or it lacked theirs, or the recorder did.
+        `given up`: it is not started again.
+    cause: What a fault rule did to it: `killed`, `frozen`; or `from the recorder`.
+    is_restarted: Whether another process of it followed.
+    back_in: The cycle in which it was heard again, or its other process joined; None: it was not.
 
-    word: Word
-    missed_cycles: int
-    missed_inputs: int
-    missed_now: int
-    restarts: int
-
-    @property
-    def level(self) -> int:
-        """0: all well; 1: one cycle was missed; 2: several were, or the agent was given up."""
-        return 2 if self.word == "given up" else min(self.missed_cycles, 2)
-
-    def text(self) -> str:
-        """Return it as tables show it: `frozen for 3`, `fine`."""
-        lasts = self.missed_cycles > 1 and self.word != "given up"
-        return f"{self.word} for {self.missed_cycles:,}" if lasts else self.word
-
-    def document(self) -> dict[str, str | int]:
-        return {**msgspec.structs.asdict(self), "level": self.level}
-
-
-class Absence(msgspec.Struct, frozen=True):
-    """An agent that was absent for some cycles; 0 of them if it only restarted.
-
-    how: `back` as it was, `restarted` as another process, or `not back`: nothing
-        of it came, and its numbers show that it published nothing. `not heard`: the
-        recorder did not hear what it published. `cut off`: those who await its messages lacked
-        them, or it lacked theirs. The recorder is `not heard` where it heard nobody.
-    back_in: The cycle in which it was heard again, or its next process joined; None: it was not.
-    cause: What a fault rule did to it.
-
-    A real inverter is named `device c2/inv07`: it has no telemetry while it is gone.
+    A real inverter is named `device c2/inv07`: it has no telemetry while it is gone. The recorder
+    is cut off where it heard nobody.
     """
 
     agent: str
+    kind: Kind
     first_cycle: int
     cycles: int
-    back_in: int | None
-    how: How = "back"
     cause: str = ""
+    is_restarted: bool = False
+    back_in: int | None = None
 
     @property
     def end(self) -> int:
@@ -100,114 +69,131 @@ class Absence(msgspec.Struct, frozen=True):
 
     @property
     def weight(self) -> tuple[bool, int]:
-        """What it is sorted by: whether the agent came back as it was, and for how long."""
-        return self.how != "back", self.cycles
+        """What it is sorted by: whether the agent came back as it was, and how long it lasted."""
+        return self.kind != "absent" or self.is_restarted or self.back_in is None, self.cycles
 
-    def is_near(self, other: Absence, cycles: int) -> bool:
-        """Whether there are at most so many cycles between both."""
-        return other.first_cycle <= self.end + cycles and self.first_cycle <= other.end + cycles
+    @property
+    def is_event(self) -> bool:
+        return self.is_restarted or self.cycles >= _NOTABLE_CYCLES[self.kind]
+
+    def what(self) -> str:
+        """Return what befell the agent in words: `cut off from the recorder`, `absent, killed`."""
+        joint = " " if self.cause == BY_RECORDER else ", "
+        return joint.join(filter(None, (self.kind, self.cause)))
+
+    def return_text(self) -> str:
+        return "restarted" if self.is_restarted else "heard again"
 
     def text(self, clock: RunClock) -> str:
-        span = clock.span_text(self.first_cycle, self.end - 1) if self.cycles else ""
-        if self.agent == RECORDER:
-            return f"{self.agent}: recorded nothing {span}"
-        if self.how == "not heard":
-            return f"{self.agent}: not heard {span}, though it published"
-        if self.how == "cut off":
-            return f"{self.agent}: cut off {span}"
-        gone = f"nothing {span}, " if span else ""
-        cause = f"{self.cause}, " if self.cause else ""
-        back = "" if self.back_in is None else f" in cycle {self.back_in:,}"
-        return f"{self.agent}: {gone}{cause}{self.how}{back}"
+        back = "" if self.back_in is None else f"{self.return_text()} in cycle {self.back_in:,}"
+        if not self.cycles:
+            return f"{self.agent}: {', '.join(filter(None, (self.cause, back)))}"
+        span = clock.span_text(self.first_cycle, self.end - 1)
+        return f"{self.agent}: {self.what()} {span}, {back or 'to the end'}"
+
+
+class AgentState(msgspec.Struct, frozen=True):
+    """How an agent was in a cycle.
+
+    kind: `fine`, or the kind of the span that the cycle is in.
+    cycles: For how many cycles up to this one the span had lasted.
+    missed_inputs: Inputs that it missed at its deadlines, so far and in this cycle.
+    restarts: How often another process had taken its place by then.
+    """
+
+    kind: Kind | Literal["fine"]
+    cause: str
+    cycles: int
+    missed_inputs: int
+    missed_now: int
+    restarts: int
+
+    @property
+    def level(self) -> int:
+        """0: all well; 1: one cycle was missed; 2: several were, or the agent was given up."""
+        return 2 if self.kind == "given up" else min(self.cycles, 2)
+
+    def text(self) -> str:
+        """Return it as tables show it: `absent for 3, killed`."""
+        if self.kind in {"fine", "given up"}:
+            return self.kind
+        cause = self.cause if self.cause in _CAUSES.values() else ""
+        return f"{self.kind} for {self.cycles:,}{', ' * bool(cause)}{cause}"
+
+    def document(self) -> dict[str, str | int]:
+        return {**structs.asdict(self), "level": self.level, "text": self.text()}
 
 
 class Change(NamedTuple):
-    """Something that happened to an agent in a cycle, `times` times; `kind` as the page shows."""
+    """Something that happened to an agent in a cycle; `kind` as the page shows."""
 
     kind: str
     cycle: int
     agent: str
     text: str
-    times: int = 1
 
 
-class _Spans(list[range]):
-    """Spans of cycles that follow each other; those that adjoin become one."""
+class _Missed:
+    """How many inputs an agent had missed by each cycle."""
 
-    def add(self, span: range) -> None:
-        if self and span.start <= self[-1].stop:
-            last = self.pop()
-            span = range(last.start, max(span.stop, last.stop))
-        self.append(span)
+    def __init__(self) -> None:
+        self._cycles, self._totals = array("q"), array("q")
 
-    def length(self, cycle: int) -> int:
-        """Return how long the span that a cycle is in had lasted by then, 0 if it is in none."""
-        number = bisect_right(self, cycle, key=lambda span: span.start) - 1
-        is_in = number >= 0 and cycle in self[number]
-        return cycle - self[number].start + 1 if is_in else 0
+    def add(self, cycle: int, count: int) -> None:
+        place = bisect_left(self._cycles, cycle)
+        if place == len(self._cycles) or self._cycles[place] != cycle:
+            self._cycles.insert(place, cycle)
+            self._totals.insert(place, self._totals[place - 1] if place else 0)
+        for later in range(place, len(self._totals)):
+            self._totals[later] += count
 
-
-class _Agent:
-    """What is known of one agent.
-
-    heard_in: The newest cycle of the run when it was last heard. In real time a message can come
-        after its own cycle: `newest` is the newest cycle that the agent itself named.
-    silent, cut_off: Cycles in which nothing of it came, and in which it was cut off.
-    missed_in, missed: Cycles in which it missed inputs, and how many it had missed by then.
-    """
-
-    def __init__(self, first_cycle: int) -> None:
-        self.heard_in = self.newest = first_cycle - 1
-        self.incarnation = 0
-        self.silent, self.cut_off = _Spans(), _Spans()
-        self.restarts, self.missed_in, self.missed = array("q"), array("q"), array("q")
-        self.given_up: int | None = None
-        self.causes: list[tuple[int, Word]] = []
-
-    def miss(self, cycle: int, inputs: int) -> None:
-        self.missed_in.append(cycle)
-        self.missed.append(inputs + self.missed_up_to(cycle))
-
-    def missed_up_to(self, cycle: int) -> int:
-        number = bisect_right(self.missed_in, cycle, hi=len(self.missed))
-        return self.missed[number - 1] if number else 0
-
-    def silent_cycles(self, cycle: int) -> int:
-        if cycle > self.heard_in:
-            return cycle - self.heard_in
-        return self.silent.length(cycle)
-
-    def cause(self, since: int, cycle: int) -> Word | Literal[""]:
-        """Return what a fault rule did to it after it was last heard, in cycle `since`."""
-        return next((word for at, word in reversed(self.causes) if since <= at <= cycle), "")
+    def up_to(self, cycle: int) -> int:
+        place = bisect_right(self._cycles, cycle)
+        return self._totals[place - 1] if place else 0
 
 
 class AgentStates:
-    """Follows a recording from its beginning, or counts a part of it from `first_cycle` on.
+    """Takes in the messages of a recording, in any order; tells the states of agents from them.
 
-    `newest` is the newest cycle of the run's own agents. `changes` are what happened; whoever shows
-    them takes them out. A real inverter is an agent too, `device c2/inv07`, heard by its telemetry.
+    While a run goes on, an agent that is not heard counts as absent from the first cycle in which
+    its listeners lacked it. After `finish`, it is absent up to the run's end.
+
+    `newest` is the newest cycle of the run's own agents.
     """
 
     def __init__(self, plan: RunPlan, first_cycle: int = 0) -> None:
         self.newest = first_cycle - 1
-        self.changes = deque[Change]()
         self.gaps = gaps_of_ports(plan, first_cycle)
         self.missed = MissedInputs(plan)
         self._plan = plan
         self._first_cycle = first_cycle
-        self._devices: dict[Port[Message], str] = {
+        self._end: int | None = None
+        self._disorder = most_disorder(plan)
+        devices: dict[Port[Message], str] = {
             TELEMETRY.of(node): f"device {node}" for node, _ in plan.site.devices
         }
-        names = (PLANT, *map(agent_name, plan.tree.nodes), *self._devices.values())
-        self._agents = {name: _Agent(first_cycle) for name in names}
-        self._listeners = Listeners(plan)
-        self._nobody: list[range] = []
-        self._absences: list[Absence] = []
-        self._faults = deque(fault_changes(plan))
+        self._agent_of: dict[Port[Message], str] = {
+            DISPATCH.of(ROOT): PLANT,
+            **{IMPP.of(node): agent_name(node) for node in plan.tree.nodes},
+            **devices,
+        }
+        """The agents, each by the one signal that it sends in every cycle."""
+        self._port_of = {agent: port for port, agent in self._agent_of.items()}
+        self._listeners = Listeners(
+            plan, {port: devices.get(port, port.publisher) for port in plan.wiring.ports}
+        )
+        self._missed_by = defaultdict[str, _Missed](_Missed)
+        self._given_up: dict[str, int] = {}
+        self._causes = defaultdict[str, list[tuple[int, str]]](list)
         for begin_s, agent, what, *_ in incidents(plan.faults.rules, plan.tree, plan.wiring):
-            if what in _CAUSES and agent in self._agents:
-                self._agents[agent].causes.append((_cycle_at(plan, begin_s), _CAUSES[what]))
+            if what in _CAUSES:
+                self._causes[agent].append((_cycle_at(plan, begin_s), _CAUSES[what]))
+        self._lacked: dict[int, dict[str, set[str]]] = {}
+        self._judged: dict[int, dict[str, int]] = {}
+        self._cut_off = defaultdict[str, dict[int, int]](dict)
+        self._spans: dict[str, list[AgentSpan]] = {}
+        self._changed_cycles: set[int] = set()
+        self._changed = set(self._port_of)
 
     @property
     def agents(self) -> tuple[str, ...]:
@@ -215,150 +201,89 @@ class AgentStates:
         return (PLANT, *map(agent_name, self._plan.tree.nodes))
 
     def see(self, record: RecordedMessage) -> None:
-        """Take in a message, in the order of the recording."""
-        port, cycle, name = record.port, record.cycle, record.port.publisher
-        gaps, agent = self.gaps[port], self._agents.get(name)
-        lost, restarts = gaps.lost, gaps.restarts
-        gaps.see(cycle, record.sequence, record.incarnation)
-        if agent is None or not 0 <= cycle < self._plan.timing.cycles:
+        port, cycle = record.port, record.cycle
+        goes_on = self.gaps[port].see(cycle, record.sequence, record.incarnation)
+        if not 0 <= cycle < self._plan.timing.cycles:
             return
-        if cycle > self.newest and name not in self._plan.access.external:
-            self._begin(cycle)
-        if gaps.lost > lost:
-            self._note("lost", self.newest, name, "messages lost", gaps.lost - lost)
-        is_number_new = gaps.restarts > restarts and port.signal is IMPP
-        joined = self._joined(agent, record, is_number_new=is_number_new)
-        if joined is not None:
-            self._note_restart(name, agent)
-        if record.incarnation >= agent.incarnation:  # A process that was replaced may go on.
-            self._hear(name, cycle, joined, has_lost=gaps.lost > lost)
-        if port in self._devices:
-            self._hear(self._devices[port], cycle)
-        if port.signal is GIVEN_UP:
+        if port in self._agent_of:
+            self._hear(self._agent_of[port], cycle, goes_on=goes_on)
+        elif port.signal is GIVEN_UP:
             self._give_up(record)
         if keys := self.missed.see(record):
-            agent.miss(self.newest, len(keys))
-            self._listeners.lack(name, keys)
+            name = port.publisher
+            self._missed_by[name].add(cycle, len(keys))
+            lacked = self._lacked.setdefault(cycle, {}).setdefault(name, set())
+            lacked |= self._listeners.publishers(keys)
+            self._changed_cycles.add(cycle)
+
+    def end_cycle(self, stop_cycle: int | None) -> int:
+        """Return before which cycle a run ended; by its last production if that is not recorded."""
+        return self.gaps[PRODUCTION.of(ROOT)].newest + 1 if stop_cycle is None else stop_cycle
+
+    def finish(self, end: int) -> None:
+        """Take in that all messages of the cycles before one have come."""
+        self._end = end
+        self._changed.update(self._port_of)
 
     def at(self, name: str, cycle: int) -> AgentState:
-        agent = self._agents[name]
-        silent, cut_off = agent.silent_cycles(cycle), agent.cut_off.length(cycle)
-        if not cut_off and cycle == self.newest and name in self._cut_off():
-            cut_off = agent.cut_off.length(cycle - 1) + 1
-        missed = max(silent, cut_off)
+        spans, missed = self._spans_of(name), self._missed_by[name]
+        span = next((one for one in spans if one.first_cycle <= cycle < one.end), None)
         return AgentState(
-            word=self._word(agent, name, cycle, silent, missed),
-            missed_cycles=missed,
-            missed_inputs=agent.missed_up_to(cycle),
-            missed_now=agent.missed_up_to(cycle) - agent.missed_up_to(cycle - 1),
-            restarts=bisect_right(agent.restarts, cycle),
+            kind=span.kind if span else "fine",
+            cause=span.cause if span else "",
+            cycles=cycle - span.first_cycle + 1 if span else 0,
+            missed_inputs=missed.up_to(cycle),
+            missed_now=missed.up_to(cycle) - missed.up_to(cycle - 1),
+            restarts=sum(
+                one.is_restarted and one.back_in is not None and one.back_in <= cycle
+                for one in spans
+            ),
         )
 
-    def absences(self, end: int) -> list[Absence]:
-        self._end_cycle()
-        found, hold = self._absences, self._plan.control.hold_cycles
-        for span in self._nobody:
-            found.append(Absence(RECORDER, span.start, len(span), span.stop, "not heard"))
-        for name, agent in self._agents.items():
-            first, cycles = agent.newest + 1, end - agent.newest - 1
-            if cycles > 1:  # A run that broke off has not completed its last cycle.
-                cause = agent.cause(agent.newest, end)
-                found.append(Absence(name, first, cycles, None, "not back", cause))
-            known = [one for one in found if one.agent == name]
-            for span in agent.cut_off:
-                cut = Absence(
-                    name, span.start, min(span.stop, end) - span.start, span.stop, "cut off"
+    def spans(self) -> list[AgentSpan]:
+        """Return what is worth an event, by agents in the order of the tree."""
+        nobody = self._nobody()
+        found = [
+            AgentSpan(RECORDER, "cut off", span.start, len(span), back_in=span.stop)
+            for span in nobody
+        ]
+        for name in self._port_of:
+            for span in self._spans_of(name):
+                is_recorders = span.cause == BY_RECORDER and any(
+                    one.start <= span.first_cycle and span.end <= one.stop for one in nobody
                 )
-                if cut.cycles > hold and not any(cut.is_near(one, hold) for one in known):
-                    found.append(cut)
+                if span.is_event and not is_recorders:
+                    found.append(span)
         return found
 
-    def _word(self, agent: _Agent, name: str, cycle: int, silent: int, missed: int) -> Word:
-        if agent.given_up is not None and agent.given_up <= cycle:
-            return "given up"
-        if silent and any(cycle in span for span in self._nobody):
-            return "not recorded"
-        if silent:
-            return agent.cause(cycle - silent, cycle) or "not heard"
-        if missed:
-            return "cut off" if missed >= _UNHEARD else "not heard"
-        return self._process_word(agent, name, cycle)
+    def changes(self) -> Iterator[Change]:
+        """Yield begin and end of what is worth an event, and what the fault rules did so far."""
+        for span in self.spans():
+            if span.cycles:
+                yield Change(span.kind, span.first_cycle, span.agent, span.what())
+            if span.back_in is not None and (self._end is None or span.back_in < self._end):
+                kind = "restart" if span.is_restarted else "back"
+                yield Change(kind, span.back_in, span.agent, span.return_text())
+        for change in fault_changes(self._plan):
+            if change.cycle <= self.newest:
+                yield change
 
-    def _process_word(self, agent: _Agent, name: str, cycle: int) -> Word:
-        number = bisect_right(agent.restarts, cycle)
-        if number and cycle <= agent.restarts[number - 1] + self._plan.control.hold_cycles:
-            return "restarted"
-        return "fine"
+    def is_settled(self, cycle: int) -> bool:
+        """Whether all messages up to a cycle have come, and each agent has been heard since."""
+        return self.newest > cycle + self._disorder and all(
+            name in self._given_up or self.gaps[port].newest > cycle
+            for name, port in self._port_of.items()
+        )
 
-    def _cut_off(self) -> dict[str, int]:
-        newest, agents = self.newest, self._agents
-        return self._listeners.cut_off(newest, lambda name: agents[name].heard_in == newest)
-
-    def _begin(self, cycle: int) -> None:
-        self._end_cycle()
-        if cycle > self.newest + 1:
-            self._nobody.append(range(self.newest + 1, cycle))
-            self._note("gap", self.newest + 1, RECORDER, "no agent was recorded")
-        self.newest = cycle
-        while self._faults and self._faults[0].cycle <= cycle:
-            self.changes.append(self._faults.popleft())
-
-    def _end_cycle(self) -> None:
-        cycle, cut_off = self.newest, self._cut_off()
-        for name, agent in self._agents.items():
-            if name in cut_off:
-                agent.cut_off.add(range(cycle, cycle + cut_off[name]))
-                if agent.heard_in == cycle and agent.cut_off.length(cycle) == _UNHEARD:
-                    self._note("cut off", cycle, name, "cut off")
-            if cycle == agent.heard_in + _UNHEARD and agent.given_up is None:
-                word = agent.cause(agent.heard_in, cycle)
-                self._note("not heard", cycle, name, f"not heard{f': {word}' if word else ''}")
-        self._listeners.next_cycle()
-
-    def _joined(self, agent: _Agent, record: RecordedMessage, *, is_number_new: bool) -> int | None:
-        """Return the cycle in which the process joined that speaks for an agent from now on."""
-        if record.incarnation > agent.incarnation:
-            agent.incarnation = record.incarnation
-            # Of a part of a recording: it had joined before.
-            return record.incarnation if record.incarnation >= self._first_cycle else None
-        return record.cycle if is_number_new else None
-
-    def _hear(
-        self, name: str, cycle: int, joined: int | None = None, *, has_lost: bool = False
-    ) -> None:
-        """Note that an agent is heard; `has_lost`: messages before it were not recorded."""
-        agent, now = self._agents[name], self.newest
-        if joined is not None or cycle > agent.newest + 1:
-            self._absences += self._absence(name, agent, cycle, joined, has_lost=has_lost)
-        if now > agent.heard_in + 1:
-            agent.silent.add(range(agent.heard_in + 1, now))
-            if now > agent.heard_in + _UNHEARD and agent.heard_in >= 0 and joined is None:
-                self._note("back", now, name, "heard again")
-        agent.heard_in, agent.newest = now, max(cycle, agent.newest)
-
-    def _absence(
-        self, name: str, agent: _Agent, cycle: int, joined: int | None, *, has_lost: bool
-    ) -> Iterator[Absence]:
-        """Yield how an agent was absent up to a cycle, or that another process of it joined."""
-        gone = range(agent.newest + 1, cycle)
-        if gone and has_lost:
-            nobody = (
-                range(max(one.start, gone.start), min(one.stop, cycle)) for one in self._nobody
-            )
-            if len(gone) - sum(map(len, nobody)) > self._plan.control.hold_cycles:
-                yield Absence(name, gone.start, len(gone), cycle, "not heard")
-            gone = gone[:0]
-        if joined is None and not gone:
-            return
-        first, back_in = (gone.start, cycle) if gone else (joined, joined)
-        assert first is not None
-        how: How = "back" if joined is None else "restarted"
-        cause = agent.cause(first - 1, cycle)
-        yield Absence(name, first, len(gone), back_in, how, cause)
-
-    def _note_restart(self, name: str, agent: _Agent) -> None:
-        agent.restarts.append(self.newest)
-        self._note("restart", self.newest, name, "restarted")
+    def _hear(self, name: str, cycle: int, *, goes_on: bool) -> None:
+        is_external = name in self._plan.access.external
+        if not goes_on or is_external:
+            self._changed.add(name)
+        if cycle in self._lacked:
+            self._changed_cycles.add(cycle)
+            self._changed.add(name)
+        if cycle > self.newest and not is_external:
+            self.newest = cycle
 
     def _give_up(self, record: RecordedMessage) -> None:
         try:
@@ -367,23 +292,144 @@ class AgentStates:
             return
         assert isinstance(message, GivenUp)
         for name in message.agents:
-            agent = self._agents.get(name)
-            if agent is not None and agent.given_up is None:
-                agent.given_up = self.newest
-                self._note("given up", self.newest, name, "given up: it is not started again")
+            self._given_up[name] = min(message.cycle, self._given_up.get(name, message.cycle))
+            self._changed.add(name)
 
-    def _note(self, kind: str, cycle: int, agent: str, text: str, times: int = 1) -> None:
-        self.changes.append(Change(kind, cycle, agent, text, times))
+    def _judge(self) -> None:
+        """Work out anew who is cut off in cycles of which something new is known."""
+        for cycle in self._changed_cycles:
+            heard = {name for name, port in self._port_of.items() if self.gaps[port].has(cycle)}
+            found = self._listeners.cut_off(cycle, self._lacked[cycle], heard)
+            before = self._judged.get(cycle, {})
+            for name in before.keys() - found.keys():
+                del self._cut_off[name][cycle]
+            for name, cycles in found.items():
+                self._cut_off[name][cycle] = cycles
+            self._changed.update(before, found)
+            self._judged[cycle] = found
+        self._changed_cycles.clear()
+
+    def _spans_of(self, name: str) -> list[AgentSpan]:
+        """Return all spans of an agent, in order: those of 0 cycles are restarts alone."""
+        self._judge()
+        if name in self._changed:
+            self._changed.discard(name)
+            spans = [*self._absences(name)]
+            gone = {cycle for one in spans for cycle in range(one.first_cycle, one.end)}
+            spans += self._cuts(name, gone)
+            spans = list(self._until_given_up(name, spans))
+            self._spans[name] = sorted(spans, key=lambda one: (one.first_cycle, one.cycles))
+        return self._spans[name]
+
+    @property
+    def _limit(self) -> int:
+        """The cycle before which the run is known; a device may name any cycle."""
+        return self.newest + 1 if self._end is None else self._end
+
+    def _stretches(self, name: str) -> Iterator[Stretch]:
+        for one in self.gaps[self._port_of[name]].stretches():
+            if one.first < self._limit:
+                yield one._replace(last=min(one.last, self._limit - 1))
+
+    def _absences(self, name: str) -> Iterator[AgentSpan]:
+        before = Stretch(self._first_cycle, self._first_cycle - 1, 0)
+        for one in self._stretches(name):
+            gone, begin = range(before.last + 1, one.first), one.first
+            if one.is_anew and one.incarnation > before.incarnation:
+                begin = one.incarnation
+            is_restarted = one.is_anew and begin >= self._first_cycle
+            if one.lost:  # How long it had published nothing is not known.
+                gone = range(begin, begin)
+            if gone or is_restarted:
+                first, back_in = (gone.start, one.first) if gone else (begin, begin)
+                cause = self._cause(name, before.last, one.first)
+                yield AgentSpan(name, "absent", first, len(gone), cause, is_restarted, back_in)
+            before = one
+        gone = self._gone_at_last(name, before.last)
+        if gone:
+            cause = self._cause(name, before.last, gone.stop)
+            yield AgentSpan(name, "absent", gone.start, len(gone), cause)
+
+    def _gone_at_last(self, name: str, last: int) -> range:
+        """Return the cycles after the last one in which an agent was heard, as far as known."""
+        if self._end is not None or name in self._given_up:
+            gone = range(last + 1, self._limit)
+            # A run that broke off has not completed its last cycle.
+            return gone if len(gone) > 1 or name in self._given_up else gone[:0]
+        lacked = [cycle for cycle in self._cut_off[name] if last < cycle < self._limit]
+        return range(min(lacked), max(lacked) + 1) if lacked else range(0)
+
+    def _cuts(self, name: str, gone: set[int]) -> Iterator[AgentSpan]:
+        heard_by_none = {
+            cycle + more for cycle, cycles in self._cut_off[name].items() for more in range(cycles)
+        }
+        found = sorted((heard_by_none | self._unrecorded(name)) - gone)
+        for span in _ranges(cycle for cycle in found if cycle < self._limit):
+            cause = "" if heard_by_none.intersection(span) else BY_RECORDER
+            wait = self._plan.control.hold_cycles if self._end is None else 0
+            back_in = span.stop if span.stop + wait < self._limit else None
+            yield AgentSpan(name, "cut off", span.start, len(span), cause, back_in=back_in)
+
+    def _unrecorded(self, name: str) -> set[int]:
+        """Return cycles whose messages were published, by their numbers, and not recorded."""
+        found = set[int]()
+        settled = self.newest - self._disorder if self._end is None else self._end
+        for before, after in pairwise(self._stretches(name)):
+            if after.lost and after.first <= settled:
+                found.update(range(before.last + 1, after.first))
+        return found
+
+    def _until_given_up(self, name: str, spans: Iterable[AgentSpan]) -> Iterator[AgentSpan]:
+        end = self._given_up.get(name)
+        if end is None:
+            yield from spans
+            return
+        for span in spans:
+            if span.first_cycle < end:
+                cycles = min(span.cycles, end - span.first_cycle)
+                yield structs.replace(span, cycles=cycles)
+        yield AgentSpan(name, "given up", end, max(self._limit - end, 1))
+
+    def _nobody(self) -> list[range]:
+        """Return the cycles in which no agent was recorded, though the plant published."""
+        own = [
+            self.gaps[port]
+            for name, port in self._port_of.items()
+            if name not in self._plan.access.external
+        ]
+        found = sorted(self._unrecorded(PLANT))
+        return list(_ranges(cycle for cycle in found if not any(one.has(cycle) for one in own)))
+
+    def _cause(self, name: str, since: int, cycle: int) -> str:
+        """Return what a fault rule did to an agent after it was last heard."""
+        causes = reversed(self._causes[name])
+        return next((cause for at, cause in causes if since <= at <= cycle), "")
 
 
 def states_at(run: RunReader, cycle: int) -> AgentStates:
-    """Follow a recording to the end of a cycle."""
+    """Follow a recording until the states in a cycle are known."""
     states = AgentStates(run.plan)
-    for record in run.records(cycles=range(cycle + 2)):
+    for number, record in enumerate(run.records()):
         states.see(record)
-        if states.newest > cycle:
-            break
+        if number % _LOOK_EVERY == 0 and states.is_settled(cycle):
+            return states
+    if run.outline.closed:
+        states.finish(states.end_cycle(run.stop_cycle))
     return states
+
+
+def _ranges(cycles: Iterable[int]) -> Iterator[range]:
+    """Join cycles in order to spans of cycles that follow each other."""
+    span = range(0)
+    for cycle in cycles:
+        if span and cycle == span.stop:
+            span = range(span.start, cycle + 1)
+            continue
+        if span:
+            yield span
+        span = range(cycle, cycle + 1)
+    if span:
+        yield span
 
 
 def _cycle_at(plan: RunPlan, time_s: float) -> int:
@@ -391,7 +437,10 @@ def _cycle_at(plan: RunPlan, time_s: float) -> int:
 
 
 def fault_changes(plan: RunPlan) -> Iterator[Change]:
-    """Yield what the fault rules of a run do and when, in the order of time."""
+    """Yield what the fault rules of a run do and when, in the order of time.
+
+    The end of a freeze is not told: what ends it is that the agent is heard again.
+    """
     yield from sorted(
         (
             Change("fault", _cycle_at(plan, begin_s), "fault", text)
@@ -410,4 +459,5 @@ def _moments(fault: Fault) -> Iterator[tuple[float, str]]:
         yield 0.0, text
     else:
         yield fault.at[0], f"begins: {text}"
-        yield fault.at[1], f"ends: {text}"
+        if not isinstance(fault, Freeze):
+            yield fault.at[1], f"ends: {text}"

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection
+from collections.abc import Collection, Mapping
 
 from agents.plan import RunPlan
 from agents.team import stages_of_agents
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
 from bus_schemas.tree import ROOT, agent_name, parent_of
 
 
 class Listeners:
-    """The agents that lacked messages in a cycle, and whose messages they lacked.
+    """Who awaits whose messages, and what follows from those that were lacking in a cycle.
 
     A listener that lacks most agents that were heard is cut off itself, and what it lacks says
     nothing of the others. Otherwise an agent is cut off whose parent, or half of whose listeners,
     lack it.
     """
 
-    def __init__(self, plan: RunPlan) -> None:
-        self._publisher = {str(port): port.publisher for port in plan.wiring.ports}
+    def __init__(self, plan: RunPlan, publishers: Mapping[Port[Message], str]) -> None:
+        self._publisher = {str(port): publishers[port] for port in plan.wiring.ports}
         self._parent = {
             agent_name(node): agent_name(parent_of(node))
             for node in plan.tree.nodes
@@ -31,34 +33,30 @@ class Listeners:
         for listener, turns in stages_of_agents(plan).items():
             for port in (port for stages in turns for stage in stages for port in stage.awaits):
                 step, steps = plan.control.period(port), self._steps[listener]
-                steps[port.publisher] = min(step, steps.get(port.publisher, step))
-                self._listening[port.publisher].add(listener)
-        self._lacked: dict[str, set[str]] = {}
-        self._cut_off: dict[str, int] | None = {}
+                publisher = publishers[port]
+                steps[publisher] = min(step, steps.get(publisher, step))
+                self._listening[publisher].add(listener)
 
-    def lack(self, listener: str, keys: Collection[str]) -> None:
-        self._lacked.setdefault(listener, set()).update(self._publisher[key] for key in keys)
-        self._cut_off = None
+    def publishers(self, keys: Collection[str]) -> set[str]:
+        return {self._publisher[key] for key in keys}
 
-    def cut_off(self, cycle: int, is_heard: Callable[[str], bool]) -> dict[str, int]:
-        """Return who is cut off in the cycle, and for how many cycles no listener will say more."""
-        if self._cut_off is None:
-            self._cut_off = self._judged(cycle, is_heard)
-        return self._cut_off
+    def cut_off(
+        self, cycle: int, lacked: Mapping[str, set[str]], recorded: Collection[str]
+    ) -> dict[str, int]:
+        """Return who is cut off in a cycle, and for how many cycles no listener will say more.
 
-    def next_cycle(self) -> None:
-        self._lacked, self._cut_off = {}, {}
-
-    def _judged(self, cycle: int, is_heard: Callable[[str], bool]) -> dict[str, int]:
+        lacked: The agents that each listener lacked in it.
+        recorded: The agents of which a message of it was recorded.
+        """
         found: dict[str, int] = {}
         lacking = defaultdict[str, set[str]](set)
-        for listener, lacked in self._lacked.items():
+        for listener, publishers in lacked.items():
             steps = self._steps[listener].items()
-            heard = {one for one, step in steps if cycle % step == 0 and is_heard(one)}
-            if 2 * len(lacked & heard) > len(heard):
+            heard = {one for one, step in steps if cycle % step == 0 and one in recorded}
+            if 2 * len(publishers & heard) > len(heard):
                 found[listener] = 1
                 continue
-            for publisher in lacked:
+            for publisher in publishers:
                 lacking[publisher].add(listener)
         for publisher, listeners in lacking.items():
             all_listeners = self._listening[publisher]

@@ -22,7 +22,7 @@ from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
-from recordings.inspect.agent_states import Absence, AgentStates
+from recordings.inspect.agent_states import AgentSpan, AgentStates
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
 from scenarios.fault_rules import fault_text
@@ -32,7 +32,7 @@ FAILURE_NAME: Final = "failure.txt"
 _NAMED: Final = 5
 """How many of each kind the text names; the others are counted."""
 
-_MOST_ABSENCES: Final = 100
+_MOST_STATES: Final = 100
 
 
 class FaultEffect(msgspec.Struct, frozen=True):
@@ -102,8 +102,9 @@ class Health(msgspec.Struct, frozen=True, kw_only=True):
 
     `faults` counts what all rules did to messages, by kind. `lost` counts messages that the
     sequence numbers leave out, by port, most first. `misses` are by agent, most first. The run
-    ended before the `stop_cycle`; None: that is not recorded. `failure`: why the launcher gave up.
-    `launcher` is None without a summary beside the recording.
+    ended before the `stop_cycle`; None: that is not recorded. `states`: when agents were absent,
+    cut off or given up. `failure`: why the launcher gave up. `launcher` is None
+    without a summary beside the recording.
     """
 
     fault_effects: tuple[FaultEffect, ...] = ()
@@ -111,8 +112,8 @@ class Health(msgspec.Struct, frozen=True, kw_only=True):
     lost: dict[str, int] = {}
     repeated: int = 0
     misses: tuple[Misses, ...] = ()
-    absences: tuple[Absence, ...] = ()
-    more_absences: int = 0
+    states: tuple[AgentSpan, ...] = ()
+    more_states: int = 0
     stop_cycle: int | None
     failure: str = ""
     launcher: LauncherAccount | None
@@ -148,25 +149,26 @@ class HealthWatch:
                 self._see_faults(record.port, record.message())
 
     def health(self, run: RunReader, cycle: int) -> Health:
+        """Return the health up to a cycle, without it."""
         ports, missed, external = self.states.gaps, self.states.missed, self._plan.access.external
-        for one in ports.values():
-            one.end(cycle)
+        if run.outline.closed:
+            self.states.finish(cycle)
         misses = [
             Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
             for agent, at in missed.cycles.items()
         ]
-        absences = sorted(self.states.absences(cycle), key=lambda one: one.weight, reverse=True)
+        states = sorted(self.states.spans(), key=lambda one: one.weight, reverse=True)
         lost = Counter({str(port): gaps.lost for port, gaps in ports.items() if gaps.lost})
         health = Health(
             fault_effects=tuple(self._effects(run.last_cycle)),
             faults=dict(+self._faults.tally),
             lost=dict(lost.most_common()),
             repeated=sum(gaps.repeated for gaps in ports.values()),
-            misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
-            absences=tuple(absences[:_MOST_ABSENCES]),
+            misses=tuple(sorted(misses, key=lambda one: (-one.inputs, one.agent))),
+            states=tuple(states[:_MOST_STATES]),
             stop_cycle=run.stop_cycle,
             launcher=None,
-            more_absences=len(absences[_MOST_ABSENCES:]),
+            more_states=len(states[_MOST_STATES:]),
         )
         return with_account(health, run)
 
@@ -206,15 +208,15 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", _dropped(launcher)
     yield "inputs", _missed_text(health, clock)
-    for absence in health.absences[:_NAMED]:
-        yield "absent", absence.text(clock)
-    if others := len(health.absences[_NAMED:]) + health.more_absences:
-        yield "absent", f"and {others:,} more"
+    for span in health.states[:_NAMED]:
+        yield "states", span.text(clock)
+    if others := len(health.states[_NAMED:]) + health.more_states:
+        yield "states", f"and {others:,} more"
     # Messages show which agents restarted; the recorder publishes none.
     if recorder := launcher.restarts.get(RECORDER) if launcher else None:
-        yield "absent", f"{RECORDER}: restarted ({recorder:,})"
-    elif not health.absences:
-        yield "absent", "none"
+        yield "states", f"{RECORDER}: restarted ({recorder:,})"
+    elif not health.states:
+        yield "states", "no agent was absent, cut off or given up"
     yield from _lacks(launcher, clock) if launcher else ()
     end, planned = "ended in order", clock.plan.timing.cycles
     if health.failure:

@@ -86,8 +86,9 @@ def _overview(
     run: RunReader, cycles: range | None, count: RecordingCount | None = None
 ) -> Overview:
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
+    end = 0  # Nothing can be missing.
     if count is None:
-        count, health = _go_through(run, cycles, wanted)
+        count, health, end = _go_through(run, cycles, wanted)
     else:
         health = with_account(Health(stop_cycle=run.stop_cycle, launcher=None), run)
     wall_s, sent = count.wall_ns / 1e9, {port.signal for port in count.gaps}
@@ -98,12 +99,12 @@ def _overview(
         whole=run.whole,
         first_cycle=wanted.start,
         last_cycle=wanted.stop - 1,
-        complete_cycles=count.gaps[PRODUCTION.of(ROOT)].cycles,
+        complete_cycles=count.gaps[PRODUCTION.of(ROOT)].cycles(run.plan.timing.cycles),
         planned_cycles=run.plan.timing.cycles,
         interrupted=(run.stop_cycle or run.plan.timing.cycles) < run.plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
-            _count(signal, count.gaps, len(wanted), wall_s) for signal in SIGNALS if signal in sent
+            _count(signal, count.gaps, wanted, end, wall_s) for signal in SIGNALS if signal in sent
         ),
         health=health,
     )
@@ -111,35 +112,41 @@ def _overview(
 
 def _go_through(
     run: RunReader, cycles: range | None, wanted: range
-) -> tuple[RecordingCount, Health]:
-    """Go through a recording message by message, most of them without decoding them."""
+) -> tuple[RecordingCount, Health, int]:
+    """Go through a recording message by message, most of them without decoding them.
+
+    Also return before which cycle the run or the part ends.
+    """
     watch = HealthWatch(run.plan, wanted)
     first_ns = last_ns = 0
     for record in run.records(cycles=cycles):
         watch.see(record)
         last_ns = record.log_time_ns
         first_ns = first_ns or last_ns
-    gaps = watch.states.gaps
     # If the run's end was not recorded, the cycles up to the last production were due.
-    newest = gaps[PRODUCTION.of(ROOT)].newest
-    end = newest + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
-    return RecordingCount(gaps, last_ns - first_ns), watch.health(run, end)
+    end = min(watch.states.end_cycle(run.stop_cycle), wanted.stop)
+    return RecordingCount(watch.states.gaps, last_ns - first_ns), watch.health(run, end), end
 
 
 def _count(
-    signal: Signal[Message], gaps: dict[Port[Message], PortGaps], cycles: int, wall_s: float
+    signal: Signal[Message],
+    gaps: dict[Port[Message], PortGaps],
+    cycles: range,
+    end: int,
+    wall_s: float,
 ) -> SignalCount:
+    """Return the count of a signal in some cycles; messages were due in those before `end`."""
     own = [one for port, one in gaps.items() if port.signal is signal]
     messages = sum(one.messages for one in own)
     return SignalCount(
         signal=signal.name,
         nodes=sum(1 for one in own if one.messages),
         messages=messages,
-        per_cycle=messages / cycles if cycles else 0.0,
+        per_cycle=messages / len(cycles) if cycles else 0.0,
         per_s=messages / wall_s if wall_s else 0.0,
         lost=sum(one.lost for one in own),
         repeated=sum(one.repeated for one in own),
-        missing_cycles=sum(one.missing for one in own),
+        missing_cycles=sum(max(one.missing(end), 0) for one in own),
     )
 
 

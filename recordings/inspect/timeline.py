@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from itertools import pairwise
 from typing import Any, Final
 
 import msgspec
@@ -12,6 +13,7 @@ from bus_schemas import messages
 from bus_schemas.messages import Dispatch, Help, Message, Notice, Setpoint
 from bus_schemas.signals import DISPATCH, HELP, SETPOINT, Port
 from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name, parent_of
+from recordings.read.order_history import OrderHistory
 from recordings.read.reader import RunReader
 from sim_plant.orders import order_event
 
@@ -72,22 +74,20 @@ def timeline(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[
     """Yield each cycle in order: what the recording says of some nodes in it."""
     tree = run.plan.tree
     opened: dict[int, dict[str, NodeCycle]] = {}
-    last: Dispatch | None = None
+    orders = OrderHistory()
     newest = -1
     for port, message in run.on(_ports_about(run, nodes), cycles):
         number = message.cycle
         if number > newest:
             newest = number
-            yield from _pop_before(newest - _LAG_CYCLES, opened)
+            yield from _pop_before(newest - _LAG_CYCLES, opened, orders)
         if number not in opened:
             time = run.clock.text(number)
             opened[number] = {node: NodeCycle(number, time, agent_name(node)) for node in nodes}
         _add(opened[number], tree, port, message)
         if isinstance(message, Dispatch):
-            if (event := order_event(message, last)) and ROOT in nodes:
-                opened[number][ROOT].notices.append(" ".join(event))
-            last = message
-    yield from _pop_before(cycles.stop, opened)
+            orders.see(message)
+    yield from _pop_before(cycles.stop, opened, orders)
 
 
 def _ports_about(run: RunReader, nodes: Collection[str]) -> frozenset[Port[Message]]:
@@ -141,7 +141,20 @@ def _add_help(cycle: dict[str, NodeCycle], node: str, setpoint: Setpoint) -> Non
             cycle[line.node].help_from.append(HelpLine(node, line.power_kw))
 
 
-def _pop_before(cycle: int, opened: dict[int, dict[str, NodeCycle]]) -> Iterator[list[NodeCycle]]:
+def _pop_before(
+    cycle: int, opened: dict[int, dict[str, NodeCycle]], orders: OrderHistory
+) -> Iterator[list[NodeCycle]]:
     """Yield the opened cycles before one: no message of them will follow."""
-    for number in sorted(number for number in opened if number < cycle):
+    due = sorted(number for number in opened if number < cycle)
+    if due:
+        for last, dispatch in pairwise([None, *orders.changes()]):
+            node = opened.get(dispatch.cycle, {}).get(ROOT) if dispatch else None
+            if (
+                dispatch
+                and node
+                and dispatch.cycle < cycle
+                and (event := order_event(dispatch, last))
+            ):
+                node.notices.append(" ".join(event))
+    for number in due:
         yield list(opened.pop(number).values())

@@ -86,5 +86,5 @@ def _external(plan: RunPlan, agent: str, cycles: int, count: RecordingCount) -> 
         recorded=dict(count.by_signal(agent)),
         lost=sum(one.lost for one in own.values()),
         expected=sum(due.values()),
-        answered=sum(min(own[port].cycles, number) for port, number in due.items()),
+        answered=sum(own[port].cycles(cycles) for port in due),
     )

@@ -1,13 +1,15 @@
 """What is missing in a recording: messages, cycles without a message, inputs at deadlines.
 
-Every message has a number on its key, from 0 on, and names the inputs that its sender missed.
+Every message has a number on its key, from 0 on, and names the inputs that its sender missed. All
+that is said here follows from cycles and numbers: messages may come in any order.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 from agents.cycle import stage_of
 from agents.plan import RunPlan
@@ -29,51 +31,204 @@ def due_step(plan: RunPlan, port: Port[Message]) -> int:
     return plan.control.period(port) if comes_regularly else 0
 
 
+class _Series:
+    """Messages that were recorded one after the other without a gap: numbers first to last."""
+
+    __slots__ = ("first", "first_cycle", "incarnation", "last", "last_cycle")
+
+    def __init__(self, incarnation: int, cycle: int, number: int) -> None:
+        self.incarnation = incarnation
+        self.first_cycle = self.last_cycle = cycle
+        self.first = self.last = number
+
+    @property
+    def place(self) -> tuple[int, int, int]:
+        return self.incarnation, self.first_cycle, self.first
+
+
+class Stretch(NamedTuple):
+    """Cycles, first to last, in each of which a due message was recorded.
+
+    lost: Messages between the stretch before and this one, by their numbers.
+    is_anew: Whether it begins another process: its numbers begin from 0.
+    """
+
+    first: int
+    last: int
+    incarnation: int
+    lost: int = 0
+    is_anew: bool = False
+
+
+class _Process:
+    """The numbers of one process that were recorded, as spans in order."""
+
+    def __init__(self, series: _Series, begin: int) -> None:
+        self.incarnation = series.incarnation
+        self.newest_cycle = series.last_cycle
+        self._begin = begin
+        self._spans = [(series.first, series.last)]
+
+    def has_begun_anew(self, series: _Series) -> bool:
+        """Whether a later series has numbers that this process has used before."""
+        if series.incarnation > self.incarnation:
+            return True
+        is_used = any(first <= series.first <= last for first, last in reversed(self._spans))
+        return is_used and series.first_cycle > self.newest_cycle
+
+    def add(self, series: _Series) -> int:
+        """Add the numbers of a series; return how many of them were there already."""
+        self.newest_cycle = max(self.newest_cycle, series.last_cycle)
+        first, last, again = series.first, series.last, 0
+        if first > self._spans[-1][1] + 1:  # As nearly always.
+            self._spans.append((first, last))
+            return 0
+        others = []
+        for begin, end in self._spans:
+            if end < first - 1 or begin > last + 1:
+                others.append((begin, end))
+                continue
+            again += max(0, min(end, series.last) - max(begin, series.first) + 1)
+            first, last = min(begin, first), max(end, last)
+        self._spans = sorted([*others, (first, last)])
+        return again
+
+    @property
+    def lost(self) -> int:
+        between = sum(two[0] - one[1] - 1 for one, two in pairwise(self._spans))
+        return max(self._spans[0][0] - self._begin, 0) + between
+
+
 class PortGaps:
     """The messages of one port from `first_cycle` on, and what is missing between them.
 
-    The messages of each incarnation are numbered from 0. Numbers of a process that was replaced are
-    ignored. A number lower than expected means that a device has restarted, if the cycle is newer;
-    if not, that a message came again.
+    The messages of each process are numbered from 0. If numbers that were used come again in a
+    newer cycle, a device has restarted; if not, a message came again.
 
-    `cycles` counts messages of a cycle newer than those of all before them, so each cycle once.
-    `missing` counts the cycles in which a message was due and none came: one is due in every
-    `step`-th cycle, or never if that is 0. `newest` is the newest cycle of a message. `restarts`
-    counts how often one incarnation began its numbers anew.
+    A message is due in every `step`-th cycle, or never if that is 0.
     """
 
     def __init__(self, step: int = 0, first_cycle: int = 0) -> None:
-        self.messages = self.cycles = self.missing = self.lost = self.repeated = self.restarts = 0
+        self.messages = 0
         self._step = step
-        self._due = -(-first_cycle // step) * step - step if step else 0
-        self.newest = first_cycle - 1
-        self._incarnation = 0
-        self._expected: int | None = None if first_cycle else 0
+        self._first_cycle = first_cycle
+        self._series: list[_Series] = []
+        self._repeated = 0
+        self._found: tuple[list[Stretch], int] | None = None
 
-    def see(self, cycle: int, sequence: int, incarnation: int = 0) -> None:
-        """Count a message, and the cycles before it in which one was due and none came."""
+    def see(self, cycle: int, number: int, incarnation: int = 0) -> bool:
+        """Count a message; return whether it goes on where the one before it ended."""
         self.messages += 1
-        self.cycles += cycle > self.newest
-        self.end(cycle)
-        if self._expected is None:
-            self._expected, self._incarnation = sequence, incarnation
-        if incarnation < self._incarnation:
-            return
-        if incarnation > self._incarnation or sequence < self._expected:
-            if incarnation == self._incarnation and cycle <= self.newest:
-                self.repeated += 1
-                return
-            self._expected = 0
-            self.restarts += incarnation == self._incarnation
-        self.lost += sequence - self._expected
-        self._expected, self._incarnation = sequence + 1, incarnation
-        self.newest = max(cycle, self.newest)
+        self._found = None
+        if self._series:
+            last = self._series[-1]
+            step = cycle - last.last_cycle
+            is_next = number == last.last + 1 and incarnation == last.incarnation
+            if is_next and (step == self._step if self._step else step >= 0):
+                last.last_cycle, last.last = cycle, number
+                return True
+        self._series.append(_Series(incarnation, cycle, number))
+        return False
 
-    def end(self, cycle: int) -> None:
-        """Count the cycles before this one in which a message was due and none came."""
-        if self._step and cycle > self._due:
-            self.missing += len(range(self._due + self._step, cycle, self._step))
-            self._due = cycle
+    @property
+    def lost(self) -> int:
+        """Messages that the numbers leave out."""
+        return self._evaluated()[1]
+
+    @property
+    def repeated(self) -> int:
+        """Messages that came again."""
+        self._evaluated()
+        return self._repeated
+
+    def stretches(self) -> list[Stretch]:
+        """Return the cycles of which there is a due message, in order."""
+        return self._evaluated()[0]
+
+    def has(self, cycle: int) -> bool:
+        """Whether there is a message of a cycle."""
+        return any(one.first_cycle <= cycle <= one.last_cycle for one in reversed(self._series))
+
+    @property
+    def newest(self) -> int:
+        """The newest cycle of which there is a due message."""
+        stretches = self.stretches()
+        return stretches[-1].last if stretches else self._first_cycle - 1
+
+    def cycles(self, end: int) -> int:
+        """Return of how many due cycles before one there is a message."""
+        step = self._step
+        return sum(
+            len(range(one.first, min(one.last + 1, end), step))
+            for one in self.stretches()
+            if step and one.first % step == 0
+        )
+
+    def missing(self, end: int) -> int:
+        """Return in how many cycles before one a message was due and none came."""
+        if not self._step:
+            return 0
+        first_due = -(-self._first_cycle // self._step) * self._step
+        return len(range(first_due, end, self._step)) - self.cycles(end)
+
+    def _evaluated(self) -> tuple[list[Stretch], int]:
+        if self._found is None:
+            self._found = self._evaluate()
+        return self._found
+
+    def _evaluate(self) -> tuple[list[Stretch], int]:
+        """Return stretches and lost messages; series that turn out to be one become one."""
+        stretches: list[Stretch] = []
+        joined: list[_Series] = []
+        lost, process = 0, None
+        for series in sorted(self._series, key=lambda one: one.place):
+            begins = process is None or process.has_begun_anew(series)
+            if process is None or begins:
+                is_part = process is None and self._first_cycle > 0
+                lost += process.lost if process else 0
+                process = _Process(series, series.first if is_part else 0)
+                again = 0
+            else:
+                again = process.add(series)
+            self._repeated += again
+            if again > series.last - series.first:
+                continue
+            before = joined[-1] if joined and not begins else None
+            if before and self._is_next(before, series):
+                before.last, before.last_cycle = series.last, series.last_cycle
+                stretches[-1] = stretches[-1]._replace(last=series.last_cycle)
+                continue
+            joined.append(series)
+            self._add(stretches, series, before, begins=begins)
+        self._series = joined
+        return stretches, lost + (process.lost if process else 0)
+
+    def _is_next(self, before: _Series, series: _Series) -> bool:
+        step = series.first_cycle - before.last_cycle
+        return series.first == before.last + 1 and (step == self._step if self._step else step >= 0)
+
+    def _add(
+        self, stretches: list[Stretch], series: _Series, before: _Series | None, *, begins: bool
+    ) -> None:
+        first, last = series.first_cycle, series.last_cycle
+        if begins:  # A process that was replaced may go on: its later messages do not count.
+            while stretches and stretches[-1].first >= first:
+                stretches.pop()
+            if stretches and stretches[-1].last >= first:
+                stretches[-1] = stretches[-1]._replace(last=first - max(self._step, 1))
+        elif stretches and last <= stretches[-1].last:
+            return
+        is_part = not stretches and self._first_cycle > 0
+        missing = series.first - before.last - 1 if before else series.first
+        stretches.append(
+            Stretch(
+                max(first, stretches[-1].last + 1) if stretches else first,
+                last,
+                series.incarnation,
+                0 if is_part else max(missing, 0),
+                begins and (bool(stretches) or series.incarnation > 0),
+            )
+        )
 
 
 def gaps_of_ports(plan: RunPlan, first_cycle: int = 0) -> dict[Port[Message], PortGaps]:
@@ -100,7 +255,7 @@ class MissedInputs:
             for stage in stages
         }
         self._turns = plan.control.periods.longest
-        self._counted: dict[tuple[str, str], int] = {}
+        self._counted: dict[tuple[str, str, int], set[str]] = {}
 
     def see(self, record: RecordedMessage) -> list[str]:
         """Count what a record says; return the keys that its sender missed."""
@@ -115,18 +270,18 @@ class MissedInputs:
         if not message.missing or not port.signal.is_cyclic:
             return []
         agent, cycle, stage = port.publisher, message.cycle, stage_of(port, self._tree)
-        if cycle <= self._counted.get((agent, stage), -1):
-            return []  # All messages of a stage say the same.
-        self._counted[agent, stage] = cycle
+        # All messages of a stage say the same.
+        counted = self._counted.setdefault((agent, stage, cycle), set())
+        entries = [parse_missing(text) for text in message.missing if text not in counted]
+        counted.update(message.missing)
         awaited = self._awaited.get((agent, stage, cycle % self._turns), ())
-        entries = list(map(parse_missing, message.missing))
         missing = [entry.key for entry in entries if entry.key in awaited]
         old = sum(entry.cycle is not None for entry in entries)
         if missing or old:
             self.missing[agent].update(missing)
             self.old[agent] += old
-            first, _ = self.cycles.get(agent, (cycle, cycle))
-            self.cycles[agent] = first, cycle
+            first, last = self.cycles.get(agent, (cycle, cycle))
+            self.cycles[agent] = min(first, cycle), max(last, cycle)
         return missing
 
 

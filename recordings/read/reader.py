@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
+from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode, decode_head
 from bus_schemas.errors import InputError, InputWarning, listed, printable
@@ -42,6 +43,9 @@ if TYPE_CHECKING:
 
 _LATEST_S: Final = 30.0
 """How much later than its cycle's turn a message may come and still be found by its cycle."""
+
+_LAST_CHUNKS: Final = 4
+"""The newest message of a recording is in one of so many chunks at its end."""
 
 _FURTHEST_CYCLES: Final = 1000
 """The same in lockstep over processes, where a link can fall behind: as the recorder allows."""
@@ -260,26 +264,31 @@ class RunReader:
     @cached_property
     def last_cycle(self) -> int:
         """The last cycle of which there is a message, -1 if there is none."""
-        # The plant's message that the run is over carries the cycle after the last one.
-        return self.last_cycle_on({port for port in self.ports() if port.signal is not RUN})
+        # The plant's message that the run is over carries the cycle after the last one, and an
+        # external agent may state any cycle.
+        ports = {port for port in self.ports() if port.signal is not RUN}
+        own = {port for port in ports if port.publisher not in self.plan.access.external}
+        found = self.last_cycle_on(own)
+        most = self.plan.timing.cycles - 1
+        return found if found >= 0 else min(self.last_cycle_on(ports), most)
 
     def last_cycle_on(self, ports: Collection[Port[Message]]) -> int:
         """Return the last cycle of which there is a message on some ports, -1 if there is none."""
         port_of = self._channels_of(ports)
+        found, seen = -1, 0
         for chunk in reversed(self.outline.chunks):
             if cycles := [record.cycle for record in self.records_of(chunk, port_of)]:
-                return max(cycles)
-        return -1
+                found, seen = max(found, *cycles), seen + 1
+            if seen == _LAST_CHUNKS:  # A recorder can be late, but not by more.
+                break
+        return found
 
     @cached_property
     def stop_cycle(self) -> int | None:
         """The cycle before which the plant ended the run; None: that is not recorded."""
         runs = self.on([RUN.of(ROOT)], range(max(self.last_cycle, 0), maxsize))
         stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
-        # Another program may have said so before a cycle that took place. Controllers that did not
-        # wait for the plant may have begun the cycle of its own stop.
-        later = [cycle for cycle in stops if cycle > self.last_cycle]
-        return min(later, default=self.last_cycle if self.last_cycle in stops else None)
+        return stop_after(stops, self.last_cycle)
 
     def followed_chunks(self, begin: int = 0) -> Iterator[Chunk]:
         """Yield the chunks from one on, and tell `follow` now and then how far the reading is."""
@@ -358,9 +367,22 @@ class RunReader:
     @cached_property
     def _slack(self) -> int:
         """How many cycles behind the newest one a message can be in the file."""
-        longest, timing = self.plan.control.periods.longest, self.plan.timing
         if self.metadata["run"].get("driver") == "simulate":
-            return longest + 1
-        if timing.lockstep:
-            return max(_FURTHEST_CYCLES, longest + 1)
-        return max(round(_LATEST_S * 1e9 / timing.cycle_wall_ns), longest) + 1
+            return self.plan.control.periods.longest + 1
+        return most_disorder(self.plan)
+
+
+def stop_after(stops: Collection[int], last_cycle: int) -> int | None:
+    """Return before which cycle the plant ended a run, by all that was said of it."""
+    # Another program may have said so before a cycle that took place. Controllers that did not
+    # wait for the plant may have begun the cycle of its own stop.
+    later = [cycle for cycle in stops if cycle > last_cycle]
+    return min(later, default=last_cycle if last_cycle in stops else None)
+
+
+def most_disorder(plan: RunPlan) -> int:
+    """Return how many cycles behind the newest one a message of a run can be recorded."""
+    longest, timing = plan.control.periods.longest, plan.timing
+    if timing.lockstep:
+        return max(_FURTHEST_CYCLES, longest + 1)
+    return max(round(_LATEST_S * 1e9 / timing.cycle_wall_ns), longest) + 1

@@ -23,8 +23,8 @@ from bus_schemas.errors import InputError
 from bus_schemas.messages import Command, Dispatch, Impp, Message, Meter, Production, Residual
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, METER, PRODUCTION, RESIDUAL, Port
 from bus_schemas.tree import ROOT, parent_of
+from recordings.read.order_history import OrderHistory
 from recordings.read.reader import RunReader
-from sim_plant.orders import order_of
 from sim_plant.profile import PROFILE_NAME, load_profile
 from sim_plant.without_help import powers_without_help_kw, settling_cycles
 
@@ -235,7 +235,7 @@ class SeriesCollector:
         self._heard = defaultdict[Port[Message], NDArray[np.bool_]](
             lambda: np.zeros(plan.timing.cycles, bool)
         )
-        self._orders: list[Dispatch] = []
+        self.orders = OrderHistory()
         self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
@@ -251,9 +251,7 @@ class SeriesCollector:
                     regulation_kw=message.regulation_kw,
                     dispatch_kw=message.power_kw,
                 )
-                last = order_of(self._orders[-1]) if self._orders else None
-                if message.order_source and order_of(message) != last:
-                    self._orders.append(message)
+                self.orders.see(message)
             case Production():
                 self._enter_production(port, message)
             case Meter() if message.frequency_hz is not None:
@@ -321,7 +319,8 @@ class SeriesCollector:
         series = RunSeries.of(self._plan, label, values, self._clusters)
         if not series.known.any():
             raise nothing
-        return replace(series, orders=tuple(self._orders))
+        orders = tuple(one for one in self.orders.changes() if one.order_source)
+        return replace(series, orders=orders)
 
 
 class Listener(Protocol):

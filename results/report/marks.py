@@ -34,16 +34,12 @@ def _marks(reader: RunReader, health: Health, series: RunSeries) -> Iterator[Mar
     for change in fault_changes(reader.plan):
         if change.cycle <= reader.last_cycle:
             yield Mark(change.cycle, f"fault {change.text}", style.ORANGE)
-    for absence in health.absences:
-        if absence.cycles:
-            what = "cut off" if absence.how == "cut off" else absence.cause or "not heard"
-            text = f"{absence.agent}: {what} for {absence.cycles:,} cycles"
-            yield Mark(absence.first_cycle, text, style.VERMILLION)
-        if absence.back_in is not None:
-            how = "heard again" if absence.how in {"not heard", "cut off"} else absence.how
-            yield Mark(absence.back_in, f"{absence.agent}: {how}", style.GREEN)
-    for agent, cycle in (health.launcher.given_up if health.launcher else {}).items():
-        yield Mark(cycle, f"{agent}: given up", style.VERMILLION)
+    for span in health.states:
+        if span.cycles:
+            text = f"{span.agent}: {span.what()} for {span.cycles:,} cycles"
+            yield Mark(span.first_cycle, text, style.VERMILLION)
+        if span.back_in is not None:
+            yield Mark(span.back_in, f"{span.agent}: {span.return_text()}", style.GREEN)
     for dispatch in series.orders:
         text = f"{dispatch.order_source}: {order_text(dispatch)}"
         yield Mark(dispatch.cycle, text, style.BLUE)

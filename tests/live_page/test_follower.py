@@ -102,7 +102,7 @@ def test_a_frame_has_the_powers_the_help_and_the_shares(tmp_path: Path) -> None:
     assert nodes["help"][number("c1/b")] == 20.0
     assert nodes["power"][number("c1")] == 120.0
     assert frame["help"] == [(number("c1/b"), number("c1/a"), 20.0)]
-    assert set(frame["agents"]["word"]) == {"fine"}
+    assert set(frame["agents"]["kind"]) == {"fine"}
     # The central controller acts every other cycle: its newest setpoint holds.
     assert nodes["setpoint"][number("c1")] == 120.0
 
@@ -125,11 +125,10 @@ def test_what_is_missing_is_shown_as_missing(tmp_path: Path) -> None:
     assert frame["nodes"]["impp"][number("c2/c")] is None
     assert frame["nodes"]["power"] == [None] * len(PLAN.tree.nodes)
     agents = frame["agents"]
-    missed, place = agents["missed_cycles"], 1 + number("c2/c")
-    assert (missed[place], agents["level"][place], agents["word"][place]) == (4, 2, "not heard")
+    place = 1 + number("c2/c")
+    assert (agents["cycles"][place], agents["kind"][place]) == (4, "cut off")
     assert state.powers("c2/c", 8)["impp"] is None
-    assert ("lost", 12, "c2/c") in kinds(follower)
-    assert ("not heard", 6, "c2/c") in kinds(follower)
+    assert ("cut off", 5, "c2/c") in kinds(follower)
 
 
 def test_a_setpoint_of_a_slow_turn_is_shown_until_the_next_one(tmp_path: Path) -> None:
@@ -161,9 +160,9 @@ def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path:
     write_run(path, run, plan=plan)
     follower = followed(path)
     assert [event for event in kinds(follower) if event[0] != "run"] == [
-        ("not heard", 6, "device c2/c"),
+        ("absent", 5, "device c2/c"),
         ("back", 12, "device c2/c"),
-        ("not heard", 86, "device c2/c"),
+        ("absent", 85, "device c2/c"),
     ]
     assert {event.count for event in follower.events.since(0)} == {1}
     state = PlantState(follower)

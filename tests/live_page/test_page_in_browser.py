@@ -172,8 +172,8 @@ def test_an_agent_that_says_nothing_for_cycles_is_not_called_alive(
         window.open(page.address)
         window.until(at(19), "the last cycle")
         rows = "[...document.querySelectorAll('#tree tr')].map(row => row.textContent)"
-        (row,) = [text for text in window.run(f"return {rows}") if "not heard" in str(text)]
-        assert row.startswith("c✕ not heard for 3")
+        (row,) = [text for text in window.run(f"return {rows}") if "absent" in str(text)]
+        assert row.startswith("c✕ absent for 3")
 
 
 def test_a_folder_of_runs_leads_to_each_of_them(window: Browser, run: Path) -> None:

@@ -95,10 +95,10 @@ def test_the_health_names_a_device_that_was_gone_for_a_while(
         assert run.interrupt() == 130
     with RunReader(run.folder) as reader:
         health = read_overview(reader).health
-    (absence,) = [found for found in health.absences if found.agent == "device c1/inv01"]
+    (absence,) = [found for found in health.states if found.agent == "device c1/inv01"]
     assert absence.back_in is not None
     assert read_accounts(run.folder)[0].breaks
-    assert "device c1/inv01: nothing in cycles" in " ".join(run.output.read_text().split())
+    assert "device c1/inv01: absent in cycles" in " ".join(run.output.read_text().split())
 
 
 def _gone_s(folder: Path) -> float:

@@ -37,32 +37,22 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def words(states: AgentStates, agent: str, *cycles: int) -> list[tuple[str, int]]:
+def kinds(states: AgentStates, agent: str, *cycles: int) -> list[tuple[str, str, int]]:
     found = (states.at(agent, cycle) for cycle in cycles)
-    return [(state.word, state.level) for state in found]
+    return [(state.kind, state.cause, state.level) for state in found]
 
 
 def test_a_kill_a_freeze_and_a_cut_show_from_their_first_cycle(run: Path) -> None:
     with RunReader(run) as reader:
         states = states_at(reader, CYCLES - 1)
-    killed = [("fine", 0), ("killed", 1), ("killed", 2), ("killed", 2), ("restarted", 0)]
-    assert words(states, "c1/inv01", 9, 10, 11, 15, 16) == killed
-    frozen = [("fine", 0), ("frozen", 1), ("frozen", 2), ("restarted", 0)]
-    assert words(states, "c2", 19, 20, 21, 26) == frozen
-    cut = [("fine", 0), ("not heard", 1), ("cut off", 2), ("cut off", 2), ("fine", 0)]
-    assert words(states, "c1", 39, 40, 41, 45, 46) == cut
+    fine = ("fine", "", 0)
+    killed = [fine, *(("absent", "killed", level) for level in (1, 2, 2)), fine]
+    assert kinds(states, "c1/inv01", 9, 10, 11, 15, 16) == killed
+    frozen = [fine, *(("absent", "frozen", level) for level in (1, 2)), fine]
+    assert kinds(states, "c2", 19, 20, 21, 26) == frozen
+    cut = [fine, *(("cut off", "", level) for level in (1, 2, 2)), fine]
+    assert kinds(states, "c1", 39, 40, 41, 45, 46) == cut
     assert [states.at("c1/inv01", cycle).restarts for cycle in (15, 16)] == [0, 1]
-
-
-def test_a_state_uses_nothing_that_was_recorded_later(run: Path) -> None:
-    with RunReader(run) as reader:
-        whole, records = states_at(reader, CYCLES), list(reader.records())
-        so_far = AgentStates(reader.plan)
-        for record in records:
-            if (ended := so_far.newest) < record.cycle and ended >= 0:
-                for agent in so_far.agents:
-                    assert so_far.at(agent, ended) == whole.at(agent, ended)
-            so_far.see(record)
 
 
 def test_missed_inputs_add_up_to_those_of_the_recording(run: Path) -> None:
@@ -85,9 +75,9 @@ def test_an_agent_that_is_given_up_stays_so(tmp_path: Path) -> None:
     )
     with RunReader(tmp_path / "run.mcap") as reader:
         states = states_at(reader, 19)
-    assert words(states, "c2/d", 4, 5, 8, 9, 19) == [
-        *(("fine", 0), ("not heard", 1), ("not heard", 2)),
-        *(("given up", 2), ("given up", 2)),
+    assert kinds(states, "c2/d", 4, 5, 8, 9, 19) == [
+        *(("fine", "", 0), ("absent", "", 1), ("absent", "", 2)),
+        *(("given up", "", 2), ("given up", "", 2)),
     ]
 
 
@@ -95,5 +85,6 @@ def test_cycles_in_which_nobody_was_recorded_are_no_silence(tmp_path: Path) -> N
     write_run(tmp_path / "run.mcap", whole_run(20), is_kept=lambda one: not 5 <= one[1].cycle < 9)
     with RunReader(tmp_path / "run.mcap") as reader:
         states = states_at(reader, 19)
-    assert {states.at(agent, 7).word for agent in states.agents} == {"not recorded"}
-    assert {states.at(agent, 9).word for agent in states.agents} == {"fine"}
+    assert {states.at(agent, 7).cause for agent in states.agents} == {"from the recorder"}
+    assert {states.at(agent, 9).kind for agent in states.agents} == {"fine"}
+    assert [(span.agent, span.kind) for span in states.spans()] == [("recorder", "cut off")]

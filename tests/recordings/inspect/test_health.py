@@ -15,7 +15,7 @@ from recordings_by_hand import PLAN, numbered, whole_run, write_messages, write_
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import HELP, TELEMETRY
-from recordings.inspect.agent_states import Absence, states_at
+from recordings.inspect.agent_states import AgentSpan, states_at
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME, Health, health_lines
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
@@ -45,14 +45,14 @@ def written(
 
 def test_a_sound_run_has_nothing_to_report(tmp_path: Path) -> None:
     health, text = written(tmp_path)
-    assert (health.messages_lost, health.repeated, health.misses, health.absences) == (0, 0, (), ())
+    assert (health.messages_lost, health.repeated, health.misses, health.states) == (0, 0, (), ())
     assert (health.stop_cycle, health.failure, health.launcher) == (CYCLES, "", None)
     assert "not recorded" in text, "how many messages were dropped, only the launcher knows"
 
 
 def test_a_process_that_died_is_absent_to_the_end(tmp_path: Path) -> None:
     health, text = written(tmp_path, lambda pair: pair[1].source != DEVICE or pair[1].cycle < 40)
-    assert health.absences == (Absence(DEVICE, 40, CYCLES - 40, None, "not back"),)
+    assert health.states == (AgentSpan(DEVICE, "absent", 40, CYCLES - 40),)
     assert health.messages_lost == 0
     assert "12:00:40" in text
 
@@ -68,9 +68,9 @@ def test_a_device_that_left_and_came_back_is_named_and_repeats_nothing(tmp_path:
         message.incarnation = 30 * (message.source == DEVICE and message.cycle >= 30)
     write_messages(tmp_path / "run.mcap", anew)
     health, text = health_of(tmp_path)
-    assert health.absences == (Absence(DEVICE, 20, 10, 30, "restarted"),)
+    assert health.states == (AgentSpan(DEVICE, "absent", 20, 10, is_restarted=True, back_in=30),)
     assert (health.messages_lost, health.repeated) == (0, 0)
-    assert f"{DEVICE}: nothing in cycles 20 to 29 (12:00:20 to 12:00:29)" in text
+    assert f"{DEVICE}: absent in cycles 20 to 29 (12:00:20 to 12:00:29)" in text
 
 
 def test_a_real_inverter_that_was_gone_is_named(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_a_real_inverter_that_was_gone_is_named(tmp_path: Path) -> None:
     )
     write_run(tmp_path / "run.mcap", run, plan=plan)
     health, text = health_of(tmp_path)
-    assert health.absences == (Absence(f"device {DEVICE}", 20, 10, 30),)
+    assert health.states == (AgentSpan(f"device {DEVICE}", "absent", 20, 10, back_in=30),)
     assert "12:00:20 to 12:00:29" in text
 
 
@@ -103,7 +103,7 @@ def test_a_restart_is_told_once_whenever_a_rare_message_follows(tmp_path: Path) 
 
     write_messages(tmp_path / "run.mcap", joined_in_cycle_20("c1/a", is_kept))
     health, text = health_of(tmp_path)
-    assert health.absences == (Absence("c1/a", 20, 0, 20, "restarted"),)
+    assert health.states == (AgentSpan("c1/a", "absent", 20, 0, is_restarted=True, back_in=20),)
     assert "c1/a: restarted in cycle 20" in text
 
 
@@ -119,15 +119,14 @@ def test_a_run_that_ended_before_its_last_cycle_was_interrupted(
 def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(
     tmp_path: Path,
 ) -> None:
-    plan = with_changes(PLAN, cycle_wall_ns=PLAN.timing.cycle_ns)
     deliveries = joined_in_cycle_20("c2", lambda pair: not 15 <= pair[1].cycle < 30)
-    write_messages(tmp_path / "run.mcap", deliveries, plan=plan)
+    write_messages(tmp_path / "run.mcap", deliveries)
     health, text = health_of(tmp_path)
-    assert set(health.absences) == {
-        Absence("c2", 20, 0, 20, "restarted"),
-        Absence("recorder", 15, 15, 30, "not heard"),
+    assert set(health.states) == {
+        AgentSpan("c2", "absent", 20, 0, is_restarted=True, back_in=20),
+        AgentSpan("recorder", "cut off", 15, 15, back_in=30),
     }
-    assert "recorder: recorded nothing in cycles 15 to 29" in text
+    assert "recorder: cut off in cycles 15 to 29" in text
 
 
 def test_a_device_that_runs_ahead_does_not_make_the_recorder_absent(tmp_path: Path) -> None:
@@ -135,7 +134,7 @@ def test_a_device_that_runs_ahead_does_not_make_the_recorder_absent(tmp_path: Pa
     run = list(numbered(whole_run(CYCLES)))
     ahead = next(pair for pair in run if pair[1].source == DEVICE and pair[1].cycle == 50)
     write_messages(tmp_path / "run.mcap", [*run[:400], ahead, *run[400:]], plan=plan)
-    assert "recorder" not in {absence.agent for absence in health_of(tmp_path)[0].absences}
+    assert "recorder" not in {span.agent for span in health_of(tmp_path)[0].states}
 
 
 def test_an_agent_whose_messages_were_lost_for_long_was_not_heard(tmp_path: Path) -> None:
@@ -143,9 +142,11 @@ def test_an_agent_whose_messages_were_lost_for_long_was_not_heard(tmp_path: Path
     health, text = written(
         tmp_path, is_kept=lambda pair: pair[1].source != "central" or pair[1].cycle not in gone
     )
-    assert health.absences == (Absence("central", 20, 20, 40, "not heard"),)
+    assert health.states == (
+        AgentSpan("central", "cut off", 20, 20, "from the recorder", back_in=40),
+    )
     assert health.messages_lost > 0
-    assert "central: not heard in cycles 20 to 39 (12:00:20 to 12:00:39)" in text
+    assert "central: cut off from the recorder in cycles 20 to 39 (12:00:20 to 12:00:39)" in text
 
 
 @pytest.mark.parametrize(
@@ -163,8 +164,8 @@ def test_an_agent_whose_link_is_cut_is_named_and_nobody_else(
     prepared = prepare(load_scenario(plant), options, "cut")
     _, sent = run_in_memory(prepared.plan, prepared.profile)
     write_messages(tmp_path / "run.mcap", sent.messages, plan=prepared.plan)
-    (absence,) = health_of(tmp_path)[0].absences
-    assert absence == Absence(cut, 20, 30, 50, "cut off")
+    (span,) = health_of(tmp_path)[0].states
+    assert span == AgentSpan(cut, "cut off", 20, 30, back_in=50)
     with RunReader(tmp_path) as run:
         states = states_at(run, CYCLES - 1)
     ill = {agent for agent in states.agents if states.at(agent, 35).level}
@@ -190,7 +191,7 @@ def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, ru
     assert health.launcher is not None
     assert health.launcher.dropped == {"late": 3}
     assert "5 out_of_range on c1/a/impp" in text
-    assert "absent: recorder" in text
+    assert "states: recorder" in text
 
 
 def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(

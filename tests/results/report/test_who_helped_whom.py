@@ -71,7 +71,7 @@ def test_faults_and_absences_are_marked_in_every_figure_over_time(run: Path) -> 
     with RunReader(run) as reader:
         series = series_of(reader)
         marks = run_marks(reader, read_overview(reader).health, series)
-    assert [one.cycle for one in marks] == [20, 20, 30, 30, 50, 70]
+    assert [one.cycle for one in marks] == [20, 20, 30, 50, 70]
     result = runs_result("A run", [series], (), (), marks=marks)
     for figure in result.figures():
         texts = [note.hovertext for note in figure.figure.layout.annotations if note.hovertext]
