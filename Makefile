@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test docs results figures pictures golden check format bench bench-peers bench-study soak clean
+.PHONY: help setup run test docs results figures pictures golden check check-scripts format bench bench-peers bench-study soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -51,6 +51,11 @@ check: $(READY) ## format, lint, types, directions of imports
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q tests/test_house.py
+	@if command -v npm >/dev/null; then $(MAKE) --no-print-directory check-scripts; \
+	else echo "npm is absent: the types of the page's scripts were not checked"; fi
+
+check-scripts: ## types of the page's scripts; npm fetches TypeScript
+	npm exec --yes --package=typescript@5.9.3 -- tsc --project live_page/jsconfig.json
 
 format: $(READY) ## bring the code into its format
 	$(BIN)/ruff format .

@@ -117,7 +117,7 @@ function showRun(plan) {
   $("help").onclick = help;
   $("theme").onclick = toggleTheme;
   document.addEventListener("keydown", event => {
-    if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT" || !keys[event.key]) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement || !keys[event.key]) return;
     event.preventDefault();
     keys[event.key](event);
   });

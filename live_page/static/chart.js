@@ -35,7 +35,7 @@ const fromZero = (self, low, high) => low == null ? [0, 1] : [Math.min(low * 1.0
 
 // `lines`: {label, color, width?, dash?, fill?} each, colours as names of CSS variables.
 // `onCursor` gets the row under the cursor, null without one.
-export function timeChart(element, lines, group, {height, onCursor}) {
+export function timeChart(element, lines, group, {height, onCursor = null}) {
   const axis = {stroke: () => css("--quiet"), grid: {stroke: () => css("--grid"), width: 1}, ticks: {show: false}, font: FONT};
   let now = null;
   const chart = new uPlot({

@@ -1,5 +1,6 @@
 // Elements of the page, and documents from the server.
 
+/** @type {(id: string) => any} */
 export const $ = id => document.getElementById(id);
 
 export async function json(path) {

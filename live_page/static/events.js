@@ -22,7 +22,7 @@ export function eventList(list, laterButton, timeOf, seek) {
     let later = 0;
     for (const {event, line} of found.values()) {
       const isLater = event.cycle > shownAt;
-      later += isLater;
+      later += Number(isLater);
       line.hidden = isLater && !shows;
       line.classList.toggle("later", isLater);
     }

@@ -2,6 +2,9 @@
 
 const LONGEST = 4000;  // Cycles before a chart is asked for anew, thinned out.
 
+/** @typedef {{cycle: number[], [name: string]: any[]}} History */
+
+/** @returns {History} */
 export const empty = () => ({cycle: []});
 
 // What came while older cycles were asked for stays behind them.
@@ -14,9 +17,10 @@ export function joined(loaded, newer, cycle) {
 export const hasRoom = (history, more) => history.cycle.length + more.cycle.length < LONGEST;
 
 // Add newer cycles, and drop those before the first one that is shown.
+/** @returns {History} */
 export function appended(history, newer, first) {
   const found = history.cycle.findIndex(value => value >= first), drop = Math.max(found, 0);
-  const next = {};
+  const next = empty();
   for (const name in newer) next[name] = (history[name] ?? []).slice(drop).concat(newer[name]);
   return next;
 }

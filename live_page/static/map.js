@@ -22,6 +22,23 @@ export function make(name, attributes, parent) {
   return element;
 }
 
+// How far apart neighbours stand: three in ten are closer. Neighbours are looked for in the cells around, not in
+// the whole plant, which would take the square of its inverters.
+function typicalDistance(points) {
+  const [width, height] = [0, 1].map(axis => Math.max(...points.map(point => point[axis])) - Math.min(...points.map(point => point[axis])));
+  const size = Math.max(Math.sqrt(width * height / points.length), Math.max(width, height) / points.length, 1e-9) * 2;
+  const cell = point => point.map(value => Math.floor(value / size)), cells = new Map();
+  points.forEach((point, number) => {
+    const key = cell(point).join();
+    cells.set(key, [...cells.get(key) ?? [], number]);
+  });
+  const nearest = points.map((point, number) => {
+    const [x, y] = cell(point), around = [-1, 0, 1].flatMap(dx => [-1, 0, 1].flatMap(dy => cells.get(`${x + dx},${y + dy}`) ?? []));
+    return Math.min(...around.map(other => other === number ? Infinity : Math.hypot(point[0] - points[other][0], point[1] - points[other][1])));
+  });
+  return nearest.sort((a, b) => a - b)[Math.floor(nearest.length * 0.3)];
+}
+
 // The shortest lines that join all points (Prim): they show what belongs together without covering it.
 function joined(points) {
   const far = points.map(() => Infinity), from = points.map(() => 0), open = new Set(points.keys());
@@ -61,8 +78,7 @@ export function plantMap(svg, note, legend, plan, select) {
   const at = metres.map(([x, y]) => [width / 2 + (x - middle[0]) * scale, (height - 16) / 2 - (y - middle[1]) * scale]);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.replaceChildren();
-  const nearest = at.map((p, i) => Math.min(...at.map((q, j) => i === j ? Infinity : Math.hypot(p[0] - q[0], p[1] - q[1]))));
-  const typical = [...nearest].sort((a, b) => a - b)[Math.floor(nearest.length * 0.3)];
+  const typical = typicalDistance(at);
   const largest = Math.max(...inverters.map(node => node.rating_kw));
   const size = Math.min(Math.max(typical * 0.45, 3), 24);
   const radius = node => size * Math.sqrt(node.rating_kw / largest);
@@ -82,7 +98,8 @@ export function plantMap(svg, note, legend, plan, select) {
 
   const shapes = new Map();  // What is drawn for each node, by its number.
   const back = make("g", {}, svg), helpLayer = make("g", {}, svg), front = make("g", {}, svg), labels = make("g", {class: "labels"}, svg);
-  const clusters = [...members.keys()].filter(number => inverters.some(node => node.parent === number) && number !== 0);
+  const parents = new Set(inverters.map(node => node.parent));
+  const clusters = [...members.keys()].filter(number => parents.has(number) && number !== 0);
   back.classList.toggle("many", clusters.length > CLUSTERS.length);
   clusters.forEach((number, colour) => {
     const outline = make("g", {class: "cluster"}, back);
@@ -93,6 +110,7 @@ export function plantMap(svg, note, legend, plan, select) {
   });
   nameClusters(legend, clusters.map(number => plan.nodes[number].path));
 
+  let latest = null;  // The frame shown.
   const roomy = typical >= 38;
   const drawn = inverters.map((node, i) => {
     const [x, y] = at[i], r = radius(node);
@@ -106,7 +124,8 @@ export function plantMap(svg, note, legend, plan, select) {
     const title = make("title", {}, group);
     group.addEventListener("click", () => select(node.number));
     shapes.set(node.number, group);
-    return {node, group, body, ring, title};
+    group.addEventListener("pointerenter", () => { if (latest) title.textContent = titleOf(node, latest); });
+    return {node, group, body, ring, look: ""};
   });
   if (known) drawScale(svg, width, height, scale);
   note.textContent = known ? "" : "The recording does not say where the inverters stand: a row for each cluster.";
@@ -117,17 +136,21 @@ export function plantMap(svg, note, legend, plan, select) {
       for (const chosen of [number, plan.nodes[number].parent]) shapes.get(chosen)?.classList.add("selected");
     },
     show(frame) {
-      const {mpp, power} = frame.nodes;
-      for (const {node, group, body, ring, title} of drawn) {
-        const agent = node.number + 1, level = frame.unread.includes(node.number) ? 2 : frame.agents.level[agent];
+      latest = frame;
+      const {mpp, power} = frame.nodes, unread = new Set(frame.unread);
+      for (const one of drawn) {
+        const {node, group, body, ring} = one;
+        const level = unread.has(node.number) ? 2 : frame.agents.level[node.number + 1];
+        const available = mpp[node.number], made = power[node.number];
+        const share = made === null ? 0 : Math.min(Math.max(made / node.rating_kw, 0), 1);
+        const look = [level, available === null ? "none" : ramp(available / node.rating_kw), Math.round(share * 100)].join();
+        if (look === one.look) continue;  // Of thousands of inverters a few change.
+        one.look = look;
         group.classList.toggle("late", level === 1);
         group.classList.toggle("bad", level === 2);
-        const available = mpp[node.number], made = power[node.number];
         body.classList.toggle("missing", available === null);
         body.setAttribute("fill", available === null ? "none" : ramp(available / node.rating_kw));
-        const share = made === null ? 0 : Math.min(Math.max(made / node.rating_kw, 0), 1) * 100;
-        ring.setAttribute("stroke-dasharray", `${share} 200`);
-        title.textContent = `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW; ${frame.agents.text[agent]}`;
+        ring.setAttribute("stroke-dasharray", `${share * 100} 200`);
       }
       for (const number of clusters) {
         const level = frame.agents.level[number + 1];
@@ -150,6 +173,11 @@ export function plantMap(svg, note, legend, plan, select) {
       return frame.help.length - shown.length;
     },
   };
+}
+
+function titleOf(node, {nodes, agents}) {
+  const [available, made] = [nodes.mpp, nodes.power].map(powers => powers[node.number]);
+  return `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW; ${agents.text[node.number + 1]}`;
 }
 
 // What the colours of the lines mean. Where there are more clusters than colours, only that they join one.

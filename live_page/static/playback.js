@@ -34,7 +34,7 @@ export function playback(onUpdate, first, onSeek) {
       fresh = false;
       if (!live && playing && at.cycle >= at.cycles - 1) { playing = false; live = !at.over; connect(); }
     };
-    $("live").setAttribute("aria-pressed", live);
+    $("live").setAttribute("aria-pressed", String(live));
     $("speed").hidden = live && !at.over;  // What is followed goes at the run's own pace.
     onSeek(live ? null : at.cycle);
   }

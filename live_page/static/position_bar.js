@@ -8,7 +8,7 @@ export function positionBar(plan, time, at, seek) {
   const overview = bareChart($("overview"), POWERS, 38);
   let drawn = -1, dragged = null;
   $("position").addEventListener("input", event => {
-    const target = +event.target.value;
+    const target = +$("position").value;
     clearTimeout(dragged);
     dragged = setTimeout(() => { dragged = null; seek(target); }, 60);
   });

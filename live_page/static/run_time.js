@@ -1,6 +1,7 @@
 // The times of a run's cycles, and the cycles that the charts show.
 
 const LEAST_CYCLES = 60, GROWTH = 1.25;
+/** @type {[string, number][]} */
 const SPANS = [["2 min", 120], ["10 min", 600], ["1 h", 3600], ["all", Infinity]];
 
 export function runTime(plan) {
@@ -30,7 +31,7 @@ export function timeSpan(element, plan, onChange, zoomed = null) {
 
   function press() {
     back.hidden = !zoomed;
-    buttons.forEach((button, number) => button.setAttribute("aria-pressed", !zoomed && SPANS[number][1] === span));
+    buttons.forEach((button, number) => button.setAttribute("aria-pressed", String(!zoomed && SPANS[number][1] === span)));
   }
   function zoomTo(cycles) {
     zoomed = cycles;

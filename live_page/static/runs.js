@@ -7,6 +7,7 @@ import {toggleTheme} from "./theme.js";
 const number = (value, digits) => value?.toLocaleString("en", {minimumFractionDigits: digits, maximumFractionDigits: digits}) ?? "–";
 const percent = share => share == null ? "–" : `${number(share, share !== 0 && share < 0.1 ? 3 : 2)} %`;
 const duration = seconds => seconds < 600 ? `${number(seconds, 0)} s` : seconds < 36000 ? `${number(seconds / 60, 0)} min` : `${number(seconds / 3600, 1)} h`;
+/** @type {Intl.DateTimeFormatOptions} */
 const WHEN = {day: "numeric", month: "short", hour: "2-digit", minute: "2-digit"};
 
 // Each column: its heading, what it sorts by, and what it shows. Those with `wide` or `middle`
