@@ -21,12 +21,12 @@ from msgspec.structs import replace
 from agents.agent import Stage, Turn
 from agents.control.allocation import allocate, help_order, total
 from agents.control.correction import (
-    Response,
+    Correction,
+    CorrectionLaw,
     corrected,
-    follows_kw,
-    mean_error_kw,
-    missing_kw,
-    shown_turns,
+    corrected_kw,
+    nothing_metered,
+    with_reading,
 )
 from agents.control.grid import GridLaw, desired_kw, net_kw, ramped_kw, response_kw
 from agents.control.offers import OfferSettings, memory_of, nothing_offered, observe
@@ -191,24 +191,18 @@ class Supervisor(Parent):
 class CentralState(msgspec.Struct, frozen=True, gc=False):
     """What the central controller remembers.
 
-    expected_kw: What the meter should show of its last turns, the newest first [kW].
-    metered_kw, readings: Sum and number of the meter's readings since the last turn.
-    meter_cycle: Cycle of the newest reading.
+    correction: What it has learned of the plant's meter.
+    meter_cycle: Cycle of the meter's newest reading.
     clamped: How many dispatches were beyond what the plant can give.
-    error_kw: Mean error of the plant's power.
     offers: What its offers rest on, see `agents.control.offers`.
-    reference_kw: The dispatch within the ramp limits; None: there was none yet.
+    reference_kw: The dispatch within the ramp limits; NaN: there was none yet.
     """
 
-    correction_kw: float = 0.0
-    expected_kw: tuple[float, ...] = ()
-    metered_kw: float = 0.0
-    readings: int = 0
+    correction: Correction
     meter_cycle: int = 0
     clamped: int = 0
-    error_kw: float = 0.0
     offers: tuple[float, ...] = ()
-    reference_kw: float | None = None
+    reference_kw: float = nan
 
 
 class CentralController(Parent):
@@ -218,69 +212,50 @@ class CentralController(Parent):
         self,
         tree: ControlTree,
         control: Control,
-        cycle_s: float,
-        response: Response,
+        correction: CorrectionLaw,
         grid: GridLaw,
         offers: OfferSettings | None = None,
     ) -> None:
         super().__init__(ROOT, tree, control)
-        self._cycle_s = cycle_s
-        self._turn_s = cycle_s * control.periods.cycles[0]
-        self._response = response
-        longest_s = response.delay_s + 2 * control.hold_cycles * cycle_s
-        self._kept_turns = shown_turns(longest_s, self._turn_s, response)
+        self._correction = correction
         self._offers = offers
         self._grid = grid
         self._meter = METER.of(ROOT)
         self._stages = (Stage("solve", (*self._inputs, self._meter)),)
 
     def initial_state(self) -> CentralState:
+        first = nothing_metered(self._correction)
         if self._offers is None:
-            return CentralState()
-        return CentralState(offers=tuple(nothing_offered(self._offers).tolist()))
+            return CentralState(first)
+        return CentralState(first, offers=tuple(nothing_offered(self._offers).tolist()))
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         return self._stages
 
     def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
         reports = self.reports(turn)
-        outputs = self.report_up(turn, reports)
-        meter = turn.get(self._meter)
-        if self._offers is not None:
-            state, offered = self._offer(state, turn, self._offers, reports)
-            outputs += offered
-        state = self._read_meter(state, meter)
-        dispatch = turn.get(_DISPATCH)
-        if dispatch is None:
-            return state, outputs
-        usable_kw = usable_dispatch_kw(dispatch.power_kw, dispatch.plant_rating_kw)
-        if usable_kw != dispatch.power_kw and dispatch.cycle == turn.cycle:
-            # Downward regulation may exceed the commitment, so that the dispatch is below 0.
-            what = "0 kW" if usable_kw == 0.0 else f"the rating, {usable_kw:.10g} kW"
-            text = f"dispatch of {dispatch.power_kw:.10g} kW clamped to {what}"
-            state = replace(state, clamped=state.clamped + 1)
-            outputs.append((NOTICE.of(ROOT), Notice(*turn.stamp, text=text, count=state.clamped)))
-        last_kw = nan if state.reference_kw is None else state.reference_kw
-        reference_kw = ramped_kw(last_kw, usable_kw, self._grid)
-        state = replace(state, reference_kw=reference_kw)
-        if self._control.periods.is_turn(ROOT, turn.cycle):
-            possible_kw = net_kw(total([report.impp_kw for report in reports]), self._grid)
-            frequency_hz = None if meter is None else meter.frequency_hz
-            asked_kw = response_kw(nan if frequency_hz is None else frequency_hz, self._grid)
-            wanted_kw = desired_kw(reference_kw, asked_kw, possible_kw, self._grid)
+        possible_kw = net_kw(total([report.impp_kw for report in reports]), self._grid)
+        state, offered = self._offer(state, turn, possible_kw)
+        state = self._read_meter(state, turn.get(self._meter))
+        state, notices = self._follow_dispatch(state, turn)
+        outputs = [*self.report_up(turn, reports), *offered, *notices]
+        if turn.get(_DISPATCH) is not None and self._control.periods.is_turn(ROOT, turn.cycle):
             # The way down to the inverters is taken to be as long as that of their reports up.
             delay = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
-            state = self._correct(state, wanted_kw, possible_kw, delay * self._cycle_s)
-            aim_kw = self._aim_kw(wanted_kw, state)
-            target_kw = min(max(aim_kw + state.correction_kw, 0.0), self._rating_kw)
-            outputs += self.setpoints(turn, target_kw, reports)
+            wanted_kw = self._wanted_kw(state, turn, possible_kw)
+            delay_s, law = delay * self._correction.cycle_s, self._correction
+            correction = corrected(state.correction, wanted_kw, possible_kw, delay_s, law)
+            outputs += self.setpoints(turn, corrected_kw(correction, law), reports)
+            state = replace(state, correction=correction)
         return state, outputs
 
     def _offer(
-        self, state: CentralState, turn: Turn, settings: OfferSettings, reports: list[Report]
+        self, state: CentralState, turn: Turn, possible_kw: float
     ) -> tuple[CentralState, list[Delivery]]:
         """Remember the cycle, and offer a share of the clear sky if that is due."""
-        dispatch, meter = turn.get(_DISPATCH), turn.get(self._meter)
+        dispatch, meter, settings = turn.get(_DISPATCH), turn.get(self._meter), self._offers
+        if settings is None:
+            return state, []
         share = nan
         if turn.cycle < 0:
             share = settings.first_share
@@ -291,7 +266,7 @@ class CentralController(Parent):
                 memory_of(values, settings),
                 settings,
                 turn.cycle,
-                net_kw(total([report.impp_kw for report in reports]), self._grid),
+                possible_kw,
                 meter.power_kw if meter is not None and is_metered else nan,
                 dispatch.power_kw,
                 dispatch.clear_sky_kw or 0.0,
@@ -303,39 +278,29 @@ class CentralController(Parent):
         """Take up the meter's newest reading, each reading once."""
         if meter is None or meter.cycle <= state.meter_cycle:
             return state
-        return replace(
-            state,
-            meter_cycle=meter.cycle,
-            metered_kw=state.metered_kw + meter.power_kw,
-            readings=state.readings + 1,
-        )
+        correction = with_reading(state.correction, meter.power_kw)
+        return replace(state, meter_cycle=meter.cycle, correction=correction)
 
-    def _correct(
-        self, state: CentralState, desired_kw: float, possible_kw: float, delay_s: float
-    ) -> CentralState:
-        """Correct by the mean of the readings since the last turn."""
-        correction_kw, error_kw = state.correction_kw, state.error_kw
-        delay_s += self._response.delay_s
-        turns = shown_turns(delay_s, self._turn_s, self._response)
-        # What an aim before the first one lets the meter show is not known.
-        if state.readings and len(state.expected_kw) >= turns:
-            metered_kw = state.metered_kw / state.readings
-            lacks_kw = missing_kw(state.expected_kw[:turns], metered_kw)
-            is_free, cycle_s = desired_kw >= possible_kw, state.readings * self._cycle_s
-            error_kw = mean_error_kw(error_kw, lacks_kw, is_free, cycle_s)
-            if self._control.correction:
-                correction_kw = corrected(
-                    correction_kw, lacks_kw, is_free, self._rating_kw, cycle_s, delay_s
-                )
-        state = replace(
-            state, correction_kw=correction_kw, metered_kw=0.0, readings=0, error_kw=error_kw
-        )
-        expected_kw = aim_kw = self._aim_kw(desired_kw, state)
-        if state.expected_kw:
-            last_kw = state.expected_kw[0]
-            expected_kw = follows_kw(last_kw, aim_kw, self._turn_s, self._response)
-        return replace(state, expected_kw=(expected_kw, *state.expected_kw)[: self._kept_turns])
+    def _follow_dispatch(
+        self, state: CentralState, turn: Turn
+    ) -> tuple[CentralState, list[Delivery]]:
+        """Move the reference to the dispatch, and say where that cannot be."""
+        dispatch, notices = turn.get(_DISPATCH), list[Delivery]()
+        if dispatch is None:
+            return state, notices
+        usable_kw = usable_dispatch_kw(dispatch.power_kw, dispatch.plant_rating_kw)
+        if usable_kw != dispatch.power_kw and dispatch.cycle == turn.cycle:
+            # Downward regulation may exceed the commitment, so that the dispatch is below 0.
+            what = "0 kW" if usable_kw == 0.0 else f"the rating, {usable_kw:.10g} kW"
+            text = f"dispatch of {dispatch.power_kw:.10g} kW clamped to {what}"
+            state = replace(state, clamped=state.clamped + 1)
+            notices.append((NOTICE.of(ROOT), Notice(*turn.stamp, text=text, count=state.clamped)))
+        reference_kw = ramped_kw(state.reference_kw, usable_kw, self._grid)
+        return replace(state, reference_kw=reference_kw), notices
 
-    def _aim_kw(self, desired_kw: float, state: CentralState) -> float:
-        control = self._control
-        return desired_kw + control.offset_kw + control.offset_errors * state.error_kw
+    def _wanted_kw(self, state: CentralState, turn: Turn, possible_kw: float) -> float:
+        """Return what the plant is to give, with its response to the frequency."""
+        meter = turn.get(self._meter)
+        frequency_hz = nan if meter is None or meter.frequency_hz is None else meter.frequency_hz
+        asked_kw = response_kw(frequency_hz, self._grid)
+        return desired_kw(state.reference_kw, asked_kw, possible_kw, self._grid)

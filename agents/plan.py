@@ -5,7 +5,6 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Mapping
 from functools import cached_property
-from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -13,7 +12,7 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import asdict, replace
 
-from agents.control.correction import Response
+from agents.control.correction import CorrectionLaw, shown_turns
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.control.grid import GridLaw
 from agents.control.offers import OfferSettings
@@ -200,19 +199,6 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     def revert_of(self, leaf: str) -> Revert:
         return self.settings_of(leaf).revert or self.revert
 
-    def response(self, tree: ControlTree, cycle_s: float) -> Response:
-        """Return how the plant as a whole follows commands; a real one is read a cycle later."""
-        settings = {leaf: self.settings_of(leaf) for leaf in tree.leaves}
-        ramps = {leaf: one.ramp_percent_per_s for leaf, one in settings.items()}
-        return Response(
-            delay_s=max(one.delay_s or 0.0 for one in settings.values())
-            + (cycle_s if self.devices or self.meter else 0.0),
-            ramp_kw_per_s=sum(
-                inf if ramp is None else tree.rating_kw(leaf) * ramp / 100.0
-                for leaf, ramp in ramps.items()
-            ),
-        )
-
     def follows_within_s(self, leaf: str) -> float:
         """Return the longest time in which an inverter comes to obey a command [s]."""
         settings = self.settings_of(leaf)
@@ -329,6 +315,26 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @cached_property
     def grid_law(self) -> GridLaw:
         return self.grid.law(self.tree.rating_kw(ROOT), self.timing.cycle_s)
+
+    @cached_property
+    def correction_law(self) -> CorrectionLaw:
+        """How the target is corrected. Real inverters are read a cycle later, on unknown ramps."""
+        site, control, cycle_s = self.site, self.control, self.timing.cycle_s
+        settings = [site.settings_of(leaf) for leaf in self.tree.leaves]
+        is_real = bool(site.devices or site.meter)
+        delay_s = max(one.delay_s or 0.0 for one in settings) + (cycle_s if is_real else 0.0)
+        turn_s = cycle_s * control.periods.cycles[0]
+        return CorrectionLaw(
+            is_on=control.correction,
+            rating_kw=self.tree.rating_kw(ROOT),
+            cycle_s=cycle_s,
+            turn_s=turn_s,
+            delay_s=delay_s,
+            is_ramped=is_real or any(one.ramp_percent_per_s is not None for one in settings),
+            offset_kw=control.offset_kw,
+            offset_errors=control.offset_errors,
+            kept_turns=shown_turns(delay_s + 2 * control.hold_cycles * cycle_s, turn_s),
+        )
 
     @cached_property
     def offer_law(self) -> OfferSettings | None:

@@ -18,10 +18,10 @@ Controller: TypeAlias = Agent[Any]
 
 def controller(plan: RunPlan, name: str) -> Controller:
     """Return the controller of a name: `central`, or the path of a cluster or an inverter."""
-    tree, control, cycle_s = plan.tree, plan.control, plan.timing.cycle_s
+    tree, control = plan.tree, plan.control
     if name == CENTRAL:
-        response = plan.site.response(tree, cycle_s)
-        return CentralController(tree, control, cycle_s, response, plan.grid_law, plan.offer_law)
+        laws = plan.correction_law, plan.grid_law, plan.offer_law
+        return CentralController(tree, control, *laws)
     if kind_of(name, tree) == "supervisor":
         return Supervisor(name, tree, control)
     return direct_controller(plan, name)

@@ -15,7 +15,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 from typing import Any, Final
@@ -31,7 +30,8 @@ from agents.settings import OfferedCommitment
 from bus_schemas.tree import ROOT
 from docs.shown import Found, fill, keep, write
 from heliarch import compare, load_scenario, simulate
-from results.answers import answers
+from recordings.read.series import RunSeries
+from results.answers import Answer, answer, answers
 from scenarios.preparation import prepare
 from scenarios.run_options import RunOptions
 from scenarios.scenario import DcCurrents, MeasuredIrradiance, ScenarioFile
@@ -39,7 +39,6 @@ from scenarios.settings import with_settings
 from sim_plant.profile import Profile
 from studies.arrays.closed_loop import run_loop
 from studies.arrays.schemes import run_scheme
-from studies.compare.by_agents import run_by_agents
 
 WORKERS: Final = 2
 BOTH: Final = ("fraction", "limit")
@@ -291,23 +290,52 @@ def stated(data: Path) -> Lines:
         yield [title, f"{missed:.3f}", f"{over:.3f}", f"{missed + over:.3f}"]
 
 
+FOLLOWS: Final = {
+    "at once": {},
+    **{f"by {ramp} %/s": {"plant.ramp_percent_per_s": ramp} for ramp in (33, 20, 10, 3)},
+    **{f"after {delay_s} s": {"plant.delay_s": delay_s} for delay_s in (1, 3, 10)},
+    "after 1 s by 10 %/s": {"plant.delay_s": 1, "plant.ramp_percent_per_s": 10},
+    "after 3 s by 3 %/s": {"plant.delay_s": 3, "plant.ramp_percent_per_s": 3},
+}
+STEPS_KW: Final = {
+    **{"start": 3500, "up": 5000, "down": 2000, "into saturation": 8000},
+    **{"out of saturation": 4500, "up, broken off": 6000, "on a ramp": 2500},
+}
+STEPS_AT_S: Final = (0, 120, 240, 360, 480, 600, 604, 720)
+
+
 def steps() -> Lines:
-    """Write how a step of 30 % of the rating is answered, up and down under a clear sky."""
-    yield ["inverters follow", "settled after s", "overshoot, % of the step"]
-    ways = {"at once": {}}
-    ways |= {f"by {ramp} % a second": {"plant.ramp_percent_per_s": ramp} for ramp in (100, 33, 10)}
-    ways |= {f"after {delay_s} s": {"plant.delay_s": delay_s} for delay_s in (1, 3, 10)}
-    orders = [{"at": at, "power_kw": power_kw} for at, power_kw in ((60, 4400), (120, 2000))]
-    orders.insert(0, {"at": 0, "power_kw": 2000})
-    still = {"orders": orders, "faults": [], "plant.delay_s": 0, "plant.ramp_percent_per_s": 1e6}
-    for title, follows in ways.items():
-        scenario = with_settings(load_scenario("commissioning"), [*(still | follows).items()])
-        day = prepare(scenario, RunOptions(duration="3m"), "steps")
-        run = run_by_agents(day.plan, day.profile, "predictive", "limit")
-        up, down = answers(run)[-2:]
-        settled = max(one.settling_s or inf for one in (up, down))
-        beyond = max(one.overshoot_percent or 0.0 for one in (up, down)) / 0.3
-        yield [title, f"{settled:.0f}", f"{beyond:.1f}"]
+    """Write how every step is answered under a clear sky, the worst overshoot first."""
+    rows = []
+    for cycle_s in (1, 4):
+        cycles = np.diff(STEPS_AT_S) // cycle_s
+        commitment_kw = np.repeat([float(kw) for kw in STEPS_KW.values()], cycles)
+        for title, follows in FOLLOWS.items():
+            clear = {"time.cycle_s": cycle_s, "irradiance.clouds.cloud_cover": 0} | follows
+            scenario = with_settings(load_scenario("oahu"), [*clear.items()])
+            day = prepare(scenario, RunOptions(duration="12m"), "steps")
+            profile = replace(day.profile, commitment_kw=commitment_kw)
+            runs = [run_scheme(name, day.plan, profile, "limit")[0] for name in HIERARCHICAL]
+            start = [_start_of(run, int(cycles[0])) for run in runs]
+            for place, step in enumerate(STEPS_KW):
+                if step not in {"into saturation", "up, broken off"}:
+                    both = start if place == 0 else [answers(run)[place - 1] for run in runs]
+                    beyond = [one.overshoot_percent or 0.0 for one in both]
+                    rows.append((title, cycle_s, step, beyond, [one.settling_s for one in both]))
+    yield ["inverters follow", "cycle [s]", "step", *STEP_FIGURES]
+    for *words, beyond, settled in sorted(rows, key=lambda row: -row[3][1]):
+        figures = [f"{beyond[1]:.2f}", f"{beyond[0]:.2f}", f"{settled[1]:.0f}", f"{settled[0]:.0f}"]
+        yield [*words, *figures]
+
+
+STEP_FIGURES: Final = ("overshoot %", "by the paper's rule", "settled s", "by the paper's")
+
+
+def _start_of(run: RunSeries, cycles: int) -> Answer:
+    """Return the answer to what is asked when the run begins."""
+    powers_kw = (run.dispatch_kw, run.delivered_kw, run.available_kw)
+    parts = [power_kw[:cycles] for power_kw in powers_kw]
+    return answer(*parts, float(run.delivered_kw[0]), run.cycle_s, run.rating_kw)
 
 
 # docs/offers.md

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from math import inf
+from math import ceil, inf
 from typing import Final, NamedTuple
 
 import msgspec
@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.control.grid import desired_kw
+from agents.plan import RunPlan
 from bus_schemas.messages import Dispatch
+from bus_schemas.tree import ROOT
 from recordings.read.series import RunSeries
 from results.regulation import performance_score
 from results.tables import Column, Table, attributes, key_column
@@ -52,7 +54,8 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     ramp_s: Time that the dispatch took to get there [s]; 0: it was a step.
     to_90_s: Of a step: until the power had covered nine tenths of it [s].
     settling_s: From when the dispatch was there until the power stayed within 1 % [s].
-    overshoot_percent: Largest power beyond `to_kw`, in % of the rating.
+    overshoot_percent: Largest power beyond `to_kw`, in % of the rating; after a step down also the
+        largest power that is still above it once the inverters have had their time to follow.
     error_percent: Mean of power less dispatch at rest, in % of the rating.
     ramp_deviation_percent: Mean deviation from the ramp, in % of the rating.
     accuracy, delay, score: Of an AGC signal, as PJM scores a regulation signal.
@@ -128,6 +131,7 @@ def answers(series: RunSeries) -> tuple[Answer, ...]:
             series.cycle_s,
             rating_kw,
             None if len(group) > 1 else asked.power_kw,
+            _follow_s(series.plan, before_kw - float(dispatch_kw[end - 1])),
         )
         step = msgspec.structs.replace(
             step, asked=asked.by, cycle=asked.cycle, end_cycle=end, orders=len(group)
@@ -144,10 +148,12 @@ def answer(
     cycle_s: float,
     rating_kw: float,
     to_kw: float | None = None,
+    follow_s: float = inf,
 ) -> Answer:
     """Return the answer to what a dispatch asks for from its first cycle on, shape (T,).
 
-    `to_kw` is where the dispatch was to go, if that is not where it came to.
+    `to_kw` is where the dispatch was to go, if that is not where it came to. `follow_s` is the time
+    that inverters take to follow; infinite: it is not known.
     """
     to_kw = float(dispatch_kw[-1]) if to_kw is None else to_kw
     tolerance_kw = rating_kw * TOLERANCE_PERCENT / 100.0
@@ -155,7 +161,7 @@ def answer(
     moving = np.flatnonzero(np.abs(dispatch_kw - to_kw) > tolerance_kw)
     there = int(moving[-1]) + 1 if len(moving) else 0
     able = available_kw >= dispatch_kw - tolerance_kw
-    error_kw, ahead = delivered_kw - dispatch_kw, np.sign(to_kw - from_kw)
+    error_kw, ahead = delivered_kw - dispatch_kw, float(np.sign(to_kw - from_kw)) or 1.0
     covered = ahead * (delivered_kw - from_kw) >= 0.9 * abs(to_kw - from_kw)
     outside = np.flatnonzero((np.abs(error_kw) > tolerance_kw) & able)
     outside = outside[outside >= there]
@@ -164,7 +170,11 @@ def answer(
     percent = 100.0 / rating_kw
     is_settled = settled < len(error_kw) and bool(able[settled:].any())
     at_rest = error_kw[rest][able[rest]]
-    beyond = (ahead * error_kw)[there:][able[there:]]
+    beyond_kw = ahead * error_kw
+    if follow_s < inf and ahead < 0.0:  # What stays above the order is too much, too.
+        followed = there + ceil(follow_s / cycle_s)
+        beyond_kw[followed:] = np.abs(error_kw[followed:])
+    beyond = beyond_kw[there:][able[there:]]
     ramp = slice(0, there)
     deviations = np.abs(error_kw[ramp])[able[ramp]]
     return Answer(
@@ -182,6 +192,15 @@ def answer(
         ramp_deviation_percent=float(deviations.mean()) * percent if len(deviations) else None,
         unable_percent=100.0 * float((~able).mean()),
     )
+
+
+def _follow_s(plan: RunPlan, change_kw: float) -> float:
+    """Return how long inverters take to follow a change of the plant's power [s]."""
+    if plan.site.devices or plan.site.meter:
+        return inf
+    settings = [plan.site.settings_of(leaf) for leaf in plan.tree.leaves]
+    percent = 100.0 * abs(change_kw) / plan.tree.rating_kw(ROOT)
+    return max((one.delay_s or 0.0) + percent / (one.ramp_percent_per_s or inf) for one in settings)
 
 
 def judged(found: tuple[Answer, ...], budgets: AnswerBudgets | None) -> tuple[Answer, ...]:

@@ -66,24 +66,18 @@ class Inverters:
         self._revert_is_commanded = [revert.to == "share" for revert in reverts]
         self._revert_kw = self.rating_kw * shares
         delays = [_cycles(entry.delay_s or 0.0, cycle_s) for entry in settings]
-        self._delay = np.array(delays, dtype=np.int64)
-        self._step = np.array(ramps) / 100.0 * cycle_s
+        self.delay_cycles = np.array(delays, dtype=np.int64)
+        self.ramp_per_cycle = np.array(ramps) / 100.0 * cycle_s
 
     def uncurtailed(self, power_kw: Floats, dispatch: Dispatch) -> PlantState:
-        """Return the state before a run: every inverter has delivered its maximum.
-
-        From now on, and until it hears a command, it holds its share of the first dispatch.
-        """
-        free = np.ones_like(power_kw)
-        kept = (1 + max(self._delay), 1)
-        plant_kw = total(self.rating_kw.tolist())
-        share_kw = self.rating_kw * (usable_dispatch_kw(dispatch.power_kw, plant_kw) / plant_kw)
+        """Return the state before a run: every inverter has delivered its maximum."""
+        kept, free = (1 + max(self.delay_cycles), 1), np.ones_like(power_kw)
         return PlantState(
             alpha=free,
             limit_kw=self.rating_kw,
             power_kw=power_kw,
             ordered_alpha=np.tile(free, kept),
-            ordered_kw=np.tile(share_kw, kept),
+            ordered_kw=np.tile(self.rating_kw, kept),
             renewed=np.zeros(len(power_kw), dtype=np.int64),
             revert_kw=self._revert_kw,
             dispatch=dispatch,
@@ -92,8 +86,19 @@ class Inverters:
     def obey(self, state: PlantState, commands: Iterable[Command | None], cycle: int) -> PlantState:
         """Obey the commands; an inverter that has heard none for its revert time reverts.
 
-        A command takes effect after its delay, and as fast as the ramp allows.
+        A command takes effect after its delay, and as fast as the ramp allows. When the run begins,
+        and until it obeys a command, an inverter holds its share of the first dispatch.
         """
+        if state.cycle < 0:
+            first = self.first_held(state.power_kw, state.dispatch.power_kw)
+            held_alpha, held_kw = (np.tile(one, (len(state.ordered_kw), 1)) for one in first)
+            state = replace(
+                state,
+                alpha=first[0],
+                limit_kw=first[1],
+                ordered_alpha=held_alpha,
+                ordered_kw=held_kw,
+            )
         alpha, limit_kw = state.ordered_alpha[0].tolist(), state.ordered_kw[0].tolist()
         renewed, revert_kw = state.renewed.tolist(), state.revert_kw.tolist()
         for position, command in enumerate(commands):
@@ -112,19 +117,27 @@ class Inverters:
         is_over = cycle - renewed_in >= self._revert_cycles
         ordered_alpha[:, is_over] = 1.0
         ordered_kw[:, is_over] = reverts_to_kw[is_over]
-        every, step = np.arange(len(self._delay)), self._step * passed
+        every, step = np.arange(len(self.delay_cycles)), self.ramp_per_cycle * passed
+        wanted_kw = ordered_kw[self.delay_cycles, every]
+        # A limit falls from the power that it holds back, not from above.
+        before_kw = np.minimum(state.limit_kw, np.maximum(state.power_kw, wanted_kw))
         return replace(
             state,
-            alpha=_towards(ordered_alpha[self._delay, every], state.alpha, step),
-            limit_kw=_towards(
-                ordered_kw[self._delay, every], state.limit_kw, step * self.rating_kw
-            ),
+            alpha=_towards(ordered_alpha[self.delay_cycles, every], state.alpha, step),
+            limit_kw=_towards(wanted_kw, before_kw, step * self.rating_kw),
             ordered_alpha=ordered_alpha,
             ordered_kw=ordered_kw,
             renewed=renewed_in,
             revert_kw=reverts_to_kw,
             cycle=cycle,
         )
+
+    def first_held(self, mpp_kw: Floats, dispatch_kw: float) -> tuple[Floats, Floats]:
+        """Return alpha and limit with which inverters hold their shares of the first dispatch."""
+        plant_kw = total(self.rating_kw.tolist())
+        share_kw = self.rating_kw * (usable_dispatch_kw(dispatch_kw, plant_kw) / plant_kw)
+        alpha = np.divide(share_kw, mpp_kw, out=np.ones_like(mpp_kw), where=mpp_kw > share_kw)
+        return alpha, share_kw if self._limits else self.rating_kw
 
     def power_kw(self, state: PlantState, mpp_kw: Floats) -> Floats:
         """Return what each inverter delivers [kW].
@@ -143,7 +156,9 @@ def stated_kw(mpp_kw: Floats, rating_kw: Floats, site: Site) -> Floats:
     """
     if site.available_bias is None:
         return np.full_like(mpp_kw, np.nan)
-    is_stated = np.diff(np.ceil(np.arange(len(rating_kw) + 1) * site.available_share)) > 0.0
+    # 28 % of 25 inverters are 7, though 25 * 0.28 is a little more than that.
+    stating = np.ceil(np.round(np.arange(len(rating_kw) + 1) * site.available_share, 9))
+    is_stated = np.diff(stating) > 0.0
     power_kw = np.minimum(mpp_kw * (1.0 + site.available_bias), rating_kw)
     return np.where(is_stated, power_kw, np.nan)
 

@@ -1,12 +1,17 @@
 """The integral correction: moves the target by what the plant's meter shows to be wrong.
 
-Its reading shows the effect of all errors: of estimates, delays and losses.
+Its reading shows the effect of all errors: of estimates, delays and losses. What it shows need not
+be an error: inverters take their time, and without headroom the sky decides. So an error teaches
+nothing where
+
+* no inverter was curtailed in a turn that the meter may still show;
+* it lies between aims that the meter may still show;
+* inverters follow on a ramp and the power comes nearer to the aim.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import ceil, inf
+from math import ceil, inf, isnan, nan
 from typing import Final, NamedTuple
 
 GAIN_PER_S: Final = 0.4
@@ -25,82 +30,127 @@ ERROR_MEMORY_S: Final = 20.0
 """Time constant of the mean error of the plant's power [s]."""
 
 
-class Response(NamedTuple):
-    """How a plant's inverters follow commands, as its scenario states.
+class CorrectionLaw(NamedTuple):
+    """How a plant corrects its target.
 
+    is_on: Whether it does.
+    rating_kw: Rating of the plant.
+    cycle_s, turn_s: Time between two readings of the meter, and between two corrections [s].
     delay_s: Longest time until a command takes effect [s].
-    ramp_kw_per_s: Fastest change of all of them together [kW/s].
+    is_ramped: Whether some inverters follow commands on a ramp, or on one that is not known.
+    offset_kw, offset_errors: How far above what is desired it aims: by a constant, and by so many
+        times its mean error.
+    kept_turns: How many aims are kept.
     """
 
-    delay_s: float = 0.0
-    ramp_kw_per_s: float = inf
+    is_on: bool
+    rating_kw: float
+    cycle_s: float
+    turn_s: float
+    delay_s: float
+    is_ramped: bool
+    offset_kw: float
+    offset_errors: float
+    kept_turns: int
+
+
+class Correction(NamedTuple):
+    """What the central controller knows of the plant's meter.
+
+    shown_kw: The aims of its last turns, the newest first: what the meter should show. NaN: all
+        inverters were free, or there was no such turn.
+    aim_kw: What it aims at now, before the correction.
+    correction_kw: What is added to that.
+    error_kw: Mean distance between aim and meter.
+    metered_kw, readings: Sum and number of the readings since the last turn.
+    last_kw: Their mean before the last turn; NaN: there was none.
+    """
+
+    shown_kw: tuple[float, ...]
+    aim_kw: float = 0.0
+    correction_kw: float = 0.0
+    error_kw: float = 0.0
+    metered_kw: float = 0.0
+    readings: int = 0
+    last_kw: float = nan
+
+
+def nothing_metered(law: CorrectionLaw) -> Correction:
+    return Correction((nan,) * law.kept_turns)
+
+
+def with_reading(last: Correction, power_kw: float) -> Correction:
+    """Take up a reading of the meter."""
+    return Correction(
+        last.shown_kw,
+        last.aim_kw,
+        last.correction_kw,
+        last.error_kw,
+        last.metered_kw + power_kw,
+        last.readings + 1,
+        last.last_kw,
+    )
 
 
 def corrected(
-    correction_kw: float,
-    missing_kw: float,
-    is_free: bool,
-    rating_kw: float,
-    cycle_s: float,
-    delay_s: float,
-) -> float:
-    """Return the correction that the central controller adds to its target [kW].
+    last: Correction, desired_kw: float, possible_kw: float, delay_s: float, law: CorrectionLaw
+) -> Correction:
+    """Learn from the readings since the last turn, and aim at what is desired now.
 
     Parameters
     ----------
-    correction_kw
-        The last correction.
-    missing_kw
-        What the meter lacks of what it should show, from `missing_kw`.
-    is_free
-        Whether no inverter is curtailed. Then nothing can be added.
-    rating_kw
-        Rating of the plant.
-    cycle_s
-        Time between two corrections [s]. A controller that acts in every m-th cycle corrects in
-        that cycle, by the means over the intervals since its last correction.
+    desired_kw, possible_kw
+        What the plant is to give at its meter, and what it could give.
     delay_s
         Time that messages need to the inverters and back [s], in addition to the cycle that a
         setpoint holds.
     """
-    if is_free:
-        return 0.0
-    gain = min(GAIN_PER_S * cycle_s, HIGHEST_GAIN / (1.0 + delay_s / cycle_s) ** 2)
-    most_kw = HIGHEST_CORRECTION * rating_kw
-    return min(max(correction_kw + gain * missing_kw, -most_kw), most_kw)
+    is_free = desired_kw >= possible_kw
+    correction_kw, error_kw, metered_kw = last.correction_kw, last.error_kw, last.last_kw
+    if last.readings > 0:
+        metered_kw = last.metered_kw / last.readings
+        delay_s += law.delay_s
+        lacks_kw = _missing_kw(last, metered_kw, shown_turns(delay_s, law.turn_s))
+        time_s = last.readings * law.cycle_s
+        if not is_free:
+            error_kw += (abs(lacks_kw) - error_kw) * time_s / (ERROR_MEMORY_S + time_s)
+        if law.is_ramped and (metered_kw - last.last_kw) * lacks_kw > 0.0:
+            lacks_kw = 0.0
+        gain = min(GAIN_PER_S * time_s, HIGHEST_GAIN / (1.0 + delay_s / time_s) ** 2)
+        most_kw = HIGHEST_CORRECTION * law.rating_kw
+        correction_kw = min(max(correction_kw + gain * lacks_kw, -most_kw), most_kw)
+    if is_free or not law.is_on:
+        correction_kw = 0.0
+    aim_kw = desired_kw + law.offset_kw + law.offset_errors * error_kw
+    shown_kw = (nan if is_free else aim_kw, *last.shown_kw[:-1])
+    return Correction(shown_kw, aim_kw, correction_kw, error_kw, 0.0, 0, metered_kw)
 
 
-def follows_kw(last_kw: float, aim_kw: float, cycle_s: float, response: Response) -> float:
-    """Return how far the inverters have followed a new aim after a cycle, by their ramp [kW]."""
-    most_kw = response.ramp_kw_per_s * cycle_s
-    return min(max(aim_kw, last_kw - most_kw), last_kw + most_kw)
+def corrected_kw(known: Correction, law: CorrectionLaw) -> float:
+    """Return the target of the plant [kW]."""
+    return min(max(known.aim_kw + known.correction_kw, 0.0), law.rating_kw)
 
 
-def shown_turns(delay_s: float, turn_s: float, response: Response) -> int:
+def shown_turns(delay_s: float, turn_s: float) -> int:
     """Return of how many turns, the last one included, the meter may still show the aims.
 
-    One more while inverters are on a ramp, which the light and their own targets delay.
+    One more than the delay takes: a new aim first shows the maxima that limits have hidden.
     """
-    is_slow = response.ramp_kw_per_s < inf
     # A quotient of whole cycles is whole: 3 cycles of 0.1 s divide to 3.0000000000000004.
-    return 1 + ceil(round(delay_s / turn_s, 6)) + is_slow
+    return 2 + ceil(round(delay_s / turn_s, 6))
 
 
-def missing_kw(expected_kw: Sequence[float], metered_kw: float) -> float:
+def _missing_kw(known: Correction, metered_kw: float, turns: int) -> float:
     """Return what the meter lacks of what it should show; negative if it shows more [kW].
 
-    It may show any power between those expected in the intervals within the inverters' delay:
-    against the newest alone, the correction would add up what is only on its way, and overshoot.
+    It may show any power between the aims that it may still show: against the newest alone, the
+    correction would add up what is only on its way, and overshoot.
     """
-    return min(max(metered_kw, min(expected_kw)), max(expected_kw)) - metered_kw
-
-
-def mean_error_kw(error_kw: float, missing_kw: float, is_free: bool, cycle_s: float) -> float:
-    """Return the mean distance between what the plant aimed at and its meter [kW].
-
-    With no inverter curtailed the sky decides, and the last mean holds.
-    """
-    if is_free:
-        return error_kw
-    gain = cycle_s / (ERROR_MEMORY_S + cycle_s)
-    return error_kw + (abs(missing_kw) - error_kw) * gain
+    lowest_kw, highest_kw = inf, -inf
+    for turn in range(turns):
+        # What an aim before the first one lets the meter show is not known.
+        if turn >= len(known.shown_kw) or isnan(known.shown_kw[turn]):
+            return 0.0
+        lowest_kw = min(lowest_kw, known.shown_kw[turn])
+        highest_kw = max(highest_kw, known.shown_kw[turn])
+    return min(max(metered_kw, lowest_kw), highest_kw) - metered_kw

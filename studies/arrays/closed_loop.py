@@ -17,7 +17,14 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agents.control.allocation import allocate, total
-from agents.control.correction import corrected, mean_error_kw
+from agents.control.correction import (
+    Correction,
+    CorrectionLaw,
+    corrected,
+    corrected_kw,
+    nothing_metered,
+    with_reading,
+)
 from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp, held_kw
 from agents.control.grid import GridLaw, net_kw
 from agents.control.impp import (
@@ -40,7 +47,7 @@ from agents.control.share import share_kw, usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
-from sim_plant.inverters import stated_kw
+from sim_plant.inverters import Inverters, stated_kw
 from sim_plant.orders import planned
 from sim_plant.profile import Profile
 from studies.arrays.compiled import compiled
@@ -59,14 +66,30 @@ class LoopSettings(NamedTuple):
 
     is_forecast: bool
     is_limited: bool
-    is_corrected: bool
+    correction: CorrectionLaw
     alpha_min: float
     cycle_s: float
     hold_cycles: int
-    offset_kw: float
-    offset_errors: float
     grid: GridLaw
     meter_error: float
+
+
+class Obedience(NamedTuple):
+    """How inverters follow commands, as `Inverters.obey` has it. The loop changes it in place.
+
+    delay_cycles: After how many cycles a command takes effect, shape (n,).
+    ramp_per_cycle: Largest change in a cycle, as a share of the rating, shape (n,).
+    alpha, limit_kw: What is in force, shape (n,); before the run what they hold until they obey
+        their first command.
+    ordered_alpha, ordered_kw: The last commands in turn, shape (longest delay + 1, n).
+    """
+
+    delay_cycles: NDArray[np.int64]
+    ramp_per_cycle: Floats
+    alpha: Floats
+    limit_kw: Floats
+    ordered_alpha: Floats
+    ordered_kw: Floats
 
 
 class Schedule(NamedTuple):
@@ -82,6 +105,22 @@ class Schedule(NamedTuple):
     clear_sky_kw: Floats
     offers: OfferSettings
     memory: OfferMemory
+
+
+class LoopInputs(NamedTuple):
+    """The arguments of `closed_loop`; arrays of shape (cycles, n).
+
+    known: What the central controller knows of the meter before the run.
+    """
+
+    tree: ControlArrays
+    settings: LoopSettings
+    mpp_kw: Floats
+    schedule: Schedule
+    meter_error: Floats
+    available_kw: Floats
+    obedience: Obedience
+    known: Correction
 
 
 class LoopResult(NamedTuple):
@@ -110,9 +149,7 @@ def run_loop(
 
 
 @cache
-def _compiled_loop() -> Callable[
-    [ControlArrays, LoopSettings, Floats, Schedule, Floats, Floats], LoopResult
-]:
+def _compiled_loop() -> Callable[..., LoopResult]:
     return compiled(closed_loop)
 
 
@@ -122,33 +159,44 @@ def loop_inputs(
     scheme: Scheme,
     actuator: Actuator,
     record: Floats | None = None,
-) -> tuple[ControlArrays, LoopSettings, Floats, Schedule, Floats, Floats]:
-    """Return the arguments of `closed_loop`; InputError where its inverters do not suffice."""
-    if any(plan.site.follows_within_s(leaf) for leaf in plan.tree.leaves):
-        raise InputError.of(
-            "plant.ramp_percent_per_s, delay_s",
-            "expected neither, since a study over arrays has inverters that obey at once",
-        )
+) -> LoopInputs:
     is_forecast, is_limited = scheme == "predictive", actuator == "limit"
     settings = LoopSettings(
         is_forecast=is_forecast,
         is_limited=is_limited,
-        is_corrected=is_corrected(plan, scheme),
+        correction=plan.correction_law._replace(is_on=is_corrected(plan, scheme)),
         alpha_min=HIDDEN_ALPHA_MIN if is_forecast and is_limited else plan.control.alpha_min,
         cycle_s=plan.timing.cycle_ns / 1e9,
         hold_cycles=plan.control.hold_cycles,
-        offset_kw=plan.control.offset_kw,
-        offset_errors=plan.control.offset_errors,
         grid=plan.grid_law,
         meter_error=plan.grid.meter_error_percent / 100.0,
     )
-    return (
+    plan = replace(plan, control=replace(plan.control, actuator=actuator))
+    schedule = _schedule(plan, profile, record)
+    return LoopInputs(
         control_arrays(plan, profile.cycles),
         settings,
         profile.mpp_kw,
-        _schedule(replace(plan, control=replace(plan.control, actuator=actuator)), profile, record),
+        schedule,
         profile.meter_error,
         _available_kw(plan, profile),
+        _obedience(plan, profile, schedule),
+        nothing_metered(settings.correction),
+    )
+
+
+def _obedience(plan: RunPlan, profile: Profile, schedule: Schedule) -> Obedience:
+    inverters = Inverters(plan)
+    first_kw = schedule.dispatch_kw[0]
+    if schedule.offers.interval_cycles > 0:
+        first_kw = (
+            schedule.offers.first_share * schedule.clear_sky_kw[0] + schedule.regulation_kw[0]
+        )
+    alpha, limit_kw = inverters.first_held(profile.mpp_kw[0], float(first_kw))
+    kept = (1 + max(inverters.delay_cycles), 1)
+    ordered = np.tile(alpha, kept), np.tile(limit_kw, kept)
+    return Obedience(
+        inverters.delay_cycles, inverters.ramp_per_cycle, alpha, limit_kw.copy(), *ordered
     )
 
 
@@ -183,6 +231,8 @@ def closed_loop(
     schedule: Schedule,
     meter_error: Floats,
     available_kw: Floats,
+    obedience: Obedience,
+    known: Correction,
 ) -> LoopResult:
     cycles, inverters = mpp_kw.shape
     shares = np.full(2, schedule.offers.first_share)
@@ -198,9 +248,6 @@ def closed_loop(
     estimates = [NOTHING_KNOWN for _ in range(inverters)]
     node_impp_kw = np.zeros(len(tree.rating_kw))
     target_kw = tree.rating_kw.copy()
-    # The central controller: what it aimed at in its last turn, the correction added to that, its
-    # mean error, the sum of the meter's readings since then, and their number.
-    wanted_kw, correction_kw, error_kw, metered_kw, metered_cycles = 0.0, 0.0, 0.0, 0.0, 0
     for cycle in range(cycles):
         for i in range(inverters):
             estimates[i] = estimate(
@@ -221,20 +268,10 @@ def closed_loop(
             follow_offers(schedule, shares, cycle, possible_kw, read_kw if cycle > 0 else nan)
         heard_kw = usable_dispatch_kw(schedule.dispatch_kw[cycle], plant_rating_kw)
         if cycle > 0:
-            metered_kw += read_kw
-            metered_cycles += 1
+            known = with_reading(known, read_kw)
         if cycle % tree.period[0] == 0:
-            if metered_cycles > 0:
-                lacks_kw, is_free = wanted_kw - metered_kw / metered_cycles, heard_kw >= possible_kw
-                mean_s = metered_cycles * settings.cycle_s
-                error_kw = mean_error_kw(error_kw, lacks_kw, is_free, mean_s)
-                if settings.is_corrected:
-                    correction_kw = corrected(
-                        correction_kw, lacks_kw, is_free, plant_rating_kw, mean_s, 0.0
-                    )
-            wanted_kw = heard_kw + settings.offset_kw + settings.offset_errors * error_kw
-            metered_kw, metered_cycles = 0.0, 0
-            target_kw[0] = min(max(wanted_kw + correction_kw, 0.0), plant_rating_kw)
+            known = corrected(known, heard_kw, possible_kw, 0.0, settings.correction)
+            target_kw[0] = corrected_kw(known, settings.correction)
         solve_down(cycle, tree, settings, node_impp_kw, target_kw)
         for i in range(inverters):
             node = tree.inverters[i]
@@ -244,14 +281,46 @@ def closed_loop(
             is_gone = is_lost(estimates[i], settings.hold_cycles)
             asked_kw = own_kw if is_gone else target_kw[node]
             share = curtailment_level(asked_kw, estimates[i].power_kw, settings.alpha_min)
-            level[i] = alpha[cycle, i] = share
+            alpha[cycle, i], held_at_kw = share, rating_kw[i]
             if settings.is_limited:
                 held_at_kw = commanded_kw(settings, share, asked_kw, rating_kw[i], estimates[i])
-                limit_kw[i], share = own_kw if is_gone else held_at_kw, 1.0
+                held_at_kw = own_kw if is_gone else held_at_kw
+            obey(obedience, cycle, i, share, held_at_kw, last_kw[i], rating_kw[i])
+            level[i], limit_kw[i] = obedience.alpha[i], obedience.limit_kw[i]
+            share = 1.0 if settings.is_limited else level[i]
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
     return LoopResult(
         schedule.dispatch_kw, schedule.commitment_kw, power_kw, impp_kw, residuals_kw, alpha
     )
+
+
+def obey(
+    obedience: Obedience,
+    cycle: int,
+    inverter: int,
+    alpha: float,
+    limit_kw: float,
+    last_kw: float,
+    rating_kw: float,
+) -> None:
+    """Command an inverter, which gave `last_kw`, and move on what is in force."""
+    kept = len(obedience.ordered_kw)
+    obedience.ordered_alpha[cycle % kept, inverter] = alpha
+    obedience.ordered_kw[cycle % kept, inverter] = limit_kw
+    obeyed = (cycle - obedience.delay_cycles[inverter]) % kept
+    ramp = obedience.ramp_per_cycle[inverter]
+    wanted, wanted_kw = (
+        obedience.ordered_alpha[obeyed, inverter],
+        obedience.ordered_kw[obeyed, inverter],
+    )
+    before_kw = min(obedience.limit_kw[inverter], max(last_kw, wanted_kw))
+    obedience.alpha[inverter] = towards(wanted, obedience.alpha[inverter], ramp)
+    obedience.limit_kw[inverter] = towards(wanted_kw, before_kw, ramp * rating_kw)
+
+
+def towards(wanted: float, now: float, step: float) -> float:
+    """Return what is wanted, as far as a step from now reaches."""
+    return min(max(wanted, now - step), now + step)
 
 
 def follow_offers(

@@ -29,20 +29,21 @@ def test_an_absurd_meter_leaves_no_trace(absurd_kw: float) -> None:
 def test_a_reading_counts_once_however_long_it_holds() -> None:
     central = AtWork(CORRECTING, "central")
     cycle_with_meter(central, 0, 50.0)
-    once_kw = cycle_with_meter(central, 1, 40.0)
+    cycle_with_meter(central, 1, 50.0)
+    once_kw = cycle_with_meter(central, 2, 40.0)
     assert once_kw == pytest.approx(50.0 + 0.4 * 10.0)
-    assert [cycle_with_meter(central, cycle, None) for cycle in (2, 3, 4, 5)] == [once_kw] * 4
-    assert cycle_with_meter(central, 6, 40.0) == pytest.approx(50.0 + 8.0)
+    assert [cycle_with_meter(central, cycle, None) for cycle in (3, 4, 5, 6)] == [once_kw] * 4
+    assert cycle_with_meter(central, 7, 40.0) == pytest.approx(50.0 + 8.0)
 
 
 def test_a_late_reading_counts_for_less() -> None:
     set_kw = []
-    for metered_in in (3, 2, 1):
+    for metered_in in (5, 4, 3):
         central = AtWork(CORRECTING, "central")
-        for cycle in range(3):
+        for cycle in range(5):
             cycle_with_meter(central, cycle, None)
         central.hear(meter(metered_in, 40.0))
-        set_kw.append(cycle_with_meter(central, 3, None))
+        set_kw.append(cycle_with_meter(central, 5, None))
     assert set_kw[0] == pytest.approx(50.0 + 0.4 * 10.0)
     assert set_kw[0] > set_kw[1] > set_kw[2] > 50.0
 
@@ -50,17 +51,19 @@ def test_a_late_reading_counts_for_less() -> None:
 def test_it_begins_anew_after_a_cycle_in_which_every_inverter_is_free() -> None:
     central = AtWork(CORRECTING, "central")
     cycle_with_meter(central, 0, 50.0)
-    assert cycle_with_meter(central, 1, 40.0) == pytest.approx(54.0)
-    cycle_with_meter(central, 2, 40.0, impp_kw=20.0)
-    assert cycle_with_meter(central, 3, 50.0) == pytest.approx(50.0)
+    cycle_with_meter(central, 1, 50.0)
+    assert cycle_with_meter(central, 2, 40.0) == pytest.approx(54.0)
+    cycle_with_meter(central, 3, 40.0, impp_kw=20.0)
+    assert cycle_with_meter(central, 4, 40.0) == pytest.approx(50.0)
 
 
 def test_it_aims_above_the_dispatch_by_the_offset_and_by_its_mean_error() -> None:
     control = replace(CORRECTING.control, correction=False, offset_kw=3.0, offset_errors=2.0)
     central = AtWork(replace(CORRECTING, control=control), "central")
     assert cycle_with_meter(central, 0, 50.0) == pytest.approx(53.0)
+    assert cycle_with_meter(central, 1, 53.0) == pytest.approx(53.0)
     # 8.4 kW were missing of 53: 1/21 of that enters the mean over 20 s.
-    assert cycle_with_meter(central, 1, 44.6) == pytest.approx(53.0 + 2.0 * 8.4 / 21.0)
+    assert cycle_with_meter(central, 2, 44.6) == pytest.approx(53.0 + 2.0 * 8.4 / 21.0)
 
 
 def cycle_with_meter(

@@ -84,6 +84,27 @@ def test_each_order_and_each_step_of_the_schedule_has_its_answer() -> None:
     assert [one.settling_s for one in found] == [1.0, 1.0, 1.0]
 
 
+@pytest.mark.parametrize(
+    ("follows", "overshoot_percent"),
+    [
+        ({}, 6.0),
+        # 300 kW take 3 s by 10 % a second, and the delay comes on top.
+        ({"ramp_percent_per_s": 10.0}, 2.0),
+        ({"ramp_percent_per_s": 10.0, "delay_s": 1.0}, 1.0),
+    ],
+)
+def test_out_of_saturation_what_stays_above_the_order_counts(
+    follows: dict[str, Any], overshoot_percent: float
+) -> None:
+    # The sun allows 800 of 900 kW, then 500 kW are ordered.
+    asked_kw = np.array([900.0] * 10 + [500.0] * 8)
+    given_kw = [800.0] * 10 + [560.0, 540.0, 530.0, 520.0, 510.0, 500.0, 500.0, 500.0]
+    run = run_of(asked_kw, 800.0, given_kw, **follows)
+    ordered = replace(run, orders=(order(10, 500.0),))
+    (found,) = answers(ordered)
+    assert found.overshoot_percent == pytest.approx(overshoot_percent)
+
+
 def test_a_run_in_which_nothing_is_asked_has_no_answers() -> None:
     assert answers(run_of(np.full(20, 100.0), 1e4, np.full(20, 100.0))) == ()
 

@@ -148,7 +148,10 @@ SHORT = {"cycle_ns": 700_000_000}
     ("commands", "changes", "expected_kw"),
     [
         (ON, {}, [100, 50, 50, 50]),
-        (ON, {"ramp_percent_per_s": 20.0}, [100, 80, 60, 50]),
+        # It begins at its share. A ramp is one of time, whatever the cycle.
+        (ON, {"ramp_percent_per_s": 20.0}, [70, 50, 50, 50]),
+        ({0: 0.9}, {"ramp_percent_per_s": 20.0, "cycle_ns": 200_000_000}, [54, 58, 62, 66, 70, 74]),
+        ({0: 0.1}, {"ramp_percent_per_s": 2.0, "cycle_ns": 10_000_000_000}, [30, 10, 10]),
         # Until its first command acts, an inverter holds its share. A part of a cycle is a cycle,
         (ON, {"delay_s": 1.5}, [50, 50, 100, 50]),
         ({}, {}, [50, 50]),
@@ -174,6 +177,28 @@ def test_what_an_inverter_makes_of_its_commands(
         sent = plant.at_deadline() if level is None else plant.command(level, level)
         found.append(powers_kw(sent)[0])
     assert found == pytest.approx(expected_kw)
+
+
+@pytest.mark.parametrize("cycle_s", [0.2, 1.0, 4.0])
+def test_a_ramp_goes_on_through_cycles_that_were_missed(cycle_s: float) -> None:
+    cycle_ns, long = round(cycle_s * 1e9), Profile(np.full((60, 2), 100.0), np.full(60, 100.0))
+    changes = {"ramp_percent_per_s": 0.2, "actuator": "limit", "revert": Revert(after_s=900.0)}
+    plant = PlantAtWork(long, cycle_ns=cycle_ns, cycle_wall_ns=cycle_ns, **changes)
+    plant.begin()
+    plant.at_deadline()
+    assert powers_kw(plant.command(0.9, 0.9))[0] == pytest.approx(50.0 + 0.2 * cycle_s)
+    assert plant.loop.catch_up(40 * cycle_ns)
+    plant.at_deadline()
+    assert powers_kw(plant.at_deadline())[0] == pytest.approx(50.0 + 41 * 0.2 * cycle_s)
+
+
+def test_a_limit_falls_from_the_power_that_it_holds_back() -> None:
+    dark = Profile(np.full((4, 2), 60.0), np.full(4, 200.0))
+    plant = PlantAtWork(dark, ramp_percent_per_s=10.0, actuator="limit")
+    plant.begin()
+    # Its share is 100 kW, the sun allows 60.
+    found = [powers_kw(plant.command(level, level))[0] for level in (1.0, 0.3, 0.3, 0.3)]
+    assert found == pytest.approx([60.0, 50.0, 40.0, 30.0])
 
 
 def test_inverters_may_be_set_otherwise_and_the_last_entry_counts() -> None:

@@ -1,70 +1,87 @@
 """The integral correction: what the plant's meter shows to be wrong moves the target."""
 
+from __future__ import annotations
+
+from math import inf
+
 import pytest
 
 from agents.control.correction import (
     HIGHEST_CORRECTION,
-    Response,
+    CorrectionLaw,
     corrected,
-    follows_kw,
-    missing_kw,
-    shown_turns,
+    corrected_kw,
+    nothing_metered,
+    with_reading,
 )
 
 RATING_KW = 1000.0
 
 
+def law_of(cycle_s: float, delay_s: float = 0.0, *, is_ramped: bool = False) -> CorrectionLaw:
+    return CorrectionLaw(True, RATING_KW, cycle_s, cycle_s, delay_s, is_ramped, 0.0, 0.0, 60)
+
+
 def settled(loss_kw: float, cycle_s: float, seconds: float, delay_s: float = 0.0) -> list[float]:
     """Metered power, cycle by cycle, of a plant that delivers so much less than it is asked for."""
-    late = round(delay_s / cycle_s)
-    correction_kw, found = 0.0, [500.0 - loss_kw] * (late + 1)
+    law, late = law_of(cycle_s, delay_s), round(delay_s / cycle_s)
+    known, found = nothing_metered(law), [500.0 - loss_kw] * (late + 1)
     for _ in range(round(seconds / cycle_s)):
-        read_kw = found[-1 - late]
-        correction_kw = corrected(
-            correction_kw, 500.0 - read_kw, False, RATING_KW, cycle_s, delay_s
-        )
-        found.append(500.0 + correction_kw - loss_kw)
+        known = corrected(with_reading(known, found[-1 - late]), 500.0, inf, 0.0, law)
+        found.append(corrected_kw(known, law) - loss_kw)
     return found
 
 
 @pytest.mark.parametrize("cycle_s", [0.1, 1.0, 10.0, 60.0])
 def test_a_constant_loss_is_made_up_for_without_swinging(cycle_s: float) -> None:
-    metered_kw = settled(20.0, cycle_s, 20.0 * max(cycle_s, 1.0))
+    metered_kw = settled(20.0, cycle_s, 22.0 * max(cycle_s, 1.0))
     assert metered_kw[-1] == pytest.approx(500.0, abs=0.01)
     assert metered_kw == sorted(metered_kw)
 
 
 @pytest.mark.parametrize("delay_s", [1.0, 7.0, 20.0])
 def test_nor_does_it_swing_where_readings_come_late(delay_s: float) -> None:
-    metered_kw = settled(20.0, 1.0, 20.0 * (1.0 + delay_s) ** 2, delay_s)
+    metered_kw = settled(20.0, 1.0, 21.0 * (1.0 + delay_s) ** 2, delay_s)
     assert metered_kw[-1] == pytest.approx(500.0, abs=0.01)
     assert max(metered_kw) < 500.01
 
 
 def test_it_takes_the_same_time_whatever_the_cycle() -> None:
-    fast, slow = settled(20.0, 0.1, 3.0), settled(20.0, 1.0, 3.0)
+    fast, slow = settled(20.0, 0.1, 3.2), settled(20.0, 1.0, 5.0)
     assert fast[-1] == pytest.approx(slow[-1], abs=2.5)
 
 
-def test_what_is_expected_follows_a_new_aim_as_fast_as_the_inverters_ramp() -> None:
-    slow = Response(ramp_kw_per_s=100.0)
-    first_kw = follows_kw(1000.0, 4000.0, 1.0, slow)
-    assert (first_kw, follows_kw(first_kw, 4000.0, 1.0, slow)) == (1100.0, 1200.0)
-    assert follows_kw(1000.0, 4000.0, 1.0, Response()) == 4000.0
+def corrections_kw(
+    law: CorrectionLaw, wanted_kw: list[float], metered_kw: list[float], possible_kw: list[float]
+) -> list[float]:
+    """Return the correction in each turn; `metered_kw` is of the interval before it."""
+    known, found = nothing_metered(law), []
+    for wanted, metered, possible in zip(wanted_kw, metered_kw, possible_kw, strict=True):
+        known = corrected(with_reading(known, metered), wanted, possible, 0.0, law)
+        found.append(known.correction_kw)
+    return found
 
 
-@pytest.mark.parametrize(
-    ("metered_kw", "lacks_kw"), [(900.0, 100.0), (1000.0, 0.0), (2500.0, 0.0), (4200.0, -200.0)]
-)
-def test_what_is_still_on_its_way_is_not_missing(metered_kw: float, lacks_kw: float) -> None:
-    assert missing_kw((4000.0, 1000.0), metered_kw) == lacks_kw
+def test_what_is_still_on_its_way_is_not_missing() -> None:
+    wanted_kw = [100.0] * 4 + [400.0] * 5
+    metered_kw = [100.0] * 7 + [400.0] * 2
+    assert not any(corrections_kw(law_of(1.0, 2.0), wanted_kw, metered_kw, [inf] * 9))
+    # Beyond both aims it is an error all the same.
+    metered_kw[6] = 80.0
+    assert corrections_kw(law_of(1.0, 2.0), wanted_kw, metered_kw, [inf] * 9)[6] > 0.0
 
 
-@pytest.mark.parametrize("cycle_s", [0.1, 0.2, 0.7, 1.0])
-def test_a_delay_of_whole_cycles_lets_the_meter_show_one_aim_more_for_each(cycle_s: float) -> None:
-    shown = [shown_turns(cycles * cycle_s, cycle_s, Response()) for cycles in range(30)]
-    assert shown == list(range(1, 31))
-    assert shown_turns(2.5 * cycle_s, cycle_s, Response()) == 4
+def test_on_a_ramp_only_an_error_that_does_not_shrink_teaches() -> None:
+    wanted_kw, metered_kw = [100.0] * 4 + [400.0] * 9, [100.0] * 5 + [*range(140, 300, 20)]
+    assert not any(corrections_kw(law_of(1.0, is_ramped=True), wanted_kw, metered_kw, [inf] * 13))
+    metered_kw[-1] = metered_kw[-2]
+    assert corrections_kw(law_of(1.0, is_ramped=True), wanted_kw, metered_kw, [inf] * 13)[-1] > 0.0
+
+
+def test_turns_in_which_all_inverters_were_free_teach_nothing() -> None:
+    wanted_kw, possible_kw = [800.0] * 5 + [300.0] * 4, [600.0] * 9
+    metered_kw = [600.0] * 6 + [300.0] * 3
+    assert not any(corrections_kw(law_of(1.0), wanted_kw, metered_kw, possible_kw))
 
 
 def test_it_never_exceeds_its_share_of_the_rating() -> None:

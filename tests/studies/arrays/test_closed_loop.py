@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plans_by_hand import with_changes
 
-from agents.settings import Actuator, Scheme
+from agents.settings import Actuator, InverterSettings, Scheme
 from recordings.read.series import RunSeries
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
@@ -109,6 +109,26 @@ def test_loop_and_agents_give_the_same_at_night_with_absurd_inputs_and_into_the_
     oahu: Preparation, scheme: Scheme, odd: Callable[[Preparation], Preparation]
 ) -> None:
     assert_equal(odd(oahu), scheme)
+
+
+FOLLOWS: list[dict[str, object]] = [
+    {"delay_s": 3.0},
+    {"ramp_percent_per_s": 10.0},
+    {"delay_s": 1.0, "ramp_percent_per_s": 20.0},
+    {"settings": (InverterSettings(nodes="c1/*", delay_s=2.0, ramp_percent_per_s=3.0),)},
+]
+
+
+@pytest.mark.parametrize("follows", FOLLOWS, ids=str)
+@pytest.mark.parametrize("actuator", get_args(Actuator))
+@pytest.mark.parametrize("scheme", get_args(Scheme))
+def test_loop_and_agents_give_the_same_where_inverters_follow_late_or_on_a_ramp(
+    oahu: Preparation, scheme: Scheme, actuator: Actuator, follows: dict[str, object]
+) -> None:
+    cycles = oahu.profile.cycles
+    regulation_kw = np.where(np.arange(cycles) // 40 % 2, 1500.0, -1500.0)
+    stepped = with_profile(oahu, regulation_kw=regulation_kw)
+    assert_equal(with_plan(stepped, actuator=actuator, **follows), scheme)
 
 
 def test_loop_and_agents_give_the_same_over_a_long_time_behind_limits() -> None:
