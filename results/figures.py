@@ -188,7 +188,9 @@ def run_figures(series: RunSeries) -> Figures:
     if not known.any():
         raise ValueError("run: expected a cycle with dispatch and production, got none")
     dispatch_kw, available_kw = series.desired_kw[known], series.available_kw[known]
-    delivered_kw, shortfall_kw = series.delivered_kw[known], series.shortfall_kw[known]
+    delivered_kw = series.delivered_kw[known]
+    # From one known cycle to the next: what happened between others is not known.
+    changes_kw = np.diff(np.where(known, series.shortfall_kw, np.nan))
     hours = series.cycle_s / 3600.0
     error_kw = delivered_kw - dispatch_kw
     headroom_kw = np.maximum(available_kw - delivered_kw, 0.0)
@@ -202,7 +204,7 @@ def run_figures(series: RunSeries) -> Figures:
         "unknown-energy": float(np.nansum(series.unknown_kw[known])) * hours or None,
         "rmse": float(np.sqrt(np.mean(error_kw**2))),
         "mae": float(np.mean(np.abs(error_kw))),
-        "mileage": float(np.abs(np.diff(shortfall_kw)).sum()) / (len(shortfall_kw) * hours),
+        "mileage": float(np.nansum(np.abs(changes_kw))) / (int(known.sum()) * hours),
         "curtailed-energy": float(headroom_kw.sum()) * hours,
         "curtailed": _share(headroom_kw.sum(), available_kw.sum()),
         "ancillary-potential": float(potential_kw.sum()) * hours,
@@ -348,20 +350,26 @@ def _grid_ramp_figures(series: RunSeries) -> Figures:
     if min(law.ramp_up_kw, law.ramp_down_kw) == np.inf or series.cycles <= span:
         return {}
 
+    def by_minute(values: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return np.logical_or.reduceat(values, np.arange(0, len(values), span))
+
     def beyond(power_kw: NDArray[np.float64]) -> NDArray[np.bool_]:
         ramp_kw = power_kw[span:] - power_kw[:-span]
         tolerance_kw = _RAMP_TOLERANCE * series.rating_kw
         rises = ramp_kw > law.ramp_up_kw * span + tolerance_kw
         falls = ramp_kw < -law.ramp_down_kw * span - tolerance_kw
-        return np.logical_or.reduceat(rises | falls, np.arange(0, len(ramp_kw), span))
+        return by_minute(rises | falls)
 
-    own_kw = series.delivered_kw - series.response_kw
+    own_kw = np.where(series.known, series.delivered_kw - series.response_kw, np.nan)
     denied_kw = np.maximum(series.desired_kw - series.available_kw, 0.0)
+    counts = by_minute(np.isfinite(own_kw[span:] - own_kw[:-span]))
+    if not counts.any():
+        return {}
     by_control = beyond(own_kw + denied_kw)
     by_clouds = beyond(own_kw) & ~by_control
     return {
-        "ramp-control": 100.0 * float(by_control.mean()),
-        "ramp-clouds": 100.0 * float(by_clouds.mean()),
+        "ramp-control": 100.0 * float(by_control[counts].mean()),
+        "ramp-clouds": 100.0 * float(by_clouds[counts].mean()),
     }
 
 

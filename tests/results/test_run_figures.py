@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from plans_by_hand import plan_of
 from runs_by_hand import RATING_KW, run_of, sine_of_an_hour
 
-from agents.settings import OfferedCommitment
+from agents.settings import GridSettings, OfferedCommitment
 from recordings.read.series import RunSeries
 from results.figures import (
     FIGURES,
@@ -137,6 +137,23 @@ def without(run: RunSeries, cycles: slice, *fields: str) -> RunSeries:
 
 DISPATCH = ("commitment_kw", "regulation_kw")
 PRODUCTION = ("mpp_kw", "power_kw")
+
+
+def test_what_changes_while_cycles_are_unknown_is_no_mileage() -> None:
+    run = run_of([100.0] * 6, 900.0, [90.0, 80.0, 80.0, 20.0, 20.0, 30.0], cycle_s=3600.0)
+    assert run_figures(run)["mileage"] == pytest.approx((10.0 + 60.0 + 10.0) / 6)
+    gap = without(run, slice(2, 3), *PRODUCTION)
+    assert run_figures(gap)["mileage"] == pytest.approx((10.0 + 10.0) / 5)
+
+
+def test_minutes_of_unknown_cycles_count_neither_as_kept_nor_as_too_fast() -> None:
+    # The second of four minutes is too fast, the third is not known.
+    power_kw = np.repeat([100.0, 300.0], [90, 210])
+    grid = GridSettings(ramp_up_kw_per_min=60.0)
+    run = run_of(power_kw, 900.0, power_kw, grid=grid)
+    assert run_figures(run)["ramp-control"] == pytest.approx(50.0)
+    gap = without(run, slice(180, 240), *PRODUCTION)
+    assert run_figures(gap)["ramp-control"] == pytest.approx(100.0)
 
 
 @pytest.mark.parametrize("fields", [DISPATCH, PRODUCTION, DISPATCH + PRODUCTION])
