@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any, Final, TypeVar
 
@@ -52,9 +53,16 @@ def share_work(
             found.append(function(item))
             done()
         return found
-    others = set(multiprocessing.active_children())
     ensure_running()  # Its start unblocks signals, so it must come before we block them.
-    context = multiprocessing.get_context("spawn")
+    context, started = SpawnContext(), list[SpawnProcess]()
+
+    def start(**given: Any) -> SpawnProcess:
+        started.append(SpawnProcess(**given))
+        return started[-1]
+
+    vars(context)["Process"] = (
+        start  # The pool starts its workers by it: so we know which they are.
+    )
     pool = ProcessPoolExecutor(min(workers, len(items)), context, _begin, (function,))
     try:
         # Workers inherit the mask: they never obey the signals that end this process.
@@ -72,7 +80,7 @@ def share_work(
             "a worker was killed, often because memory ran out: try fewer --workers"
         ) from None
     finally:
-        for worker in set(multiprocessing.active_children()) - others:
+        for worker in started:
             worker.kill()
         pool.shutdown(cancel_futures=True)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import psutil
@@ -36,6 +37,21 @@ def test_an_interruption_ends_the_workers() -> None:
     with pytest.raises(KeyboardInterrupt):
         share_work(sleep_for, [(0.0, large), *((600.0, large),) * 9], 2, interrupt)
     assert not [child for child in psutil.Process().children() if "spawn_main" in words(child)]
+
+
+def test_a_child_of_the_program_that_began_meanwhile_is_left_alone() -> None:
+    others: list[SpawnProcess] = []
+
+    def begin_another() -> None:
+        others.append(SpawnProcess(target=time.sleep, args=(600.0,)))
+        others[-1].start()
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        share_work(sleep_for, [(0.0, b"")] * 3, 2, begin_another)
+    (other,) = others
+    assert other.is_alive()
+    other.kill()
 
 
 def words(one: psutil.Process) -> str:
