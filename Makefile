@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test docs results figures pictures golden check check-scripts format bench bench-peers bench-study soak clean
+.PHONY: help setup run test docs results figures pictures golden check check-scripts format bench bench-peers bench-study campaign soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -84,7 +84,10 @@ pictures: $(READY) ## the pictures of README that are drawn from runs
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py
 
-soak: $(READY) ## long runs: a random kill or cut every 5 s for SOAK_S (1800) s; the recorder killed 20 times; other random examples
+campaign: $(READY) ## random faults on nine small plants, judged cycle by cycle: SEEDS=1..1000; two minutes of processor time for 100
+	PYTHONPATH=$(CURDIR):$(CURDIR)/tests $(BIN)/python tests/campaign/campaign.py $(or $(SEEDS),1..100)
+
+soak: $(READY) ## long runs: a random kill or cut every 5 s for SOAK_S (1800) s; the recorder killed 20 times; planted bugs; other random examples
 	$(BIN)/pytest -m soak
 	$(BIN)/pytest --hypothesis-profile others tests/agents tests/bus_schemas tests/recordings tests/studies
 

@@ -81,7 +81,7 @@ class MemoryRun:
         self.loops = {agent.name: Loop(agent, self.plan) for agent in team}
         self.driver = Driver(self.loops.values(), self.bus, clock or time.monotonic_ns)
         self._clock = clock
-        self._due: list[tuple[int, int, Callable[[], None]]] = []
+        self._due: list[tuple[int, int, Callable[[], object]]] = []
         self._numbers = count()
         for incident in incidents(plan.faults.rules, plan.tree, plan.wiring):
             self.at(incident.time_s, partial(self._apply, incident))
@@ -120,13 +120,13 @@ class MemoryRun:
         loops = self.driver.loops.values()
         return self.loops[PLANT].finished and all(one.finished or one.cycle < 0 for one in loops)
 
-    def at(self, time_s: float, act: Callable[[], None]) -> None:
+    def at(self, time_s: float, act: Callable[[], object]) -> None:
         """Do something at a simulated time since cycle 0 [s], by the virtual clock."""
         # A cycle of the virtual clock may be longer or shorter than in simulated time.
         scale = self.plan.timing.cycle_wall_ns / self.plan.timing.cycle_ns
         heappush(self._due, (round(time_s * 1e9 * scale), next(self._numbers), act))
 
-    def after(self, wait_s: float, act: Callable[[], None]) -> None:
+    def after(self, wait_s: float, act: Callable[[], object]) -> None:
         """Do something after a time of the virtual clock [s]."""
         due_ns = self.driver.now_ns() + round(wait_s * 1e9)
         heappush(self._due, (due_ns, next(self._numbers), act))
