@@ -211,31 +211,27 @@ class Access(msgspec.Struct, frozen=True, kw_only=True):
 
     namespace: Prefix of the run's keys. Empty: the `run_id`, so that two runs never meet.
     external: Agents that the launcher waits for: the user's own devices.
-    tcp_ports: Port of each agent that listens. Empty in memory.
-    agent_ports: Without keys, beside devices: the ports where the other agents link with each
-        other. Devices, which have no password, connect to `tcp_ports`.
+    tcp_ports: Port of each agent that listens. Empty where no link leaves the host, and in memory.
+    sockets: Folder of the sockets on which agents link without keys, which nobody but their user
+        can enter; devices connect to `tcp_ports`. Empty: all links are TCP.
     address, addresses: Where the agents listen, and those that run on other hosts.
     keys_folder: Folder of the agents' certificates; empty: the links are not encrypted.
-    secret, users_file: What ids and passwords of the agents' sessions are made from, and the file
-        of passwords: without keys, a program with one of them may publish as any agent. Empty: any
-        program may.
     """
 
     namespace: str = ""
     external: tuple[str, ...] = ()
     tcp_ports: dict[str, int] = {}
-    agent_ports: dict[str, int] = {}
+    sockets: str = ""
     address: str = "127.0.0.1"
     addresses: dict[str, str] = {}
     keys_folder: str = ""
-    secret: str = ""
-    users_file: str = ""
 
-    def host_of(self, process: str) -> str:
-        """Protocol and address at which a process listens, as Zenoh's endpoints begin."""
+    def endpoint(self, process: str) -> str:
+        """Where a process listens on the network, as Zenoh writes it."""
         address = self.addresses.get(process, self.address)
         bracketed = f"[{address}]" if ":" in address else address
-        return f"{'tls' if self.keys_folder else 'tcp'}/{bracketed}"
+        protocol = "tls" if self.keys_folder else "tcp"
+        return f"{protocol}/{bracketed}:{self.tcp_ports[process]}"
 
 
 class Faults(msgspec.Struct, frozen=True):
@@ -416,7 +412,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @property
     def public(self) -> RunPlan:
         """The plan without what the agents of the run prove themselves by."""
-        return changed(self, access={"secret": "", "users_file": "", "keys_folder": ""})
+        return changed(self, access={"sockets": "", "keys_folder": ""})
 
     @property
     def bus_namespace(self) -> str:

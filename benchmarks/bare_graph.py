@@ -253,7 +253,8 @@ def run(graph: Graph, cycles: int) -> dict[str, object]:
         ports = stack.enter_context(reserved_ports(links.listening))
         for name, role in roles.items():
             child, parent = fork.Pipe()
-            ends, peers = links.endpoints(name, ports), links.peers(name)
+            ends = links.endpoints(name, lambda one: f"tcp/127.0.0.1:{ports[one]}")
+            peers = links.peers(name)
             settings = SessionSettings("bare", *ends, peers=peers)
             process = fork.Process(target=live, args=(settings, name, role, parent), name=name)
             stack.callback(end, process)

@@ -169,7 +169,7 @@ class Wiring:
 
 @dataclass(frozen=True)
 class Links:
-    """The TCP links of a run, or some of them.
+    """The links of a run, or some of them.
 
     pairs: (listening process, connecting process). The one nearer to the top of the list of agents
         listens, so that few ports are needed and no inverter needs one.
@@ -182,14 +182,12 @@ class Links:
         return tuple(dict.fromkeys(listener for listener, _ in self.pairs))
 
     def endpoints(
-        self,
-        agent: str,
-        tcp_ports: Mapping[str, int],
-        host_of: Callable[[str], str] = lambda agent: "tcp/127.0.0.1",
+        self, agent: str, endpoint_of: Callable[[str], str]
     ) -> tuple[list[str], list[str]]:
+        """Return where a process listens, and where it connects."""
         tops = [top for top, below in self.pairs if below == agent]
-        listens = [f"{host_of(agent)}:{tcp_ports[agent]}"] if agent in self.listening else []
-        return listens, [f"{host_of(top)}:{tcp_ports[top]}" for top in tops]
+        listens = [endpoint_of(agent)] if agent in self.listening else []
+        return listens, [endpoint_of(top) for top in tops]
 
     def peers(self, agent: str) -> tuple[str, ...]:
         linked = [pair for pair in self.pairs if agent in pair]

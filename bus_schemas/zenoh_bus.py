@@ -1,4 +1,4 @@
-"""The bus between processes: one Zenoh session for each process, over TCP on the loopback address.
+"""The bus between processes: one Zenoh session for each process, and one more beside devices.
 
 Zenoh calls us on its own thread: the callback appends to a queue, and wakes the agent's thread or
 acts itself (`agents.eager_driver`). See docs/decisions for what was measured.
@@ -54,9 +54,8 @@ class ZenohBus(AgentSessions):
         settings: SessionSettings,
         patience_s: float,
         clock: HostClock | None = None,
-        starts: int = 0,
     ) -> None:
-        super().__init__(wiring, settings, starts)
+        super().__init__(wiring, settings)
         self.now_ns = time.monotonic_ns if clock is None else clock.now_ns
         self._clock = clock
         self.inbox = Inbox()

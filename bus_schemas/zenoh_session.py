@@ -9,7 +9,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,6 +45,9 @@ _MOST_LINKS: Final = 10_000
 
 LONGEST_LEASE_S: Final = 60.0
 
+SOCKET: Final = "unixsock-stream"
+"""Zenoh's protocol for sockets of this host. A path has 107 characters at most."""
+
 
 @dataclass(frozen=True)
 class KeyFiles:
@@ -62,7 +65,6 @@ class KeyFiles:
     def config(self) -> dict[str, object]:
         """Return Zenoh's settings for links of TLS on which both ends show their certificate."""
         return {
-            "transport/link/protocols": ["tls"],
             "transport/link/tls": {
                 "root_ca_certificate": str(self.authority),
                 "listen_certificate": str(self.certificate),
@@ -86,10 +88,9 @@ class SessionSettings:
         that cannot go out within 20 ms is dropped instead.
     lease_s: How long nothing may come over a link before both ends close it.
     open_s: How long a link may take to open. After that, the end that connects tries anew.
-    ids: Session ids of an agent's processes, one after the other; empty: any.
     further: Further settings, by Zenoh's own names.
     peers: Agents at the other ends of its links.
-    devices: Of the agent's second session, for devices, which have no password; None: no devices.
+    devices: Of the agent's second session, for devices; None: no devices.
     """
 
     namespace: str
@@ -98,15 +99,24 @@ class SessionSettings:
     lockstep: bool = True
     lease_s: float = LONGEST_LEASE_S
     open_s: float = LONGEST_LEASE_S
-    ids: tuple[str, ...] = ()
     further: dict[str, object] = field(default_factory=dict)
     peers: tuple[str, ...] = ()
     devices: SessionSettings | None = None
 
-    def config(self, starts: int = 0) -> zenoh.Config:
+    @property
+    def tcp_ports(self) -> Set[int]:
+        """The ports at which it listens on the network, or connects to."""
+        own = {
+            int(end.rpartition(":")[2])
+            for end in (*self.listen, *self.connect)
+            if not end.startswith(SOCKET)
+        }
+        return own if self.devices is None else own | self.devices.tcp_ports
+
+    def config(self) -> zenoh.Config:
         """Return the settings of a process's session, as Zenoh takes them."""
         config = zenoh.Config()
-        lease_ms = round(self.lease_s * 1e3)
+        lease_ms, ends = round(self.lease_s * 1e3), (*self.listen, *self.connect)
         settings: dict[str, object] = {
             "mode": "peer",
             "namespace": self.namespace,
@@ -135,45 +145,43 @@ class SessionSettings:
             "transport/link/tx/queue/size/data": 16,
             "transport/link/tx/lease": lease_ms,
             "transport/link/rx/max_message_size": LARGEST_PAYLOAD,
-            "transport/link/protocols": ["tcp"],
+            "transport/link/protocols": sorted({end.partition("/")[0] for end in ends}) or ["tcp"],
         }
         if self.lockstep:
             # By default a listener who stands still for 5 s is cut off, and lacks what is sent.
             settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = (
                 lease_ms * 1000
             )
-        if self.ids:
-            settings["id"] = self.ids[starts % len(self.ids)]
         for key, value in (settings | self.further).items():
             config.insert_json5(key, json.dumps(value))
         return config
 
 
-def open_session(settings: SessionSettings, starts: int = 0) -> zenoh.Session:
-    """Open an agent's session; `starts`: how many processes the agent had before."""
+def open_session(settings: SessionSettings) -> zenoh.Session:
     os.environ.setdefault("ZENOH_RUNTIME", ZENOH_RUNTIME)
-    return zenoh.open(settings.config(starts))
+    return zenoh.open(settings.config())
 
 
-def _links() -> Iterator[socket.socket]:
-    """Yield a copy of each TCP link of this process."""
+def _links(ports: Set[int]) -> Iterator[socket.socket]:
+    """Yield a copy of each TCP link of this process that has one of some ports at either end."""
     for entry in Path("/proc/self/fd").iterdir():
         with suppress(OSError):  # Closed in the meantime, or not connected.
             if not str(entry.readlink()).startswith("socket:"):
                 continue
             with socket.socket(fileno=os.dup(int(entry.name))) as link:
-                if link.type == socket.SOCK_STREAM and link.family != socket.AF_UNIX:
-                    link.getpeername()
+                if link.family == socket.AF_UNIX or link.type != socket.SOCK_STREAM:
+                    continue
+                if not ports.isdisjoint((link.getsockname()[1], link.getpeername()[1])):
                     yield link
 
 
-def _keep_from_lingering(is_over: threading.Event, every_s: float) -> None:
+def _keep_from_lingering(ports: Set[int], is_over: threading.Event, every_s: float) -> None:
     """See again and again that no link blocks Zenoh's only thread for 10 s when it closes.
 
     Zenoh sets SO_LINGER to 10 s: one peer that does not acknowledge would silence all others.
     """
     while not is_over.wait(every_s):
-        for link in _links():
+        for link in _links(ports):
             link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", False, 0))
 
 
@@ -205,28 +213,25 @@ class TokenWatch:
 
 
 class AgentSessions:
-    """An agent's session, and that with devices if it has one, open until the context is left.
+    """An agent's session, and that with devices if it has one, open until the context is left."""
 
-    starts: How many processes the agent had before.
-    """
-
-    def __init__(self, wiring: Wiring, settings: SessionSettings, starts: int = 0) -> None:
+    def __init__(self, wiring: Wiring, settings: SessionSettings) -> None:
         self.outbox = Outbox()
         self._wiring = wiring
         self._settings = settings
-        self._sessions = [open_session(settings, starts)]
+        self._sessions = [open_session(settings)]
         # A subscriber, queryable or token ends with the last reference to it.
         self._declared: list[object] = []
         self._is_over = threading.Event()
         if settings.devices is not None:
             try:
-                self._sessions.append(open_session(settings.devices, starts))
+                self._sessions.append(open_session(settings.devices))
             except zenoh.ZError:
                 self._close()
                 raise
-        threading.Thread(
-            target=_keep_from_lingering, args=(self._is_over, settings.lease_s / 4.0), daemon=True
-        ).start()
+        if ports := settings.tcp_ports:
+            words = ports, self._is_over, settings.lease_s / 4.0
+            threading.Thread(target=_keep_from_lingering, args=words, daemon=True).start()
 
     def __enter__(self) -> Self:
         return self
@@ -262,10 +267,8 @@ class RunSubscriber(AgentSessions):
     When it is full, publishers wait or drop, see `SessionSettings.lockstep`.
     """
 
-    def __init__(
-        self, agent: str, wiring: Wiring, settings: SessionSettings, starts: int = 0
-    ) -> None:
-        super().__init__(wiring, settings, starts)
+    def __init__(self, agent: str, wiring: Wiring, settings: SessionSettings) -> None:
+        super().__init__(wiring, settings)
         self._subscribers = [
             session.declare_subscriber(
                 f"{wiring.plant}/**",

@@ -14,6 +14,7 @@ import gc
 import logging
 import os
 import select
+import shutil
 import signal
 import socket
 import sys
@@ -90,6 +91,8 @@ class ForkServer:
             time.sleep(0.01)
         for pid in self._pids:
             os.kill(pid, signal.SIGKILL)
+        if self._run is not None and self._run[0].access.sockets:  # The launcher may be dead.
+            shutil.rmtree(self._run[0].access.sockets, ignore_errors=True)
 
     def _do_next(self) -> bool:
         """Do what the launcher asks next; return False if it is gone."""

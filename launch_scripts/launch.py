@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -48,6 +51,9 @@ _STOP_S: Final = 5.0
 _GATHER_S: Final = 0.5
 """After the first event of a stall, beside the time that each agent waits before it says so: for
 the others to say what they wait for. Who lives and waits must not be killed."""
+
+_LONGEST_PARENT: Final = 70
+"""Of the folder of sockets: a socket's path has 107 characters at most."""
 
 _UNKNOWN: Final = 1 << 62
 """More messages than any run has."""
@@ -297,10 +303,8 @@ def _directions(plan: RunPlan, plan_path: Path, timeout_s: float) -> Iterator[st
 
 
 def _links(plan: RunPlan, agent: str) -> str:
-    listeners = {
-        f"{plan.access.host_of(name)}:{port}": name for name, port in plan.access.tcp_ports.items()
-    }
-    listens, connects = plan.links.endpoints(agent, plan.access.tcp_ports, plan.access.host_of)
+    listeners = {plan.access.endpoint(name): name for name in plan.access.tcp_ports}
+    listens, connects = plan.links.endpoints(agent, plan.access.endpoint)
     targets = ", ".join(f"{end} ({listeners[end]})" for end in connects)
     parts = [f"listens on {', '.join(listens)}"] if listens else []
     parts += [f"connects to {targets}"] if targets else []
@@ -327,6 +331,19 @@ def check_processes(plan: RunPlan) -> None:
         check_keys(plan)
 
 
+@contextmanager
+def private_folder() -> Iterator[str]:
+    """Make a folder of sockets that nobody but the user can enter; its path is short."""
+    parent = os.environ.get("XDG_RUNTIME_DIR", "")
+    if not os.access(parent, os.W_OK) or len(parent) > _LONGEST_PARENT:
+        parent = "/tmp"
+    folder = tempfile.mkdtemp(prefix="heliarch-", dir=parent)  # Its mode is 0700.
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def launch(
     preparation: Preparation,
     folder: RunFolder,
@@ -339,18 +356,18 @@ def launch(
     The user asked for it at `began_at`, monotonic [s].
     """
     base_port, plan = preparation.options.base_port, preparation.plan
-    agents, further = listening(plan)
-    further_port = None if base_port is None else base_port + len(agents)
     refused = refusals(plan.supervision.machine, lockstep=plan.timing.lockstep)
     for line in refused:
         view.say(line)
     with (
         GatewayProcess(plan) if plan.site.devices else nullcontext() as gateway,
-        reserved_ports(agents, base_port, plan.access.address, plan.access.external) as tcp_ports,
-        reserved_ports(further, further_port, plan.access.address) as agent_ports,
+        reserved_ports(
+            listening(plan), base_port, plan.access.address, plan.access.external
+        ) as tcp_ports,
+        private_folder() as sockets,
         interruptible() as interruption,
     ):
-        plan = folder.fill(preparation, tcp_ports, agent_ports)
+        plan = folder.fill(preparation, tcp_ports, "" if plan.access.keys_folder else sockets)
         remarks = (*preparation.remarks, *refused)
         account = RunAccount(
             replace(preparation, plan=plan, remarks=remarks), folder, "launch", began_at

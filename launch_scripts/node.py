@@ -51,8 +51,7 @@ def run_share(
                     raise processes.failure(process.name, text)
             if not processes.has_begun and all(process.is_there for process in own):
                 processes.begin(time.monotonic())
-                where = f"{plan.access.host_of(PLANT)}:{plan.access.tcp_ports[PLANT]}"
-                say(f"all are ready for the plant at {where}")
+                say(f"all are ready for the plant at {plan.access.endpoint(PLANT)}")
         processes.await_end(own, 10.0)
         given_up = processes.given_up
     if given_up:

@@ -9,7 +9,6 @@ from datetime import datetime
 from pathlib import Path
 
 from agents.plan import RunPlan, changed
-from agents.process.session import users
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.whole_file import named_in_errors, whole_file
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
@@ -38,25 +37,15 @@ class RunFolder:
             raise InputError.of("--out", f"expected a new or empty folder, {got}") from None
 
     def fill(
-        self,
-        preparation: Preparation,
-        tcp_ports: dict[str, int],
-        agent_ports: dict[str, int] | None = None,
+        self, preparation: Preparation, tcp_ports: dict[str, int], sockets: str = ""
     ) -> RunPlan:
         """Write what the processes need; return the plan with its ports.
 
         The plan comes last: a device may be waiting for it to appear.
         """
         self.make()
-        plan = preparation.plan
+        plan = changed(preparation.plan, access={"tcp_ports": tcp_ports, "sockets": sockets})
         with named_in_errors(self.path):
-            if tcp_ports:
-                file = self.path.absolute() / "users"
-                new = {"secret": secrets.token_hex(16), "users_file": str(file)}
-                ports = {"tcp_ports": tcp_ports, "agent_ports": agent_ports or {}}
-                plan = changed(plan, access=ports | new)
-                file.touch(mode=0o600)
-                file.write_text(users(plan), encoding="utf-8")
             preparation.profile.save(self.path / PROFILE_NAME)
             (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
             self.write_plan(plan)
@@ -71,7 +60,7 @@ class RunFolder:
             file.write(document + b"\n")
 
     def write_plan(self, plan: RunPlan) -> None:
-        """Write the plan at once. It lets a program join the run: it is for the user alone."""
+        """Write the plan at once, for the user alone."""
         with whole_file(self.plan, mode=0o600) as file:
             file.write(plan.as_json())
 

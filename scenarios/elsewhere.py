@@ -42,15 +42,14 @@ def external_agents(external: Sequence[str], tree: ControlTree) -> tuple[str, ..
     return tuple(agent for agent in team if agent in external)
 
 
-def listening(plan: RunPlan) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the agents that need a port, and those that need a second one, beside devices."""
-    has_second = plan.access.external and not plan.access.keys_folder
-    return plan.links.listening, plan.agent_links.listening if has_second else ()
+def listening(plan: RunPlan) -> tuple[str, ...]:
+    """Return the agents that need a TCP port: none where all links are sockets of this host."""
+    return plan.links.listening if plan.access.external or plan.access.keys_folder else ()
 
 
 def check_base_port(base_port: int, plan: RunPlan) -> None:
     """Refuse ports that do not exist or are reserved for the system."""
-    last = base_port + sum(map(len, listening(plan))) - 1
+    last = base_port + len(plan.links.listening) - 1
     if base_port not in _PORTS or last not in _PORTS:
         raise InputError.of(
             "--base-port",
@@ -76,14 +75,10 @@ def addresses_of(
         agents = find_agents(tree, names, where)
         if not agents:
             raise InputError.of(where, "expected ADDRESS=AGENTS such as 10.0.0.2=c2/*")
-        if not ip_address(address).is_loopback:
-            if not secure:
-                why = "an address that others can reach"
-                raise InputError.of(where, f"expected --secure with {why}")
-            if ip_address(own).is_loopback:
-                raise InputError.of(
-                    where, f"expected --address with this host's address, got {own}"
-                )
+        if not secure:
+            raise InputError.of(where, "expected --secure with agents on another host")
+        if not ip_address(address).is_loopback and ip_address(own).is_loopback:
+            raise InputError.of(where, f"expected --address with this host's address, got {own}")
         for agent in agents:
             if agent == PLANT:
                 raise InputError.of(where, "expected controllers, got plant, which stays here")

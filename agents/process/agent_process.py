@@ -168,7 +168,6 @@ class AgentProcess:
             session_settings(plan, name),
             patience_s=min(plan.timing.stall_timeout_s / 2.0, BEAT_S),
             clock=HostClock() if is_away else None,
-            starts=link.starts,
         )
         loops = [Loop(agent, plan, log_drop) for agent in agents]
         self.loop = loops[0]

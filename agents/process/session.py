@@ -7,15 +7,19 @@ other end has published whatever comes over a link.
 from __future__ import annotations
 
 import hashlib
+import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 from agents.plan import RunPlan
+from bus_schemas.errors import InputError
 from bus_schemas.tree import RECORDER
 from bus_schemas.wiring import Links
 from bus_schemas.zenoh_session import (
     LONGEST_LEASE_S,
+    SOCKET,
     SUBSCRIBER_BATCH_BYTES,
     KeyFiles,
     SessionSettings,
@@ -34,9 +38,6 @@ cut off is heard 5 s after its link has healed. Among 1,000 inverters a short le
 processor, and plant and recorder open 1,000 links one after the other. In lockstep a link that
 closes loses what others wait for: both times are 60 s."""
 
-_IDS = 32
-"""Session ids of each agent that listens, for its processes one after the other."""
-
 _LONGEST_COMMON_NAME = 64
 """Characters, by RFC 5280."""
 
@@ -48,8 +49,10 @@ program: the recorder accepts all messages, so that it can name the senders of f
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     """Return how a process of the plan joins the bus.
 
-    With keys, a certificate names the agent at the other end of a link. Without, every process of
-    ours has a password. A run that was set up by hand has neither: any program may join.
+    With keys, a certificate names the agent at the other end of a link. Without, processes of ours
+    link on sockets that no other user can reach. A device cannot, so an agent that talks to one has
+    a second session for it, on TCP, in which any program may say what the device may. A run that
+    was set up by hand has neither keys nor sockets: any program may join.
     """
     links, access = plan.links, plan.access
     if access.keys_folder:
@@ -57,44 +60,28 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
         subjects: Subjects = {
             peer: {"cert_common_names": [common_name(peer)]} for peer in links.peers(agent)
         }
-        return _settings(plan, agent, links, access.tcp_ports, subjects, keys.config())
-    if access.secret:
-        return _with_passwords(plan, agent)
-    return _settings(plan, agent, links, access.tcp_ports)
-
-
-def _with_passwords(plan: RunPlan, agent: str) -> SessionSettings:
-    """Ask every process of ours for its password.
-
-    The side that connects proves itself by its password, the side that listens by the id of its
-    session. A session asks every program that connects, or none. Devices have no password, so an
-    agent that talks to one has a second session for it, in which a device looks like a stranger.
-    """
-    links, access = plan.agent_links, plan.access
-    subjects: Subjects = {
-        top: {"zids": [*session_ids(access.secret, top)]}
-        for top, below in links.pairs
-        if below == agent
-    }
-    subjects |= {below: {"usernames": [below]} for top, below in links.pairs if top == agent}
-    own: dict[str, object] = {
-        "transport/auth/usrpwd/user": agent,
-        "transport/auth/usrpwd/password": password(access.secret, agent),
-    }
-    if agent in links.listening:  # Others can start again after the run's folder was removed.
-        own["transport/auth/usrpwd/dictionary_file"] = access.users_file
-    ports = access.agent_ports or access.tcp_ports
-    settings = _settings(plan, agent, links, ports, subjects | {"": {}}, own)
-    if agent in links.listening:
-        settings = replace(settings, ids=session_ids(access.secret, agent))
-    without_devices = {*links.pairs}
-    to_devices = Links(tuple(pair for pair in plan.links.pairs if pair not in without_devices))
+        return _settings(plan, agent, links, access.endpoint, subjects, keys.config())
+    if not access.sockets:
+        return _settings(plan, agent, links, access.endpoint)
+    own = plan.agent_links
+    to_devices = Links(tuple(pair for pair in links.pairs if pair not in {*own.pairs}))
     devices = to_devices.peers(agent)
-    if not devices:
-        return settings
     any_program: Subjects = {peer: {} for peer in ("", *devices)}
-    second = _settings(plan, agent, to_devices, access.tcp_ports, any_program)
-    return replace(settings, devices=second)
+    second = _settings(plan, agent, to_devices, access.endpoint, any_program)
+    if agent in access.external:
+        return second
+    check_sockets(Path(access.sockets))
+    names = {name: str(number) for number, name in enumerate(plan.processes)}
+    settings = _settings(plan, agent, own, lambda name: f"{SOCKET}/{access.sockets}/{names[name]}")
+    return replace(settings, devices=second) if devices else settings
+
+
+def check_sockets(folder: Path) -> None:
+    """Make a folder of sockets if it is not there; refuse one that another user can enter."""
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.stat()
+    if found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise InputError(f"{folder}: expected a folder that its user alone can enter")
 
 
 class LinkTimes(NamedTuple):
@@ -118,11 +105,11 @@ def _settings(
     plan: RunPlan,
     agent: str,
     links: Links,
-    tcp_ports: dict[str, int],
+    endpoint_of: Callable[[str], str],
     subjects: Subjects | None = None,
     further: dict[str, object] | None = None,
 ) -> SessionSettings:
-    listen, connect = links.endpoints(agent, tcp_ports, plan.access.host_of)
+    listen, connect = links.endpoints(agent, endpoint_of)
     largest_bytes = _LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters)
     further = {"transport/link/rx/max_message_size": largest_bytes, **(further or {})}
     lease_s, open_s = link_times(plan)
@@ -191,28 +178,6 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
         "subjects": [{"id": name, **subject} for name, subject in known.items()],
         "policies": policies,
     }
-
-
-def session_ids(secret: str, agent: str) -> tuple[str, ...]:
-    """Return the Zenoh ids of an agent's processes, one after the other.
-
-    A program that connects to the agent learns the one in use. Two sessions with one id cannot be
-    linked with the same peer, and a peer may take an old one for alive as long as its lease lasts.
-    """
-    # Zenoh accepts no leading zero.
-    return tuple(f"a{_digest(secret, f'id {number} of {agent}')}" for number in range(_IDS))
-
-
-def password(secret: str, agent: str) -> str:
-    return _digest(secret, f"password of {agent}")
-
-
-def users(plan: RunPlan) -> str:
-    return "".join(f"{agent}:{password(plan.access.secret, agent)}\n" for agent in plan.processes)
-
-
-def _digest(secret: str, text: str) -> str:
-    return hashlib.blake2b(text.encode(), key=secret.encode(), digest_size=15).hexdigest()
 
 
 def common_name(agent: str) -> str:

@@ -55,7 +55,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
 
         # The bus comes first: messages wait in it, and no process waits for a file.
         settings = session_settings(plan, RECORDER)
-        with RunSubscriber(RECORDER, plan.wiring, settings, link.starts) as subscriber:
+        with RunSubscriber(RECORDER, plan.wiring, settings) as subscriber:
             link.tell(Joined())
             if not plan.timing.lockstep:
                 stand_back()

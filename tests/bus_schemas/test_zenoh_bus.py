@@ -99,7 +99,7 @@ class Proxy:
 
 
 def test_a_process_that_starts_again_is_heard_beside_the_old_links_of_its_agent() -> None:
-    wiring, ids = Wiring("pair", TREE), ("a1", "a2")
+    wiring = Wiring("pair", TREE)
     with ExitStack() as stack:
         (port,) = stack.enter_context(reserved_ports([PLANT])).values()
         plant = stack.enter_context(
@@ -107,10 +107,10 @@ def test_a_process_that_starts_again_is_heard_beside_the_old_links_of_its_agent(
         )
         heard = plant.declare_subscriber(wiring.key(IMPP.of("a")))
         proxy = Proxy(port)
-        settings = SessionSettings("cut", [], [proxy.endpoint], ids=ids)
+        settings = SessionSettings("cut", [], [proxy.endpoint])
         until_heard(stack.enter_context(ZenohBus("a", wiring, settings, 60)), heard)
         proxy.cut()
-        bus = stack.enter_context(ZenohBus("a", wiring, settings, 60, starts=1))
+        bus = stack.enter_context(ZenohBus("a", wiring, settings, 60))
         while heard.try_recv() is not None:
             pass
         until_heard(bus, heard)

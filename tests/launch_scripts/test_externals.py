@@ -49,5 +49,5 @@ def test_a_plan_appears_whole_after_all_that_it_refers_to(
     preparation = prepare(load_scenario("oahu"), RunOptions(duration="10"), "run-1")
     plan = folder.fill(preparation, {"plant": 7501})
     finished = [name for name in there_before if not name.endswith(".unfinished")]
-    assert finished == ["logs", "profile.npz", "scenario.toml", "users"]
+    assert finished == ["logs", "profile.npz", "scenario.toml"]
     assert load_plan(folder.plan) == plan

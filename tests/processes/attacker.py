@@ -36,8 +36,7 @@ class Attacker:
         self.plan = plan
         self.heard: list[str] = []
         self._sessions = []
-        for port in (*plan.access.tcp_ports.values(), *plan.access.agent_ports.values()):
-            endpoint = f"tcp/127.0.0.1:{port}"
+        for endpoint in map(plan.access.endpoint, plan.access.tcp_ports):
             config = SessionSettings(plan.bus_namespace, [], [endpoint]).config()
             session = stack.enter_context(zenoh.open(config))
             self._sessions.append(session)

@@ -8,8 +8,10 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
+from command_line import done
 
 _PROCESS_ID = r".*:(\d+) +.*:(\d+) +users:.*pid={},"
 
@@ -47,6 +49,13 @@ class Network:
 
     def heal(self) -> None:
         self.run("iptables", "-F")
+
+
+def over_tcp(scenario: str, folder: Path) -> tuple[str, ...]:
+    """Return the options of a run with keys, whose links are all TCP and can be cut."""
+    pytest.importorskip("cryptography")
+    done("keys", scenario, "--out", str(folder))
+    return ("--secure", "--keys", str(folder))
 
 
 @contextmanager

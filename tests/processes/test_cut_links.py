@@ -1,4 +1,4 @@
-"""Links that packets do not get over: no healthy process is killed, and no run ends for it.
+"""Links over TCP that packets do not get over: no run ends for it, and all hear each other again.
 
 `pytest -m soak -s tests/processes/test_cut_links.py` prints the table of docs/resilience.md.
 """
@@ -9,10 +9,11 @@ import signal
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from cut_network import Network, network_of_its_own
+from cut_network import Network, network_of_its_own, over_tcp
 from running import Heliarch, Start
 from test_launch import summary_of
 
@@ -106,7 +107,7 @@ class Outcome(NamedTuple):
 
 
 def outcome(
-    start: Start, network: Network, scenario: str, cut: Cut, words: tuple[str, ...] = ()
+    start: Start, network: Network, scenario: str, cut: Cut, words: tuple[str, ...]
 ) -> Outcome:
     """Run a scenario for as long as a cut takes, with a while before and after it."""
     duration_s = round(BEFORE_S + cut.seconds + AFTER_S)
@@ -173,9 +174,10 @@ def judged(run: Heliarch, plan: RunPlan, status: int, healed_ns: int) -> Outcome
 
 
 def test_a_controller_that_is_killed_while_its_links_look_whole_is_heard_again_and_so_are_all(
-    heliarch: Start, network: Network, plant: str
+    heliarch: Start, network: Network, plant: str, tmp_path: Path
 ) -> None:
-    run = heliarch("launch", plant, "--pace", "5", "--duration", "1h", network=network.name)
+    words = ("--pace", "5", "--duration", "1h", *over_tcp(plant, tmp_path / "keys"))
+    run = heliarch("launch", plant, *words, network=network.name)
     run.until_recorded(5)
     network.cut_links(run.process_of(LEAF).pid)
     run.process_of(LEAF).kill()
@@ -188,9 +190,13 @@ def test_a_controller_that_is_killed_while_its_links_look_whole_is_heard_again_a
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("cut", CUTS, ids=lambda cut: f"{cut.what}-{cut.seconds:g}")
 def test_a_cut_ends_no_run_and_kills_nobody(
-    heliarch: Start, network: Network, cut: Cut, capsys: pytest.CaptureFixture[str]
+    heliarch: Start,
+    network: Network,
+    cut: Cut,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    found = outcome(heliarch, network, "oahu", cut)
+    found = outcome(heliarch, network, "oahu", cut, over_tcp("oahu", tmp_path / "keys"))
     with capsys.disabled():
         print(found.row(cut))
     # A process that no listener hears for longer than a dead link needs is started again.

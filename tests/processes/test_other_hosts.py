@@ -28,20 +28,33 @@ SECOND = "127.0.0.2"
 """On one machine, another address of the loopback interface stands for another host."""
 
 
+@pytest.fixture
+def secure(plant: str, tmp_path: Path) -> tuple[str, ...]:
+    """Options of a run with keys for both hosts."""
+    pytest.importorskip("cryptography")
+    done("keys", plant, "--address", SECOND, "--out", str(tmp_path / "keys"))
+    return ("--secure", "--keys", str(tmp_path / "keys"))
+
+
 def node(heliarch: Start, run: Heliarch, host: str) -> Heliarch:
     """Start the other host's share of a run that is launched."""
     plan = run.folder / "plan.json"
     run.until(plan.exists, "a plan")
-    return heliarch("node", "--plan", str(plan), "--host", host)
+    keys = str(run.folder.parent / "keys")
+    return heliarch("node", "--plan", str(plan), "--host", host, "--keys", keys)
 
 
 @pytest.mark.parametrize(
     ("grouped", "logs"), [((), {"c2", "c2.inv03", "c2.inv04"}), (GROUPED, {"c2"})]
 )
 def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
-    heliarch: Start, plant: str, grouped: Sequence[str], logs: set[str]
+    heliarch: Start,
+    plant: str,
+    secure: tuple[str, ...],
+    grouped: Sequence[str],
+    logs: set[str],
 ) -> None:
-    lockstep = ("--duration", "25", "--seed", "3", "--scheme", "paper", *grouped)
+    lockstep = ("--duration", "25", "--seed", "3", "--scheme", "paper", *grouped, *secure)
     run = heliarch("launch", plant, *lockstep, "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)
     assert run.wait() == 0, run.error_text()
@@ -56,10 +69,10 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
 
 
 def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
-    heliarch: Start, plant: str
+    heliarch: Start, plant: str, secure: tuple[str, ...]
 ) -> None:
     settings = ("--set", "restart.frozen_s=2")
-    words = ("--duration", "1h", "--pace", "2", *settings)
+    words = ("--duration", "1h", "--pace", "2", *settings, *secure)
     run = heliarch("launch", plant, *words, "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)
     run.until_running()
@@ -80,9 +93,9 @@ def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(
 
 
 def test_agents_end_when_the_plant_disappears_also_while_their_node_stands_still(
-    heliarch: Start, plant: str
+    heliarch: Start, plant: str, secure: tuple[str, ...]
 ) -> None:
-    run = heliarch("launch", plant, "--duration", "12h", "--on", f"{SECOND}=c2/*")
+    run = heliarch("launch", plant, "--duration", "12h", *secure, "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)
     run.until_running()
     agents = [other.process_of(name) for name in ("c2", "c2/inv03", "c2/inv04")]
@@ -96,9 +109,10 @@ def test_agents_end_when_the_plant_disappears_also_while_their_node_stands_still
 
 @pytest.mark.soak  # It waits for the 60 s that a plant may be away.
 def test_agents_that_are_started_again_after_the_plant_has_gone_end(
-    heliarch: Start, plant: str
+    heliarch: Start, plant: str, secure: tuple[str, ...]
 ) -> None:
-    run = heliarch("launch", plant, "--duration", "1h", "--pace", "2", "--on", f"{SECOND}=c2/*")
+    words = ("--duration", "1h", "--pace", "2", *secure, "--on", f"{SECOND}=c2/*")
+    run = heliarch("launch", plant, *words)
     other = node(heliarch, run, SECOND)
     run.until_running()
     agents = [other.process_of(name) for name in ("c2", "c2/inv03", "c2/inv04")]

@@ -15,7 +15,7 @@ from typing import NamedTuple, TextIO
 import msgspec
 import psutil
 import pytest
-from cut_network import Network, network_of_its_own
+from cut_network import Network, network_of_its_own, over_tcp
 from running import REPOSITORY, Heliarch, Start, commands_in, small_plant
 from verifying import assert_equal_as_far_as_recorded
 
@@ -67,7 +67,7 @@ def test_a_kill_or_a_cut_every_five_seconds_leaves_no_orphan_no_leak_and_nothing
     folder = REPOSITORY / "build" / f"soak-{seed}"  # It stays if the test fails.
     folder.mkdir(parents=True)
     scenario = small_plant(folder, ("duration_s = 3600", f"duration_s = {cycles}"))
-    words = ("--set", "restart.when=always")
+    words = ("--set", "restart.when=always", *over_tcp(str(scenario), folder / "keys"))
     with commands_in(folder) as start, (folder / "faults.txt").open("w") as faults:
         run = start("launch", scenario, "--pace", str(RATE), *words, network=network.name)
         kills, uses = attack(run, network, random.Random(seed), cycles, faults)

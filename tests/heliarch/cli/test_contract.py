@@ -199,7 +199,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "launch small.toml --external c1/inv01 --on 127.0.0.2=c1/*",
         "launch small.toml --on 127.0.0.2=c2 --on 127.0.0.3=c2/*",
         "launch small.toml --pace 1 --on 127.0.0.2=c1 --fault kill=c1,at=2s",
-        "launch small.toml --external c1/inv01 --base-port 65529",
         "inspect run --cycle 3 --nodes c1",
         "export run",
         "export run --format mcap --nodes c1",
