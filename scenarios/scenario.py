@@ -241,9 +241,11 @@ class BudgetTable(_Table, frozen=True):
     lateness_p99_ms: By tier. Default: for the plant's tick 2 % of the cycle, at least 1 ms.
     age_p99_ms: By tier, for each stage.
     hop_p99_ms: By signal. Default: 10 ms.
-    missed_deadlines: In the whole run, of all tiers.
-    overruns: In the whole run, of all tiers.
-    skipped_cycles: In the whole run, of all tiers.
+    late_cycles_percent: Of the run's cycles; late is one in which any of our agents missed a
+        deadline, overran or published nothing. Default: 1.
+    missed_deadlines: In the whole run, of all tiers. Default: any number.
+    overruns: In the whole run, of all tiers. Default: any number.
+    skipped_cycles: In the whole run, of all tiers. Default: any number.
     lost_messages: In the whole run, of all tiers.
     dropped_messages: In the whole run. Default: any number.
     cpu_percent: By kind; of one core, per process. Default: 80.
@@ -256,9 +258,10 @@ class BudgetTable(_Table, frozen=True):
     lateness_p99_ms: dict[Tier, Limit] = {}
     age_p99_ms: dict[Tier, Limit] = {}
     hop_p99_ms: dict[HopSignal, Limit] = {}
-    missed_deadlines: NotNegative = 0
-    overruns: NotNegative = 0
-    skipped_cycles: NotNegative = 0
+    late_cycles_percent: Amount = 1.0
+    missed_deadlines: NotNegative | None = None
+    overruns: NotNegative | None = None
+    skipped_cycles: NotNegative | None = None
     lost_messages: NotNegative = 0
     dropped_messages: NotNegative | None = None
     cpu_percent: dict[AnyKind, Amount] = {}
