@@ -1,8 +1,8 @@
 """The clocks of a run's other hosts: offset and uncertainty, estimated from its messages.
 
-A message that goes there and one that comes back bound the offset, as in NTP: half the difference
-of their shortest hops, within half of their sum. Hops between hosts are measured by no one clock,
-so no row shows them.
+A message that goes there and one that comes back in a cycle bound the offset, as in NTP: half the
+difference of their hops, within half of their sum. The cycle with the shortest ones counts. Hops
+between hosts are measured by no one clock, so no row shows them.
 """
 
 from __future__ import annotations
@@ -36,14 +36,12 @@ def clocks_of(table: pd.DataFrame, plan: RunPlan) -> tuple[HostClock, ...]:
     here, there = rows.agent.astype(str).map(own), rows.awaited.astype(str).map(sender)
     found = []
     for name in sorted({*own.values()} - {""}):
-        to_ms = hop[(here == name) & (there == "")].min()
-        back_ms = hop[(here == "") & (there == name)].min()
-        known = bool(pd.notna(to_ms) and pd.notna(back_ms))
-        found.append(
-            HostClock(
-                host=name,
-                offset_ms=float(to_ms - back_ms) / 2.0 if known else nan,
-                uncertainty_ms=float(to_ms + back_ms) / 2.0 if known else nan,
-            )
-        )
+        to_ms = hop[(here == name) & (there == "")].groupby(rows.cycle).min()
+        back_ms = hop[(here == "") & (there == name)].groupby(rows.cycle).min()
+        both = pd.DataFrame({"to": to_ms, "back": back_ms}).dropna()
+        # The clock is corrected on the way: the two hops must be of one cycle.
+        pairs = [(float(there_ms), float(here_ms)) for there_ms, here_ms in both.to_numpy()]
+        to, back = min(pairs, key=sum, default=(nan, nan))
+        clock = HostClock(host=name, offset_ms=(to - back) / 2.0, uncertainty_ms=(to + back) / 2.0)
+        found.append(clock)
     return tuple(found)
