@@ -258,9 +258,9 @@ class _Guard:
 def _comparison(recordings: tuple[Path, Path]) -> str:
     # Plotly is for this page alone: the others do not wait for it.
     from results.report.page import html_page  # noqa: PLC0415
-    from results.two_runs import compare_runs  # noqa: PLC0415
+    from results.two_runs import diff_runs  # noqa: PLC0415
 
-    return html_page(compare_runs(recordings))
+    return html_page(diff_runs(recordings))
 
 
 def _json(document: object) -> Response:
