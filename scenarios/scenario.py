@@ -90,6 +90,8 @@ class PlantTable(_Table, frozen=True):
     grid: Inverters in regular rows, instead of a CSV.
     rating_kw: AC rating of the plant, split equally where the CSV has no ratings.
     altitude_m: Height above the sea [m].
+    block_m: Side of the square of modules behind an inverter, over which clouds are averaged [m].
+        Only for `clouds`.
     actuator: A command is a power `limit`, or a `fraction` of the inverter's maximum.
     meter_noise: Standard deviation of a power meter's error, as a share of the reading.
     available_bias: Relative error of `available_kw`. Default: none is stated.
@@ -106,6 +108,7 @@ class PlantTable(_Table, frozen=True):
     grid: Grid | None = None
     rating_kw: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
     altitude_m: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 0.0
+    block_m: Annotated[float, Meta(ge=0.0, le=2000.0)] = 0.0
     actuator: Actuator = "limit"
     meter_noise: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
     available_bias: Annotated[float, Meta(ge=-0.5, le=0.5)] | None = None
