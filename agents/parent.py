@@ -29,7 +29,13 @@ from agents.control.correction import (
     with_reading,
 )
 from agents.control.grid import GridLaw, desired_kw, net_kw, ramped_kw, response_kw
-from agents.control.offers import OfferSettings, memory_of, nothing_offered, observe
+from agents.control.offers import (
+    OfferSettings,
+    known_intervals,
+    memory_of,
+    nothing_offered,
+    observe,
+)
 from agents.control.share import usable_dispatch_kw
 from agents.dispatch import own_report, own_share_kw
 from agents.plan import Control
@@ -37,6 +43,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     HelpGiven,
     Impp,
+    Memory,
     Message,
     Meter,
     Notice,
@@ -44,7 +51,17 @@ from bus_schemas.messages import (
     Residual,
     Setpoint,
 )
-from bus_schemas.signals import DISPATCH, IMPP, METER, NOTICE, OFFER, RESIDUAL, SETPOINT, Port
+from bus_schemas.signals import (
+    DISPATCH,
+    IMPP,
+    MEMORY,
+    METER,
+    NOTICE,
+    OFFER,
+    RESIDUAL,
+    SETPOINT,
+    Port,
+)
 from bus_schemas.tree import ROOT, ControlTree, agent_name, parent_of
 
 _DISPATCH: Final = DISPATCH.of(ROOT)
@@ -235,6 +252,7 @@ class CentralController(Parent):
     def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
         reports = self.reports(turn)
         possible_kw = net_kw(total([report.impp_kw for report in reports]), self._grid)
+        state = self._recall(state, turn.get(self._meter))
         state, offered = self._offer(state, turn, possible_kw)
         state = self._read_meter(state, turn.get(self._meter))
         state, notices = self._follow_dispatch(state, turn)
@@ -247,7 +265,43 @@ class CentralController(Parent):
             correction = corrected(state.correction, wanted_kw, possible_kw, delay_s, law)
             outputs += self.setpoints(turn, corrected_kw(correction, law), reports)
             state = replace(state, correction=correction)
+        outputs.append(self._memory(state, turn, has_offered=bool(offered)))
         return state, outputs
+
+    def _recall(self, state: CentralState, meter: Meter | None) -> CentralState:
+        """Go on, in a new process, from what the one before it stated last."""
+        if meter is None:
+            return state
+        if meter.correction_kw is not None and state.meter_cycle == 0:
+            kept = len(state.correction.shown_kw)
+            shown_kw = (*(nan if kw is None else kw for kw in meter.expected_kw), *((nan,) * kept))
+            correction = state.correction._replace(
+                shown_kw=shown_kw[:kept],
+                correction_kw=meter.correction_kw,
+                error_kw=meter.error_kw or 0.0,
+            )
+            reference_kw = nan if meter.reference_kw is None else meter.reference_kw
+            state = replace(state, correction=correction, reference_kw=reference_kw)
+        record, own = meter.record, state.offers
+        is_record = record is not None and len(record) == len(own) > 0
+        if record is not None and is_record and known_intervals(own) < known_intervals(record):
+            state = replace(state, offers=record)
+        return state
+
+    def _memory(self, state: CentralState, turn: Turn, *, has_offered: bool) -> Delivery:
+        """Return what a new process of the central controller will need."""
+        known = state.correction
+        memory = Memory(
+            *turn.stamp,
+            correction_kw=known.correction_kw,
+            error_kw=known.error_kw,
+            expected_kw=tuple(None if isnan(kw) else kw for kw in known.shown_kw),
+            reference_kw=None if isnan(state.reference_kw) else state.reference_kw,
+        )
+        if self._offers is not None:
+            memory.intervals = known_intervals(state.offers)
+            memory.record = state.offers if has_offered and turn.cycle >= 0 else None
+        return MEMORY.of(ROOT), memory
 
     def _offer(
         self, state: CentralState, turn: Turn, possible_kw: float
@@ -260,7 +314,10 @@ class CentralController(Parent):
         if turn.cycle < 0:
             share = settings.first_share
         elif dispatch is not None and dispatch.cycle == turn.cycle:
-            is_metered = meter is not None and meter.cycle == turn.cycle > 0
+            # The record is of an earlier cycle than the one that the meter shows.
+            is_metered = (
+                meter is not None and meter.cycle == turn.cycle > 0 and meter.record is None
+            )
             values = np.array(state.offers)
             share = observe(
                 memory_of(values, settings),

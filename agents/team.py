@@ -9,8 +9,8 @@ from agents.cycle import kind_of
 from agents.direct import DirectController
 from agents.parent import CentralController, Supervisor
 from agents.plan import RunPlan
-from bus_schemas.signals import COMMAND
-from bus_schemas.tree import CENTRAL, PLANT, agent_name
+from bus_schemas.signals import COMMAND, MEMORY
+from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name
 
 Controller: TypeAlias = Agent[Any]
 """An agent; only the agent itself knows the type of its state."""
@@ -39,10 +39,10 @@ def controllers(plan: RunPlan) -> list[Controller]:
 
 def stages_of_agents(plan: RunPlan) -> dict[str, list[tuple[Stage, ...]]]:
     """Return the stages of each agent, the plant first, in the cycles until they repeat."""
-    commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
+    awaited = (*(COMMAND.of(leaf) for leaf in plan.tree.leaves), MEMORY.of(ROOT))
     cycles = range(plan.control.periods.longest)
     found: dict[str, list[tuple[Stage, ...]]] = {}
-    found[PLANT] = [(Stage("sense", (), timed=True), Stage("apply", commands)) for _ in cycles]
+    found[PLANT] = [(Stage("sense", (), timed=True), Stage("apply", awaited)) for _ in cycles]
     for one in controllers(plan):
         found[one.name] = [tuple(one.stages(cycle)) for cycle in cycles]
     return found

@@ -9,6 +9,7 @@ from bus_schemas.messages import (
     Dispatch,
     Help,
     Impp,
+    Memory,
     Message,
     Meter,
     Offer,
@@ -31,6 +32,9 @@ LARGEST: Final = 1e30
 _CLEAR_SKY: Final = 2.0
 """Highest power under a clear sky: modules may be larger than their inverters."""
 
+_MEMORY: Final = 2.0
+"""Largest power, also below 0, in what a central controller remembers."""
+
 
 class Bound(NamedTuple):
     """A field, its lowest and its highest value."""
@@ -46,6 +50,11 @@ class Bound(NamedTuple):
         return f"{low} to {self.high:.10g}"
 
 
+_OF_MEMORY: Final = tuple(
+    Bound(field, -_MEMORY, _MEMORY)
+    for field in ("correction_kw", "error_kw", "expected_kw", "reference_kw")
+)
+
 BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
     Impp: (Bound("power_kw", 0.0, _ROUNDING),),
     Residual: (Bound("power_kw", -_ROUNDING, _ROUNDING),),
@@ -54,7 +63,9 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
     Meter: (
         Bound("power_kw", -METER_TOLERANCE, 1.0 + METER_TOLERANCE),
         Bound("frequency_hz", 10.0, 110.0),
+        *_OF_MEMORY,
     ),
+    Memory: _OF_MEMORY,
     Command: (
         Bound("alpha", _ABOVE_ZERO, 1.0),
         Bound("power_kw", 0.0, _ROUNDING),
@@ -92,6 +103,9 @@ def is_within(message: Message, bounds: tuple[Bound, ...]) -> bool:
     """Whether all numbers of a message are within bounds; NaN is within none."""
     for field, low, high in bounds:
         value = getattr(message, field)
-        if value is not None and not low <= value <= high:
+        if type(value) is tuple:
+            if not all(one is None or low <= one <= high for one in value):
+                return False
+        elif value is not None and not low <= value <= high:
             return False
     return True

@@ -19,7 +19,7 @@ Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...], int, int, int, int]
 """The head of a message, in the order of its fields. The bus sets publish time and sequence."""
 
 
-PROTOCOL: Final = 3
+PROTOCOL: Final = 4
 """Version of all that docs/wire.md says. Plan and `run` state it."""
 
 # The largest plant needs less of each.
@@ -43,6 +43,7 @@ Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_PATH)]
 Entry: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_MISSING)]
 Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
 Powers: TypeAlias = Annotated[tuple[float, ...], msgspec.Meta(max_length=MOST_INVERTERS)]
+Expected: TypeAlias = Annotated[tuple[float | None, ...], msgspec.Meta(max_length=10_000)]
 OrderState: TypeAlias = Literal["none", "holds", "silent", "over"]
 Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_MISSING)]
 
@@ -159,11 +160,35 @@ class Order(Message, kw_only=True):
 class Meter(Message, kw_only=True):
     """What the plant fed in during the interval that just ended, metered at its connection.
 
-    `frequency_hz` is the grid's frequency there and now, where the meter measures it.
+    `frequency_hz` is the grid's frequency there and now, where the meter measures it. The other
+    fields are those of the newest `memory` of the central controller: a new process of it goes on
+    from there. `record` is given only while that process knows fewer intervals.
     """
 
     power_kw: float
     frequency_hz: float | None = None
+    correction_kw: float | None = None
+    error_kw: float | None = None
+    expected_kw: Expected = ()
+    reference_kw: float | None = None
+    record: Powers | None = None
+
+
+class Memory(Message, kw_only=True):
+    """What the central controller needs after a restart; the plant gives it back in its `meter`.
+
+    Its correction, the mean error of the plant's power, what the meter should show of its last
+    turns (the newest first; nil: that is not known), and the dispatch within the ramp limits.
+    `intervals` counts the past intervals that its offers rest on; `record`, in cycles with an
+    offer, is all that they rest on.
+    """
+
+    correction_kw: float
+    error_kw: float
+    expected_kw: Expected = ()
+    reference_kw: float | None = None
+    intervals: Count = 0
+    record: Powers | None = None
 
 
 class Impp(Message, kw_only=True):

@@ -142,10 +142,11 @@ CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Ro
 GIVEN_UP: Final   = Signal("given_up",   messages.GivenUp,    About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.EVENT, decided=False)
 ORDER: Final      = Signal("order",      messages.Order,      About.PLANT,    Role.OPERATOR, (Role.PLANT,),   Occurrence.EVENT, decided=False)
 OFFER: Final      = Signal("offer",      messages.Offer,      About.PLANT,    Role.CENTRAL,  (Role.PLANT,),   Occurrence.NEED)
+MEMORY: Final     = Signal("memory",     messages.Memory,     About.PLANT,    Role.CENTRAL,  (Role.PLANT,),   Occurrence.CYCLE)
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
     TELEMETRY, DISPATCH, METER, IMPP, RESIDUAL, HELP, SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN,
-    READY, CLOCK, GIVEN_UP, ORDER, OFFER,
+    READY, CLOCK, GIVEN_UP, ORDER, OFFER, MEMORY,
 )
 # fmt: on
 """The table itself. A new signal comes at the end: recordings number their channels in this order."""

@@ -33,6 +33,8 @@ Put: TypeAlias = Callable[[bytes], None]
 PutChange: TypeAlias = Callable[[Port[Message], Put], Put]
 """Returns what puts messages of a port instead."""
 
+_ANSWER_S: Final = 5.0
+
 _MANY: Final = 30
 """Ports of one signal from which on an agent declares them together: a session tells every peer of
 each declaration, which among 1,000 inverters would be a million messages."""
@@ -136,17 +138,14 @@ class ZenohBus(AgentSessions):
             puts[1:] = [change(port, put) for put in puts[1:]]
 
     def newest(self) -> list[Arrival]:
-        """Return the newest messages of those that are heard in lockstep, the dispatch first.
-
-        Of those that answer within the patience: the caller asks again.
-        """
+        """Return the newest messages of those that are heard in lockstep, the dispatch first."""
         taken = []
         for session in self._sessions:
             for reply in session.get(
                 f"{self._wiring.plant}/**",
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=self._patience_s,
+                timeout=_ANSWER_S,
             ):
                 if (sample := reply.ok) is not None:
                     port = self._wiring.port(str(sample.key_expr))

@@ -11,7 +11,7 @@ from typing import Any
 import msgpack
 import zenoh
 
-PROTOCOL = 3  # Version of docs/wire.md that the examples were written from.
+PROTOCOL = 4  # Version of docs/wire.md that the examples were written from.
 
 
 class Member:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from agents.control.allocation import total
 from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan, Site
-from bus_schemas.messages import Command, Dispatch
+from bus_schemas.messages import Command, Dispatch, Memory
 from sim_plant import Floats
 
 
@@ -36,7 +36,8 @@ class PlantState:
     `ordered_alpha` and `ordered_kw` are its commands of the last intervals, the newest first, shape
     (1 + longest delay, n). `renewed` is the cycle of the last command, `revert_kw` the limit that
     it goes to when its revert time is over. `cycle` is that of the interval. `dispatch` is what the
-    operator wants in it, and `promise` what was offered for it.
+    operator wants in it, and `promise` what was offered for it. `memory` is what the central
+    controller stated last, `record` its newest one with a record of its offers.
     """
 
     alpha: Floats
@@ -48,6 +49,8 @@ class PlantState:
     revert_kw: Floats
     dispatch: Dispatch
     promise: Promise = Promise()
+    memory: Memory | None = None
+    record: Memory | None = None
     cycle: int = -1
 
 

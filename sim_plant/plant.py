@@ -20,7 +20,16 @@ from agents.faults import Trip, trips
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Meter, Production, Telemetry
-from bus_schemas.signals import COMMAND, DISPATCH, METER, OFFER, ORDER, PRODUCTION, TELEMETRY
+from bus_schemas.signals import (
+    COMMAND,
+    DISPATCH,
+    MEMORY,
+    METER,
+    OFFER,
+    ORDER,
+    PRODUCTION,
+    TELEMETRY,
+)
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant import Floats
 from sim_plant.inverters import Inverters, PlantState, Promise, stated_kw
@@ -54,8 +63,9 @@ class Plant:
         self._orders = Orders(plan)
         self._offers = plan.offer_law
         sense = Stage("sense", (), (ORDER.of(ROOT),), timed=True)
-        self._stages = (sense, Stage("apply", self._commands))
-        self._with_offer = (sense, Stage("apply", (*self._commands, OFFER.of(ROOT))))
+        apply = Stage("apply", (*self._commands, MEMORY.of(ROOT)))
+        self._stages = (sense, apply)
+        self._with_offer = (sense, Stage("apply", (*apply.awaits, OFFER.of(ROOT))))
 
     def initial_state(self) -> PlantState:
         profile = self._profile
@@ -94,6 +104,11 @@ class Plant:
             power_kw=fed_in_kw * (1.0 + self._meter_error),
             frequency_hz=self._profile.frequency_at(cycle),
         )
+        if (memory := state.memory) is not None:
+            meter.correction_kw, meter.error_kw = memory.correction_kw, memory.error_kw
+            meter.expected_kw, meter.reference_kw = memory.expected_kw, memory.reference_kw
+            if state.record is not None and memory.intervals < state.record.intervals:
+                meter.record = state.record.record
         outputs: list[Delivery] = [(DISPATCH.of(ROOT), dispatch), (METER.of(ROOT), meter)]
         measured_kw = (state.power_kw * (1.0 + self._profile.meter_error[cycle])).tolist()
         alpha, limit_kw = state.alpha.tolist(), state.limit_kw.tolist()
@@ -140,4 +155,7 @@ class Plant:
             inverter_mpp_kw=tuple(mpp_kw.tolist()),
             inverter_power_kw=tuple(power_kw.tolist()),
         )
-        return replace(state, power_kw=power_kw), [(PRODUCTION.of(ROOT), production)]
+        memory = turn.get(MEMORY.of(ROOT)) or state.memory
+        record = state.record if memory is None or memory.record is None else memory
+        state = replace(state, power_kw=power_kw, memory=memory, record=record)
+        return state, [(PRODUCTION.of(ROOT), production)]

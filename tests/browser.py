@@ -13,11 +13,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-import pytest
-from tools import missing
-
-NEEDED: Final = missing("chromium", "chromedriver")
-needs_browser: Final = pytest.mark.skipif(bool(NEEDED), reason=NEEDED)
+PROGRAMS: Final = ("chromium", "chromedriver")
+MISSING: Final = [program for program in PROGRAMS if shutil.which(program) is None]
+"""What this machine lacks of it."""
 
 _OPTIONS: Final = (
     "--headless",

@@ -17,6 +17,7 @@ from bus_schemas.messages import (
     Dispatch,
     HelpGiven,
     Impp,
+    Memory,
     Message,
     Meter,
     Residual,
@@ -27,13 +28,14 @@ from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
     IMPP,
+    MEMORY,
     METER,
     RESIDUAL,
     SETPOINT,
     TELEMETRY,
     Port,
 )
-from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
+from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name, parent_of
 
 M = TypeVar("M", bound=Message)
 
@@ -98,6 +100,12 @@ def dispatch(
 
 def meter(cycle: int, power_kw: float) -> Delivery:
     return METER.of(ROOT), Meter(*head(cycle, PLANT), power_kw=power_kw)
+
+
+def memory(cycle: int) -> Delivery:
+    """What a central controller without a past states."""
+    words = head(cycle, CENTRAL)
+    return MEMORY.of(ROOT), Memory(*words, correction_kw=0.0, error_kw=0.0, expected_kw=())
 
 
 def telemetry(node: str, cycle: int, power_kw: float, alpha: float = 1.0) -> Delivery:

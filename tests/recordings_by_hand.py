@@ -8,7 +8,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 from plans_by_hand import plan_at_noon
-from plants_by_hand import dispatch, head, meter, report, setpoint, telemetry
+from plants_by_hand import dispatch, head, memory, meter, report, setpoint, telemetry
 
 from agents.plan import RunPlan
 from bus_schemas import messages, signals
@@ -48,6 +48,7 @@ def _cycle(cycle: int) -> Iterator[Delivery]:
             share_kw = 0.6 * tree.rating_kw(node)
             given = (messages.HelpGiven("c1/a", 20.0),) if node == "c1/b" else ()
             yield setpoint(node, cycle, share_kw + extra_kw, share_kw, given)
+    yield memory(cycle)
     for leaf in tree.leaves:
         command = messages.Command(*head(cycle, leaf), alpha=0.8, power_kw=60.0)
         yield signals.COMMAND.of(leaf), command

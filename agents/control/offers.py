@@ -15,6 +15,7 @@ what was proven in alike intervals by more than `GROWTH`. What is proven is what
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isnan, nan, sqrt
 from typing import Final, NamedTuple
 
@@ -137,6 +138,11 @@ def memory_of(values: NDArray[np.float64], settings: OfferSettings) -> OfferMemo
         values[offered:numbers].reshape((2, FEATURES + 1)),
         values[numbers:],
     )
+
+
+def known_intervals(values: Sequence[float]) -> int:
+    """Return how many past intervals a memory knows that is one array."""
+    return int(values[_PAST - _NUMBERS])
 
 
 def _lengths(settings: OfferSettings) -> tuple[int, int]:

@@ -18,7 +18,7 @@ enum { TELEMETRY, DISPATCH, SETPOINT, RUN, INPUTS };
 enum { IMPP, RESIDUAL, HELP, COMMAND, OUTPUTS };
 enum { CYCLE, INCARNATION, PUBLISHED, POWER, ALPHA, RATING, AVAILABLE, FIELDS };
 enum { IDLE, ESTIMATE, ACTUATE };
-enum { PROTOCOL = 3, LONGEST = 4096, MOST_WAITING = 64, KEY = 1024 };
+enum { PROTOCOL = 4, LONGEST = 4096, MOST_WAITING = 64, KEY = 1024 };
 static const char *const HEARD[] = {"telemetry", "dispatch", "setpoint", "run"};
 static const char *const SAID[] = {"impp", "residual", "help", "command"};
 static const char *const NAMES[] = {"cycle", "incarnation",     "publish_time_ns", "power_kw",

@@ -87,18 +87,14 @@ def _zenoh() -> Finding:
     import psutil
     import zenoh
 
-    from bus_schemas.zenoh_session import SOCKET, ZENOH_RUNTIME, SessionSettings, open_session
-    from launch_scripts.launch import private_folder
+    from bus_schemas.zenoh_session import ZENOH_RUNTIME, SessionSettings, open_session
 
     before = psutil.Process().num_threads()
     try:
-        with (
-            private_folder() as folder,
-            open_session(SessionSettings("doctor", [f"{SOCKET}/{folder}/0"], [])),
-        ):
+        with open_session(SessionSettings("doctor", ["tcp/127.0.0.1:0"], [])):
             threads = psutil.Process().num_threads() - before
     except zenoh.ZError as error:
-        advice = "no agent can listen on a socket: reinstall eclipse-zenoh"
+        advice = "no agent can listen on 127.0.0.1: ip link set lo up, or reinstall eclipse-zenoh"
         return Finding("Zenoh", f"{error}", "wrong", advice)
     is_tuned = os.environ.get("ZENOH_RUNTIME", ZENOH_RUNTIME) == ZENOH_RUNTIME
     advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
@@ -108,7 +104,7 @@ def _zenoh() -> Finding:
 def _limits(folder: Path) -> Iterator[Finding]:
     import psutil
 
-    _, files = resource.getrlimit(resource.RLIMIT_NOFILE)
+    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if files == resource.RLIM_INFINITY:
         files = 2**20
     inverters = max(files - 100, 0)  # Recorder and plant have a link with each inverter.

@@ -36,12 +36,13 @@ def one(signal: Signal[Message]) -> Message:
         **dict.fromkeys(HEAD_FIELDS, 1),
         **{"source": "c1", "missing": ("c1/inv07/impp",), "stale_cycles": 0, "count": 1},
         **{"state": "start", "start_time_ns": 5, "cycle_wall_ns": 0, "text": "words"},
-        "protocol": 3,
+        "protocol": 4,
         **{"order_source": "page", "order_state": "holds", "order_cycle": 1, "order_renewed": 1},
         **{"inverter_mpp_kw": (1.0, 2.0), "inverter_power_kw": (0.5, 2.0)},
         "help_given": (HelpGiven("c1/inv08", 12.5),),
         **{"stage": "solve", "readings": 1, "meter_cycle": 1, "clamped": 1, "agents": ("c1/a",)},
         **{"offers": (0.5, 0.25), "expected_kw": (0.5, 0.25), "order_replaced": ("page",)},
+        **{"intervals": 1, "record": (0.5,)},
     }
     names = signal.type.__struct_fields__
     return msgspec.convert({name: plain.get(name, 1.5) for name in names}, signal.type)

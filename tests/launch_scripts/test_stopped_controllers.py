@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -11,11 +12,13 @@ from command_line import done
 from memory_runs import add_zombie, run_with
 from plans_by_hand import with_changes
 
+from agents.plan import changed
 from agents.settings import RestartPolicy, Revert
 from bus_schemas.errors import InputError
 from bus_schemas.faults import Blackout
-from bus_schemas.signals import IMPP
-from bus_schemas.tree import CENTRAL
+from bus_schemas.messages import Memory
+from bus_schemas.signals import IMPP, MEMORY
+from bus_schemas.tree import CENTRAL, ROOT
 from launch_scripts.simulation import MemoryRun, on_the_clock
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
@@ -44,6 +47,25 @@ def test_a_killed_controller_is_replaced_and_the_plant_is_as_before(
     assert 0 < successor.incarnation <= KILLED_AT + 2
     apart = np.flatnonzero((trace.power_kw != healthy.power_kw).any(axis=1))
     assert len(apart) == 0 or apart.max() <= successor.incarnation + 3
+
+
+def test_a_restarted_central_controller_goes_on_from_what_it_stated_last(
+    oahu: Preparation,
+) -> None:
+    misread = changed(oahu.plan, grid={"meter_error_percent": 3.0})
+    run, trace = run_with(
+        dataclasses.replace(oahu, plan=misread), [f"kill=central,at={KILLED_AT}s"]
+    )
+    joined = run.loops[CENTRAL].incarnation
+    assert joined > KILLED_AT
+    stated = trace.of(MEMORY.of(ROOT))
+    before = max(cycle for cycle in stated if cycle < joined)
+    old, new = stated[before], stated[joined]
+    assert isinstance(old, Memory)
+    assert isinstance(new, Memory)
+    assert abs(old.correction_kw) > 50.0, "the meter misreads, and the correction has grown"
+    assert new.correction_kw == pytest.approx(old.correction_kw, rel=0.2)
+    assert new.expected_kw[1:] == old.expected_kw[: len(new.expected_kw) - 1]
 
 
 @pytest.mark.parametrize(
@@ -129,7 +151,7 @@ def test_a_recording_with_deaths_is_repeated_and_says_who_came_back(
     done("verify", run)
     inspected = " ".join(done("inspect", run).split())
     for told in (
-        "c1/inv01: nothing in cycle 5 (12:00:05), killed, restarted in cycle 6",
+        "c1/inv01: absent, killed in cycle 5 (12:00:05), restarted in cycle 6",
         "kill=c1/inv05,at=500s: never acted",
     ):
         assert told in inspected

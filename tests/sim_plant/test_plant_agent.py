@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from complaints import complaint_of
 from plans_by_hand import CYCLE_NS, plan_of, with_changes
-from plants_by_hand import AtWork, at, command
+from plants_by_hand import AtWork, at, command, memory
 
 from agents.settings import InverterSettings, Revert
 from bus_schemas.messages import Message
@@ -41,8 +41,8 @@ class PlantAtWork(AtWork):
 
     def command(self, *alphas: float) -> Sent:
         """Command inverters, in their order; return what the plant sends then."""
-        commanded = zip(LEAVES, alphas, strict=False)
-        return self.hear(*(command(leaf, self.loop.cycle, alpha) for leaf, alpha in commanded))
+        commanded, cycle = zip(LEAVES, alphas, strict=False), self.loop.cycle
+        return self.hear(memory(cycle), *(command(leaf, cycle, alpha) for leaf, alpha in commanded))
 
 
 def measured(sent: Sent, cycle: int) -> list[tuple[float, float]]:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 import pytest
 from plans_by_hand import CYCLE_NS, plan_of
-from plants_by_hand import AtWork, at, command
+from plants_by_hand import AtWork, at, command, memory
 
 from agents.settings import Revert
 from bus_schemas.messages import Command, Message, Production
@@ -64,7 +64,8 @@ def cycles_of(metered_kw: float | None = None) -> list[dict[Port[Message], Messa
     for cycle in range(CYCLES):
         devices.lost = {1} if cycle >= LOST_FROM else set()
         now = plant.at_deadline("sense")
-        sent.append(now | plant.hear(*(command(leaf, cycle, LIMIT_KW / 100.0) for leaf in LEAVES)))
+        commands = (command(leaf, cycle, LIMIT_KW / 100.0) for leaf in LEAVES)
+        sent.append(now | plant.hear(memory(cycle), *commands))
     return sent
 
 

@@ -36,7 +36,7 @@ MAY_BE_NIL = {
         "order_power_kw",
         "order_ramp_kw_per_min",
     ),
-    *("order_hold_s", "order_renew_s"),
+    *("order_hold_s", "order_renew_s", "correction_kw", "error_kw", "reference_kw"),
 }
 BATCH_ROWS = 5
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 import warnings
 from io import BytesIO
 from pathlib import Path
@@ -9,7 +10,6 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from memory_use import traced_memory
 from recordings_by_hand import PLAN, cut, cycle_of_the_plant, whole_run, write_run, zero_chunk
 
 from bus_schemas.bus import Delivery
@@ -218,7 +218,10 @@ def test_a_frame_takes_little_more_memory_than_its_columns(tmp_path: Path, table
     write_run(tmp_path / "run.mcap", whole_run(1000))
     with RunReader(tmp_path) as run:
         run.frame(table, end=10)  # What is imported and kept once.
-        with traced_memory() as memory:
+        tracemalloc.start()
+        try:
             frame = run.frame(table)
-            _, peak = memory()
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
     assert peak < 2.0 * frame.memory_usage(index=True).sum() + 300_000

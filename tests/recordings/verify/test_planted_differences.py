@@ -85,7 +85,7 @@ def test_a_changed_field_of_any_signal_is_found(signal: Signal[Message], verifie
     port, message = PUBLISHED[place]
     field = next(
         name
-        for name in ("power_kw", "missing_kw", "dispatch_kw", "count")
+        for name in ("power_kw", "missing_kw", "dispatch_kw", "count", "correction_kw")
         if hasattr(message, name)
     )
     value = getattr(message, field)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from browser import browser, needs_browser
+import pytest
+from browser import MISSING, browser
 from synthetic_runs import cloudy_run, without_estimates
 
 from results.report.page import html_page
 from results.report.run_report import runs_result
 from results.report.tables import figures_tables
 
-pytestmark = needs_browser
+pytestmark = pytest.mark.skipif(
+    bool(MISSING), reason=f"no browser here: {', '.join(MISSING)} missing"
+)
 
 CUT = """
   const seen = document.documentElement.clientWidth;
