@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from rich.console import Console
 
 from bus_schemas.errors import printable
@@ -58,9 +59,9 @@ def percent(value: float) -> str:
 def curve_lines(curve: Curve, can_draw: bool, width: int) -> Iterator[str]:
     """Draw available, dispatched and delivered power, one line each on one scale."""
     curves = {
-        "available": curve.available_kw,
-        "dispatch": curve.dispatch_kw,
-        "delivered": curve.delivered_kw,
+        "available": np.array(curve.available_kw, float),  # NaN where one is unknown.
+        "dispatch": np.array(curve.dispatch_kw, float),
+        "delivered": np.array(curve.delivered_kw, float),
     }
     highest = max((kw for kws in curves.values() for kw in kws if isfinite(kw)), default=0.0)
     steps = min(len(curve.dispatch_kw), max(width - _BESIDE_CURVE, 10))
@@ -80,7 +81,7 @@ def sparkline(values: Sequence[float], highest: float, blocks: str) -> str:
     )
 
 
-def _fewer(powers_kw: list[float], steps: int) -> list[float]:
+def _fewer(powers_kw: NDArray[np.float64], steps: int) -> list[float]:
     """Return the means of so many parts; NaN where a part has an unknown power."""
     return [float(part.mean()) for part in np.array_split(powers_kw, steps)] if steps else []
 

@@ -22,13 +22,13 @@ _LEAST_KW: Final = 0.05
 
 
 class Curve(msgspec.Struct, frozen=True):
-    """Mean power of the plant in equal steps of the run [kW]; NaN where no cycle is known."""
+    """Mean power of the plant in equal steps of the run [kW]; None where no cycle is known."""
 
     step_s: float
-    available_kw: list[float]
-    dispatch_kw: list[float]
-    delivered_kw: list[float]
-    without_help_kw: list[float]
+    available_kw: list[float | None]
+    dispatch_kw: list[float | None]
+    delivered_kw: list[float | None]
+    without_help_kw: list[float | None]
 
 
 class HardMinute(msgspec.Struct, frozen=True):
@@ -76,12 +76,12 @@ def _curve(series: RunSeries) -> Curve:
     span = max(1, -(-series.cycles // _STEPS))
     begins = np.arange(0, series.cycles, span)
 
-    def means(power_kw: NDArray[np.float64]) -> list[float]:
+    def means(power_kw: NDArray[np.float64]) -> list[float | None]:
         known = np.isfinite(power_kw)
         counts = np.add.reduceat(known, begins, dtype=float)
         sums = np.add.reduceat(np.where(known, power_kw, 0.0), begins)
-        empty = np.full_like(sums, np.nan)
-        return [float(kw) for kw in np.divide(sums, counts, out=empty, where=counts > 0)]
+        pairs = zip(sums, counts, strict=True)
+        return [float(kw / count) if count else None for kw, count in pairs]
 
     return Curve(
         span * series.cycle_s,

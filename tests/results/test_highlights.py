@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from io import StringIO
-from math import isnan
 
+import msgspec
 import numpy as np
 import pytest
 from plans_by_hand import plan_of
@@ -13,7 +13,7 @@ from rich.console import Console
 from recordings.read.series import RunSeries
 from results.figures import Figures
 from results.headline import curve_lines, headline
-from results.highlights import highlights
+from results.highlights import Highlights, highlights
 
 PLAN = plan_of({"c1/a": 100.0, "c1/b": 100.0, "c2/c": 200.0}, cycles=180, actuator="limit")
 """Three minutes. The plant promises 200 kW: shares of 50, 50 and 100 kW."""
@@ -50,7 +50,8 @@ def test_unknown_cycles_are_gaps_of_the_curve_and_no_hard_minutes() -> None:
     run = shaded_run()
     run.power_kw[60:66] = np.nan
     found = highlights(run)
-    assert isnan(found.curve.delivered_kw[20])
+    document = msgspec.json.encode(found)
+    assert msgspec.json.decode(document, type=Highlights).curve.delivered_kw[20] is None
     assert found.hard_minutes[0].cycle not in range(60, 66)
 
 
