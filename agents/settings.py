@@ -20,6 +20,10 @@ Actuator: TypeAlias = Literal["fraction", "limit"]
 """`fraction`: P = alpha x MPP, as in the paper. `limit`: P = min(limit, MPP), as real inverters."""
 
 
+_MOST_DOUBLINGS = 60
+"""Of a wait; any such wait is longer than `within_s` allows."""
+
+
 class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the launcher does when a controller's process ends before the run does.
 
@@ -45,7 +49,8 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         recent = sum(now_s - at_s < self.within_s for at_s in earlier_s)
         if self.when == "never" or (recent >= self.most and self.when != "always"):
             return None
-        return min(self.backoff_s * 2.0 ** (recent - 1), self.within_s) if recent else 0.0
+        doublings = min(recent - 1, _MOST_DOUBLINGS)
+        return min(self.backoff_s * 2.0**doublings, self.within_s) if recent else 0.0
 
 
 Share: TypeAlias = Annotated[float, Meta(gt=0.0, le=1.2)]

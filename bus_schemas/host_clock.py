@@ -12,32 +12,34 @@ _DRIFT: Final = 10_000
 """Clocks of two hosts run apart by less than one part in so many."""
 
 
+CLOCK_BYTES: Final = 16
+
+
 class HostClock:
     """The monotonic clock of another host, by the messages that come from there.
 
     The message that came fastest sets it. It then falls back by more than the two clocks run apart,
-    until the next fast message sets it.
+    until the next fast message sets it. The processes of this host have one clock, in the `memory`
+    that they share: by how much this host's is ahead, and when that was set; 0: never.
     """
 
-    def __init__(self) -> None:
-        self._ahead_ns: int | None = None
-        self._set_ns = 0
+    def __init__(self, memory: memoryview | None = None) -> None:
+        self._memory = memoryview(bytearray(CLOCK_BYTES)).cast("q") if memory is None else memory
 
     def hear(self, published_ns: int, came_ns: int) -> None:
         """Take in a message: its publish time there, and when it came by this host's clock."""
         if published_ns <= 0:
             return
-        if self._ahead_ns is None:
+        if not self._memory[1]:
             log.info("this host's clock is ahead by %.6f s", (came_ns - published_ns) / 1e9)
         elif self.at(came_ns) >= published_ns:
             return
-        self._ahead_ns, self._set_ns = came_ns - published_ns, came_ns
+        self._memory[0], self._memory[1] = came_ns - published_ns, came_ns
 
     def at(self, host_ns: int) -> int:
         """Return what the other clock shows at a time of this host's clock."""
-        if self._ahead_ns is None:
-            return host_ns
-        return host_ns - self._ahead_ns - (host_ns - self._set_ns) // _DRIFT
+        ahead_ns, set_ns = self._memory
+        return host_ns - ahead_ns - (host_ns - set_ns) // _DRIFT if set_ns else host_ns
 
     def now_ns(self) -> int:
         return self.at(time.monotonic_ns())

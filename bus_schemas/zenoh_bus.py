@@ -33,8 +33,6 @@ Put: TypeAlias = Callable[[bytes], None]
 PutChange: TypeAlias = Callable[[Port[Message], Put], Put]
 """Returns what puts messages of a port instead."""
 
-_ANSWER_S: Final = 5.0
-
 _MANY: Final = 30
 """Ports of one signal from which on an agent declares them together: a session tells every peer of
 each declaration, which among 1,000 inverters would be a million messages."""
@@ -138,14 +136,17 @@ class ZenohBus(AgentSessions):
             puts[1:] = [change(port, put) for put in puts[1:]]
 
     def newest(self) -> list[Arrival]:
-        """Return the newest messages of those that are heard in lockstep, the dispatch first."""
+        """Return the newest messages of those that are heard in lockstep, the dispatch first.
+
+        Of those that answer within the patience: the caller asks again.
+        """
         taken = []
         for session in self._sessions:
             for reply in session.get(
                 f"{self._wiring.plant}/**",
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=_ANSWER_S,
+                timeout=self._patience_s,
             ):
                 if (sample := reply.ok) is not None:
                     port = self._wiring.port(str(sample.key_expr))

@@ -35,7 +35,7 @@ class Done(NamedTuple):
 def timing(rate: int, done: Done) -> Found:
     """Yield what a run in real time came to; `loop` is p50, p99 and the largest."""
     (loop,) = (row for row in done.said["times"] if row["of"] == "all commands")
-    times = (f"{loop[name] / 1e3:.1f}" for name in ("p50_us", "p99_us", "max_us"))
+    times = (f"{loop[name]:.1f}" for name in ("p50_ms", "p99_ms", "max_ms"))
     yield f"loop at {rate}", " / ".join(times), "ms"
     for name in ("cycles", "late_cycles", "lost_messages"):
         yield f"{name} at {rate}", str(done.said["run"][name]), ""

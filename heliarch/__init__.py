@@ -2,13 +2,13 @@
 
 Examples
 --------
->>> from heliarch import compare, compare_runs, launch, open_run, simulate
+>>> from heliarch import compare, diff, launch, open_run, simulate
 >>> run = simulate("oahu", duration="10m", out="runs/first")
 >>> run.metrics["control-caused"], run.power.sum(axis=1), run.frame("help_given")
 >>> with open_run("runs/first") as recording:
 ...     tables = recording.frames("impp", "setpoint", nodes="c2/*", start="12:01", end="12:02")
 >>> table = compare("oahu", schemes=["paper", "uniform-cap"], seeds=range(1, 6))
->>> print(compare_runs("runs/first", "runs/second").differences)
+>>> print(diff("runs/first", "runs/second").differences)
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from heliarch.recorded import Run, open_run
     from heliarch.runs import (
-        ComparedRuns,
+        Diff,
         compare,
-        compare_runs,
+        diff,
         export,
         launch,
         simulate,
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from scenarios.scenario import load_scenario
 
 __all__ = [
-    "ComparedRuns",
+    "Diff",
     "Run",
     "compare",
-    "compare_runs",
+    "diff",
     "export",
     "launch",
     "load_scenario",

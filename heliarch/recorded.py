@@ -15,6 +15,7 @@ from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
 from results.figures import run_figures
 from results.run_summary import RunSummary
+from results.timing.stages import stage_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -90,6 +91,13 @@ class Run(RunReader):
         """Power of each inverter [kW]: a row for each cycle by local time, a column for each."""
         series = plant_series_of(self, most_inverters=None)
         return pd.DataFrame(series.power_kw, series.times.rename("time"), list(series.inverters))
+
+    def stages(self) -> pd.DataFrame:
+        """Return the tidy table of a run in real time: a row for each stage in each cycle.
+
+        docs/timing.md describes its columns; every figure of `timing` is a groupby on it.
+        """
+        return stage_table(self)
 
     def batches(
         self,

@@ -31,9 +31,10 @@ from recordings.export.mcap_copies import Clock
 from recordings.verify.comparison import Equality
 from recordings.verify.verification import Verification
 from recordings.verify.verification import verify as verify_run
+from results.message_differences import message_differences
 from results.tables import json_rows as table_rows
 from results.timing.report import TimingReport, report_on
-from results.two_runs import read_two_runs, two_runs_tables
+from results.two_runs import figures_table, read_two_runs
 from scenarios.run_options import RunOptions, TimeOptions, check_names
 from scenarios.scenario import ScenarioFile, load_scenario
 from scenarios.settings import Setting, plain, with_settings
@@ -227,32 +228,35 @@ def compare(
     return pd.DataFrame([row for rows in results for row in rows])
 
 
-class ComparedRuns(NamedTuple):
+class Diff(NamedTuple):
     """Two recorded runs, A and B, side by side.
 
     `figures` has a row for each figure of merit: `figure`, `unit`, `A`, `B` and `difference`, B
-    less A. `differences` has a row for each message that differs: where it first does, the values
-    there, and in how many cycles. Without rows both runs are the same, bit for bit.
+    less A. `differences` has a row for each signal that differs: where it first does, the values
+    there, and in how many cycles. `equal`: all messages of both were compared, and are the same.
     """
 
     figures: pd.DataFrame
     differences: pd.DataFrame
     notes: tuple[str, ...]
+    equal: bool
 
 
 @by_parameter
-def compare_runs(first: Recording, second: Recording) -> ComparedRuns:
-    """Compare two recordings, as `heliarch compare RUN RUN` does.
+def diff(first: Recording, second: Recording) -> Diff:
+    """Compare two recordings, as `heliarch diff` does.
 
-    A and B are two runs of the same plant that begin at the same time. Of the longer one only the
-    cycles that both have count.
+    A and B are two runs of the same plant that begin at the same time. Only the cycles that both
+    have recorded count.
     """
-    series, notes = read_two_runs((_path(first), _path(second)))
-    tables = two_runs_tables(*series)
+    paths = _path(first), _path(second)
+    series, notes = read_two_runs(paths)
+    found = message_differences(paths, series)
     figures, differences = (
-        pd.DataFrame(table_rows(table), columns=table.names()) for table in tables
+        pd.DataFrame(table_rows(table), columns=table.names())
+        for table in (figures_table(*series), found.table)
     )
-    return ComparedRuns(figures, differences, tuple(notes))
+    return Diff(figures, differences, (*notes, found.verdict), found.equal)
 
 
 def _run(request: RunRequest, server: ForkServerProcess | None = None) -> Run:

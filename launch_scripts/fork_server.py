@@ -31,7 +31,7 @@ from agents.plan import RunPlan, load_plan
 from agents.process.beats import BEAT_S, FORK_SERVER, BeatTable
 from agents.process.events import Event, Exited, Failed, Request, Signal, Start, Started
 from agents.process.launcher_link import LauncherLink
-from agents.process.machine import die_with_parent
+from agents.process.machine import die_with_parent, take_files
 from agents.process.session import session_settings
 from agents.team import controller
 from bus_schemas.tree import OPERATOR, RECORDER
@@ -115,6 +115,7 @@ class ForkServer:
         """Return the plan of the run, and what all processes need, worked out once."""
         if self._run is None:
             plan = load_plan(Path(request.plan))
+            take_files(len(plan.processes))
             self._run = plan, BeatTable(self._beats, plan.processes)
             own = [process for process in plan.processes if process != OPERATOR]
             for process in own[-1:]:

@@ -26,7 +26,7 @@ from agents.process.events import (
     Status,
 )
 from agents.process.interruption import Interruption, interruptible
-from agents.process.machine import refusals
+from agents.process.machine import refusals, take_files
 from bus_schemas.errors import FailureError, InputError, listed
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER
@@ -356,6 +356,7 @@ def launch(
     The user asked for it at `began_at`, monotonic [s].
     """
     base_port, plan = preparation.options.base_port, preparation.plan
+    take_files(len(plan.processes))
     refused = refusals(plan.supervision.machine, lockstep=plan.timing.lockstep)
     for line in refused:
         view.say(line)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 from agents.plan import RunPlan, changed
 from agents.process.events import Failed
+from agents.process.machine import take_files
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import PLANT
 from launch_scripts.fork_server_process import ForkServerProcess
@@ -36,6 +37,7 @@ def run_share(
 
     Raises FailureError: One of them ended before the run, and the policy does not start it again.
     """
+    take_files(len(plan.processes))
     folder.make()
     folder.write_plan(plan)
 

@@ -622,6 +622,8 @@ class Processes:
             return
         # Before cycle 0, and of the recorder, a new process is as good as the first one.
         may_return = self._plan.restarts or not self.has_begun or name == RECORDER
+        if name == RECORDER and not self._folder.path.is_dir():
+            why, may_return = f"{why}, and the run's folder has been removed", False
         policy = self._plan.supervision.restart
         wait_s = policy.wait_s(process.starts_s, now_s) if may_return else None
         if wait_s is None or process.stays_away:

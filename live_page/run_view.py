@@ -117,6 +117,13 @@ class RunView:
             await asyncio.sleep(0)  # Other pages have their turn.
         return columns(rows) if rows else {"cycle": []}
 
+    async def newest(self) -> tuple[RunFollower, PlantState]:
+        """Read on to the end of the recording."""
+        follower, state = self._begun()
+        while not follower.advance(_READING_S):
+            await asyncio.sleep(0)  # Pages have their turn.
+        return follower, state
+
     async def updates(self, position: float | None, speed: float) -> AsyncIterator[bytes]:
         """Yield the state of the run whenever there is news, as JSON.
 

@@ -128,6 +128,7 @@ class PageServer:
             Route("/window", self._window),
             Route("/node", self._node),
             Route("/stream", self._stream),
+            Route("/metrics", self._metrics),
         ]
         routes: list[BaseRoute] = [Mount("/static", StaticFiles(directory=_STATIC))]
         if not self._several:
@@ -199,6 +200,16 @@ class PageServer:
         node = request.query_params.get("path", "")
         return _json(await self._view(request).node(node, _cycles(request)))
 
+    async def _metrics(self, request: Request) -> Response:
+        """Return the newest cycle for Prometheus, which reads the recording on meanwhile."""
+        try:
+            from live_page.metrics import CONTENT_TYPE, metrics_text  # noqa: PLC0415 - an extra
+        except ModuleNotFoundError as error:
+            text = f"{error.name} is not installed: pip install 'heliarch[metrics]'\n"
+            return PlainTextResponse(text, 501)
+        content = metrics_text(*await self._view(request).newest())
+        return Response(content, headers={"Content-Type": CONTENT_TYPE})
+
     async def _stream(self, request: Request) -> Response:
         """Follow the newest cycle, or play from the cycle `from` at a `speed`."""
         begin = _number(request, "from", -1.0)
@@ -247,9 +258,9 @@ class _Guard:
 def _comparison(recordings: tuple[Path, Path]) -> str:
     # Plotly is for this page alone: the others do not wait for it.
     from results.report.page import html_page  # noqa: PLC0415
-    from results.two_runs import compare_runs  # noqa: PLC0415
+    from results.two_runs import diff_runs  # noqa: PLC0415
 
-    return html_page(compare_runs(recordings))
+    return html_page(diff_runs(recordings))
 
 
 def _json(document: object) -> Response:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from agents.control.offers import MISSED_SHARE, firm_share
 from recordings.read.series import RunSeries
+from results.battery import smallest_battery
 from results.regulation import regulation_figures
 from results.tables import Cell, Column, Number, Table, key_column
 
@@ -98,6 +99,22 @@ FIGURES: Final = {
         ("rmse", "Tracking RMSE", "kW", 2, _SRC),
         ("mae", "Tracking MAE", "kW", 2, _R),
         ("mileage", "Mileage per hour", "kW/h", 0, _SRC),
+        ("battery-power", "Battery needed", "kW", 1, _SR),
+        ("battery-energy", "Battery needed, capacity", "kWh", 2, _SRC),
+        ("battery-cycles", "Battery needed, full cycles", "", 1, _R),
+        ("battery-mileage", "Battery needed, mileage per hour", "kW/h", 0, _R),
+        ("control-battery-power", "Battery for control-caused", "kW", 1, _R),
+        ("control-battery-energy", "Battery for control-caused, capacity", "kWh", 2, _R),
+        ("without-help-battery-power", "Battery needed without help", "kW", 1, _SR),
+        ("without-help-battery-energy", "Battery needed without help, capacity", "kWh", 2, _SR),
+        ("without-help-battery-cycles", "Battery needed without help, full cycles", "", 1, _R),
+        (
+            "without-help-battery-mileage",
+            "Battery needed without help, mileage per hour",
+            "kW/h",
+            0,
+            _R,
+        ),
         ("curtailed-energy", "Curtailed energy", "kWh", 1, _SRC),
         ("curtailed", "Curtailed", "% of available", 1, _R | _C),
         ("ancillary-potential", "Ancillary potential", "kWh", 1, _R),
@@ -201,6 +218,7 @@ def run_figures(series: RunSeries) -> Figures:
         "planned-cycles": series.plan.timing.cycles,
         **energy_figures(dispatch_kw, available_kw, delivered_kw, series.cycle_s),
         **_baseline_figures(series),
+        **_battery_figures(series),
         "unknown-energy": float(np.nansum(series.unknown_kw[known])) * hours or None,
         "rmse": float(np.sqrt(np.mean(error_kw**2))),
         "mae": float(np.mean(np.abs(error_kw))),
@@ -267,6 +285,26 @@ def _baseline_figures(series: RunSeries) -> Figures:
         "without-help-energy": found["control-caused-energy"],
         "without-help": found.get("control-caused"),
     }
+
+
+def _battery_figures(series: RunSeries) -> Figures:
+    """Compute the batteries that would have given what was missed, with help and without it."""
+    hours = int(series.known.sum()) * series.cycle_s / 3600.0
+    denied_kw = np.maximum(series.desired_kw - series.available_kw, 0.0)
+    given_kw = {"": series.delivered_kw, "without-help-": series.without_help_kw}
+    missing_kw = {name: np.maximum(series.desired_kw - kw, 0.0) for name, kw in given_kw.items()}
+    given_kw["control-"] = series.delivered_kw
+    missing_kw["control-"] = np.maximum(missing_kw[""] - denied_kw, 0.0)
+    found: Figures = {}
+    for name, kw in given_kw.items():
+        if np.isfinite(kw[series.known]).all():
+            spare_kw = np.maximum(series.available_kw - kw, 0.0)
+            battery = smallest_battery(missing_kw[name], spare_kw, series.cycle_s)
+            found[f"{name}battery-power"] = battery.power_kw
+            found[f"{name}battery-energy"] = battery.energy_kwh
+            found[f"{name}battery-cycles"] = battery.cycles
+            found[f"{name}battery-mileage"] = battery.mileage_kw / hours
+    return {name: value for name, value in found.items() if name in FIGURES}
 
 
 def _offer_figures(series: RunSeries) -> Figures:

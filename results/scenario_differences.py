@@ -25,13 +25,13 @@ _ABSENT: Final = "-"
 def scenario_differences(first: RunReader, second: RunReader) -> Table:
     """Return a line for each difference: faults first, then the plans, then the scenario files.
 
-    A scenario's own words come where the plan does not say the same: weather, commitment, data.
+    A field of the scenario comes where the plan has none of its name and values: weather, data.
     """
     rows = [*_fault_rows(first.plan, second.plan)]
     rows += _rows(*(_flat(msgspec.to_builtins(reader.plan)) for reader in (first, second)))
-    known = {(str(row[1]), str(row[2])) for row in rows}
+    known = {(_last(row[0]), *row[1:]) for row in rows}
     tables = (_flat(reader.scenario_table()) for reader in (first, second))
-    rows += [row for row in _rows(*tables) if (row[1], row[2]) not in known]
+    rows += [row for row in _rows(*tables) if (_last(row[0]), *row[1:]) not in known]
     columns = key_column("setting"), word_column("A"), word_column("B")
     note = "" if rows else "none: both runs have the same scenario, settings and faults"
     return Table("What differs in scenario and settings", columns, rows, (note,) if note else ())
@@ -51,6 +51,11 @@ def _rows(first: Mapping[str, Any], second: Mapping[str, Any]) -> Iterator[tuple
         if values[0] != values[1] and not name.startswith(_OF_EACH_RUN):
             texts = [_text(value) for value in values]
             yield name, *(texts if max(map(len, texts)) <= _LONGEST else ("given", "differs"))
+
+
+def _last(name: Cell) -> str:
+    """Return the name of a setting without its tables: they differ in plan and scenario."""
+    return str(name).rpartition(".")[2]
 
 
 def _flat(tables: Mapping[str, Any]) -> dict[str, Any]:

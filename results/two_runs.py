@@ -1,4 +1,4 @@
-"""Two recorded runs side by side: their figures of merit, and where they first differ."""
+"""Two recorded runs side by side: their figures of merit, and where their messages first differ."""
 
 from __future__ import annotations
 
@@ -14,39 +14,35 @@ from recordings.read.reader import RunReader
 from recordings.read.run_file import RECORDING_NAME
 from recordings.read.series import RunSeries, series_of
 from results.figures import Shown, run_figures, runs_as_columns, shown_in
+from results.message_differences import message_differences
 from results.report.result import Result
-from results.report.run_report import run_line, runs_result, when
-from results.report.style import clock_text
+from results.report.run_report import run_line, runs_result
 from results.scenario_differences import scenario_differences
-from results.tables import Cell, Column, Number, Table, json_rows, key_column, word_column
+from results.tables import Table, json_rows
 
-_IN_ORDER: Final = {
-    "commitment_kw": "dispatch, commitment",
-    "regulation_kw": "dispatch, regulation",
-    "dispatch_kw": "dispatch, power",
-    "impp_kw": "impp",
-    "residual_kw": "residual",
-    "alpha": "command, alpha",
-    "mpp_kw": "production, maximum",
-    "power_kw": "production, power",
-}
-"""What is compared: messages in the order in which they lead to each other within a cycle."""
+_ARRAYS: Final = (
+    *("commitment_kw", "regulation_kw", "dispatch_kw", "mpp_kw"),
+    *("impp_kw", "residual_kw", "alpha", "power_kw"),
+)
+"""What a run has cycle by cycle; what no controller decides comes first."""
 
-_GIVEN: Final = ("commitment_kw", "regulation_kw", "dispatch_kw", "mpp_kw")
-"""What no controller decides."""
+_GIVEN: Final = _ARRAYS[:4]
 
 
-def compare_runs(paths: tuple[Path, Path]) -> Result:
+def diff_runs(paths: tuple[Path, Path]) -> Result:
     """Put two recordings side by side: what differs in their scenarios comes first."""
     with RunReader(paths[0]) as first, RunReader(paths[1]) as second:
         scenarios = scenario_differences(first, second)
     series, lines = read_two_runs(paths)
-    tables = [scenarios, *two_runs_tables(*series)]
+    figures, found = figures_table(*series), message_differences(paths, series)
+    tables = [scenarios, figures, found.table]
     names = "scenario", "figures", "differences"
     document: dict[str, object] = {"runs": [str(path) for path in paths]}
     document |= {name: json_rows(table) for name, table in zip(names, tables, strict=True)}
+    document |= {"compared": found.compared, "messages": found.messages, "equal": found.equal}
     title = " and ".join(_name(path) for path in paths)
-    return runs_result(title, series, tables, lines, document)
+    result = runs_result(title, series, tables, lines, document)
+    return replace(result, verdict=(found.equal, found.verdict))
 
 
 def _name(path: Path) -> str:
@@ -62,19 +58,20 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
             lines.append(f"{label}: {path}, run {reader.plan.run_id}. {run_line(reader.plan)}")
             series.append(replace(series_of(reader), label=label))
     cycles = min(one.cycles for one in series)
-    longest = max(one.cycles for one in series)
+    lengths = [int(one.known.sum()) for one in series]
     first, second = (one.between(0, cycles) for one in series)
     if first.inverters != second.inverters:
         raise InputError(f"{paths[1]}: expected the inverters of {paths[0]}, got others")
     if (first.start_time_ns, first.cycle_s) != (second.start_time_ns, second.cycle_s):
-        raise InputError(f"{paths[1]}: expected {when(first)} as in {paths[0]}, got {when(second)}")
+        begins = [f"{one.times[0]}, cycles of {one.cycle_s:g} s" for one in (first, second)]
+        expected = f"the beginning of {paths[0]}, {begins[0]}"
+        raise InputError(f"{paths[1]}: expected {expected}, got {begins[1]}")
     both = first.known & second.known
     if not both.any():
         raise InputError(f"{paths[1]}: expected a cycle that {paths[0]} has recorded too, got none")
-    if both.sum() < longest:
-        lines.append(
-            f"{both.sum():,} of {longest:,} cycles are compared: those that both have recorded."
-        )
+    if both.sum() < max(lengths):
+        of = f"A has {lengths[0]:,}, B has {lengths[1]:,}"
+        lines.append(f"{both.sum():,} cycles are compared, which both have recorded: {of}.")
     first, second = series = [_only(one, both) for one in (first, second)]
     if any(_differ(first, second, name).any() for name in _GIVEN):
         lines.append("Sky or dispatch differ: figures of available power and regulation show A's.")
@@ -83,7 +80,7 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
 
 def _only(series: RunSeries, cycles: NDArray[np.bool_]) -> RunSeries:
     """Return a run as if only some of its cycles had been recorded."""
-    arrays = {name: getattr(series, name).copy() for name in _IN_ORDER}
+    arrays = {name: getattr(series, name).copy() for name in _ARRAYS}
     for array in arrays.values():
         array[~cycles] = np.nan
     return replace(series, **arrays)
@@ -95,38 +92,8 @@ def _differ(first: RunSeries, second: RunSeries, name: str) -> NDArray[np.bool_]
     return np.asarray(~((a == b) | (np.isnan(a) & np.isnan(b))))
 
 
-def two_runs_tables(first: RunSeries, second: RunSeries) -> list[Table]:
-    """Return the figures of merit side by side, and where the runs first differ."""
+def figures_table(first: RunSeries, second: RunSeries) -> Table:
+    """Return the figures of merit of two runs side by side."""
     runs = [(one.label, run_figures(one)) for one in (first, second)]
     figures = shown_in(Shown.REPORT | Shown.COMPARE)
-    merits = runs_as_columns("Figures of merit, B less A", runs, figures, difference=True)
-    return [merits, _differences(first, second)]
-
-
-def _differences(first: RunSeries, second: RunSeries) -> Table:
-    """Return for each message the first cycle and node in which it differs, bit for bit."""
-    rows: list[tuple[int, tuple[Cell, ...]]] = []
-    for name, title in _IN_ORDER.items():
-        differ = _differ(first, second, name)
-        cycles = np.flatnonzero(differ.any(axis=1))
-        if not len(cycles):
-            continue
-        cycle = int(cycles[0])
-        column = int(differ[cycle].argmax())
-        node = first.inverters[column] if getattr(first, name).ndim > 1 else "plant"
-        values = (
-            Number(float(getattr(one, name).reshape(differ.shape)[cycle, column]), 6)
-            for one in (first, second)
-        )
-        rows.append((cycle, (title, node, cycle, clock_text(first, cycle), *values, len(cycles))))
-    rows.sort(key=lambda row: row[0])
-    columns = (
-        key_column("message"),
-        word_column("node"),
-        Column("cycle"),
-        Column("time"),
-        *(Column(one.label) for one in (first, second)),
-        Column("cycles that differ"),
-    )
-    note = "the first line is where it began" if rows else "nowhere: all are the same, bit for bit"
-    return Table("Where A and B first differ [kW]", columns, tuple(row for _, row in rows), (note,))
+    return runs_as_columns("Figures of merit, B less A", runs, figures, difference=True)

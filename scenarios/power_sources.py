@@ -34,6 +34,12 @@ def power_source(
             "plant.inverters, plant.grid",
             "expected none with measured data, which says where the inverters are",
         )
+    if plant.block_m > 0.0 and not isinstance(irradiance, CloudIrradiance):
+        raise InputError.of(
+            "plant.block_m",
+            "expected 0 with measured data, since only a field of clouds has a mean over a block, "
+            f"got {plant.block_m:g}",
+        )
     match irradiance:
         case CloudIrradiance():
             return _cloudy_sky(scenario_file, irradiance, seed, keeps=keeps)
@@ -63,6 +69,7 @@ def _cloudy_sky(
         clouds=table.clouds,
         seed=table.seed if seed is None else seed,
         history_seed=table.seed,
+        block_m=plant.block_m,
         clear_until=None
         if clear_until is None
         else pd.Timestamp(zoned(clear_until, time, "irradiance.clear_until")),

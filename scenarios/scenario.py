@@ -90,6 +90,8 @@ class PlantTable(_Table, frozen=True):
     grid: Inverters in regular rows, instead of a CSV.
     rating_kw: AC rating of the plant, split equally where the CSV has no ratings.
     altitude_m: Height above the sea [m].
+    block_m: Side of the square of modules behind an inverter, over which clouds are averaged [m].
+        Only for `clouds`.
     actuator: A command is a power `limit`, or a `fraction` of the inverter's maximum.
     meter_noise: Standard deviation of a power meter's error, as a share of the reading.
     available_bias: Relative error of `available_kw`. Default: none is stated.
@@ -106,6 +108,7 @@ class PlantTable(_Table, frozen=True):
     grid: Grid | None = None
     rating_kw: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
     altitude_m: Annotated[float, Meta(ge=-500.0, le=9000.0)] = 0.0
+    block_m: Annotated[float, Meta(ge=0.0, le=2000.0)] = 0.0
     actuator: Actuator = "limit"
     meter_noise: Annotated[float, Meta(ge=0.0, le=0.05)] = 0.0
     available_bias: Annotated[float, Meta(ge=-0.5, le=0.5)] | None = None
@@ -241,9 +244,11 @@ class BudgetTable(_Table, frozen=True):
     lateness_p99_ms: By tier. Default: for the plant's tick 2 % of the cycle, at least 1 ms.
     age_p99_ms: By tier, for each stage.
     hop_p99_ms: By signal. Default: 10 ms.
-    missed_deadlines: In the whole run, of all tiers.
-    overruns: In the whole run, of all tiers.
-    skipped_cycles: In the whole run, of all tiers.
+    late_cycles_percent: Of the run's cycles; late is one in which any of our agents missed a
+        deadline, overran or published nothing. Default: 1.
+    missed_deadlines: In the whole run, of all tiers. Default: any number.
+    overruns: In the whole run, of all tiers. Default: any number.
+    skipped_cycles: In the whole run, of all tiers. Default: any number.
     lost_messages: In the whole run, of all tiers.
     dropped_messages: In the whole run. Default: any number.
     cpu_percent: By kind; of one core, per process. Default: 80.
@@ -256,9 +261,10 @@ class BudgetTable(_Table, frozen=True):
     lateness_p99_ms: dict[Tier, Limit] = {}
     age_p99_ms: dict[Tier, Limit] = {}
     hop_p99_ms: dict[HopSignal, Limit] = {}
-    missed_deadlines: NotNegative = 0
-    overruns: NotNegative = 0
-    skipped_cycles: NotNegative = 0
+    late_cycles_percent: Amount = 1.0
+    missed_deadlines: NotNegative | None = None
+    overruns: NotNegative | None = None
+    skipped_cycles: NotNegative | None = None
     lost_messages: NotNegative = 0
     dropped_messages: NotNegative | None = None
     cpu_percent: dict[AnyKind, Amount] = {}

@@ -49,7 +49,8 @@ measurements their constants were set, and by which others they were checked.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated
+from itertools import product
+from typing import Annotated, Final
 
 import msgspec
 import numpy as np
@@ -90,6 +91,10 @@ _TRACK_SLOPE = (np.sqrt(5.0) - 1.0) / 2.0
 # number, which spread the pieces evenly over it (M. Roberts, "The unreasonable effectiveness of
 # quasirandom sequences", 2018).
 _NEXT_PIECE = np.array([0.7548776662466927, 0.5698402909980532])
+
+
+_BLOCK_POINTS: Final = 4
+"""A mean over a block is one over so many points on each side."""
 
 
 class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -149,6 +154,7 @@ def synthetic_ghi(
     altitude_m: float,
     settings: CloudSettings,
     seed: int,
+    block_m: float = 0.0,
 ) -> Floats:
     """Draw the GHI at each sensor under drifting synthetic clouds [W/m^2], shape (T, N).
 
@@ -165,11 +171,20 @@ def synthetic_ghi(
         Altitude of the plant above the sea [m].
     settings, seed
         The sky, and the seed of the cloud field, at least 0.
+    block_m
+        Side of the square around each sensor over which the irradiance is a mean [m].
     """
     clear_wm2 = clear_sky_ghi(times, lat_deg, lon_deg, altitude_m, settings.linke_turbidity)
     time_s = (times - pd.Timestamp(0, tz="UTC")).total_seconds().to_numpy()
-    index = clear_sky_index(time_s, *east_north_m(lat_deg, lon_deg), settings, seed)
-    return clear_wm2[:, None] * index
+    east_m, north_m = east_north_m(lat_deg, lon_deg)
+    offsets_m = [0.0]
+    if block_m > 0.0:
+        offsets_m = [block_m * ((row + 0.5) / _BLOCK_POINTS - 0.5) for row in range(_BLOCK_POINTS)]
+    index = np.zeros((len(times), len(lat_deg)))
+    for north_by_m, east_by_m in product(offsets_m, repeat=2):
+        place = east_m + east_by_m, north_m + north_by_m
+        index += clear_sky_index(time_s, *place, settings, seed)
+    return clear_wm2[:, None] * (index / len(offsets_m) ** 2)
 
 
 def clear_sky_index(

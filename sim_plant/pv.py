@@ -35,6 +35,9 @@ class PvSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     tilt_deg: Tilt of the modules [degree]; at 0 POA irradiance is the GHI.
     azimuth_deg: Where the modules face, clockwise from north [degree].
+    tracker_gcr: Ground coverage ratio of single-axis trackers from north to south, which follow the
+        sun up to 60 degrees and backtrack; tilt and azimuth are then without effect. Default: the
+        modules are fixed.
     dc_ac_ratio: DC rating of an array over the AC rating of its inverter.
     temp_air_c: Air temperature [degree Celsius].
     wind_speed_ms: Wind speed at 10 m [m/s].
@@ -45,6 +48,7 @@ class PvSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     tilt_deg: Annotated[float, Meta(ge=0.0, le=90.0)] = 0.0
     azimuth_deg: Annotated[float, Meta(ge=0.0, le=360.0)] = 180.0
+    tracker_gcr: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None
     dc_ac_ratio: Annotated[float, Meta(gt=0.0, le=3.0)] = 1.0
     temp_air_c: Annotated[float, Meta(ge=-60.0, le=60.0)] = 20.0
     wind_speed_ms: Annotated[float, Meta(ge=0.0, le=60.0)] = 0.0
@@ -104,13 +108,14 @@ def _sun_at(times_ns: bytes, lat_deg: float, lon_deg: float) -> pd.DataFrame:
 def _poa_wm2(
     ghi_wm2: Floats, times: pd.DatetimeIndex, sun: pd.DataFrame, settings: PvSettings
 ) -> Floats:
-    if settings.tilt_deg == 0.0:
+    if settings.tilt_deg == 0.0 and settings.tracker_gcr is None:
         return ghi_wm2
     day = np.asarray(times.tz_convert("UTC").day_of_year)[:, None]
     part = pvlib.irradiance.erbs(ghi_wm2, sun["zenith"].to_numpy()[:, None], day)
+    tilt_deg, azimuth_deg = _orientation(sun, settings)
     total = pvlib.irradiance.get_total_irradiance(
-        settings.tilt_deg,
-        settings.azimuth_deg,
+        tilt_deg,
+        azimuth_deg,
         sun["apparent_zenith"].to_numpy()[:, None],
         sun["azimuth"].to_numpy()[:, None],
         dni=part["dni"],
@@ -121,6 +126,23 @@ def _poa_wm2(
         model="haydavies",
     )
     return np.asarray(total["poa_global"], dtype=np.float64)
+
+
+def _orientation(sun: pd.DataFrame, settings: PvSettings) -> tuple[Floats, Floats]:
+    """Return tilt and azimuth of the modules [degree], of shape (T, 1) or single numbers."""
+    if settings.tracker_gcr is None:
+        return np.array(settings.tilt_deg), np.array(settings.azimuth_deg)
+    tracker = pvlib.tracking.singleaxis(
+        sun["apparent_zenith"],
+        sun["azimuth"],
+        axis_azimuth=180.0,
+        max_angle=60.0,
+        backtrack=True,
+        gcr=settings.tracker_gcr,
+    )
+    # At night a tracker has no orientation.
+    tilt_deg, azimuth_deg = (tracker[f"surface_{name}"].fillna(0.0) for name in ("tilt", "azimuth"))
+    return tilt_deg.to_numpy()[:, None], azimuth_deg.to_numpy()[:, None]
 
 
 def _inverter_ac_kw(poa_wm2: Floats, rating_kw: Floats, settings: PvSettings) -> Floats:

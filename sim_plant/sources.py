@@ -52,6 +52,7 @@ class PlantUnderSky:
 class CloudySky(PlantUnderSky):
     """A synthetic cloud field that drifts over the inverters.
 
+    The irradiance of an inverter is the mean over a square block of its array, `block_m` wide.
     Earlier days have the scenario's seed, `history_seed`, whatever the run's own seed. The sky of
     the run is clear before `clear_until`. `is_kept`: what was worked out once is kept for later.
     """
@@ -59,6 +60,7 @@ class CloudySky(PlantUnderSky):
     clouds: CloudSettings
     seed: int
     history_seed: int
+    block_m: float = 0.0
     clear_until: pd.Timestamp | None = None
     is_kept: bool = False
     measured_times: ClassVar[None] = None  # Any time can be asked for.
@@ -85,7 +87,8 @@ class CloudySky(PlantUnderSky):
 
     def _drawn_kw(self, times: pd.DatetimeIndex, seed: int) -> Floats:
         def draw() -> Floats:
-            return self.power_kw(synthetic_ghi(times, *self.place, self.clouds, seed), times)
+            ghi_wm2 = synthetic_ghi(times, *self.place, self.clouds, seed, self.block_m)
+            return self.power_kw(ghi_wm2, times)
 
         return self._kept(times, seed, draw)
 
@@ -93,7 +96,7 @@ class CloudySky(PlantUnderSky):
         """Work out what the clouds of a seed leave of the power, or all of it (-1: no clouds)."""
         if not self.is_kept:
             return work_out()
-        question = self.pv, self.clouds, *self.place, self.sites.rating_kw
+        question = self.pv, self.clouds, self.block_m, *self.place, self.sites.rating_kw
         return kept(times, seed, *question, work_out=work_out)
 
 

@@ -14,16 +14,17 @@ import psutil
 
 from agents.process.interruption import interruptible
 from agents.process.machine_watch import MachineWatch
-from bus_schemas.errors import FailureError, InputError
+from bus_schemas.errors import FailureError, InputError, listed
 from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.launch import check_processes, launch
 from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.view import ViewFor
 from results.report.result import Result
 from results.tables import Column, Table, attributes, key_column, word_column
+from results.timing.measures import LOOP
 from results.timing.report import TimingReport, report_on
-from results.timing.results import cycles_per_s
-from results.timing.run_timing import WHOLE_LOOP
+from results.timing.results import cycles_per_s, host_lines
+from results.timing.stages import STOPS_NAME
 from scenarios.preparation import Preparation
 from scenarios.times import parse_duration_s
 
@@ -81,6 +82,7 @@ def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor)
         stops = watch.stops()
         with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
             folder.write_summary(summary.as_json())
+            (folder.path / STOPS_NAME).write_bytes(msgspec.json.encode(stops))
     try:
         return report_on(folder.path, summary, (load_before, psutil.getloadavg()[0]), stops)
     except InputError as error:  # The disk was full, for instance.
@@ -93,7 +95,7 @@ def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor)
 
 
 class RateRow(msgspec.Struct, frozen=True):
-    """The run at one rate; `reason` says why it failed, or what was late or lost in which tier.
+    """The run at one rate; `reason` says why it failed, or which budgets it did not keep.
 
     Of a rate that was interrupted nothing is proved.
     """
@@ -103,7 +105,7 @@ class RateRow(msgspec.Struct, frozen=True):
     reason: str = ""
     cycles: int = 0
     late_cycles: int = 0
-    lost_messages: int = 0
+    lost_messages: int | None = None
     loop_p50_ms: float | None = None
     loop_p99_ms: float | None = None
     loop_max_ms: float | None = None
@@ -185,26 +187,19 @@ def _rates(rate_hz: float, highest_hz: float, rows: dict[float, RateRow]) -> Ite
 
 
 def rate_row(report: TimingReport) -> RateRow:
-    run, tiers = report.run, report.tiers
-    late = tiers[tiers[["missed_deadlines", "overruns", "skipped_cycles"]].any(axis=1)]
-    reasons = [
-        f"{one.tier}: missed deadlines {one.missed_deadlines}, overruns {one.overruns}, "
-        f"skipped cycles {one.skipped_cycles}"
-        for one in late.itertuples()
-    ]
-    if run.lost_messages:
-        reasons.append(f"messages not recorded: {run.lost_messages:,}")
-    loops = report.times[report.times["of"] == WHOLE_LOOP].to_dict("records")
+    run = report.run
+    failed = [budget.line for budget in report.budgets if not budget.passed]
+    loops = report.times[report.times["of"] == LOOP].to_dict("records")
     return RateRow(
         rate_hz=run.rate_hz,
-        outcome="interrupted" if run.interrupted else "clean" if run.clean else "not clean",
-        reason=", ".join(reasons),
+        outcome="interrupted" if run.interrupted else "clean" if report.passed else "not clean",
+        reason=f"not kept: {listed(failed, 5)}" if failed else "",
         cycles=run.cycles,
         late_cycles=run.late_cycles,
-        lost_messages=run.lost_messages or 0,
-        host=report.host,
+        lost_messages=run.lost_messages,
+        host=tuple(host_lines(report)),
         **{
-            f"loop_{name}_ms": loop[f"{name}_us"] / 1e3
+            f"loop_{name}_ms": loop[f"{name}_ms"]
             for loop in loops[:1]
             for name in ("p50", "p99", "max")
         },
@@ -230,7 +225,7 @@ def sweep_result(done: Sweep, scenario: str) -> Result:
     if done.highest_clean_hz is not None:
         at_least = "at least " if done.too_fast_hz is None else ""
         verdict = f"PASS: highest clean rate {at_least}{cycles_per_s(done.highest_clean_hz)} "
-        verdict += "(at most 1 % of the cycles late, no message lost)"
+        verdict += "(all budgets kept)"
     elif done.interrupted:
         verdict = "FAIL: interrupted before a rate was found to be clean"
     else:

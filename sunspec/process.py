@@ -84,6 +84,9 @@ class PlantUnitProcess(SideProcess):
         refusal = os.fsdecode(self.process.stdout.readline())
         if refusal != "\n":
             self.close()
+            if not refusal:  # Its traceback stands above.
+                what = f"the plant's Modbus unit (process {self.process.pid})"
+                raise FailureError(f"{what} ended with status {self.process.wait()} at its start")
             raise InputError(refusal.strip())
 
 

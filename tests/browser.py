@@ -13,9 +13,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-PROGRAMS: Final = ("chromium", "chromedriver")
-MISSING: Final = [program for program in PROGRAMS if shutil.which(program) is None]
-"""What this machine lacks of it."""
+import pytest
+from tools import missing
+
+NEEDED: Final = missing("chromium", "chromedriver")
+needs_browser: Final = pytest.mark.skipif(bool(NEEDED), reason=NEEDED)
 
 _OPTIONS: Final = (
     "--headless",

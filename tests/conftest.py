@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,6 +42,15 @@ def pytest_collection_finish() -> None:
     """Keep the garbage collector off all that was imported: code under test calls it often."""
     gc.collect()
     gc.freeze()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say in one line which tests were not tried here, and why."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    reasons = Counter(str(one.longrepr[2]).removeprefix("Skipped: ") for one in skipped)
+    if reasons:
+        listed = "; ".join(f"{why} ({count})" for why, count in sorted(reasons.items()))
+        terminalreporter.write_line(f"{len(skipped)} tests were not tried here: {listed}")
 
 
 @pytest.fixture(scope="session")

@@ -12,8 +12,8 @@ from recordings_by_hand import SCENARIO, cycle_of_the_plant, write_messages
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Run
-from bus_schemas.signals import RUN
+from bus_schemas.messages import Message, Run
+from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import ROOT
 from recordings.record.writer import ClockAnchor
 
@@ -117,14 +117,32 @@ def recorded(
     anchor = ClockAnchor(0, 1_700_000_000_000_000_000)
     first = replace(plan.run_message("start", 0, START_NS), publish_time_ns=START_NS - 200 * MS)
     run: list[Delivery] = [(RUN.of(ROOT), start or first), *chain(*cycles)]
+    logged = [(port, one, max(one.publish_time_ns, START_NS - 200 * MS)) for port, one in run]
     if ended:
-        last = max(message.cycle for _, message in run)
-        at_ns = max(message.publish_time_ns for _, message in run)
-        if plan.timing.cycles == PLAN.timing.cycles:
-            plan = with_changes(plan, cycles=last + 1)
-        stop = plan.run_message("stop", last + 1, START_NS)
-        run.append((RUN.of(ROOT), replace(stop, publish_time_ns=at_ns)))
-    logged = ((port, one, max(one.publish_time_ns, START_NS - 200 * MS)) for port, one in run)
+        plan = _end(logged, plan)
     path = folder / "run.mcap"
     write_messages(path, logged, plan=plan, scenario=scenario, driver=driver, anchor=anchor)
     return folder
+
+
+def recorded_at(
+    folder: Path, run: Iterable[tuple[Port[Message], Message, int]], plan: RunPlan
+) -> Path:
+    """A recording of messages that arrived at the recorder at stated times [ns]."""
+    start = replace(plan.run_message("start", 0, START_NS), publish_time_ns=START_NS - 200 * MS)
+    logged = [(RUN.of(ROOT), start, START_NS - 200 * MS), *sorted(run, key=lambda one: one[2])]
+    plan = _end(logged, plan)
+    anchor = ClockAnchor(0, 1_700_000_000_000_000_000)
+    path = folder / "run.mcap"
+    write_messages(path, logged, plan=plan, scenario=SCENARIO, driver="launch", anchor=anchor)
+    return folder
+
+
+def _end(logged: list[tuple[Port[Message], Message, int]], plan: RunPlan) -> RunPlan:
+    """Add the message that ends the run; return the plan with the cycles that it has."""
+    last, at_ns = max(one[1].cycle for one in logged), max(one[2] for one in logged)
+    if plan.timing.cycles == PLAN.timing.cycles:
+        plan = with_changes(plan, cycles=last + 1)
+    stop = replace(plan.run_message("stop", last + 1, START_NS), publish_time_ns=at_ns)
+    logged.append((RUN.of(ROOT), stop, at_ns))
+    return plan

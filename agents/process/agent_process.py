@@ -167,7 +167,7 @@ class AgentProcess:
             plan.wiring,
             session_settings(plan, name),
             patience_s=min(plan.timing.stall_timeout_s / 2.0, BEAT_S),
-            clock=HostClock() if is_away else None,
+            clock=HostClock(link.table.clock() if link.table else None) if is_away else None,
         )
         loops = [Loop(agent, plan, log_drop) for agent in agents]
         self.loop = loops[0]

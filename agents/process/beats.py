@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from mmap import mmap
 from typing import Final, NamedTuple
 
+from bus_schemas.host_clock import CLOCK_BYTES
+
 BEAT_S: Final = 0.8
 """No process waits longer than this without a beat."""
 
@@ -51,7 +53,8 @@ class BeatTable:
 
     def __init__(self, file: int, processes: Sequence[str]) -> None:
         names = (FORK_SERVER, *processes)
-        size = _HEAD.size + len(names) * _PLACE.size
+        self._clock = _HEAD.size + len(names) * _PLACE.size
+        size = self._clock + CLOCK_BYTES
         if os.fstat(file).st_size < size:
             os.ftruncate(file, size)
         self._memory = mmap(file, size)
@@ -65,6 +68,10 @@ class BeatTable:
         """Return the byte in which a process notes whether it is sending."""
         place = self._places[name] + _SENDS
         return memoryview(self._memory)[place : place + 1]
+
+    def clock(self) -> memoryview:
+        """Return the memory of the clock of another host, which all its processes share."""
+        return memoryview(self._memory)[self._clock : self._clock + CLOCK_BYTES].cast("q")
 
     def read(self, name: str) -> Beat:
         return Beat._make(_PLACE.unpack_from(self._memory, self._places[name]))

@@ -27,8 +27,11 @@ class Interruption:
 
 @contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Count Ctrl-C instead of raising KeyboardInterrupt."""
+    """Count Ctrl-C instead of raising KeyboardInterrupt; where it is ignored, it stays ignored."""
     interruption = Interruption()
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # As of a command in the background.
+        yield interruption
+        return
 
     def interrupt(signum: int, frame: FrameType | None) -> None:
         interruption.count += 1

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import ctypes
 import os
+import resource
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
 from agents.cycle import Kind
+from bus_schemas.errors import InputError
 
 LOWEST_PRIORITY: Final = 1
 HIGHEST_PRIORITY: Final = 99
@@ -25,6 +28,10 @@ _SET_PARENT_DEATH_SIGNAL: Final = 1
 
 _SET_TIMER_SLACK: Final = 29
 """PR_SET_TIMERSLACK of prctl(2)."""
+
+
+_FILES: Final = 40
+"""Files that a process has open beside its links: Zenoh's, its log, the recording."""
 
 
 class MachineSettings(msgspec.Struct, frozen=True):
@@ -52,7 +59,8 @@ def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tu
             refused.append(f"CPU {', '.join(map(str, cpus))}: not available ({error.strerror})")
     if lockstep:
         # Do not interrupt the running process when woken: it may have more messages to send.
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        with suppress(OSError):  # A sandbox may forbid it; it only saves processor time.
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     elif kind != "recorder":
         wake_precisely()
         priority = settings.priority
@@ -76,6 +84,18 @@ def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
 def wake_precisely() -> None:
     """Ask the kernel to wake this thread on time: by default Linux adds up to 50 µs."""
     ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, 1)
+
+
+def take_files(processes: int) -> None:
+    """Let this process open as many files as one needs that is linked with all of a run's."""
+    needed = _FILES + processes
+    allowed, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if resource.RLIM_INFINITY in {allowed, most} or needed <= allowed:
+        return
+    if needed > most:
+        text = f"expected at least {needed} for {processes} processes, got {most}"
+        raise InputError(f"open files of a process (ulimit -n): {text}")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, most))
 
 
 def own_memory_mb() -> float:

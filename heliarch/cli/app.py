@@ -19,7 +19,7 @@ from heliarch.cli.options import OPTIONS
 COMMANDS: Final = {
     "Run": ("launch", "node", "simulate", "timing", "conform", "inverters", "scenarios", "order"),
     "Look": ("view", "report", "inspect", "verify", "replay"),
-    "Compare": ("compare",),
+    "Compare": ("compare", "diff"),
     "Files": ("export",),
     "Set up": ("init", "doctor", "keys"),
 }

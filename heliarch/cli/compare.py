@@ -1,4 +1,4 @@
-"""`heliarch compare`: control schemes side by side, on one day or on many; or two recorded runs."""
+"""`heliarch compare`: control schemes side by side, on one day or on many."""
 
 from __future__ import annotations
 
@@ -6,22 +6,20 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Final, cast, get_args
 
 from cyclopts import Parameter
 
-from agents.settings import Actuator, OfferedCommitment
+from agents.settings import Actuator
 from bus_schemas.errors import InputError
 from bus_schemas.whole_file import whole_file
 from heliarch.cli.options import (
     FILES,
-    Given,
     ResultOptions,
     Settings,
     Workers,
     is_run,
     new_table,
-    refuse_others,
 )
 from heliarch.cli.output import do_all, publish, shared
 from results.report.result import Result
@@ -29,7 +27,6 @@ from scenarios.run_options import FAULTS, RunOptions, TimeOptions, check_names
 
 if TYPE_CHECKING:
     from studies.compare.cases import Case
-    from studies.compare.frontier import Turned
     from studies.compare.study import Row
 
 _SETTINGS: Final = (
@@ -40,7 +37,6 @@ _SETTINGS: Final = (
 
 def compare(
     scenario: str = "oahu-day",
-    other: Path | None = None,
     /,
     *,
     days: Annotated[str | None, Parameter(metavar="DATES")] = None,
@@ -48,7 +44,6 @@ def compare(
     schemes: Annotated[str | None, Parameter(metavar="NAMES")] = None,
     actuator: Annotated[str | None, Parameter(metavar="NAMES")] = None,
     show: Annotated[str, Parameter(metavar="FIGURES")] = "control-caused,over-delivered",
-    frontier: Literal["offset", "offset_errors", "promise"] | None = None,
     workers: Workers = 1,
     cluster: Annotated[str, Parameter(metavar="ADDRESS")] = "",
     settings: Annotated[Settings, Parameter(metavar="FIELD=VALUES", help=_SETTINGS)] = None,
@@ -56,7 +51,6 @@ def compare(
     faults: Annotated[list[str] | None, Parameter("--fault", metavar="RULES", group=FAULTS)] = None,
     files: ResultOptions = ResultOptions(),
     csv: Annotated[str | None, Parameter(metavar="FILE", group=FILES, validator=new_table)] = None,
-    given: Given = frozenset(),
 ) -> None:
     """Compare control schemes under the same sky.
 
@@ -69,10 +63,7 @@ def compare(
     Parameters
     ----------
     scenario
-        A shipped scenario (see `heliarch scenarios`) or a TOML file; or a recorded run, its folder
-        or run.mcap.
-    other
-        A second run, to compare the first with.
+        A shipped scenario (see `heliarch scenarios`) or a TOML file.
     days
         Dates, such as 2010-04-01..2010-04-30.
     seeds
@@ -92,11 +83,6 @@ def compare(
         missed-inputs, reverted, intervals, kept-intervals, firm-energy, promised, capacity,
         offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy,
         delay, precision, score.
-    frontier
-        Vary an offset of the plant's target (`control.offset`: a share of the rating;
-        `control.offset_errors`: times its own mean error), and show what each scheme misses and
-        over-delivers; or vary the reliability of what the plant promises, and show what it misses
-        and curtails. Means over all other cases.
     cluster
         Address of a Dask scheduler, such as tcp://host:8786: its workers share the cases instead.
     faults
@@ -105,35 +91,23 @@ def compare(
     csv
         Write the summary of the cases as CSV.
     """
-    if other is not None:
-        why = "expected only --report or --json with two recorded runs"
-        refuse_others(given, {"--report", "--json"}, why)
-        from results.two_runs import compare_runs
-
-        publish(compare_runs((Path(scenario), other)), files, "compare.html")
-        return
     if is_run(Path(scenario)):
-        raise InputError(f"{scenario}: expected two runs, or one scenario")
+        expected = "a scenario (`heliarch diff RUN RUN` compares two runs)"
+        raise InputError(f"{scenario}: expected {expected}, got a run")
     from results.figures import FIGURES
     from scenarios.scenario import load_scenario
-    from scenarios.settings import Setting, parse_setting, with_settings
+    from scenarios.settings import parse_setting
     from studies.arrays.schemes import SCHEMES
     from studies.compare import results
     from studies.compare.cases import cases, parse_days, parse_seeds
-    from studies.compare.frontier import TURNED
     from studies.compare.study import run_case
 
     shown = _names("--show", show, FIGURES)
     names = tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES)
     actuators = cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator)))
     chosen = [parse_setting(text) for text in settings or ()]
-    file, knob = load_scenario(scenario, files.data), TURNED.get(frontier or "")
-    if knob is not None:
-        chosen.append(Setting(knob.field, knob.values))
-    if frontier == "promise" and not isinstance(file.scenario.commitment, OfferedCommitment):
-        file = with_settings(file, [("commitment", {"kind": "offered"})])
     found = cases(
-        file,
+        load_scenario(scenario, files.data),
         RunOptions.of(span),
         chosen,
         faults or (),
@@ -143,14 +117,14 @@ def compare(
     if len(found) == 1:
         result, rows = _one_case(found[0], names, actuators)
         of_cases = [rows]
-    elif files.report is not None and knob is None:
+    elif files.report is not None:
         raise InputError.of(
             "--report", f"expected one case, got {len(found):,}; see --csv and --json"
         )
     else:
         run = partial(run_case, names, actuators)
         of_cases = shared(run, found, workers, "cases", cluster)
-        result = _many_cases(of_cases, shown, knob)
+        result = _many_cases(of_cases, shown)
 
     def write_summary() -> None:
         if csv is not None:
@@ -190,26 +164,12 @@ def _one_case(
     ), rows
 
 
-def _many_cases(
-    results: Sequence[Sequence[Row]], shown: Sequence[str], knob: Turned | None
-) -> Result:
-    """Return the figures of many cases, or what each scheme does while a knob is turned."""
-    from studies.compare.frontier import frontier, frontier_table, turned
+def _many_cases(results: Sequence[Sequence[Row]], shown: Sequence[str]) -> Result:
     from studies.compare.results import cases_tables
 
     remarks = dict.fromkeys(row["remarks"] for rows in results for row in rows if row["remarks"])
-    document, lines = _json(results), list(remarks)
-    if knob is None:
-        title = f"{len(results):,} cases"
-        return Result(title, cases_tables(shown, results), document, lines=lines)
-    means = turned(knob, results)
-    return Result(
-        f"{knob.field} turned",
-        [frontier_table(knob, means)],
-        document,
-        lines=lines,
-        figures=lambda: [frontier(means, knob)],
-    )
+    title = f"{len(results):,} cases"
+    return Result(title, cases_tables(shown, results), _json(results), lines=list(remarks))
 
 
 def _json(results: Sequence[Sequence[Row]]) -> list[Row]:

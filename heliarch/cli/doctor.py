@@ -87,14 +87,18 @@ def _zenoh() -> Finding:
     import psutil
     import zenoh
 
-    from bus_schemas.zenoh_session import ZENOH_RUNTIME, SessionSettings, open_session
+    from bus_schemas.zenoh_session import SOCKET, ZENOH_RUNTIME, SessionSettings, open_session
+    from launch_scripts.launch import private_folder
 
     before = psutil.Process().num_threads()
     try:
-        with open_session(SessionSettings("doctor", ["tcp/127.0.0.1:0"], [])):
+        with (
+            private_folder() as folder,
+            open_session(SessionSettings("doctor", [f"{SOCKET}/{folder}/0"], [])),
+        ):
             threads = psutil.Process().num_threads() - before
     except zenoh.ZError as error:
-        advice = "no agent can listen on 127.0.0.1: ip link set lo up, or reinstall eclipse-zenoh"
+        advice = "no agent can listen on a socket: reinstall eclipse-zenoh"
         return Finding("Zenoh", f"{error}", "wrong", advice)
     is_tuned = os.environ.get("ZENOH_RUNTIME", ZENOH_RUNTIME) == ZENOH_RUNTIME
     advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
@@ -104,7 +108,7 @@ def _zenoh() -> Finding:
 def _limits(folder: Path) -> Iterator[Finding]:
     import psutil
 
-    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    _, files = resource.getrlimit(resource.RLIMIT_NOFILE)
     if files == resource.RLIM_INFINITY:
         files = 2**20
     inverters = max(files - 100, 0)  # Recorder and plant have a link with each inverter.

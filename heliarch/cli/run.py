@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import shutil
 import sys
 from collections.abc import Iterator
@@ -79,11 +80,14 @@ def run_and_print(
 
 def _what_next(run: Path) -> list[str]:
     """Return the commands that a user wants after a run, as they can be typed."""
+    if not run.is_dir():  # It has been removed.
+        return []
     program = Path(sys.argv[0])
     is_found = shutil.which("heliarch") == str(program.absolute())
     name = "heliarch" if is_found or program.name != "heliarch" else str(program)
     commands = {"view": "watch it again", "report": "what it was worth", "inspect": "what it holds"}
-    lines = [(f"{name} {command} {run}", what) for command, what in commands.items()]
+    name, folder = shlex.quote(name), shlex.quote(str(run))
+    lines = [(f"{name} {command} {folder}", what) for command, what in commands.items()]
     width = max(len(line) for line, _ in lines)
     return ["next:", *(f"  {line:<{width}}   {what}" for line, what in lines)]
 

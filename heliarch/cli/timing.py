@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from bus_schemas.errors import InputError
 from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
 from heliarch.cli.options import FileOptions, Given, PageOptions, Settings, is_run, refuse_others
 from heliarch.cli.output import Output, publish
@@ -28,6 +29,8 @@ def timing(
     machine: ProcessOptions = ProcessOptions(),
     page: PageOptions = PageOptions(),
     files: FileOptions = FileOptions(),
+    by: Literal["tier", "agent", "link"] = "tier",
+    stages: Annotated[Path | None, Parameter(metavar="FILE")] = None,
     given: Given = frozenset(),
 ) -> int:
     """Run a plant in real time and report whether it meets deadlines.
@@ -51,6 +54,10 @@ def timing(
         Cycles a second; or a range (1..200, auto) in which to find the highest rate that the plant
         keeps up with. A run takes 60 s, or 15 s at each rate of a range, and 120 cycles at least,
         unless --to or --duration says otherwise.
+    by
+        Rows of the tables; the page of --report and --json have all.
+    stages
+        Write the table of stages that all figures come from: FILE.csv or FILE.parquet.
     """
     from heliarch.cli.live_view import PlainView
     from heliarch.cli.run import page_beside, run_request
@@ -60,10 +67,12 @@ def timing(
 
     output = Output(files.json)
     if is_run(path := Path(scenario)):
-        why = f"expected only --report or --json with the recorded run {path}"
-        refuse_others(given, {"--report", "--json"}, why)
-        return _publish(report_on(path), path, files)
+        why = f"expected only --report, --json, --by or --stages with the recorded run {path}"
+        refuse_others(given, {"--report", "--json", "--by", "--stages"}, why)
+        return _publish(report_on(path), path, files, by, stages)
     lowest_hz, highest_hz = parse_rates(rate)
+    if stages is not None and lowest_hz != highest_hz:
+        raise InputError("--stages: expected one rate with it")
     request = run_request(scenario, settings, files, RunOptions.of(span, plant, machine))
     view = partial(PlainView, output.console)
     with page_beside(page, output) as shown:
@@ -71,7 +80,7 @@ def timing(
             preparation, place = prepare_at(lowest_hz, 60.0, request, request.out)
             if shown is not None:
                 output.say(f"page: {shown.show(place.path)}")
-            return _publish(measured_run(preparation, place, view), place.path, files)
+            return _publish(measured_run(preparation, place, view), place.path, files, by, stages)
         folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
 
         def timed(rate_hz: float) -> TimingReport:
@@ -90,13 +99,18 @@ def timing(
     return FAILED if found.highest_clean_hz is None else OK
 
 
-def _publish(report: TimingReport, run: Path, files: FileOptions) -> int:
+def _publish(
+    report: TimingReport, run: Path, files: FileOptions, by: str, stages: Path | None
+) -> int:
     from recordings.read.run_file import RECORDING_NAME
     from results.timing.results import timing_result
+    from results.timing.stages import write_stages
 
     recording = run / RECORDING_NAME if run.is_dir() else run
     page = recording.with_name("timing.html")
-    publish(timing_result(report), files, page, f"recording: {recording}")
+    if stages is not None:
+        write_stages(report.stages, stages)
+    publish(timing_result(report, by), files, page, f"recording: {recording}")
     if report.run.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED

@@ -1,7 +1,9 @@
-"""The parts of an MCAP file: what stands before its messages, and where its chunks lie.
+"""The parts of an MCAP file: what stands beside its messages, and where its chunks lie.
 
 A recording has no index of its messages. Its chunks are found by the lengths of its records,
-without unpacking them: in a file that was cut or is still being written as in a whole one.
+without unpacking them: in a file that was cut or is still being written as in a whole one. Files
+that other programs wrote may have chunks of any packing, or messages outside chunks: these are
+read in blocks that count as chunks.
 
 The mcap library makes a Python object of every record; here messages are unpacked where they lie.
 That is about ten times faster (`git show 8cd0af41:benchmarks/reading_rate.py` measured it).
@@ -21,6 +23,7 @@ from struct import Struct
 from typing import BinaryIO, Final, NamedTuple, TypeAlias
 
 import lz4.frame
+import zstandard
 from mcap import records
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -45,17 +48,22 @@ _PACKED_LENGTH_SIZE: Final = 8
 _LARGEST_CHUNK: Final = 1 << 26
 """A chunk that unpacks to more bytes is damaged; those of a recording have about 1 MiB."""
 
-_CHUNK_OR_END: Final = re.compile(rb"\x06[\s\S]{36}\x03\0\0\0lz4|\x0f\x04\0{7}")
+_CHUNK_OR_END: Final = re.compile(rb"\x06[\s\S]{36}(?:\x03\0\0\0lz4|\x04\0\0\0zstd)|\x0f\x04\0{7}")
 """The begin of a chunk's record, up to the codec's name, and that of the end of the data."""
 
-_LONGEST_FOUND: Final = 43
+_LONGEST_FOUND: Final = 44
 _NOWHERE: Final = 1 << 63
 
 _OPCODES: Final = frozenset(Opcode)
+_PRIVATE: Final = 0x80
+"""Records of this opcode or a higher one are an application's own."""
+
+_UNCHUNKED: Final = frozenset({Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA})
 _BLOCK: Final = 1 << 20
 
 _BROKEN: Final = (
     *(McapError, struct.error, ValueError, EOFError, RuntimeError, OverflowError, MemoryError),
+    zstandard.ZstdError,
 )
 """What reading a damaged record can raise."""
 
@@ -68,11 +76,15 @@ class DamagedChunkError(ValueError):
 
 
 class Chunk(NamedTuple):
-    """Where a chunk's record begins, the length of its body, and the number of its file."""
+    """Where a chunk's record begins, the length of its body, and the number of its file.
+
+    Of records outside chunks: where the first one begins, and their length.
+    """
 
     offset: int
     length: int
     file: int = 0
+    is_record: bool = True
 
 
 @dataclass
@@ -82,6 +94,8 @@ class Outline:
     It is `closed` if its writer came to the end of the messages, and `whole` if it ends as it
     should. Otherwise it was cut, is damaged at `readable_end`, or is still being written. The
     checksums of `damaged_attachments` are wrong.
+
+    `library` names the program that wrote the file.
 
     A recording may go on in further files. Then `closed` and `readable_end` are those of the last
     one, of the number `file`, and it is `whole` if all of them are.
@@ -96,6 +110,7 @@ class Outline:
     chunks: list[Chunk] = field(default_factory=list)
     damaged_attachments: list[str] = field(default_factory=list)
     file: int = 0
+    library: str = ""
 
     @property
     def cut_early(self) -> bool:
@@ -137,9 +152,13 @@ def walk_on(outline: Outline, file: BinaryIO, *, chunks: bool = True) -> None:
             return
         opcode, length = _RECORD_HEAD.unpack(head)
         end = offset + _RECORD_HEAD.size + length
-        if opcode == Opcode.CHUNK and not chunks:
+        if opcode in {Opcode.CHUNK, *_UNCHUNKED} and not chunks:
             return
-        if opcode not in _OPCODES or end > size:
+        if opcode in _UNCHUNKED and end <= size:
+            end = _take_unchunked(outline, file, offset)
+            outline.readable_end = end
+            continue
+        if not (opcode in _OPCODES or opcode >= _PRIVATE) or end > size:
             # What lies before the next chunk counts as a damaged one; before none, as cut off.
             end = _next_chunk(file, offset + 1)
             if not chunks or end > size:
@@ -151,6 +170,38 @@ def walk_on(outline: Outline, file: BinaryIO, *, chunks: bool = True) -> None:
         if opcode == Opcode.DATA_END:
             outline.closed = True
             outline.whole = _ends_well(file, end, size)
+
+
+def _take_unchunked(outline: Outline, file: BinaryIO, offset: int) -> int:
+    """Let records outside chunks count as a chunk, about a block of them; return where they end."""
+    file.seek(offset)
+    block = file.read(_BLOCK)
+    _, length = _RECORD_HEAD.unpack_from(block)
+    if _RECORD_HEAD.size + length > len(block):  # A record longer than a block.
+        block += file.read(_RECORD_HEAD.size + length - len(block))
+    end = 0
+    while end + _RECORD_HEAD.size <= len(block):
+        opcode, length = _RECORD_HEAD.unpack_from(block, end)
+        next_record = end + _RECORD_HEAD.size + length
+        if opcode not in _UNCHUNKED or next_record > len(block):
+            break
+        end = next_record
+    outline.chunks.append(Chunk(offset, end, outline.file, is_record=False))
+    take_channels(outline, block[:end])
+    return offset + end
+
+
+def take_channels(outline: Outline, content: bytes) -> None:
+    """Enter the channels among some records; messages are passed over by their lengths."""
+    begin = 0
+    while begin + _RECORD_HEAD.size <= len(content):
+        opcode, length = _RECORD_HEAD.unpack_from(content, begin)
+        end = begin + _RECORD_HEAD.size + length
+        if opcode == Opcode.CHANNEL:
+            match next(_records_in(content[begin:end]), None):
+                case records.Channel() as channel:
+                    outline.channels[channel.id] = channel
+        begin = end
 
 
 def _next_chunk(file: BinaryIO, begin: int) -> int:
@@ -174,19 +225,19 @@ def _take(outline: Outline, file: BinaryIO, opcode: int, length: int) -> None:
         outline.chunks.append(chunk)
         if len(outline.chunks) == 1:
             # A recording declares all its channels before its first message.
-            for entry in _records_in(unpack_chunk(file, chunk)):
-                if isinstance(entry, records.Channel):
-                    outline.channels[entry.id] = entry
-    elif opcode in {Opcode.ATTACHMENT, Opcode.METADATA}:
+            take_channels(outline, unpack_chunk(file, chunk))
+    elif opcode in {Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA}:
         file.seek(offset)
         content = file.read(_RECORD_HEAD.size + length)
         match next(_records_in(content), None):
+            case records.Header() as header:
+                outline.library = header.library
             case records.Metadata() as entry:
                 outline.metadata[entry.name] = entry.metadata
             case records.Attachment() as attachment:
                 outline.attachments.append(attachment)
                 checksum = int.from_bytes(content[-4:], "little")
-                if zlib.crc32(content[_RECORD_HEAD.size : -4]) != checksum:
+                if checksum and zlib.crc32(content[_RECORD_HEAD.size : -4]) != checksum:
                     outline.damaged_attachments.append(attachment.name)
 
 
@@ -197,32 +248,47 @@ def _records_in(content: bytes) -> Iterator[records.McapRecord]:
 
 
 def _ends_well(file: BinaryIO, begin: int, size: int) -> bool:
-    """Whether the summary that begins behind the messages has its checksum and its end."""
+    """Whether the summary that begins behind the messages has its checksum, if any, and its end."""
     file.seek(begin)
     checksum, left = 0, size - begin - 4 - len(MAGIC)
     while left > 0 and (block := file.read(min(left, _BLOCK))):
         checksum = zlib.crc32(block, checksum)
         left -= len(block)
-    return file.read() == checksum.to_bytes(4, "little") + MAGIC
+    end = file.read()
+    return end in {checksum.to_bytes(4, "little") + MAGIC, bytes(4) + MAGIC}
 
 
 def unpack_chunk(file: BinaryIO, chunk: Chunk) -> bytes:
     """Return the records in a chunk; DamagedChunkError if it does not hold what was written."""
+    if not chunk.is_record:
+        file.seek(chunk.offset)
+        return file.read(chunk.length)
     file.seek(chunk.offset + _RECORD_HEAD.size)
     body = file.read(chunk.length)
-    if body[_CHUNK_HEAD.size :][:4] == b"zstd":  # Not damaged, and nothing in it can be read.
-        raise InputError(f"{file.name}: another tool has packed it anew: expected lz4, got zstd")
     try:
         *_, size, checksum, name_length = _CHUNK_HEAD.unpack_from(body)
+        name = body[_CHUNK_HEAD.size :][:name_length]
         if size > _LARGEST_CHUNK:
             raise ValueError("it unpacks to more than a recorder writes")
         packed = memoryview(body)[_CHUNK_HEAD.size + name_length + _PACKED_LENGTH_SIZE :]
-        content = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size)
-        if len(content) != size or zlib.crc32(content) != checksum:
+        content = _unpacked(name, packed, size)
+        if len(content) != size or (checksum and zlib.crc32(content) != checksum):
             raise ValueError("its checksum or its length is wrong")
     except _BROKEN as reason:
         raise DamagedChunkError(f"it does not unpack ({reason})") from None
-    return bytes(content)
+    return content
+
+
+def _unpacked(packing: bytes, packed: memoryview, size: int) -> bytes:
+    """Unpack at most so many bytes."""
+    match packing:
+        case b"lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size))
+        case b"zstd":
+            return zstandard.ZstdDecompressor().stream_reader(packed).read(size)
+        case b"":
+            return bytes(packed)
+    raise ValueError(f"expected lz4, zstd or no packing, got {packing[:20]!r}")
 
 
 def messages_in(content: bytes, channels: Container[int]) -> Iterator[RawMessage]:
@@ -244,3 +310,14 @@ def messages_in(content: bytes, channels: Container[int]) -> Iterator[RawMessage
             payload = content[begin + head.size : next_record]
             yield channel, sequence, log_time_ns, publish_time_ns, payload
         begin = next_record
+
+
+def message_records(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the whole records of messages, each with its log time [ns]."""
+    begin = 0
+    while begin + MESSAGE_HEAD.size <= len(content):
+        opcode, length, _, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(content, begin)
+        end = begin + _RECORD_HEAD.size + length
+        if opcode == Opcode.MESSAGE:
+            yield log_time_ns, content[begin:end]
+        begin = end

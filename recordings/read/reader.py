@@ -6,6 +6,7 @@ import tomllib
 import warnings
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Container, Iterator, Mapping
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from sys import maxsize
@@ -26,8 +27,10 @@ from recordings.read.mcap_file import (
     Chunk,
     DamagedChunkError,
     RawMessage,
+    message_records,
     messages_in,
     read_outline,
+    take_channels,
     unpack_chunk,
 )
 from recordings.read.run_clock import RunClock
@@ -43,6 +46,8 @@ if TYPE_CHECKING:
 
 _LATEST_S: Final = 30.0
 """How much later than its cycle's turn a message may come and still be found by its cycle."""
+
+_MESSAGES_PER_CHUNK: Final = 4096
 
 _LAST_CHUNKS: Final = 4
 """The newest message of a recording is in one of so many chunks at its end."""
@@ -104,14 +109,53 @@ class RunReader:
         self.follow: Callable[[float], None] = lambda share: None
         self._first_cycles: dict[Chunk, int | None] = {}
         self._unpacked: tuple[Chunk | None, bytes] = None, b""
+        self._in_memory: dict[Chunk, bytes] = {}
         try:
             self.outline = read_outline(self.files[0])
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
+            if not self.outline.library.startswith("heliarch"):
+                self._take_in_order_of_time()
         except BaseException:
             self._close_files()
             raise
+
+    def _take_in_order_of_time(self) -> None:
+        """Find the channels that another program declared, and put its messages in order.
+
+        If they are in another order than that of their log times, they are kept in memory.
+        """
+        is_sorted, newest_ns, broken = True, 0, ""
+        for chunk in self.outline.chunks:
+            try:
+                content = self.unpack(chunk)
+            except DamagedChunkError as error:
+                self.damage.add(chunk)
+                broken = str(error)
+                continue
+            take_channels(self.outline, content)
+            times_ns = [time_ns for time_ns, _ in message_records(content)]
+            is_sorted &= sorted([newest_ns, *times_ns]) == [newest_ns, *times_ns]
+            newest_ns = max(newest_ns, *times_ns, 0)
+        if self.outline.chunks and not self.channels:
+            why = broken or "no message is on a key of its plan"
+            raise InputError(f"{self.path}: expected messages of a heliarch run, got none: {why}")
+        if not is_sorted:
+            self._keep_sorted()
+
+    def _keep_sorted(self) -> None:
+        found: list[tuple[int, bytes]] = []
+        for chunk in self.outline.chunks:
+            with suppress(DamagedChunkError):
+                found += message_records(self.unpack(chunk))
+        found.sort(key=lambda one: one[0])
+        self.outline.chunks = []
+        for number in range(0, len(found), _MESSAGES_PER_CHUNK):
+            content = b"".join(one for _, one in found[number : number + _MESSAGES_PER_CHUNK])
+            chunk = Chunk(number, len(content), is_record=False)
+            self.outline.chunks.append(chunk)
+            self._in_memory[chunk] = content
 
     @property
     def whole(self) -> bool:
@@ -251,7 +295,8 @@ class RunReader:
 
     @cached_property
     def channels(self) -> dict[int, Port[Message]]:
-        if not self.outline.channels:  # The first chunk has them, and is damaged.
+        is_own = self.outline.library.startswith("heliarch")
+        if not self.outline.channels and is_own:  # The first chunk has them, and is damaged.
             return dict(enumerate(recorded_ports(self.plan), start=1))
         port_at = self.plan.wiring.port
         port_of = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
@@ -299,6 +344,8 @@ class RunReader:
             yield chunk
 
     def unpack(self, chunk: Chunk) -> bytes:
+        if chunk in self._in_memory:
+            return self._in_memory[chunk]
         if self._unpacked[0] != chunk:  # A search by cycles looks into a chunk before it is read.
             self._unpacked = chunk, unpack_chunk(self.files[chunk.file], chunk)
         return self._unpacked[1]

@@ -18,18 +18,18 @@ import pandas as pd
 
 from agents.cycle import KINDS, STAGES, kind_of
 from agents.plan import RunPlan
-from agents.process.machine import MachineSettings
-from agents.process.machine_watch import LATE_MS, MachineStop
+from agents.process.machine_watch import MachineStop
 from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT
 from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
 from results.run_summary import RunSummary
-from results.tables import counted
-from results.timing.cycle_waits import CycleWaits
-from results.timing.run_timing import COUNTS, WHOLE_LOOP, RunTiming, percentiles, run_timing
-from results.timing.stage_times import tier_of
+from results.timing.clocks import HostClock, clocks_of
+from results.timing.devices import DeviceTiming, devices_of
+from results.timing.late_cycles import LateCycle, late_cycles
+from results.timing.measures import COUNTS, LOOP, Floats, counts, durations, prepared, statistics
+from results.timing.stages import stage_table, stops_of, tier_of
 from scenarios.scenario import BudgetTable, TimingTable
 from sunspec.process import DeviceAccount
 
@@ -45,8 +45,8 @@ _LEAST_LATENESS_MS: Final = 1.0
 _CPU_PERCENT: Final = 80.0
 """Of one core, for each process: above it, nothing is left to catch up with."""
 
-_CLEAN_SHARE: Final = 0.01
-"""Share of late cycles up to which a run is clean: one long stall must not decide."""
+_LATE_PERCENT: Final = 1.0
+"""Of a device's answers: as many may be late or missing as cycles of a run may be late."""
 
 FEW: Final = 100
 """The p99 of fewer durations is the longest one: a single one must not decide."""
@@ -98,30 +98,45 @@ class TimedRun(msgspec.Struct, frozen=True, kw_only=True):
     def whole(self) -> bool:
         return self.ended and not self.interrupted
 
-    @property
-    def clean(self) -> bool:
-        """Whether the plant kept up: at most 1 % of the cycles were late, and nothing was lost."""
-        few_late = self.late_cycles <= _CLEAN_SHARE * self.cycles
-        return self.whole and self.cycles > 0 and few_late and not self.lost_messages
+
+class Host(msgspec.Struct, frozen=True, kw_only=True):
+    """The machine, the software, and what was asked of the machine.
+
+    stops: How often it stood still, for `longest_stop_ms` at most; None: nobody watched.
+    """
+
+    kernel: str
+    cpus: str
+    python: str
+    heliarch: str
+    zenoh: str
+    priority: int
+    bound_to: dict[str, tuple[int, ...]]
+    load_before: float | None = None
+    load_after: float | None = None
+    stops: int | None = None
+    longest_stop_ms: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimingReport:
     """A timed run; docs/timing.md describes the tables. NaN: it is not known.
 
-    host: The machine and the software, in words: the figures mean nothing without them.
-    times: Rows of durations: measure, of, count, min_us to max_us.
+    host: The machine and the software: the figures mean nothing without them.
+    stages: The tidy table. times: Rows of durations: by, measure, of, count, min_ms to max_ms.
     tiers: Counts, processor time and memory.
     """
 
     run: TimedRun
-    host: tuple[str, ...]
+    host: Host
+    clocks: tuple[HostClock, ...]
+    stages: pd.DataFrame
     times: pd.DataFrame
     tiers: pd.DataFrame
     budgets: tuple[Budget, ...]
-    slowest: tuple[CycleWaits, ...]
-    loop_ms: pd.Series
+    late: tuple[LateCycle, ...]
     remarks: tuple[str, ...]
+    external: tuple[DeviceTiming, ...]
     devices: tuple[DeviceAccount, ...]
 
     @property
@@ -129,21 +144,25 @@ class TimingReport:
         """Whether every budget was kept up to the planned end of the run."""
         return self.run.whole and all(budget.passed for budget in self.budgets)
 
+    @property
+    def loop_ms(self) -> pd.Series:
+        """How long the loop took, by cycle."""
+        rows = self.stages[(self.stages.agent == PLANT) & (self.stages.stage == "apply")]
+        return rows.ready.where(~rows.device, rows.arrived).set_axis(rows.cycle).dropna()
+
     def document(self) -> dict[str, object]:
         """Return the content of the JSON."""
         return {
             "passed": self.passed,
-            "clean": self.run.clean,
             "run": self.run,
             "host": self.host,
+            "clocks": self.clocks,
             "times": self.times.to_dict("records"),
             "tiers": self.tiers.to_dict("records"),
             "budgets": [budget._asdict() for budget in self.budgets],
-            "slowest_cycles": [
-                {"cycle": one.cycle, "loop_ms": one.length_ms, "text": one.in_words()}
-                for one in self.slowest
-            ],
+            "late_cycles": [one._asdict() for one in self.late],
             "remarks": self.remarks,
+            "external": self.external,
             "devices": self.devices,
         }
 
@@ -152,48 +171,57 @@ def report_on(
     run: Path,
     summary: RunSummary | None = None,
     load: tuple[float, float] | None = None,
-    stops: Sequence[MachineStop] = (),
+    stops: Sequence[MachineStop] | None = None,
 ) -> TimingReport:
     """Work out the timing of a run from its recording.
 
     Without a summary the one in the run's folder is used, if there is one. `load` is the machine's
-    load average before and after the run, `stops` are the times in which it stood still.
+    load average before and after the run, `stops` are the times in which it stood still; None: they
+    are read from the run's folder.
     """
     with RunReader(run) as reader:
-        plan, table = reader.plan, _budgets_in(reader)
-        timing = run_timing(reader, stops)
+        plan, budgets = reader.plan, _budgets_in(reader)
         folder, metadata, stop_cycle = reader.path.parent, reader.metadata["run"], reader.stop_cycle
+        stops = stops_of(folder) if stops is None else stops
+        stages = stage_table(reader, stops)
+    table = prepared(stages, plan)
+    late = late_cycles(table, plan)
     summary = summary or summary_in(folder, plan, RunSummary)
-    wall_s = len(timing.loop_ms) * plan.timing.cycle_wall_ns / 1e9
+    cycles = int(stages.cycle.max()) + 1
+    wall_s = cycles * plan.timing.cycle_wall_ns / 1e9
     interrupted = stop_cycle is not None and stop_cycle < plan.timing.cycles
     lost, remarks = None, [_NO_SUMMARY]
     if summary is not None:
         wall_s, lost = summary.wall_s, summary.lost
         interrupted |= summary.launcher.interrupted
         remarks = [*summary.run.remarks, *filter(None, [summary.launcher.recording_ended])]
-    tiers = _tiers(timing.processes, summary, wall_s, plan)
+    tiers = _tiers(counts(table), summary, wall_s, plan)
+    external = devices_of(table, plan)
+    run_facts = TimedRun(
+        scenario=plan.plant,
+        run_id=plan.run_id,
+        folder=str(folder),
+        rate_hz=1e9 / plan.timing.cycle_wall_ns,
+        planned_cycles=plan.timing.cycles,
+        cycles=cycles,
+        late_cycles=len(late),
+        late_stopped=sum(one.stopped_ms > 0.0 for one in late),
+        wall_s=wall_s,
+        ended=stop_cycle is not None,
+        interrupted=interrupted,
+        lost_messages=lost,
+    )
     return TimingReport(
-        run=TimedRun(
-            scenario=plan.plant,
-            run_id=plan.run_id,
-            folder=str(folder),
-            rate_hz=1e9 / plan.timing.cycle_wall_ns,
-            planned_cycles=plan.timing.cycles,
-            cycles=len(timing.loop_ms),
-            late_cycles=timing.late_cycles,
-            late_stopped=timing.late_stopped,
-            wall_s=wall_s,
-            ended=stop_cycle is not None,
-            interrupted=interrupted,
-            lost_messages=lost,
-        ),
-        host=tuple(_host(metadata, plan.supervision.machine, load, stops)),
-        times=percentiles(timing.durations),
+        run=run_facts,
+        host=_host(metadata, plan, load, stops),
+        clocks=clocks_of(table, plan),
+        stages=stages,
+        times=statistics(table),
         tiers=tiers,
-        budgets=tuple(_judged(plan, table, timing, tiers, lost)),
-        slowest=timing.slowest,
-        loop_ms=timing.loop_ms,
-        remarks=tuple(remarks),
+        budgets=tuple(_judged(plan, budgets, table, run_facts, tiers, external)),
+        late=tuple(late),
+        remarks=(*remarks, *(text for one in external for text in one.findings)),
+        external=external,
         devices=summary.devices if summary else (),
     )
 
@@ -204,7 +232,7 @@ def p99_limits_ms(plan: RunPlan, table: BudgetTable) -> dict[tuple[str, str], fl
     They are the scenario's, and defaults that follow the cycle.
     """
     cycle_ms = plan.timing.cycle_wall_ns / 1e6
-    limits = {("loop", WHOLE_LOOP): table.loop_p99_ms or _LOOP_SHARE * cycle_ms}
+    limits = {("loop", LOOP): table.loop_p99_ms or _LOOP_SHARE * cycle_ms}
     lateness = {PLANT: max(_LATENESS_SHARE * cycle_ms, _LEAST_LATENESS_MS), **table.lateness_p99_ms}
     stated: dict[str, Mapping[Any, float]] = {"lateness": lateness, "age": table.age_p99_ms}
     for agent in plan.tree.agents():
@@ -221,50 +249,64 @@ def p99_limits_ms(plan: RunPlan, table: BudgetTable) -> dict[tuple[str, str], fl
     for signal in SIGNALS:
         limit = table.hop_p99_ms.get(signal.name, signal.hop_p99_ms)
         if limit is not None:
-            for of in ("", *(f" of {one}" for one in plan.access.external)):
-                limits["hop", signal.name + of] = limit
+            limits["hop", signal.name] = limit
     return limits
 
 
 def _judged(
     plan: RunPlan,
     table: BudgetTable,
-    timing: RunTiming,
+    rows: pd.DataFrame,
+    run: TimedRun,
     tiers: pd.DataFrame,
-    lost_messages: int | None,
+    external: Sequence[DeviceTiming],
 ) -> Iterator[Budget]:
     """Compare what was measured with the budgets.
 
     A p99 is kept if at most 1 % of the durations, or a single one, are above the limit. What must
     be measured and was not is not kept.
     """
-    by_row = dict(tuple(timing.durations.groupby(["measure", "of"], sort=False)))
+    by_row: dict[tuple[str, str], Floats] = {
+        (measure, of): ms for measure, of, ms in durations(rows, "tier")
+    }
     for (measure, of), limit_ms in p99_limits_ms(plan, table).items():
         must = measure in {"loop", "decision", "response"} or of in table.hop_p99_ms
-        row, own = (f"{measure} {of} p99", measure, of), by_row.get((measure, of))
-        if own is not None:
-            count, over = own["count"].sum(), own["count"][own.us > 1e3 * limit_ms].sum()
-            passed = bool(over <= max(count // FEW, count > 1))
-            p99_ms = float(percentiles(own).p99_us[0]) / 1e3
+        row, ms = (f"{measure} {of} p99", measure, of), by_row.get((measure, of))
+        if ms is not None:
+            passed = bool((ms > limit_ms).sum() <= max(len(ms) // FEW, len(ms) > 1))
+            p99_ms = float(ms[-(len(ms) // FEW) - 1])
             yield Budget(*row, p99_ms, limit_ms, "ms", passed)
         elif must:
             yield Budget(*row, None, limit_ms, "ms", passed=False)
-    counts: list[tuple[str, float | None, float | None, str]] = [
-        ("loop all commands max", timing.loop_ms.max(), table.loop_max_ms, "ms"),
+    loop_ms = by_row.get(("loop", LOOP))
+    lines: list[tuple[str, float | None, float | None, str]] = [
+        (
+            "loop all commands max",
+            None if loop_ms is None else loop_ms[-1],
+            table.loop_max_ms,
+            "ms",
+        ),
+        ("late cycles", 100.0 * run.late_cycles / run.cycles, table.late_cycles_percent, "%"),
         ("missed deadlines", tiers.missed_deadlines.sum(), table.missed_deadlines, ""),
         ("overruns", tiers.overruns.sum(), table.overruns, ""),
         ("skipped cycles", tiers.skipped_cycles.sum(), table.skipped_cycles, ""),
-        ("messages not recorded", lost_messages, table.lost_messages, ""),
         ("dropped messages", tiers.dropped.sum(min_count=1), table.dropped_messages, ""),
     ]
     for tier in tiers.to_dict("records"):
         name, percent = tier["tier"], table.cpu_percent.get(tier["kind"], _CPU_PERCENT)
-        counts.append((f"CPU of a {name}", tier["cpu_highest_percent"], percent, "%"))
+        lines.append((f"CPU of a {name}", tier["cpu_highest_percent"], percent, "%"))
         size_mb = table.resident_mb.get(tier["kind"])
-        counts.append((f"memory of a {name}", tier["resident_mb"], size_mb, "MB"))
-    for line, value, limit, unit in counts:
-        if limit is not None and pd.notna(value):
+        lines.append((f"memory of a {name}", tier["resident_mb"], size_mb, "MB"))
+    for one in external:
+        lines.append((f"late or silent {one.agent}", one.missed_percent, _LATE_PERCENT, "%"))
+        lines.append((f"stamps of {one.agent}", one.stamps_off_ms, one.hop_p99_ms, "ms"))
+    for line, value, limit, unit in lines:
+        if limit is not None and value is not None and pd.notna(value):
             yield Budget(line, "", "", float(value), limit, unit, passed=bool(value <= limit))
+    # A run of which nobody knows what was lost is not clean.
+    lost, most = run.lost_messages, table.lost_messages
+    is_kept = lost is not None and lost <= most
+    yield Budget("messages not recorded", "", "", lost, most, "", passed=is_kept)
 
 
 def _tiers(
@@ -298,26 +340,28 @@ def _tiers(
 
 def _host(
     metadata: Mapping[str, str],
-    machine: MachineSettings,
+    plan: RunPlan,
     load: tuple[float, float] | None,
-    stops: Sequence[MachineStop],
-) -> Iterator[str]:
-    """Say what ran, on what, and what was asked of the machine; remarks say what it refused."""
-    asked = [f"SCHED_FIFO {machine.priority}" if machine.priority else "normal"]
-    bound = [*machine.cpus_of.items(), ("others" if machine.cpus_of else "all", machine.cpus)]
-    asked += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound if cpus]
+    stops: Sequence[MachineStop] | None,
+) -> Host:
     names = ("kernel", "cpu_count", "python", "version heliarch", "version eclipse-zenoh")
-    kernel, cpus, python, heliarch, zenoh = (metadata.get(name, "unknown") for name in names)
-    loads = f"; load average {load[0]:.2f} before, {load[1]:.2f} after" if load else ""
-    yield f"kernel {kernel}, {cpus} CPUs{loads}"
-    yield f"scheduling asked for: {', '.join(asked)}"
-    yield f"Python {python}, heliarch {heliarch}, Zenoh {zenoh}"
-    if stops:  # A process that only sleeps was woken late.
-        longest_ms = max(one.length_ms for one in stops)
-        yield (
-            f"the machine stood still for over {LATE_MS:g} ms {counted(len(stops), 'time')}, for "
-            f"{longest_ms:.1f} ms at most"
-        )
+    machine = plan.supervision.machine
+    bound = [*machine.cpus_of.items(), ("others" if machine.cpus_of else "all", machine.cpus)]
+    return Host(
+        **dict(
+            zip(
+                ("kernel", "cpus", "python", "heliarch", "zenoh"),
+                (metadata.get(name, "unknown") for name in names),
+                strict=True,
+            )
+        ),
+        priority=machine.priority or 0,
+        bound_to={who: tuple(cpus) for who, cpus in bound if cpus},
+        load_before=load[0] if load else None,
+        load_after=load[1] if load else None,
+        stops=None if stops is None else len(stops),
+        longest_stop_ms=max((one.length_ms for one in stops or ()), default=0.0),
+    )
 
 
 def _budgets_in(reader: RunReader) -> BudgetTable:

@@ -2,49 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
-from bus_schemas.tree import CENTRAL, PLANT
+from agents.process.machine_watch import LATE_MS
 from results.report import style
 from results.report.decimation import extremes
 from results.report.result import Result
 from results.report.tables import devices_tables
 from results.tables import Cell, Column, Table, counted, key_column, word_column
-from results.timing.cycle_waits import CycleWaits
+from results.timing.late_cycles import LateCycle
+from results.timing.measures import LOOP, MEASURES, STATISTICS, bins
 from results.timing.report import FEW, Budget, TimingReport
-from results.timing.run_timing import WHOLE_LOOP
-
-_MEANINGS: Final = {
-    "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
-    "decision": "from the moment when a stage could close to its last message",
-    "hop": "from the publishing of the input that completed a stage to when the stage could close",
-    "lateness": "from the scheduled time of what the clock closes to its first message",
-    "age": "from the publishing of the oldest input to when the stage could close",
-    "response": "from the last input to the device's own last message, seen from outside",
-}
-"""What each measure is, in a few words; docs/timing.md has the definitions."""
 
 _FEW_NOTE: Final = (
     f"of fewer than {FEW} durations the p99 is the longest one, and a single one above the budget "
     "does not decide"
 )
-_HOPS: Final = (
-    "(each time begins when the agent's last input was published, so it includes the hop)"
-)
-_STATISTICS: Final = {"min": "min_us", "p50": "p50_us", "p99": "p99_us", "p99.9": "p99_9_us"} | {
-    "max": "max_us"
-}
 _COUNTS: Final = ("missed_deadlines", "missing_inputs", "dropped", "overruns", "skipped_cycles")
 _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 """Decimals of a budget's figures, by unit."""
 
+_MOST_LATE: Final = 50
+"""Late cycles that a terminal shows one by one; JSON and page have all."""
+
 _LOOP_PX: Final = 440
-_ROW_PX: Final = 17
-_FRAME_PX: Final = 120
 
 
 def cycles_per_s(rate_hz: float) -> str:
@@ -52,34 +37,63 @@ def cycles_per_s(rate_hz: float) -> str:
     return f"{rate_hz:.4g} cycle{'' if rate_hz == 1.0 else 's'}/s"
 
 
-def timing_result(report: TimingReport) -> Result:
-    """Return the timing of a run: what was run, how long it took, and whether it was in time."""
+def timing_result(report: TimingReport, level: str = "tier") -> Result:
+    """Return the timing of a run: what was run, how long it took, and whether it was in time.
+
+    The rows of `level` (tier, agent or link) are in the tables; the page has all of them.
+    """
     run = report.run
     stopped = f" ({run.late_stopped:,} while the machine stood still)"
-    slowest = [
-        f"{'next' if number else 'slowest'} {one.in_words()}"
-        for number, one in enumerate(report.slowest)
-    ]
-    unkept = [one for one in report.budgets if not one.passed]
+    further = [one for one in ("tier", "agent", "link") if one != level]
     return Result(
         f"{run.scenario}: timing of run {run.run_id}",
-        _tables(report),
+        [
+            *_times_tables(report, level),
+            _counts_table(report.tiers),
+            *devices_tables(report.devices),
+            _other_budgets(report),
+            *_late_tables(report.late[:_MOST_LATE], len(report.late)),
+        ],
         report.document(),
         lines=[
             f"{run.scenario} at {cycles_per_s(run.rate_hz)} in real time: "
             f"{counted(run.cycles, 'cycle')} in {run.wall_s:.1f} s, {run.late_cycles:,} late"
             f"{stopped if run.late_stopped else ''}"
             f"{', interrupted' if run.interrupted else ''}",
-            *report.host,
+            *host_lines(report),
             *report.remarks,
         ],
-        conclusions=[*slowest, *([_HOPS] if slowest else []), *map(_not_kept, unkept)],
+        conclusions=[*map(_not_kept, (one for one in report.budgets if not one.passed))],
         verdict=(report.passed, _verdict(report)),
-        figures=lambda: [
-            *(waits_figure(f"waits-{at}", one) for at, one in enumerate(report.slowest, start=1)),
-            *([loop_figure(report)] if run.cycles else []),
+        figures=lambda: [_histograms(report), loop_figure(report)],
+        details=[
+            *(table for one in further for table in _times_tables(report, one)),
+            *(_late_tables(report.late, len(report.late)) if len(report.late) > _MOST_LATE else ()),
         ],
     )
+
+
+def host_lines(report: TimingReport) -> Iterator[str]:
+    """Say what ran, on what, and what was asked of the machine; remarks say what it refused."""
+    host = report.host
+    asked = [f"SCHED_FIFO {host.priority}" if host.priority else "normal"]
+    asked += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in host.bound_to.items()]
+    loads = ""
+    if host.load_before is not None and host.load_after is not None:
+        loads = f"; load average {host.load_before:.2f} before, {host.load_after:.2f} after"
+    yield f"kernel {host.kernel}, {host.cpus} CPUs{loads}"
+    yield f"scheduling asked for: {', '.join(asked)}"
+    yield f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}"
+    if host.stops:  # A process that only sleeps was woken late.
+        yield (
+            f"the machine stood still for over {LATE_MS:g} ms {counted(host.stops, 'time')}, for "
+            f"{host.longest_stop_ms:.1f} ms at most"
+        )
+    for clock in report.clocks:
+        yield (
+            f"clock of {clock.host}: {clock.offset_ms:+.3f} ms, known within "
+            f"{clock.uncertainty_ms:.3f} ms; hops between hosts are left out"
+        )
 
 
 def _verdict(report: TimingReport) -> str:
@@ -107,48 +121,48 @@ def _amount(value: float | None, unit: str) -> str:
     return "nothing" if value is None else f"{value:,.{_DECIMALS[unit]}f} {unit}".rstrip()
 
 
-def _tables(report: TimingReport) -> list[Table]:
-    """Return all tables: durations by measure, counts, health, and the other budgets."""
+def _other_budgets(report: TimingReport) -> Table:
     columns = (key_column("budget"), Column("measured"), Column("at most"), word_column(""))
     rows = [
         (one.line, _amount(one.value, one.unit), _amount(one.limit, one.unit), one.passed)
         for one in report.budgets
         if not one.measure or one.value is None
     ]
-    return [
-        *_times_tables(report),
-        _counts_table(report.tiers),
-        *devices_tables(report.devices),
-        Table("Other budgets", columns, rows),
-    ]
+    return Table("Other budgets", columns, rows)
 
 
-def _times_tables(report: TimingReport) -> list[Table]:
+def _times_tables(report: TimingReport, level: str) -> list[Table]:
     """Return a table of durations for each measure, with its budgets."""
     columns = (
         key_column(""),
         Column("count"),
-        *map(Column, _STATISTICS),
+        *(Column(name) for name in STATISTICS),
+        word_column("histogram"),
         Column("p99 at most"),
         word_column("budget"),
     )
     limits: dict[object, tuple[Cell, Cell]] = {
         (one.measure, one.of): (one.limit, one.passed) for one in report.budgets
     }
-    rows: dict[str, list[list[Any]]] = {}
-    for row in report.times.to_dict("records"):
-        figures = [row["count"], *(row[name] / 1e3 for name in _STATISTICS.values())]
-        limit = limits.get((row["measure"], row["of"]), (None, ""))
-        rows.setdefault(row["measure"], []).append([row["of"], *figures, *limit])
-    return [
-        Table(
-            f"{measure.capitalize()} [ms]",
-            columns,
-            own,
-            [_MEANINGS[measure], *([_FEW_NOTE] if any(row[1] < FEW for row in own) else [])],
-        )
-        for measure, own in rows.items()
-    ]
+    found = []
+    times = report.times[report.times.by == level]
+    for measure, own in times.groupby("measure", sort=False):
+        rows: list[list[Any]] = []
+        for row in own.to_dict("records"):
+            figures = [row["of"], row["count"], *(row[f"{name}_ms"] for name in STATISTICS)]
+            rows.append([*figures, row["histogram"], *limits.get((measure, row["of"]), (None, ""))])
+        edges = bins(own.min_ms.min(), own.max_ms.max())
+        notes = [
+            MEASURES[str(measure)][0],
+            f"histogram: {edges[0]:.3g} to {edges[-1]:.3g} ms, both axes logarithmic",
+        ]
+        if level == "tier" and (own["count"] < FEW).any():
+            notes.append(_FEW_NOTE)
+        by = "" if level == "tier" else f" by {level}"
+        title = f"{str(measure).capitalize()}{by} [ms]"
+        kept = columns if level == "tier" else columns[:-2]
+        found.append(Table(title, kept, [row[: len(kept)] for row in rows], notes))
+    return found
 
 
 def _counts_table(tiers: pd.DataFrame) -> Table:
@@ -165,35 +179,42 @@ def _counts_table(tiers: pd.DataFrame) -> Table:
     return Table("Counts", columns, rows, [note])
 
 
-def waits_figure(anchor: str, cycle: CycleWaits) -> style.ReportFigure:
-    """Draw who waited for whom in a cycle: a row for each agent, in the order of the tree."""
-    rows = [PLANT, CENTRAL, *sorted({*cycle.waits.agent} - {PLANT, CENTRAL})]
-    waits = pd.concat([cycle.waits[~cycle.waits.index.isin(cycle.chain.index)], cycle.chain])
-    in_chain = waits.index.isin(cycle.chain.index)
-    texts = waits.text + ", after " + waits.cause.replace("", "the tick")
-    bars = go.Bar(
-        orientation="h",
-        y=waits.agent.tolist(),
-        base=waits.began_ms.tolist(),
-        x=(waits.ended_ms - waits.began_ms).tolist(),
-        marker={"color": np.where(in_chain, style.VERMILLION, style.faint(style.BLUE, 0.35))},
-        customdata=texts.map(style.plain).tolist(),
-        hovertemplate="%{customdata}<extra></extra>",
+def _late_tables(late: tuple[LateCycle, ...], count: int) -> list[Table]:
+    """Return the table of late cycles and that of their culprits."""
+    if not late:
+        return []
+    columns = (key_column("cycle"), Column("loop", "ms", 1), word_column("cause"))
+    rows = [(f"{one.cycle:,}", one.loop_ms, one.text) for one in late]
+    notes = [f"and {count - len(late):,} more, see --json or --report"] if count > len(late) else []
+    by = pd.DataFrame(late).groupby(["culprit", "cause"], sort=False).ms
+    summed = by.agg(["size", "max"]).sort_values("size", ascending=False).reset_index()
+    culprits = summed.replace(float("inf"), None).to_dict("split")["data"]
+    titles = (
+        key_column("culprit"),
+        key_column("cause"),
+        Column("cycles"),
+        Column("longest", "ms", 1),
     )
-    figure = style.dress(go.Figure(bars), _FRAME_PX + _ROW_PX * len(rows), legend=False)
-    figure.update_layout(barmode="overlay", bargap=0.25)
-    order = {"categoryorder": "array", "categoryarray": rows, "range": [len(rows) - 0.4, -0.6]}
-    figure.update_yaxes(**order, tickfont={"size": 11}, automargin=True, showgrid=False, dtick=1)
-    figure.update_xaxes(title_text="time after the plant's scheduled tick [ms]", rangemode="tozero")
-    return style.ReportFigure(
-        anchor,
-        f"Who waited for whom in cycle {cycle.cycle:,}",
-        "A bar begins when the last input that an agent waited for was published and ends with "
-        "the agent's last message of that stage; it includes the hop. Orange: the chain from the "
-        "tick to the plant's production; the other bars did not delay the cycle. "
-        f"{cycle.in_words().capitalize()}.",
-        figure,
-    )
+    return [Table("Culprits", titles, culprits), Table("Late cycles", columns, rows, notes)]
+
+
+def _histograms(report: TimingReport) -> style.ReportFigure:
+    """Draw how often each duration occurred, by tier: a line for each row."""
+    figure = go.Figure()
+    colours = (style.BLUE, style.VERMILLION, style.BLACK)
+    for measure, colour in zip(("decision", "hop", "loop"), colours, strict=True):
+        times = report.times[(report.times.by == "tier") & (report.times.measure == measure)]
+        edges = bins(times.min_ms.min(), times.max_ms.max()) if len(times) else ()
+        for row in times.to_dict("records"):
+            heights = [" ▁▂▃▄▅▆▇█".index(bar) for bar in row["histogram"]]
+            line = {"color": colour, "width": 1.2, "shape": "hv"}
+            curve = style.curve(list(edges[:-1]), heights, f"{measure} {row['of']}", line)
+            figure.add_trace(curve)
+    figure = style.dress(figure, _LOOP_PX)
+    figure.update_xaxes(type="log", title_text="duration [ms]")
+    figure.update_yaxes(title_text="frequency, logarithmic", showticklabels=False)
+    caption = "How often each duration occurred, by tier; the tables have the numbers."
+    return style.ReportFigure("histograms", "Histograms", caption, figure)
 
 
 def loop_figure(report: TimingReport) -> style.ReportFigure:
@@ -204,7 +225,7 @@ def loop_figure(report: TimingReport) -> style.ReportFigure:
     line = style.curve(seconds, drawn.tolist(), "loop time", blue, hovertemplate=hover)
     figure = style.dress(go.Figure(line), _LOOP_PX, legend=False)
     for one in report.budgets:
-        if one.line.startswith(f"loop {WHOLE_LOOP}"):
+        if one.line.startswith(f"loop {LOOP}"):
             figure.add_hline(one.limit, line={"color": style.BLACK, "width": 1.3, "dash": "dash"})
     figure.update_xaxes(title_text="time since cycle 0 [s]")
     figure.update_yaxes(type="log", title_text="loop time [ms]")

@@ -15,6 +15,7 @@ from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from recordings.read.series import RunSeries
+from sim_plant.inverters import Inverters
 from sim_plant.orders import planned
 from sim_plant.profile import Profile
 from sim_plant.without_help import powers_without_help_kw
@@ -124,9 +125,29 @@ def _grouping(
     for mask in reference_groups(len(rating_kw)) if groups is None else groups:
         seen = measured_kw[:, mask].sum(axis=1), aim_kw, rating_kw, mask
         if actuator == "limit":
-            yield np.minimum(profile.mpp_kw, grouping_limits_kw(*seen))
+            limits_kw = np.minimum(grouping_limits_kw(*seen), rating_kw)
+            yield np.minimum(profile.mpp_kw, _obeyed(plan, limits_kw, rating_kw))
         else:
-            yield profile.mpp_kw * grouping_levels(*seen)
+            levels = grouping_levels(*seen)
+            yield profile.mpp_kw * _obeyed(plan, levels, np.ones_like(rating_kw))
+
+
+def _obeyed(
+    plan: RunPlan, commanded: NDArray[np.float64], full: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what is in force of commands, shape (T, n), by delay and ramp; `full` is the most.
+
+    It begins with the first command.
+    """
+    inverters = Inverters(plan)
+    at = np.arange(len(commanded))[:, None] - inverters.delay_cycles
+    found = np.take_along_axis(commanded, np.maximum(at, 0), axis=0)
+    step = inverters.ramp_per_cycle * full
+    if np.isfinite(step).any():
+        for cycle in range(1, len(found)):
+            before = found[cycle - 1]
+            found[cycle] = np.clip(found[cycle], before - step, before + step)
+    return found
 
 
 def _share(power_kw: NDArray[np.float64], of_kw: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import re
-import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from memory_use import traced_memory
 from msgspec.structs import replace
 from plans_by_hand import REAL_TIME, plan_of
 from plants_by_hand import AtWork, at, dispatch, head, impp, setpoint, telemetry
@@ -378,12 +378,10 @@ def test_a_stop_holds_until_the_plant_goes_on() -> None:
 def test_of_each_cycle_to_come_one_message_of_a_key_is_kept() -> None:
     long = plan(period_cycles=(60, 10))
     work = AtWork(long, "c1/a")
-    tracemalloc.start()
-    for number in range(20_000):
-        work.loop.hear(*telemetry("c1/a", 1 + number % 61, 1.0), 0)
-    grown, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert grown < 1_000_000
+    with traced_memory() as memory:
+        for number in range(20_000):
+            work.loop.hear(*telemetry("c1/a", 1 + number % 61, 1.0), 0)
+        assert memory()[0] < 1_000_000
     assert work.loop.inputs.dropped == {("c1/a/telemetry", "duplicate"): 20_000 - 61}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from bus_schemas.host_clock import HostClock
+from bus_schemas.host_clock import CLOCK_BYTES, HostClock
 
 MS, S = 1_000_000, 1_000_000_000
 AHEAD = 432_000 * S
@@ -29,3 +29,12 @@ def test_it_shows_the_hosts_own_time_until_a_message_with_a_time_has_come() -> N
     assert clock.at(AHEAD) == AHEAD
     clock.hear(7 * S, AHEAD)
     assert clock.at(AHEAD) == 7 * S
+
+
+def test_the_processes_of_a_host_share_one_clock_which_the_fastest_message_sets() -> None:
+    memory = memoryview(bytearray(CLOCK_BYTES)).cast("q")
+    first, second = HostClock(memory), HostClock(memory)
+    first.hear(7 * S, AHEAD + 20 * MS)
+    assert second.at(AHEAD + 20 * MS) == 7 * S
+    second.hear(8 * S, AHEAD + S + 2 * MS)
+    assert first.at(AHEAD + S + 2 * MS) == second.at(AHEAD + S + 2 * MS) == 8 * S

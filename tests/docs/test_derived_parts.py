@@ -14,15 +14,9 @@ import pytest
 
 from agents.plan import RunPlan
 from bus_schemas.codec import decode
-from bus_schemas.messages import (
-    LARGEST_PAYLOAD,
-    LONGEST_MISSING,
-    LONGEST_TEXT,
-    MOST_MISSING,
-    Message,
-)
+from bus_schemas.messages import LARGEST_PAYLOAD, Message
 from bus_schemas.signals import RESIDUAL, SETPOINT, SIGNALS, Signal
-from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
+from bus_schemas.tree import MOST_CHILDREN
 from docs.derived import (
     DOCUMENTS,
     VECTOR,
@@ -53,18 +47,6 @@ def test_the_example_messages_are_what_the_code_writes() -> None:
     text = (HOUSE / "docs" / "wire-vectors.json").read_text(encoding="utf-8")
     assert text == vectors(), "python docs/derived.py"
     assert read(VECTOR) == vector(), "python docs/derived.py"
-
-
-def test_each_example_reads_the_plan_of_the_run_above_it_in_a_folder_of_its_own() -> None:
-    examples = HOUSE / "examples"
-    text = (examples / "README.md").read_text(encoding="utf-8")
-    folders = re.findall(r"--out (\S+)", text)
-    assert len(folders) == len(set(folders)), "a folder that holds a run is refused"
-    pairs = re.findall(r"--out (\S+)\n +python examples/(\S+) --plan (\S+)/plan\.json", text)
-    programs = {path.name for path in examples.glob("*.py")} - {"member.py"}
-    assert {program for _, program, _ in pairs} == programs
-    assert all(folder == read_from for folder, _, read_from in pairs)
-    assert set(re.findall(r"heliarch verify (\S+?)`", text)) <= set(folders)
 
 
 # Scenarios ----------------------------------------------------------------------------------------
@@ -135,13 +117,6 @@ def test_what_it_says_of_payloads_is_what_the_codec_does(
         decode(signal, payload)
 
 
-def test_the_bounds_of_texts_are_those_that_are_kept() -> None:
-    rules = WIRE.partition("\n## Rules")[2]
-    lengths = (LONGEST_PATH, LONGEST_MISSING, LONGEST_TEXT, LARGEST_PAYLOAD)
-    for bound in (*lengths, MOST_MISSING, MOST_CHILDREN, MOST_INVERTERS):
-        assert f" {bound:,}" in rules
-
-
 def test_every_field_of_the_plan_is_in_the_document() -> None:
     opening = WIRE.partition("## Signals")[0]
     named = set(re.findall(r"`([a-z_]+)`", opening))
@@ -158,9 +133,3 @@ def test_a_page_shows_measured_tables_and_figures_as_they_are(page: Path) -> Non
     emptied = re.sub(r"-->[^\n<]*<!--/-->", "--><!--/-->", emptied)
     assert filled_by_figures(page, emptied) == text, "make results writes them"
     assert not re.search(r"^<!--\S.*<!--/-->", text, re.MULTILINE), "mkdocs drops such a line"
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_no_rate_is_typed_by_hand(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    assert re.findall(r"[\d.,]+ (?:cycles/s|cycles per second|times real time)\b", text) == []

@@ -164,10 +164,10 @@ def test_two_recordings_are_compared_with_their_first_difference(
         heliarch.simulate(plant, duration="20s", settings=changes, out=tmp_path / name).folder
         for name, changes in settings.items()
     )
-    found = heliarch.compare_runs(first, second)
+    found = heliarch.diff(first, second)
     assert found.differences["cycle"][0] == 0
     assert found.figures.set_index("figure")["difference"]["Dispatched energy"] < 0.0
-    assert "cycle" in heliarch.compare_runs(first, first).differences.columns
+    assert "cycle" in heliarch.diff(first, first).differences.columns
 
 
 def test_a_table_of_settings_changes_the_fields_that_it_names() -> None:

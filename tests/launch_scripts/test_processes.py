@@ -418,3 +418,8 @@ def test_one_that_has_gone_on_since_it_waited_is_not_taken_for_a_cause(watched: 
     run.pass_by(1.0)
     assert run.processes.still_waiting() == []
     assert run["c1"].waiting is None
+
+
+def test_a_process_that_is_always_started_again_waits_no_longer_than_the_policy_counts() -> None:
+    policy = RestartPolicy(when="always", within_s=60.0)
+    assert policy.wait_s([0.0] * 2000, 1.0) == 60.0

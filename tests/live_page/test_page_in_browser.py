@@ -7,16 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import MISSING, Browser, browser
+from browser import Browser, browser, needs_browser
 from recordings_by_hand import whole_run, write_run
 from replayed_runs import run_in_memory, write
 from running import Start
 from served import page_of, served
 
-pytestmark = [
-    pytest.mark.processes,
-    pytest.mark.skipif(bool(MISSING), reason=f"no browser here: {', '.join(MISSING)} missing"),
-]
+pytestmark = [pytest.mark.processes, needs_browser]
 CYCLES = 40
 NOTHING_OUTSIDE = (
     "return [...document.querySelectorAll('body :not(script)')].filter(one => {"

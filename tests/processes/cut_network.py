@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from command_line import done
+from tools import missing, not_possible
 
 _PROCESS_ID = r".*:(\d+) +.*:(\d+) +users:.*pid={},"
 
@@ -61,9 +61,9 @@ def over_tcp(scenario: str, folder: Path) -> tuple[str, ...]:
 @contextmanager
 def network_of_its_own() -> Iterator[Network]:
     """Make a namespace; skip the test, and say why, where that is not possible."""
-    tools = ("ip", "ss", "iptables")
-    if os.geteuid() or not all(map(shutil.which, tools)):
-        pytest.skip(f"a network of its own needs root and {', '.join(tools)}")
+    needed = missing("ip", "ss", "iptables")
+    if os.geteuid() or needed:
+        not_possible(f"a network of its own: {needed or 'needs root'}")
     network = Network(f"heliarch-{os.getpid()}-cut")
     try:
         try:
@@ -71,7 +71,7 @@ def network_of_its_own() -> Iterator[Network]:
             network.run("ip", "link", "set", "lo", "up")
             network.heal()
         except subprocess.CalledProcessError as error:
-            pytest.skip(f"no network of its own here: {error.stderr!r}")
+            not_possible(f"a network of its own: {error.stderr!r}")
         yield network
     finally:
         subprocess.run(["ip", "netns", "delete", network.name], check=False, capture_output=True)

@@ -132,24 +132,41 @@ process.run_process = die_once
 """
 
 
+@pytest.mark.parametrize("name", [INVERTER, "c1", "central"])
 def test_a_run_whose_folder_and_plan_are_gone_starts_controllers_again_and_fails_at_its_end(
-    heliarch: Start, plant: str
+    heliarch: Start, plant: str, name: str
 ) -> None:
     run = heliarch("launch", plant, "--duration", "1h", "--pace", "20")
     run.until_recorded()
-    process = run.process_of(INVERTER)
+    process = run.process_of(name)
     (run.folder / "plan.json").write_text("{", encoding="utf-8")
     shutil.rmtree(run.folder)
     process.send_signal(signal.SIGKILL)
     run.until_shown("it is started again")
-    server = psutil.Process(process.ppid()) if process.is_running() else None
-    assert server is None or server.is_running()
     cycle = re.compile(r"(\d+) of [\d,]+ cycles")
     last = int(cycle.findall(run.output.read_text())[-1])
     run.until(lambda: int(cycle.findall(run.output.read_text())[-1]) > last, "a later cycle")
     assert run.interrupt() == 1
     assert "Traceback" not in run.error_text() + run.output.read_text()
     assert "gave up" not in run.output.read_text(), "it needs nothing of the folder"
+
+
+def test_a_recorder_that_dies_after_the_folder_is_gone_is_given_up_in_one_line(
+    heliarch: Start, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "20")
+    run.until_recorded()
+    recorder = run.process_of(RECORDER)
+    shutil.rmtree(run.folder)
+    recorder.send_signal(signal.SIGKILL)
+    run.until_shown("the run goes on without recorder")
+    assert run.interrupt() == 1
+    said = run.output.read_text() + run.error_text()
+    assert "Traceback" not in said
+    assert [line for line in said.splitlines() if "recorder (process" in line] == [
+        f"recorder (process {recorder.pid}) was killed by signal 9 in the middle of the run, and "
+        "the run's folder has been removed; it is given up: the run goes on without recorder"
+    ]
 
 
 @pytest.mark.parametrize("killed", ["launcher", "fork server"])

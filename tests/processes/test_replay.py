@@ -149,7 +149,7 @@ def test_a_replay_waits_in_lockstep_for_an_agent_that_stands_still(
     heliarch: Start, recorded: Path, plan: RunPlan
 ) -> None:
     leaf = plan.tree.leaves[0]
-    replay = heliarch("replay", recorded, "--without", leaf, "--pace", "max")
+    replay = heliarch("replay", recorded, "--without", leaf, "--pace", "5")
     words = shlex.split(replay.until_said(f"start {leaf}:"))
     agent = subprocess.Popen(words)
     try:

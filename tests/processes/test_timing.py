@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import command_line
+import pandas as pd
 import pytest
 from running import Start, assert_none_left, small_plant
+
+from heliarch import open_run
 
 pytestmark = pytest.mark.processes
 
@@ -25,8 +28,7 @@ CYCLES = 20
 IMPOSSIBLE = """\
 [timing.budgets]
 loop_p99_ms = 0.001
-missed_deadlines = 1_000_000
-overruns = 1_000_000
+late_cycles_percent = 100
 """
 
 
@@ -34,16 +36,20 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -
     scenario = small_plant(tmp_path / "plant", ("[neighbours]", f"{IMPOSSIBLE}\n[neighbours]"))
     folder = tmp_path / "run"
     words = ("--rate", "10", "--duration", f"{CYCLES / 10:g}s", "--json", "-", "--report")
-    result = command_line.heliarch("timing", scenario, *words, "--out", folder)
+    stages = tmp_path / "stages.parquet"
+    result = command_line.heliarch("timing", scenario, *words, "--stages", stages, "--out", folder)
     assert result.exit_code == 1, result.output
     report: dict[str, Any] = json.loads(result.stdout)
 
-    rows = {(row["measure"], row["of"]): row for row in report["times"]}
+    rows = {(row["measure"], row["of"]): row for row in report["times"] if row["by"] == "tier"}
     decided = {of for measure, of in rows if measure == "decision"}
     assert decided == {f"{tier} {stage}" for tier in STAGES for stage in STAGES[tier]}
-    assert {measure for measure, _ in rows} >= {"loop", "lateness", "age", "hop"}
+    assert {measure for measure, _ in rows} >= {"loop", "lateness", "age", "hop", "gap sent"}
+    assert {row["by"] for row in report["times"]} == {"tier", "agent", "link"}
+    assert {one["cycle"] for one in report["late_cycles"]} <= set(range(CYCLES))
+    assert len(report["late_cycles"]) == report["run"]["late_cycles"]
     assert rows["loop", "all commands"]["count"] == CYCLES
-    assert {row["min_us"] >= 0 for row in report["times"]} == {True}
+    assert {row["min_ms"] >= 0 for row in report["times"]} == {True}
     counts = {tier["tier"]: tier["processes"] for tier in report["tiers"]}
     assert counts == {"plant": 1, "central": 1, "supervisor": 2, "direct": 4, "recorder": 1}
     (recorder,) = [tier for tier in report["tiers"] if tier["tier"] == "recorder"]
@@ -52,6 +58,12 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -
     assert (failed["passed"], report["passed"]) == (False, False)
     assert "loop all commands p99" in result.stderr
     assert (folder / "timing.html").exists()
+    table = open_run(folder).stages()
+    written = pd.read_parquet(stages)
+    assert len(written) == len(table) > CYCLES * len(STAGES)
+    assert list(written) == list(table)
+    assert written.published.tolist() == pytest.approx(table.published.tolist(), nan_ok=True)
+    assert written.stopped.notna().all()
     assert_none_left(folder)
 
 

@@ -34,7 +34,8 @@ def test_a_run_of_four_half_hours_by_hand() -> None:
         ramp_limit_percent_per_min=0.2,
     )
     found = run_figures(run)
-    assert {name: value for name, value in found.items() if value is not None} == pytest.approx(
+    others = {name: value for name, value in found.items() if "battery" not in name}
+    assert {name: value for name, value in others.items() if value is not None} == pytest.approx(
         {
             "cycles": 4,
             "planned-cycles": 6,

@@ -124,6 +124,18 @@ def test_no_cloud_is_a_clear_sky_and_full_cover_is_thick_cloud() -> None:
     np.testing.assert_allclose(clear_sky_index(times, CloudSettings(cloud_cover=1.0)), 0.4)
 
 
+def test_over_a_block_of_modules_clouds_are_averaged(noon_index: Floats) -> None:
+    settings, place = CloudSettings(), (LAT_DEG, LON_DEG, 5.0)
+    clear_wm2 = clear_sky_ghi(NOON, *place, settings.linke_turbidity)[:, None]
+    blocks = np.asarray(synthetic_ghi(NOON, *place, settings, 1, block_m=200.0) / clear_wm2)
+    assert blocks.mean() == pytest.approx(noon_index.mean(), abs=0.01)
+    fastest = [np.quantile(np.abs(changes(index, 1)), 0.99) for index in (blocks, noon_index)]
+    assert fastest[0] < 0.6 * fastest[1]
+    # Of a small block the middle is nearly the mean.
+    tiny = np.asarray(synthetic_ghi(NOON, *place, settings, 1, block_m=0.1) / clear_wm2)
+    np.testing.assert_allclose(tiny, noon_index, atol=1e-3)
+
+
 def test_changes_within_a_second_are_some_tens_of_watts(noon_index: Floats) -> None:
     one_second = np.abs(changes(noon_index, 1))
     ten_seconds = np.abs(changes(noon_index, 10))

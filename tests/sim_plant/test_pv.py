@@ -6,7 +6,13 @@ import pytest
 from complaints import complaint_of
 from pvlib import modelchain
 from pvlib.location import Location
-from pvlib.pvsystem import Array, FixedMount, PVSystem
+from pvlib.pvsystem import (
+    AbstractMount,
+    Array,
+    FixedMount,
+    PVSystem,
+    SingleAxisTrackerMount,
+)
 from pvlib.temperature import TEMPERATURE_MODEL_PARAMETERS
 
 from sim_plant.pv import PvSettings, ac_power_kw
@@ -50,14 +56,18 @@ def test_a_flat_array_by_hand() -> None:
         PvSettings(),
         PvSettings(tilt_deg=25.0, dc_ac_ratio=1.5),
         PvSettings(tilt_deg=30.0, azimuth_deg=90.0, temp_air_c=40.0, wind_speed_ms=8.0),
+        PvSettings(tracker_gcr=0.4),
     ],
-    ids=["flat", "clipped", "faces a warm windy morning"],
+    ids=["flat", "clipped", "faces a warm windy morning", "trackers"],
 )
 def test_the_chain_is_that_of_pvlib(settings: PvSettings) -> None:
     ghi_wm2 = bell_wm2(1000.0)
     site = Location(float(LAT_DEG.mean()), float(LON_DEG.mean()))
+    mount: AbstractMount = FixedMount(settings.tilt_deg, settings.azimuth_deg)
+    if settings.tracker_gcr is not None:
+        mount = SingleAxisTrackerMount(0.0, 180.0, max_angle=60.0, gcr=settings.tracker_gcr)
     array = Array(
-        FixedMount(settings.tilt_deg, settings.azimuth_deg),
+        mount,
         module_parameters={"pdc0": settings.dc_ac_ratio * 400.0, "gamma_pdc": -0.0035},
         temperature_model_parameters=TEMPERATURE_MODEL_PARAMETERS["sapm"][
             "open_rack_glass_polymer"

@@ -46,9 +46,15 @@ def test_a_run_that_was_recorded_earlier_is_timed_without_running_anything(tmp_p
     run = folder / "run.mcap"
     result = heliarch("timing", run, "--json", document, "--report")
     assert result.exit_code == 1, result.output
-    assert "not kept: missed deadlines 1 (at most 0)" in result.stdout
+    assert "not kept: late cycles 50.00 % (at most 1.00 %)" in result.stdout
     found = json.loads(document.read_bytes())
     assert (found["run"]["cycles"], found["run"]["lost_messages"]) == (2, 0)
+    (late,) = found["late_cycles"]
+    assert (late["cycle"], late["culprit"], late["cause"]) == (1, "c2/d", "published nothing")
+    stages = tmp_path / "stages.csv"
+    assert heliarch("timing", run, "--stages", stages, "--by", "link").exit_code == 1
+    assert stages.read_text().startswith("cycle,agent,tier,stage,")
+    assert "--stages" in refusal("timing", run, "--stages", tmp_path / "stages.txt")
     assert "FAIL: " in (folder / "timing.html").read_text(encoding="utf-8")
     (tmp_path / "lockstep").mkdir()
     run = recorded(tmp_path / "lockstep", cycle(0), plan=with_changes(PLAN, cycle_wall_ns=0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 import warnings
 from io import BytesIO
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from memory_use import traced_memory
 from recordings_by_hand import PLAN, cut, cycle_of_the_plant, whole_run, write_run, zero_chunk
 
 from bus_schemas.bus import Delivery
@@ -218,10 +218,7 @@ def test_a_frame_takes_little_more_memory_than_its_columns(tmp_path: Path, table
     write_run(tmp_path / "run.mcap", whole_run(1000))
     with RunReader(tmp_path) as run:
         run.frame(table, end=10)  # What is imported and kept once.
-        tracemalloc.start()
-        try:
+        with traced_memory() as memory:
             frame = run.frame(table)
-            peak = tracemalloc.get_traced_memory()[1]
-        finally:
-            tracemalloc.stop()
+            _, peak = memory()
     assert peak < 2.0 * frame.memory_usage(index=True).sum() + 300_000

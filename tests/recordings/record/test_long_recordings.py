@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from pathlib import Path
 
 import pytest
+from memory_use import traced_memory
 from recordings_by_hand import PLAN, SCENARIO, whole_run, write_messages
 
 from agents.process.events import Recorded
@@ -60,15 +60,12 @@ def test_the_memory_of_a_recorder_does_not_grow_with_its_messages(tmp_path: Path
         for number in range(chunks):
             writer.add(*said[number % len(said)], number)
             writer.flush()
-        return tracemalloc.get_traced_memory()[0]
+        return memory()[0]
 
-    tracemalloc.start()
-    try:
+    with traced_memory() as memory:
         write(100)
         grown = -write(100) + write(5_000)
-    finally:
-        tracemalloc.stop()
-        writer.close()
+    writer.close()
     assert grown < 20_000, "4 bytes a chunk"
 
 

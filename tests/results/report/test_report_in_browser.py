@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-from browser import MISSING, browser
+from browser import browser, needs_browser
 from synthetic_runs import cloudy_run, without_estimates
 
 from results.report.page import html_page
 from results.report.run_report import runs_result
 from results.report.tables import figures_tables
 
-pytestmark = pytest.mark.skipif(
-    bool(MISSING), reason=f"no browser here: {', '.join(MISSING)} missing"
-)
+pytestmark = needs_browser
 
 CUT = """
   const seen = document.documentElement.clientWidth;

@@ -100,9 +100,11 @@ def test_missed_deadlines_overruns_skipped_cycles_and_losses_are_counted(tmp_pat
         list(cycle(3, slow)),
     ]
     kept = "overruns = 1\nskipped_cycles = 1\nmissed_deadlines = 2\nlost_messages = 4"
-    strict = reported(tmp_path / "strict", *cycles, lost=4, dropped=1)
+    zero = "overruns = 0\nskipped_cycles = 0\nmissed_deadlines = 0"
+    strict = reported(tmp_path / "strict", *cycles, lost=4, dropped=1, budgets=zero)
     counts = {"missed deadlines", "overruns", "skipped cycles", "messages not recorded"}
     assert failed(strict) & {*counts, "dropped messages"} == counts
+    assert "late cycles" in failed(strict)
     lenient = reported(tmp_path / "lenient", *cycles, lost=4, dropped=1, budgets=kept)
     assert not failed(lenient) & counts
     dropped = reported(tmp_path / "dropped", dropped=1, budgets="dropped_messages = 8")
@@ -110,10 +112,10 @@ def test_missed_deadlines_overruns_skipped_cycles_and_losses_are_counted(tmp_pat
 
 
 def test_what_was_not_measured_although_it_must_be_is_not_kept(tmp_path: Path) -> None:
-    # The commands never complete the plant's stage, and a device tells no time of its own.
+    # The commands never complete the plant's stage, and a device sends no estimate.
     plan = with_changes(PLAN, external=("c1/a",))
     estimates = ("c1/a/impp", "c1/a/residual", "c1/a/help")
-    late = {key: (0.0, -5_000.0) if key in estimates else MISSED[key] for key in MISSED}
+    late = {key: times for key, times in MISSED.items() if key not in estimates}
     lack = {"production": ("c2/d/command",)}
     stated = "hop_p99_ms = { command = 10 }"
     report = reported(tmp_path, cycle(0, late, lack), plan=plan, budgets=stated)
@@ -145,11 +147,9 @@ def test_a_slow_cycle_in_which_the_machine_stood_still_says_so(tmp_path: Path) -
     stop = MachineStop(began_ns, began_ns + 25_000_000)
     report = report_on(tmp_path, summary_of(tmp_path), LOAD, [stop])
     text = text_of(report)
-    of_run, late, of_cycle = [line for line in text.splitlines() if "machine stood still" in line]
-    assert "2 late (1 while the machine stood still)" in of_run
-    assert "for 25.0 ms at most" in late
-    assert "cycle 1:" in of_cycle
-    assert "25.0 ms" in of_cycle
+    assert "2 late (1 while the machine stood still)" in text
+    assert "for 25.0 ms at most" in text
+    assert {one.cycle: one.stopped_ms for one in report.late} == pytest.approx({0: 0.0, 1: 25.0})
     assert "stood still" not in text_of(report_on(tmp_path, summary_of(tmp_path), LOAD))
 
 
@@ -158,7 +158,7 @@ def test_a_slow_cycle_in_which_the_machine_stood_still_says_so(tmp_path: Path) -
 
 def test_a_run_that_was_interrupted_does_not_pass(tmp_path: Path) -> None:
     kept = recorded(tmp_path, cycle(0), cycle(1))
-    assert verdict_of(report_on(kept)).startswith("PASS")
+    assert verdict_of(report_on(kept, summary_of(kept))).startswith("PASS")
     stopped = summary_of(kept)
     stopped = replace(stopped, launcher=replace(stopped.launcher, interrupted=True))
     assert "interrupted after 2 of 2 cycles" in verdict_of(report_on(kept, stopped))
@@ -172,11 +172,11 @@ def test_a_run_that_was_interrupted_does_not_pass(tmp_path: Path) -> None:
 
 def test_without_a_summary_what_only_the_launcher_knew_is_not_zero(tmp_path: Path) -> None:
     report = report_on(recorded(tmp_path, cycle(0), cycle(1)))
-    assert report.passed
+    assert failed(report) == {"messages not recorded"}, "nobody knows what was lost"
     lines = {budget.line for budget in report.budgets}
-    assert not lines & {"messages not recorded", "dropped messages", "CPU of a direct"}
+    assert not lines & {"dropped messages", "CPU of a direct"}
     text = text_of(report)
-    assert row(text, "direct").count("-") == 4
+    assert report.tiers.set_index("tier").loc["direct"].isna().sum() == 4
     assert "summary.json" in text
     document = json.loads(msgspec.json.encode(report.document()))
     assert document["run"]["lost_messages"] is None
@@ -199,8 +199,8 @@ def test_the_summary_beside_a_recording_is_used_if_it_is_of_that_run(tmp_path: P
 
 def test_each_row_has_its_figures_its_budget_and_its_verdict(tmp_path: Path) -> None:
     text = text_of(reported(tmp_path, budgets="hop_p99_ms = { residual = 0.35 }"))
-    count, *times_ms, limit_ms, verdict = row(text, "residual")
-    assert (count, limit_ms, verdict) == ("6", "0.350", "FAIL")
+    count, *times_ms = row(text, "residual")[:6]
+    assert (count, row(text, "residual")[-2:]) == ("6", ["0.350", "FAIL"])
     assert [float(time) for time in times_ms] == [0.3, 0.4, 0.5, 0.5, 0.5]
     assert row(text, "central solve")[-2:] == ["11.250", "PASS"]
 
@@ -233,27 +233,26 @@ def test_the_header_tells_what_was_asked_of_the_machine_and_what_it_refused(tmp_
     assert "memory: not locked" in text
 
 
-def test_the_page_has_the_verdict_first_and_draws_the_slowest_cycles(tmp_path: Path) -> None:
+def test_the_page_has_the_verdict_first_and_all_rows_and_late_cycles(tmp_path: Path) -> None:
     page = html_page(timing_result(reported(tmp_path / "kept")))
     verdict = page.index('<p class="verdict pass">PASS: all ')
-    assert verdict < page.index("2 cycles") < page.index('<section id="waits-1"')
-    sections = re.findall(r'<section id="([a-z0-9-]+)"', page)
-    assert [one for one in sections if "table" not in one] == ["waits-1", "waits-2", "loop"]
+    assert verdict < page.index("2 cycles") < page.index('<section id="histograms"')
+    assert "c2/residual to central" in page
     failed_page = html_page(timing_result(reported(tmp_path / "late", cycle(0), missed(1))))
     assert '<p class="verdict fail">FAIL: ' in failed_page
     assert "not kept: " in failed_page
+    assert "plant closed apply without c2/d/command" in failed_page
 
 
-def test_the_page_draws_the_loop_and_who_waited_for_whom(tmp_path: Path) -> None:
+def test_the_page_draws_the_loop_and_the_histograms(tmp_path: Path) -> None:
     result = timing_result(reported(tmp_path))
     figures: dict[str, go.Figure] = {one.anchor: one.figure for one in result.figures()}
     (loop,) = figures["loop"].data
-    assert (list(loop.x), list(loop.y)) == ([0.0, 0.1], [13.6, 13.6])
+    assert list(loop.x) == [0.0, 0.1]
+    assert list(loop.y) == pytest.approx([13.6, 13.6])
     assert [line.y0 for line in figures["loop"].layout.shapes] == [50.0]
-    (bars,) = figures["waits-1"].data
-    chain = list(bars.y)[-7:]
-    assert chain == ["plant", "c2/c", "c2", "central", "c2", "c2/d", "plant"]
-    assert len({*bars.marker.color[:-7]}) == len({*bars.marker.color[-7:]}) == 1
-    assert "c2/c took 7.9 ms (estimate), after c2/c/telemetry" in bars.customdata[-6]
-    rows = figures["waits-1"].layout.yaxis.categoryarray
-    assert rows == ("plant", "central", "c1", "c1/a", "c1/b", "c2", "c2/c", "c2/d")
+    assert {line.name.split()[0] for line in figures["histograms"].data} == {
+        "decision",
+        "hop",
+        "loop",
+    }

@@ -131,6 +131,11 @@ def test_loop_and_agents_give_the_same_where_inverters_follow_late_or_on_a_ramp(
     assert_equal(with_plan(stepped, actuator=actuator, **follows), scheme)
 
 
+@pytest.mark.parametrize("scheme", get_args(Scheme))
+def test_loop_and_agents_give_the_same_in_a_plant_as_they_are_built_today(scheme: Scheme) -> None:
+    assert_equal(prepare(load_scenario("utility"), RunOptions(duration="200"), "loop"), scheme)
+
+
 def test_loop_and_agents_give_the_same_over_a_long_time_behind_limits() -> None:
     # Where an inverter is held or let free by a hair's breadth, a rounding error would show.
     options = RunOptions(actuator="limit", duration="20m")

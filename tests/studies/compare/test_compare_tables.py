@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from results.figures import FIGURES, energy_figures
-from studies.compare.frontier import TURNED, frontier, frontier_table, turned
+from studies.compare.frontier import frontier
 from studies.compare.results import case_tables, cases_tables, summaries
 from studies.compare.study import Row
 
@@ -68,21 +68,9 @@ def test_the_frontier_leaves_out_what_another_scheme_beats_in_both() -> None:
     assert "80 kW" in by_fraction.text[0]
 
 
-def test_an_offset_that_is_turned_makes_each_scheme_a_curve_of_means() -> None:
-    def turned_by(offset: float, missed: float, beyond: float) -> Row:
-        return {"control.offset": offset, **result("paper", "limit", missed, beyond)}
-
-    rows = turned(
-        TURNED["offset"],
-        [[turned_by(0.0, 1.0, 0.2)], [turned_by(0.0, 3.0, 0.4)], [turned_by(0.01, 0.5, 2.0)]],
-    )
-    assert [cells[:5] for cells in frontier_table(TURNED["offset"], rows).texts()] == [
-        ("paper", "limit", "0", "2.000", "0.300"),
-        ("paper", "limit", "0.01", "0.500", "2.000"),
-    ]
-    *_, curve = frontier(rows).figure.data
-    points = [(round(x, 3), round(y, 3)) for x, y in zip(curve.x, curve.y, strict=True)]
-    assert points == [(0.3, 2.0), (2.0, 0.5)]
+def test_a_scheme_without_one_of_both_figures_is_not_drawn_at_zero() -> None:
+    undefined = {**result("paper", "limit", 1.0, 0.2), "over-delivered": None}
+    assert len(frontier([*SCHEMES, undefined]).figure.data[1].x) == 1
 
 
 # Many cases ---------------------------------------------------------------------------------------

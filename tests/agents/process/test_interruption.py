@@ -1,0 +1,23 @@
+"""Ctrl-C during a run."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+
+from agents.process.interruption import interruptible
+
+
+@pytest.mark.parametrize(("before", "count"), [(signal.SIG_DFL, 1), (signal.SIG_IGN, 0)])
+def test_ctrl_c_is_counted_and_where_it_is_ignored_it_stays_ignored(
+    before: signal.Handlers, count: int
+) -> None:
+    outside = signal.signal(signal.SIGINT, before)
+    try:
+        with interruptible() as interruption:
+            signal.raise_signal(signal.SIGINT)
+        assert interruption.count == count
+        assert signal.getsignal(signal.SIGINT) is before
+    finally:
+        signal.signal(signal.SIGINT, outside)
