@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import msgspec
 from cyclopts import Parameter
 from rich.text import Text
 
@@ -18,6 +17,7 @@ from results.tables import Column, Table, attributes, cell_text, key_column, tex
 from sunspec.process import read_accounts
 
 if TYPE_CHECKING:
+    from recordings.inspect.overview import Overview
     from recordings.inspect.timeline import NodeCycle
     from recordings.read.reader import RunReader
 
@@ -131,14 +131,13 @@ def _plant_text(central: NodeCycle) -> str:
     return text if frequency_hz is None else f"{text}, frequency {frequency_hz:.3f} Hz"
 
 
-def _show_overview(run: RunReader, cycles: range | None, output: Output) -> dict[str, Any]:
+def _show_overview(run: RunReader, cycles: range | None, output: Output) -> Overview:
     """Print what the recording, or a part of it, holds; return the same."""
-    from recordings.inspect.overview import facts
+    from recordings.inspect.overview import facts, read_overview
     from results.report.tables import devices_tables, health_table
-    from results.run_document import outcome_of, overview_of
 
     with progress_bar("reading") as run.follow:
-        found, outcome = overview_of(run, cycles), outcome_of(run)
+        found = read_overview(run, cycles)
     columns = (
         key_column("signal"),
         Column("nodes"),
@@ -152,8 +151,7 @@ def _show_overview(run: RunReader, cycles: range | None, output: Output) -> dict
     output.show(
         texts_table(found.run_id, facts(run, found)),
         Table("Signals", columns, attributes(found.signals, columns)),
-        health_table(found.health, run.clock, outcome),
+        health_table(found.health, run.clock),
         *devices_tables(read_accounts(run.path.parent)),
     )
-    launcher = outcome.document.launcher if outcome.document else None
-    return {**msgspec.structs.asdict(found), "launcher": launcher, "failure": outcome.failure}
+    return found
