@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Mapping
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -18,6 +19,7 @@ from agents.control.grid import GridLaw
 from agents.control.offers import OfferSettings
 from agents.cycle import Deadlines, Periods
 from agents.device_faults import DeviceFault
+from agents.device_profile import PLAIN, DeviceProfile
 from agents.faults import Fault, ProcessFault, check_fault
 from agents.process.machine import MachineSettings
 from agents.settings import (
@@ -165,6 +167,7 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     settings: For each field, the last entry that matches an inverter counts.
     devices: Real inverters, each with its address: `modbus://host:port/unit`.
     meter: Address of the real meter at the point of interconnection; empty: there is none.
+    profiles: How some of these want to be read and written, by their nodes; the meter is `meter`.
     positions_m: Metres east and north of a point that is the same for all. Empty: unknown.
     """
 
@@ -179,6 +182,7 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
     settings: tuple[InverterSettings, ...] = ()
     devices: tuple[tuple[str, str], ...] = ()
     meter: str = ""
+    profiles: tuple[tuple[str, DeviceProfile], ...] = ()
     positions_m: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -197,7 +201,11 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
         return found
 
     def revert_of(self, leaf: str) -> Revert:
-        return self.settings_of(leaf).revert or self.revert
+        revert = self.settings_of(leaf).revert or self.revert
+        return revert if self.profile_of(leaf).revert else replace(revert, after_s=inf)
+
+    def profile_of(self, node: str) -> DeviceProfile:
+        return dict(self.profiles).get(node, PLAIN)
 
     def follows_within_s(self, leaf: str) -> float:
         """Return the longest time in which an inverter comes to obey a command [s]."""

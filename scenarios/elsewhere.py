@@ -13,6 +13,7 @@ from typing import Final
 
 import msgspec
 
+from agents.device_profile import PLAIN, DeviceProfile
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.selection import find_agents
@@ -27,10 +28,12 @@ class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     node: Path of the inverter: `c2/inv07`; or `meter`.
     address: `modbus://host:port/unit`, with SunSpec models.
+    profile: How it wants to be read and written, where that cannot be detected.
     """
 
     node: str
     address: str
+    profile: DeviceProfile = PLAIN
 
 
 def external_agents(external: Sequence[str], tree: ControlTree) -> tuple[str, ...]:

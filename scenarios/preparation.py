@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_deviations
+from agents.device_profile import PLAIN
 from agents.plan import (
     Access,
     Control,
@@ -316,6 +317,9 @@ def _plan(
             ),
             devices=tuple(pair for pair in devices if pair[0] != METER),
             meter=dict(devices).get(METER, ""),
+            profiles=tuple(
+                (table.node, table.profile) for table in scenario.devices if table.profile != PLAIN
+            ),
             positions_m=day.positions_m,
         ),
         access=Access(  # The launcher chooses the ports.

@@ -22,7 +22,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from itertools import accumulate
-from math import nan
+from math import inf, nan
 from pathlib import Path
 from typing import Final
 
@@ -30,13 +30,8 @@ import msgspec
 
 from agents.plan import RunPlan
 from sim_plant.real_inverters import METER, Reading
-from sunspec.client import (
-    DeviceError,
-    DeviceRefusedError,
-    SunSpecDevice,
-    SunSpecInverter,
-    SunSpecMeter,
-)
+from sunspec.client import SunSpecDevice, SunSpecInverter, SunSpecMeter
+from sunspec.modbus_tcp import DeviceError, DeviceRefusedError, WrongAnswerError
 from sunspec.pipes import GatewayPipes, Limit
 from sunspec.process import DeviceAccount, Latency, log_in, write_accounts
 
@@ -44,9 +39,15 @@ _READ_AT: Final = 0.75
 """When an inverter is read, as a share of the cycle after the command came."""
 
 _RETRY_S: Final = 1.0
+_FIRST_TRIES: Final = 3
 _ACCOUNTS_S: Final = 2.0
-_SMALL_CHANGE: Final = 1e-4
-"""Share of the rating that no inverter can tell apart: 0.01 %."""
+_QUIET_S: Final = 60.0
+_TOO_LONG: Final = 0.9
+"""Share of a cycle beyond which a round of requests is named as too long for it."""
+
+_SAME_RATING: Final = 0.02
+_EXCESS: Final = 0.01
+"""Share of the rating by which an inverter may exceed its limit: its own measuring error."""
 
 
 class Gateway:
@@ -71,6 +72,8 @@ class Gateway:
                 pipes.hand_reading(position, self._first[position])
                 link.begin(partial(pipes.hand_reading, position))
             self._tell("")
+            for link in links:
+                link.warn()
             account_at = time.monotonic()
             while until not in select.select([until, pipes.commands], [], [], _ACCOUNTS_S)[0]:
                 for position, limit in pipes.take_limits():
@@ -106,38 +109,118 @@ class Latencies:
         return Latency(sums[-1], p50_ms, p99_ms)
 
 
+class _Voice:
+    """Says what happens to a device: at once, and again only after a minute, with the number."""
+
+    def __init__(self, node: str, tell: Callable[[str], None]) -> None:
+        self._node, self._tell = node, tell
+        self._counts: Counter[str] = Counter()
+        self._quiet_until: dict[str, float] = {}
+
+    def say(self, text: str, kind: str = "", count: int = 1) -> None:
+        """Say a text, unless one of its kind was said less than a minute ago."""
+        kind, now = kind or text, time.monotonic()
+        self._counts[kind] += count
+        if now >= self._quiet_until.get(kind, 0.0):
+            count = self._counts.pop(kind)
+            times = f" ({count:,} times in the last minute)" if count > 1 else ""
+            self._tell(f"{self._node}: {text}{times}")
+            self._quiet_until[kind] = now + _QUIET_S
+
+
+class _Excess:
+    """How far an inverter is above the limits that it has acknowledged.
+
+    follows_s: Time in which it comes to obey a limit.
+
+    most_kw: Largest excess so far.
+    """
+
+    def __init__(self, follows_s: float, tolerance_kw: float) -> None:
+        self.most_kw = 0.0
+        self._follows_s, self._tolerance_kw = follows_s, tolerance_kw
+        self._limits: deque[tuple[float, float]] = deque()
+
+    def limited(self, at: float, kw: float) -> None:
+        self._limits.append((at, kw))
+
+    def released(self) -> None:
+        self._limits.clear()
+
+    def of(self, at: float, power_kw: float) -> tuple[float, float]:
+        """Return how far a power is above what was allowed, and that; 0 kW: not."""
+        while len(self._limits) > 1 and self._limits[1][0] <= at - self._follows_s:
+            self._limits.popleft()
+        if not self._limits or self._limits[0][0] > at - self._follows_s:
+            return 0.0, inf  # A limit before the first one is unknown.
+        allowed_kw = max(kw for _, kw in self._limits)
+        excess_kw = power_kw - allowed_kw
+        if excess_kw <= self._tolerance_kw:
+            return 0.0, allowed_kw
+        self.most_kw = max(self.most_kw, excess_kw)
+        return excess_kw, allowed_kw
+
+
 class _Link:
     """The link to one device, with its thread, and what is measured and counted of it."""
 
     def __init__(self, plan: RunPlan, node: str, address: str, tell: Callable[[str], None]) -> None:
-        self._tell, self._said, self._node = tell, "", node
+        self._voice, self._node = _Voice(node, tell), node
         self._cycle_s = plan.timing.cycle_wall_ns / 1e9
         self._commands: deque[Limit] = deque(maxlen=1)
         self._wake, self._over = threading.Event(), threading.Event()
-        self._late = self._refused = self._breaks = 0
+        self._late = self._refused = self._breaks = self._drops = 0
         self._gone_at: float | None = None
         self._reads, self._writes = (Latencies() for _ in range(2))
-        self._written_kw, self._written_at = nan, 0.0  # Any limit differs from NaN.
+        self._first_read_s = 0.0
+        self._written: int | None = None
+        self._written_at = 0.0
         self._device: SunSpecDevice
+        profile = plan.site.profile_of(node)
+        self._revert = plan.site.revert
         if node == "meter":
             self.position = METER
-            self._device = SunSpecMeter(address)
+            self._device, self._excess = SunSpecMeter(address, profile), _Excess(inf, inf)
             return
         self.position = plan.tree.leaves.index(node)
         self._rating_kw, self._revert = plan.tree.rating_kw(node), plan.site.revert_of(node)
-        self._device = SunSpecInverter(address)
+        self._device = SunSpecInverter(address, profile)
+        step = (profile.limit_step_percent or 0.0) / 100.0
+        follows_s = plan.site.follows_within_s(node) + 2.0 * self._cycle_s
+        self._excess = _Excess(follows_s, (step + _EXCESS) * self._rating_kw)
 
     def connect(self) -> Reading:
         """Connect and read once, before there is a run."""
-        try:
-            self._device.connect()
-            return self._device.read()
-        except DeviceError as error:
-            raise DeviceError(f"device {self._node}: {error}") from None
+        for tries_left in reversed(range(_FIRST_TRIES)):
+            try:
+                self._device.connect()
+                began_s = time.monotonic()
+                reading = self._device.read()
+                self._first_read_s = time.monotonic() - began_s
+                return reading
+            except DeviceError as error:
+                if not tries_left or not isinstance(error, WrongAnswerError):
+                    raise DeviceError(f"device {self._node}: {error}") from None
+        raise AssertionError
 
     def begin(self, hand_over: Callable[[Reading], None]) -> None:
         self._thread = threading.Thread(target=self._run, args=[hand_over], daemon=True)
         self._thread.start()
+
+    def warn(self) -> None:
+        """Say what does not fit between device and plan."""
+        device = self._device
+        if not isinstance(device, SunSpecInverter):
+            return
+        if abs(device.rating_kw - self._rating_kw) > _SAME_RATING * self._rating_kw:
+            said, planned = f"{device.rating_kw:,.10g}", f"{self._rating_kw:,.10g}"
+            self._voice.say(f"its rating is {said} kW, and {planned} kW in the scenario")
+        reads, writes = device.requests
+        round_s = self._first_read_s * (reads + writes) / reads
+        if round_s > _TOO_LONG * self._cycle_s:
+            requests = f"{reads} requests to read it and {writes} to limit it"
+            what = f"a cycle of {self._cycle_s:g} s is too short"
+            self._voice.say(f"{what}: {requests} take {round_s:.1f} s; readings will be late")
 
     def command(self, limit: Limit) -> None:
         self._commands.append(limit)
@@ -158,6 +241,7 @@ class _Link:
             self._refused,
             self._breaks,
             None if self._gone_at is None else time.monotonic() - self._gone_at,
+            self._excess.most_kw,
         )
 
     def _run(self, hand_over: Callable[[Reading], None]) -> None:
@@ -176,11 +260,19 @@ class _Link:
                     self._late += time.monotonic() > late_at
             except DeviceRefusedError as error:
                 self._refused += 1
-                self._written_kw = nan  # The inverter may have lost the last limit.
-                self._say(str(error))
+                self._written = None  # The inverter may have lost the last limit.
+                self._voice.say(str(error))
             except DeviceError as error:
-                self._written_kw = nan
+                self._written = None
                 self._reconnect(error)
+            self._count_drops()
+
+    def _count_drops(self) -> None:
+        if drops := self._device.drops - self._drops:
+            self._drops += drops
+            self._breaks += drops
+            closed = "connection closed by the inverter"
+            self._voice.say(f"{self._device.address}: {closed}", "closed", drops)
 
     def _read(self) -> Reading:
         before = self._device.state
@@ -188,16 +280,27 @@ class _Link:
             reading = self._device.read()
         state = self._device.state
         if state != before and not {before, state} <= {"MPPT", "RUNNING", "THROTTLED"}:
-            self._say(f"{before or '-'} -> {state or '-'}")
+            self._voice.say(f"{before or '-'} -> {state or '-'}")
+        now = time.monotonic()
+        if now > self._written_at + self._revert.after_s:
+            self._excess.released()
+        excess_kw, allowed_kw = self._excess.of(now, reading.power_kw)
+        if excess_kw:
+            over = f"{reading.power_kw:,.4g} kW, {excess_kw:,.3g} kW over"
+            self._voice.say(f"gives {over} its limit of {allowed_kw:,.4g} kW", "over its limit")
         return reading
 
     def _write(self, limit: Limit) -> None:
         """Write a limit that is new, or without which the inverter would revert before long."""
         assert isinstance(self._device, SunSpecInverter)
-        after_s, to = self._revert.after_s, self._revert.to
-        is_as_before = abs(limit.kw - self._written_kw) < _SMALL_CHANGE * self._device.rating_kw
-        if is_as_before and time.monotonic() < self._written_at + after_s / 3.0:
-            return
+        after_s, to, now = self._revert.after_s, self._revert.to, time.monotonic()
+        register = self._device.limit_register(limit.kw)
+        is_due = now >= self._written_at + min(after_s / 3.0, 1e9)
+        is_new = register != self._written
+        if not is_due and self._written is not None:
+            pause_s = self._device.profile.write_every_s
+            if not is_new or now < self._written_at + pause_s:
+                return
         revert_kw = limit.revert_kw
         if not isinstance(to, str):
             revert_kw = to * self._rating_kw
@@ -205,13 +308,15 @@ class _Link:
             revert_kw = nan
         with self._writes.timed():
             self._device.limit(limit.kw, after_s, revert_kw)
-        self._written_kw, self._written_at = limit.kw, time.monotonic()
+        self._written, self._written_at = register, time.monotonic()
+        self._excess.limited(self._written_at, limit.kw)
 
     def _reconnect(self, error: DeviceError) -> None:
         """Try until the device is back."""
         self._breaks += 1
         self._gone_at = time.monotonic()
-        self._say(f"{error}; trying again")
+        self._excess.released()
+        self._voice.say(f"{error}; trying again", "gone")
         while not self._over.is_set():
             try:
                 self._device.close()
@@ -220,13 +325,8 @@ class _Link:
                 self._over.wait(_RETRY_S)
             else:
                 self._gone_at = None
-                self._say("connected again")
+                self._voice.say("connected again", "back")
                 return
-
-    def _say(self, text: str) -> None:
-        if text != self._said:
-            self._said = text
-            self._tell(f"{self._node}: {text}")
 
 
 def _tell(text: str) -> None:

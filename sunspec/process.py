@@ -38,6 +38,7 @@ class DeviceAccount(msgspec.Struct, frozen=True):
     """A real inverter in a run: how long it took to answer, how often it refused or was gone.
 
     `late` counts readings after the end of their cycle. `gone_s`: since when; None: it is there.
+    `excess_kw` is the most that it gave beyond the limits that it had acknowledged.
     """
 
     node: str
@@ -48,11 +49,12 @@ class DeviceAccount(msgspec.Struct, frozen=True):
     refused: int
     breaks: int
     gone_s: float | None
+    excess_kw: float = 0.0
 
     @property
     def has_faults(self) -> bool:
-        """Whether it was late, refused anything, or was gone."""
-        return any((self.late, self.refused, self.breaks))
+        """Whether it was late, refused anything, was gone, or did not follow its limits."""
+        return any((self.late, self.refused, self.breaks, self.excess_kw))
 
 
 def write_accounts(folder: Path, accounts: tuple[DeviceAccount, ...]) -> None:

@@ -80,15 +80,18 @@ class Registers:
         points = self._points()
         for begin, model in self._models.items():
             if begin < address + count and address < begin + model.len:
+                model.set_dict(points[model.model_id], computed=True)
                 if values is not None:
                     return self._write(model, address - begin, [int(value) for value in values])
-                model.set_dict(points[model.model_id], computed=True)
                 image = struct.unpack(f">{model.len}H", model.get_mb())
                 registers[begin - start : begin - start + model.len] = image
         return None if values is None else ExcCodes.ILLEGAL_ADDRESS
 
     def _write(self, model: Model, first: int, values: list[int]) -> ExcCodes | None:
-        """Take points of a limit, all of them or none."""
+        """Take points of a limit, all of them or none.
+
+        Registers in between may be written with what they hold.
+        """
         known = self._writable.get(model.model_id, {})
         data = struct.pack(f">{len(values)}H", *values)
         written: dict[str, Any] = {}
@@ -96,9 +99,12 @@ class Registers:
             register = point.offset - first
             if register + point.len <= 0 or register >= len(values):
                 continue
-            if name not in known or register < 0 or register + point.len > len(values):
+            words = data[2 * max(register, 0) : 2 * (register + point.len)]
+            if name not in known and words == point.get_mb():
+                continue
+            if name not in known or len(words) != 2 * point.len:
                 return ExcCodes.ILLEGAL_ADDRESS
-            point.set_mb(data[2 * register : 2 * (register + point.len)])
+            point.set_mb(words)
             written[known[name]] = point.cvalue
         assert self._write_limit is not None
         try:

@@ -78,11 +78,13 @@ def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
         Column("refused"),
         Column("breaks"),
         Column("gone for", "s", 1, name="gone_s"),
+        Column("over limit", "kW", 1, name="excess_kw"),
     )
     rows = attributes(devices, columns)
     notes = (
         "how long it takes over Modbus to read all that is needed, and to write a limit",
         "late: readings that came after the end of their cycle",
+        "over limit: most power beyond a limit that the inverter had acknowledged",
         "gone for: since the link broke, of a device that was not back at the end of the run",
     )
     return [Table("Devices", columns, rows, notes)] if rows else []

@@ -15,8 +15,9 @@ from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Device
 from sunspec2.modbus.modbus import ModbusClientException
 
 from sunspec.addresses import parse_address
-from sunspec.client import DeviceError, SunSpecInverter, SunSpecMeter
+from sunspec.client import SunSpecInverter, SunSpecMeter
 from sunspec.limited_inverter import LimitedInverter
+from sunspec.modbus_tcp import DeviceError
 from sunspec.registers import Points, inverter_points
 from sunspec.server import Sky, served
 

@@ -1,0 +1,39 @@
+"""What cannot be detected of a real inverter, as its user states it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+
+class DeviceProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How a real inverter or meter wants to be read and written.
+
+    base_address: Register at which its SunSpec map begins. Default: 40000, 0 or 50000, as found.
+    write_function: Modbus function that writes: 16 (several registers) or 6 (one). Default: what
+        the first write finds out.
+    block_write: Whether a limit is written in one request, with the registers in between.
+    revert: Whether it has a reversion time. Without one it holds its last limit for ever.
+    limit_step_percent: Step to which it rounds limits, in % of the rating: a limit is only
+        written if it differs by a step. Default: that of its register.
+    write_every_s: Shortest time between two writes of a limit, for registers that wear out [s].
+    timeout_s: Time without an answer after which the link is broken [s].
+    word_order: Which register of a number of 32 bits comes first: its `high` or `low` half.
+    heartbeat: Whether to count up `ControllerHb` of model 715 every second.
+    """
+
+    base_address: Annotated[int, Meta(ge=0, le=65_535)] | None = None
+    write_function: Literal[6, 16] | None = None
+    block_write: bool = True
+    revert: bool = True
+    limit_step_percent: Annotated[float, Meta(gt=0.0, le=50.0)] | None = None
+    write_every_s: Annotated[float, Meta(ge=0.0, le=3_600.0)] = 0.0
+    timeout_s: Annotated[float, Meta(gt=0.0, le=60.0)] = 2.0
+    word_order: Literal["high", "low"] = "high"
+    heartbeat: bool = False
+
+
+PLAIN = DeviceProfile()
+"""The profile of a device of which the user states nothing."""
