@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
 import pandas as pd
 
 from bus_schemas.errors import InputError
-from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
 from results.figures import run_figures
-from results.run_summary import RunSummary
+from results.run_document import RunDocument, document_in
 from results.timing.stages import stage_table
 
 if TYPE_CHECKING:
@@ -74,9 +73,9 @@ class Run(RunReader):
         return self.path.parent
 
     @property
-    def summary(self) -> RunSummary:
+    def summary(self) -> RunDocument:
         """What is in `summary.json`. Raises FileNotFoundError: The run has not ended."""
-        if (found := summary_in(self.folder, self.plan, RunSummary)) is None:
+        if (found := document_in(self.folder, self.plan.run_id)) is None:
             raise FileNotFoundError(f"{self.folder}: expected the summary.json of this run")
         return found
 

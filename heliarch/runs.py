@@ -21,7 +21,7 @@ from bus_schemas.errors import InputError, InputWarning
 from bus_schemas.selection import find_signals
 from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import is_run
-from heliarch.cli.run import run
+from heliarch.cli.run import carry_out
 from heliarch.recorded import Run, by_parameter, open_run
 from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.run_folder import RunRequest
@@ -261,7 +261,7 @@ def diff(first: Recording, second: Recording) -> Diff:
 
 def _run(request: RunRequest, server: ForkServerProcess | None = None) -> Run:
     with _nowhere() as console:
-        summary, folder = run(request, console, time.monotonic(), server)
+        summary, folder = carry_out(request, console, time.monotonic(), server)
     folder.write_summary(summary.as_json())
     for failure in summary.failures():
         warnings.warn(failure, InputWarning, stacklevel=3)

@@ -9,23 +9,28 @@ from dataclasses import dataclass, field
 
 from msgspec.structs import replace
 
+from agents.plan import RunPlan
 from agents.process.events import ExternalAccount, Finished, Recorded
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
+from bus_schemas.tree import ROOT
 from launch_scripts.processes import Process
 from launch_scripts.run_folder import RunFolder
-from recordings.inspect.health import Health, LauncherAccount, WrongMessages
-from recordings.read.counting import checked
+from recordings.inspect.overview import Reading, read_through
+from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
+from recordings.read.series import RunSeries, collected, plant_collector
 from recordings.verify.verification import verify
-from results.answers import Answer
-from results.run_summary import (
+from results.answers import answers, judged
+from results.figures import run_figures
+from results.highlights import highlights
+from results.run_document import (
+    LauncherAccount,
     MessageCount,
     ProcessAccount,
+    RunDocument,
     RunFacts,
-    RunSummary,
-    recorded_figures,
-    recorded_health,
+    WrongMessages,
 )
 from scenarios.preparation import Preparation
 from sunspec.process import DeviceAccount
@@ -72,31 +77,27 @@ class RunAccount:
             )
         )
 
-    def summary(
+    def document(
         self,
         recorded: Recorded,
         wall_s: float,
         *,
         interrupted: bool,
         devices: tuple[DeviceAccount, ...] = (),
-    ) -> RunSummary:
-        """Return the document of the run, which has ended. Its recording is opened and counted."""
-        preparation, plan, path = self.preparation, self.preparation.plan, self.folder.recording
-        recorded, count, fault = checked(path, plan, recorded)
-        found = Counter(recorded.recorded)
-        figures, health, answers, told_first = None, None, tuple[Answer, ...](), None
-        if count is not None and found:
-            try:
-                if recorded.cycles:
-                    budgets = preparation.scenario.scenario.answers
-                    figures, answers, told_first = recorded_figures(path, budgets)
-                health = recorded_health(path, plan, count)
-            except InputError as error:
-                fault = fault or f"the recording cannot be read: {error}"
+    ) -> RunDocument:
+        """Return what became of the run, which has ended. Its recording is read through once."""
+        preparation, plan = self.preparation, self.preparation.plan
+        reading, series, fault = self._read(recorded)
+        budgets = preparation.scenario.scenario.answers
+        external = [
+            external_account(plan, agent, recorded.cycles, reading)
+            for agent in plan.elsewhere
+            if reading
+        ]
         dropped = _by_cause(self.dropped)
         if recorded.foreign:
             dropped["at the recorder"] = recorded.foreign
-        return RunSummary(
+        return RunDocument(
             run_id=plan.run_id,
             run=RunFacts(
                 scenario=plan.plant,
@@ -114,7 +115,7 @@ class RunAccount:
                 dropped=dropped,
                 restarts=dict(self.restarts),
                 given_up=self.given_up,
-                recording_gaps=tuple(self._unrecorded()),
+                recording_gaps=tuple(self._unrecorded(reading)),
                 skipped_cycles=sum(process.skipped_cycles for process in self.processes),
                 recording_ended=recorded.ended_early or fault,
                 wrong=self._wrong_messages(recorded),
@@ -123,15 +124,35 @@ class RunAccount:
             cycles=recorded.cycles,
             wall_s=wall_s,
             startup_s=self.armed_at - self.asked_at,
-            figures=figures,
-            messages=self._messages(recorded, found, health),
+            figures=run_figures(series) if series else None,
+            messages=self._messages(recorded, external, reading),
             processes=tuple(self.processes),
-            external=tuple(map(self._compared, recorded.external)),
+            external=tuple(map(self._compared, external)),
             devices=devices,
-            health=health,
-            answers=answers,
-            highlights=told_first,
+            recording=reading.overview if reading else None,
+            answers=judged(answers(series), budgets) if series else (),
+            highlights=highlights(series) if series else None,
         )
+
+    def _read(self, recorded: Recorded) -> tuple[Reading | None, RunSeries | None, str]:
+        """Read the recording; return also what is wrong with it in a line, empty if all is well."""
+        plan, path = self.preparation.plan, self.folder.recording
+        is_sure = plan.timing.lockstep and not plan.restarts and not plan.elsewhere
+        collector, series = plant_collector(plan), None
+        try:
+            with RunReader(path) as run:
+                only_count = is_sure and run.whole
+                reading = read_through(run, listener=collector, only_count=only_count)
+                if recorded.cycles:
+                    with suppress(InputError):  # It has no complete cycle.
+                        series = collected(collector, run)
+        except (InputError, OSError) as error:
+            return None, None, f"the recording cannot be read: {error}"
+        found, reported = reading.by_signal(), Counter(recorded.recorded)
+        if reported - found:
+            of = f"{found.total():,} of {reported.total():,} messages that were recorded"
+            return reading, series, f"{path}: it holds {of}"
+        return reading, series, ""
 
     def _compared(self, account: ExternalAccount) -> ExternalAccount:
         """Return the account of an external agent; of a direct controller, also what differs."""
@@ -144,19 +165,17 @@ class RunAccount:
             return account
         return replace(account, differing=result.differences["differs"])
 
-    def _unrecorded(self) -> Iterator[tuple[int, int]]:
+    def _unrecorded(self, reading: Reading | None) -> Iterator[tuple[int, int]]:
         """Yield the gaps without what came late after all: first and last cycles."""
-        found: set[int] = set()
-        with suppress(InputError), RunReader(self.folder.recording) as run:
-            if self.recording_gaps:
-                found.update(message.cycle for _, message in run.messages(PRODUCTION))
+        produced = reading.gaps[PRODUCTION.of(ROOT)] if reading else None
         for first, last in self.recording_gaps:
-            lacking = [cycle for cycle in range(first, last + 1) if cycle not in found]
+            cycles = range(first, last + 1)
+            lacking = [cycle for cycle in cycles if not (produced and produced.has(cycle))]
             if lacking:
                 yield lacking[0], lacking[-1]
 
     def _messages(
-        self, recorded: Recorded, found: Counter[str], health: Health | None
+        self, recorded: Recorded, external: list[ExternalAccount], reading: Reading | None
     ) -> tuple[MessageCount, ...]:
         """Return what Heliarch's processes published, and what of that is recorded.
 
@@ -164,8 +183,8 @@ class RunAccount:
         messages show the least that it can be.
         """
         plan, published = self.preparation.plan, self.published
-        heard = Counter(found)
-        for account in recorded.external:
+        heard = reading.by_signal() if reading else Counter[str]()
+        for account in external:
             heard.subtract(account.recorded)
         heard.subtract(recorded.extra)  # Of strangers, on keys of the processes.
         # A recording that had to end early may hold less than was heard.
@@ -173,8 +192,9 @@ class RunAccount:
         if not self.is_complete:
             numbered = Counter(heard)
             for port in plan.wiring.ports:
-                if health is not None and port.publisher not in plan.elsewhere:
-                    numbered[port.signal.name] += health.lost.get(str(port), 0)
+                if reading is not None and port.publisher not in plan.elsewhere:
+                    lost = reading.overview.health.lost
+                    numbered[port.signal.name] += lost.get(str(port), 0)
             published = numbered | published
         return tuple(
             MessageCount(signal, published[signal], heard[signal])
@@ -210,3 +230,16 @@ def _by_cause(dropped: list[tuple[str, str, int]]) -> dict[str, int]:
     for _, cause, number in dropped:
         counts[cause] += number
     return dict(counts)
+
+
+def external_account(plan: RunPlan, agent: str, cycles: int, reading: Reading) -> ExternalAccount:
+    """Return what the recording of a run of so many cycles holds of an external agent."""
+    own = {port: one for port, one in reading.gaps.items() if port.publisher == agent}
+    due = {port: -(-cycles // step) for port in own if (step := due_step(plan, port))}
+    return ExternalAccount(
+        agent,
+        recorded=dict(reading.by_signal(agent)),
+        lost=sum(one.lost for one in own.values()),
+        expected=sum(due.values()),
+        answered=sum(own[port].cycles(cycles) for port in due),
+    )

@@ -36,7 +36,7 @@ from launch_scripts.processes import Process, Processes, has_exited, is_through
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.stall import stall
 from launch_scripts.view import View
-from results.run_summary import RunSummary
+from results.run_document import RunDocument
 from scenarios.elsewhere import check_devices, listening
 from scenarios.preparation import Preparation
 from sunspec.process import GatewayProcess, PlantUnitProcess
@@ -60,7 +60,7 @@ _UNKNOWN: Final = 1 << 62
 
 
 class _Launch:
-    """One run over processes, see `launch`."""
+    """One run over processes, see `run_as_processes`."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class _Launch:
     def _plan(self) -> RunPlan:
         return self._account.preparation.plan
 
-    def run(self) -> RunSummary:
+    def run(self) -> RunDocument:
         """Start the processes, see them through the run, compare what they say at its end."""
         processes, account, plan = self._processes, self._account, self._plan
         self._view.say(f"starting {len(processes.own)} processes, logs in {account.folder.logs}")
@@ -122,7 +122,7 @@ class _Launch:
             recorded = msgspec.structs.replace(recorded, cycles=cycles)
         # In real time the last cycle lasts to its end, though all have done their part before.
         cycles_s = recorded.cycles * plan.timing.cycle_wall_ns / 1e9
-        return account.summary(
+        return account.document(
             recorded,
             max(ended_at - account.armed_at, cycles_s),
             interrupted=bool(self._interruption),
@@ -344,13 +344,13 @@ def private_folder() -> Iterator[str]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def launch(
+def run_as_processes(
     preparation: Preparation,
     folder: RunFolder,
     view: View,
     began_at: float,
     server: ForkServerProcess,
-) -> RunSummary:
+) -> RunDocument:
     """Run and record a plant as processes over Zenoh, which the server starts.
 
     The user asked for it at `began_at`, monotonic [s].

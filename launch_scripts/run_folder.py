@@ -11,8 +11,7 @@ from pathlib import Path
 from agents.plan import RunPlan, changed
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.whole_file import named_in_errors, whole_file
-from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
-from recordings.read.run_file import RECORDING_NAME
+from recordings.read.run_file import FAILURE_NAME, RECORDING_NAME, SUMMARY_NAME
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import ScenarioFile
 from sim_plant.profile import PROFILE_NAME

@@ -36,7 +36,7 @@ from launch_scripts.stall import who_waits
 from launch_scripts.view import View
 from recordings.record.phases import RunProgress
 from recordings.record.writer import ClockAnchor, RunWriter
-from results.run_summary import ProcessAccount, RunSummary
+from results.run_document import ProcessAccount, RunDocument
 from scenarios.preparation import Preparation
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
@@ -193,9 +193,9 @@ class MemoryRun:
         self.driver.publish(RUN.of(ROOT), message)
 
 
-def simulate(
+def run_in_one_process(
     preparation: Preparation, folder: RunFolder, view: View, began_at: float
-) -> RunSummary:
+) -> RunDocument:
     """Run a plant in this process, recorded like a launched one."""
     plan = changed(preparation.plan, site={"devices": ()})  # In memory none is real.
     preparation = dataclasses.replace(
@@ -236,7 +236,7 @@ def simulate(
     for loop in run.loops.values():
         account.dropped += [(*of, number) for of, number in loop.inputs.dropped.items()]
     recorded = Recorded(dict(writer.recorded), 0, progress.completed, writer.ended_early)
-    return account.summary(recorded, wall_s, interrupted=interrupted)
+    return account.document(recorded, wall_s, interrupted=interrupted)
 
 
 def _follow(

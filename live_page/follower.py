@@ -24,12 +24,12 @@ from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER
 from live_page.run_events import RunEvents
 from recordings.inspect.agent_states import AgentStates, Change
-from recordings.inspect.health import failure_in
 from recordings.read.mcap_file import Chunk, walk_on
 from recordings.read.reader import RunReader, stop_after
 from recordings.read.series import SeriesCollector, columns_of
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
+from results.run_document import failure_in
 from sim_plant.orders import order_event
 
 State: TypeAlias = Literal["waiting", "running", "stalled", "over", "interrupted", "failed"]

@@ -9,13 +9,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-import msgspec
-
-from bus_schemas.errors import InputError, listed
+from bus_schemas.errors import InputError
 from bus_schemas.tree import ROOT
-from recordings.inspect.health import SUMMARY_NAME, LauncherAccount, failure_in
 from recordings.read.mcap_file import read_outline
-from recordings.read.run_file import RECORDING_NAME, read_origin
+from recordings.read.run_file import RECORDING_NAME, SUMMARY_NAME, read_origin
+from results.run_document import Outcome, document_in, failure_in
 from scenarios.fault_rules import fault_text
 
 _STILL_S: Final = 10.0
@@ -25,27 +23,11 @@ _FIGURES: Final = ("control-caused", "without-help", "unavoidable", "over-delive
 """What a list shows of a run: missed, its baseline, and the rest."""
 
 _UNREADABLE: Final[dict[str, Any]] = {
-    **dict.fromkeys(("scenario", "scheme", "actuator"), ""),
+    **dict.fromkeys(("run_id", "scenario", "scheme", "actuator"), ""),
     **dict.fromkeys(("inverters", "rating_kw"), None),
     "cycle_wall_s": 0.0,
     "faults": [],
 }
-
-
-class _Facts(msgspec.Struct):
-    scenario: str = ""
-    sim_start: str = ""
-    planned_cycles: int = 0
-    cycle_s: float = 0.0
-
-
-class _Summary(msgspec.Struct):
-    """What the list shows of a run's summary."""
-
-    run: _Facts = msgspec.field(default_factory=_Facts)
-    launcher: LauncherAccount = LauncherAccount()
-    cycles: int = 0
-    figures: dict[str, float | None] | None = None
 
 
 def recordings_in(folder: Path) -> dict[str, Path]:
@@ -80,44 +62,31 @@ def run_list(folder: Path) -> dict[str, Any]:
 
 
 def _row(name: str, recording: Path, written: os.stat_result) -> dict[str, Any]:
-    summary = None
-    with suppress(OSError, msgspec.DecodeError):
-        document = (recording.parent / SUMMARY_NAME).read_bytes()
-        summary = msgspec.json.decode(document, type=_Summary)
-    run = _what_was_run(recording, written.st_ino, written.st_size if summary is None else 0)
+    folder = recording.parent
+    has_ended = (folder / SUMMARY_NAME).exists()
+    run = _what_was_run(recording, written.st_ino, 0 if has_ended else written.st_size)
+    found = document_in(folder, run["run_id"])
     longest_s = max(_STILL_S, 3.0 * run["cycle_wall_s"])
-    found = summary or _Summary()
+    is_growing = time.time() - written.st_mtime < longest_s
     return {
         "name": name,
-        "state": _end(
-            recording.parent, summary, is_growing=time.time() - written.st_mtime < longest_s
-        ),
+        "state": _end(Outcome(found, failure_in(folder)), is_growing=is_growing),
         "recorded_ms": written.st_mtime * 1e3,
         "size_mb": written.st_size / 1e6,
-        "start": found.run.sim_start,
-        "simulated_s": found.cycles * found.run.cycle_s,
-        "figures": {figure: (found.figures or {}).get(figure) for figure in _FIGURES},
+        "start": found.run.sim_start if found else "",
+        "simulated_s": found.cycles * found.run.cycle_s if found else 0.0,
+        "figures": {
+            figure: found.figures.get(figure) if found and found.figures else None
+            for figure in _FIGURES
+        },
         **run,
     }
 
 
-def _end(folder: Path, summary: _Summary | None, *, is_growing: bool) -> str:
-    if failure := failure_in(folder):
-        return f"failed: {failure}"
-    if summary is None:
+def _end(outcome: Outcome, *, is_growing: bool) -> str:
+    if outcome.document is None and not outcome.failure:
         return "running" if is_growing else "unfinished"
-    launcher, planned = summary.launcher, summary.run.planned_cycles
-    covered = f"after {summary.cycles:,} of {planned:,} cycles"
-    parts = []
-    if launcher.interrupted:
-        parts.append(f"interrupted {covered}")
-    elif summary.cycles < planned:
-        parts.append(f"ended early, {covered}")
-    if launcher.given_up:
-        parts.append(f"given up: {listed([*launcher.given_up])}")
-    if launcher.recording_gaps or launcher.recording_ended:
-        parts.append("recording has gaps")
-    return "; ".join(parts) or "over"
+    return outcome.end(None, 0)
 
 
 @lru_cache(1000)
@@ -132,6 +101,7 @@ def _what_was_run(recording: Path, file_number: int, size: int) -> dict[str, Any
     except (InputError, OSError) as error:
         return _UNREADABLE | {"unreadable": str(error)}
     return {
+        "run_id": plan.run_id,
         "scenario": plan.plant,
         "scheme": plan.control.scheme,
         "actuator": plan.control.actuator,

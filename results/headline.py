@@ -14,7 +14,7 @@ from rich.console import Console
 from bus_schemas.errors import printable
 from results.figures import Figures
 from results.highlights import Curve, HardMinute
-from results.run_summary import RunSummary
+from results.run_document import RunDocument
 
 _BLOCKS: Final = " ▁▂▃▄▅▆▇█"
 _PLAIN_BLOCKS: Final = " .:-=+*#@"
@@ -24,7 +24,7 @@ _BESIDE_CURVE: Final = 32
 """Columns that name and span of a curve take."""
 
 
-def print_headline(summary: RunSummary, console: Console) -> None:
+def print_headline(summary: RunDocument, console: Console) -> None:
     """Print how the promise was kept with help and without, the run's power, the worst minute."""
     if summary.figures is None or summary.highlights is None:
         return

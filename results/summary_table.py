@@ -8,17 +8,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from msgspec.structs import replace
 from rich.console import Console
 
 from bus_schemas.errors import InputError
-from recordings.inspect.health import counts_text
-from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from results.answers import answers_tables
 from results.figures import FIGURES, Figures, Shown, shown_in
+from results.health_lines import counts_text
 from results.report.tables import devices_tables, health_table
-from results.run_summary import ProcessAccount, RunFacts, RunSummary
+from results.run_document import Outcome, ProcessAccount, RunDocument, RunFacts
 from results.tables import Cell, Column, Number, Table, key_column, print_table, word_column
 
 Row: TypeAlias = tuple[str, Cell, str, str]
@@ -28,19 +26,18 @@ _COLUMNS: Final = (key_column(""), Column(""), word_column(""), word_column(""))
 _GAP: Final = ("", "", "", "")
 
 
-def print_summary(summary: RunSummary, console: Console) -> None:
+def print_summary(summary: RunDocument, console: Console) -> None:
     """Print the table; then the health of a run with faults, or in which something went wrong."""
     tables = summary_table(summary), *answers_tables(summary.answers)
     for table in (*tables, *devices_tables(summary.devices)):
         print_table(console, table)
     with suppress(InputError), RunReader(Path(summary.run.folder)) as run:
-        if summary.is_incomplete or run.plan.faults.rules:
-            health = summary.health or read_overview(run).health
-            health = replace(health, launcher=summary.launcher)
-            print_table(console, health_table(health, run.clock))
+        if summary.health and (summary.is_incomplete or run.plan.faults.rules):
+            outcome = Outcome(summary, failure="")
+            print_table(console, health_table(summary.health, run.clock, outcome))
 
 
-def summary_table(summary: RunSummary) -> Table:
+def summary_table(summary: RunDocument) -> Table:
     run = summary.run
     hindsight = "Clusters and neighbours were chosen from the run's own data: hindsight."
     return Table(
@@ -61,7 +58,7 @@ def summary_table(summary: RunSummary) -> Table:
     )
 
 
-def _pace_rows(summary: RunSummary) -> Iterator[Row]:
+def _pace_rows(summary: RunDocument) -> Iterator[Row]:
     rate, cycle_s, planned = summary.cycles_per_s, summary.run.cycle_s, summary.run.planned_cycles
     note = f"of {cycle_s:g} s"
     if summary.cycles < planned:
@@ -85,7 +82,7 @@ def figures_table(title: str, figures: Figures | None) -> Table:
     return Table(title, _COLUMNS, tuple(_rows_of(figures)))
 
 
-def _figure_rows(summary: RunSummary) -> Iterator[Row]:
+def _figure_rows(summary: RunDocument) -> Iterator[Row]:
     figures, planned = summary.figures, summary.run.planned_cycles
     if figures is not None and figures["cycles"] != planned:
         covered = f"{figures['cycles']:,.0f} of {planned:,} cycles"
@@ -108,7 +105,7 @@ def _rows_of(figures: Figures | None) -> Iterator[Row]:
             yield figure.title, Number(value, figure.decimals), figure.unit, note
 
 
-def _message_rows(summary: RunSummary) -> Iterator[Row]:
+def _message_rows(summary: RunDocument) -> Iterator[Row]:
     dropped = summary.launcher.dropped
     help_calls = sum(count.recorded for count in summary.messages if count.signal == "help")
     published = sum(count.published for count in summary.messages)
@@ -120,7 +117,7 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
     yield "Inputs missed at deadlines", summary.missing_inputs, "", ""
 
 
-def _external_rows(summary: RunSummary) -> Iterator[Row]:
+def _external_rows(summary: RunDocument) -> Iterator[Row]:
     for account in summary.external:
         answered = f"answered {account.answered:,} of {account.expected:,} times"
         wrong = summary.launcher.wrong
@@ -132,7 +129,7 @@ def _external_rows(summary: RunSummary) -> Iterator[Row]:
         yield f"External {account.agent}", sum(account.recorded.values()), "", "; ".join(notes)
 
 
-def _process_rows(summary: RunSummary) -> Iterator[Row]:
+def _process_rows(summary: RunDocument) -> Iterator[Row]:
     cpu_s = [process.cpu_s for process in summary.processes if process.cpu_s is not None]
     if summary.cycles and cpu_s:
         per_cycle = Number(1e3 * sum(cpu_s) / summary.cycles, 2)

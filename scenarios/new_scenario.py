@@ -5,18 +5,40 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Sequence
 from datetime import timedelta
 from pathlib import Path
 from typing import Final
 
+import msgspec
+import numpy as np
 import pandas as pd
+from msgspec.structs import replace
 
 from bus_schemas.errors import InputError, listed
 from bus_schemas.tree import RESERVED_NAMES
-from scenarios.times import LONGEST_S
-from sim_plant.csv_tables import read_csv
-from sim_plant.irradiance import read_measured_ghi
+from scenarios.fields import checked
+from scenarios.preparation import RunOptions, prepare
+from scenarios.scenario import Scenario, ScenarioFile
+from scenarios.times import LONGEST_S, SHORTEST_CYCLE_S, on_day
+from sim_plant.clear_sky import (
+    brightest_hour,
+    clear_ghi,
+    hours_from_noon,
+    step_s,
+    zone_by_sun,
+)
+from sim_plant.csv_tables import CsvTable, read_csv
+from sim_plant.irradiance import (
+    Irradiance,
+    StatedForm,
+    read_measured_ghi,
+    read_positions,
+    station_of,
+    wide,
+)
 
+_SHORTEST: Final = pd.Timedelta(seconds=SHORTEST_CYCLE_S)
 _LENGTH: Final = pd.Timedelta(hours=1)
 _INVERTER_KW: Final = 500
 _CLUSTER: Final = 5
@@ -29,7 +51,7 @@ name = {name}
 title = {title}
 
 [time]
-start = {start:%Y-%m-%dT%H:%M:%S}  # the brightest part of {ghi_name}
+start = {start}  # the brightest part of {ghi_name}
 timezone = {timezone}  # CHECK: by the time stamps; a name such as "Europe/Berlin" also works
 duration_s = {duration_s:g}
 cycle_s = {cycle_s:g}  # the step of the data; a shorter cycle is interpolated
@@ -63,57 +85,111 @@ history = "hindsight"  # the order of help comes from the run's own data
 """
 
 
-def measured_scenario(positions_csv: Path, ghi_csv: Path, out: Path) -> tuple[str, list[str]]:
-    """Return the TOML of a scenario that stands at `out` and runs on these two files, and remarks.
+def measured_scenario(
+    positions_csv: Path, ghi_csv: Path, out: Path, form: StatedForm
+) -> tuple[str, Irradiance, list[str]]:
+    """Return the TOML of a scenario that stands at `out` and runs on two files, the data, remarks.
 
     It takes the stations that both files have, and the brightest hour of the irradiance.
     """
-    table, positions = read_csv(ghi_csv), read_csv(positions_csv)
-    positions.check_header(("station", "lat", "lon"))
-    known = set(positions.names("station"))
-    stations = [name for name in table.header[1:] if name in known]
+    positions = read_positions(positions_csv)
+    table = wide(read_csv(ghi_csv), tuple(positions.index))
+    columns = [station_of(name, positions.index) for name in table.value_columns]
+    stations = [name for name in columns if name in positions.index]
     if not stations:
         raise InputError(
             f"{ghi_csv.name}: line 1: expected a column for stations of {positions_csv.name}, got "
             f"{', '.join(table.header)}"
         )
-    found = read_measured_ghi(ghi_csv, positions_csv, stations, LONGEST_S)
-    step = pd.Timedelta(found.times[1] - found.times[0])
-    steps = min(max(int(_LENGTH / step), 1), len(found.times))
-    means = found.ghi_wm2.mean(axis=1).rolling(steps).mean().to_numpy()[steps - 1 :]
-    offset = pd.Timestamp(table.text(table.header[0]).iloc[0]).utcoffset() or timedelta(0)
-    fill = (
-        ""
-        if not found.report
-        else f"""\
-max_gap_s = {found.longest_gap_s:g}  # {found.report[0]}
-"""
+    guess = (
+        [] if table.is_zoned or form.timezone else [_guessed_zone(table, stations, positions, form)]
     )
+    found = read_measured_ghi(
+        ghi_csv,
+        positions_csv,
+        stations,
+        LONGEST_S,
+        replace(form, timezone=guess[0]) if guess else form,
+    )
+    text = _text(
+        table,
+        found,
+        positions_csv,
+        out,
+        replace(form, timezone=form.timezone or "".join(guess) or None),
+    )
+    scenario = checked(msgspec.toml.decode(text), Scenario, str(out), text)
+    # What is written runs at once, or is refused now.
+    prepared = prepare(ScenarioFile(scenario, text, out, out.parent, text), RunOptions(), "init")
     remarks = [
         f"left out, since only {path.name} has it: {listed(sorted(names - set(stations)))}"
-        for path, names in ((ghi_csv, set(table.header[1:])), (positions_csv, known))
+        for path, names in ((ghi_csv, set(columns)), (positions_csv, set(positions.index)))
         if names - set(stations)
     ]
+    if guess:
+        remarks.append(f"--timezone was not given: the sun's path fits {guess[0]} best")
     if not found.ghi_wm2.to_numpy().any():
         remarks.append(f"the GHI in {ghi_csv.name} is 0 throughout: the plant has no power")
+    return text, found, [*remarks, *prepared.remarks]
+
+
+def _guessed_zone(
+    table: CsvTable, stations: Sequence[str], positions: pd.DataFrame, form: StatedForm
+) -> str:
+    naive = table.times("UTC", form.dates).tz_localize(None)
+    table.notes.clear()
+    columns = [
+        name for name in table.value_columns if station_of(name, positions.index) in stations
+    ]
+    ghi_wm2 = table.numbers(columns, empty_is_missing=True, sentinels=True).mean(axis=1)
+    return zone_by_sun(naive, ghi_wm2, positions.loc[list(stations)])
+
+
+def _text(
+    table: CsvTable, found: Irradiance, positions_csv: Path, out: Path, form: StatedForm
+) -> str:
+    step = pd.Timedelta(found.times[1] - found.times[0])
+    if not _SHORTEST <= step <= _LENGTH:
+        raise InputError(
+            f"{table.name}: expected a step of {_SHORTEST.total_seconds():g} s to an hour, got "
+            f"{step.total_seconds():g} s"
+        )
+    stations = list(found.sensors)
+    steps = min(max(int(_LENGTH / step), 1), len(found.times))
+    means = found.ghi_wm2.mean(axis=1).rolling(steps).mean().to_numpy()[steps - 1 :]
+    zone = form.timezone or _timezone(table.first_offset)
+    stated = [("timezone", form.timezone), ("dates", form.dates), ("unit", form.unit)]
+    lines = [f"{name} = {json.dumps(value)}" for name, value in stated if value]
+    if stamps := form.stamps or found.stamps:
+        lines.append(f"stamps = {json.dumps(stamps)}  # CHECK: what a time stamp names")
+    if found.longest_gap_s:
+        lines.append(f"max_gap_s = {found.longest_gap_s:g}  # {found.report[-1]}")
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", out.stem).strip("-")
-    text = _TEXT.format(
-        ghi_name=ghi_csv.name,
+    ghi_csv = Path(found.source)
+    return _TEXT.format(
+        ghi_name=table.name,
         positions_name=positions_csv.name,
-        name=json.dumps(f"my-{name}" if not name or name in RESERVED_NAMES else name),
-        title=json.dumps(f"{len(stations)} inverters under the sun of {ghi_csv.name}"),
-        start=found.times[int(means.argmax())] + offset,
-        timezone=json.dumps(_timezone(offset)),
+        name=json.dumps(f"my-{name}"[:40] if not name or name in RESERVED_NAMES else name[:40]),
+        title=json.dumps(f"{len(stations)} inverters under the sun of {table.name}"),
+        start=_start(found.times[int(means.argmax())], zone),
+        timezone=json.dumps(zone),
         duration_s=steps * step.total_seconds(),
         cycle_s=step.total_seconds(),
         rating_kw=_INVERTER_KW * len(stations),
         ghi=json.dumps(os.path.relpath(ghi_csv, out.parent)),
         positions=json.dumps(os.path.relpath(positions_csv, out.parent)),
         stations=json.dumps(stations),
-        fill=fill,
+        fill="".join(f"{line}\n" for line in lines),
         clusters=max(round(len(stations) / _CLUSTER), 1),
     )
-    return text, remarks
+
+
+def _start(begin: pd.Timestamp, zone: str) -> str:
+    """Return a local time; with its offset where the clocks show it twice."""
+    local = begin.tz_convert(zone).to_pydatetime()
+    naive = local.replace(tzinfo=None, fold=0)
+    is_one = len(on_day(naive, local, "start")) == 1
+    return (naive if is_one else local).isoformat()
 
 
 def _timezone(offset: timedelta) -> str:
@@ -121,3 +197,20 @@ def _timezone(offset: timedelta) -> str:
     hours, rest = divmod(offset, timedelta(hours=1))
     # POSIX counts west of Greenwich as positive.
     return f"Etc/GMT{-hours:+d}" if hours and not rest else "UTC"
+
+
+def preview_table(found: Irradiance) -> list[str]:
+    """Say in a few lines what measured irradiance holds."""
+    times, mean_wm2 = found.times, found.ghi_wm2.mean(axis=1)
+    clear_wm2 = clear_ghi(times, found.coordinates)
+    energy = float(np.nansum(clear_wm2))
+    share = f"{100.0 * float(mean_wm2.sum()) / energy:.0f} %" if energy else "no sun at all"
+    off_h = hours_from_noon(mean_wm2, found.coordinates)
+    return [
+        f"data: {len(found.sensors)} stations, {times[0]:%Y-%m-%d %H:%M} to "
+        f"{times[-1]:%Y-%m-%d %H:%M} UTC, a value each {step_s(times):g} s",
+        f"gaps: {f'up to {found.longest_gap_s:g} s, filled' if found.longest_gap_s else 'none'}",
+        f"brightest hour: {brightest_hour(mean_wm2):%Y-%m-%d %H:%M} UTC, "
+        f"{abs(off_h):.1f} h {'after' if off_h >= 0 else 'before'} solar noon",
+        f"irradiance: {float(mean_wm2.max()):.0f} W/m2 at most, {share} of a clear sky",
+    ]

@@ -17,9 +17,10 @@ from scenarios.scenario import (
     zoned,
 )
 from sim_plant import oahu_grid
+from sim_plant.clear_sky import doubts_of
 from sim_plant.dc_current import read_currents
-from sim_plant.irradiance import Irradiance, read_measured_ghi
-from sim_plant.sites import Sites, equal_ratings_kw, inverter_name, read_sites
+from sim_plant.irradiance import Irradiance, StatedForm, read_measured_ghi
+from sim_plant.sites import Sites, equal_ratings_kw, inverter_names, read_sites
 from sim_plant.sources import CloudySky, MeasuredPlant, PlantUnderSky, PowerSource, measured_sky
 
 
@@ -79,7 +80,15 @@ def _cloudy_sky(
 
 def _measured_sky(scenario_file: ScenarioFile, table: MeasuredIrradiance) -> MeasuredPlant:
     path, positions = (scenario_file.data_path(name) for name in (table.ghi, table.positions))
-    irradiance = read_measured_ghi(path, positions, table.stations, table.max_gap_s)
+    form = StatedForm(
+        timezone=table.timezone or scenario_file.scenario.time.timezone,
+        dates=table.dates,
+        unit=table.unit,
+        stamps=table.stamps,
+    )
+    irradiance = read_measured_ghi(path, positions, table.stations, table.max_gap_s, form)
+    doubts = tuple(f"warning: {path.name}: {one}" for one in doubts_of(irradiance))
+    irradiance = replace(irradiance, report=irradiance.report + doubts)
     sky = _at_the_sensors(scenario_file, irradiance, len(irradiance.sensors))
     return measured_sky(sky, irradiance)
 
@@ -116,7 +125,7 @@ def _at_the_sensors(
     """Put one inverter at each sensor; a station without a sensor takes its share away."""
     scenario = scenario_file.scenario
     sites = Sites(
-        tuple(inverter_name(station) for station in irradiance.sensors),
+        inverter_names(irradiance.sensors),
         irradiance.coordinates["lat"].to_numpy(),
         irradiance.coordinates["lon"].to_numpy(),
         equal_ratings_kw(scenario.plant.rating_kw, stations, "plant")[: len(irradiance.sensors)],

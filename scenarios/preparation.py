@@ -154,14 +154,14 @@ def prepare(
     keys_folder, offer = _keys_folder(scenario, options), scenario.regulation
     with scenario_file.named():
         day = _day(scenario_file, scenario, options.seed, times, keeps=keeps)
-        regulation = np.zeros(len(times))
+        regulation, regulation_notes = np.zeros(len(times)), tuple[str, ...]()
         if offer is not None:
             zone, data_path = scenario.time.timezone, scenario_file.data_path
-            regulation = regulation_kw(offer, times, zone, data_path)
-        frequency = _frequency_hz(scenario_file, scenario, len(times))
+            regulation, regulation_notes = regulation_kw(offer, times, zone, data_path)
+        frequency, frequency_notes = _frequency_hz(scenario_file, scenario, times)
     plan = _plan(scenario_file, scenario, options, run_id, day, wall_ns, keys_folder)
     remarks = [*remarks_on_time, *(f"warning: {one}" for one in _warnings(day))]
-    remarks += day.source.remarks
+    remarks += day.source.remarks + regulation_notes + frequency_notes
     hides_maximum = plan.control.actuator == "limit" and not plan.site.states_all
     if plan.grid_law.reserve_kw > 0.0 and hides_maximum:
         remarks.append(
@@ -206,6 +206,7 @@ def _day(
         available_kw.sum(axis=1),
         source.clear_sky_kw,
         scenario_file.data_path,
+        scenario.time.timezone,
     )
     deviations = _deviations(own, own_times, source, times)
     of_scenario = _local_hours(own_times, own.time.timezone)
@@ -216,15 +217,15 @@ def _day(
 
 
 def _frequency_hz(
-    scenario_file: ScenarioFile, scenario: Scenario, cycles: int
-) -> NDArray[np.float64]:
-    """Return the frequency in each cycle; none where nobody asks for it."""
+    scenario_file: ScenarioFile, scenario: Scenario, times: pd.DatetimeIndex
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return the frequency in each cycle, none where nobody asks for it, and notes on its file."""
     nominal_hz, settings = scenario.grid.nominal_hz, scenario.frequency
     if settings is None and scenario.grid.droop is None:
-        return np.zeros(0)
-    return frequency_hz(
-        settings, cycles, scenario.time.cycle_s, nominal_hz, scenario_file.data_path
-    )
+        return np.zeros(0), ()
+    cycle_s, find_file = scenario.time.cycle_s, scenario_file.data_path
+    begins = times[0].tz_convert(scenario.time.timezone)
+    return frequency_hz(settings, len(times), cycle_s, nominal_hz, find_file, begins)
 
 
 def _warnings(day: _Day) -> Iterator[str]:

@@ -63,6 +63,12 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """A table of a scenario file: a field that it does not know is an error."""
 
 
+def check_timezone(name: str, where: str = "timezone") -> None:
+    if name not in available_timezones():
+        expected = "an IANA name such as Pacific/Honolulu"
+        raise InputError.of(where, f"expected {expected}, got {name!r}")
+
+
 class TimeTable(_Table, frozen=True):
     """When the run takes place.
 
@@ -78,9 +84,7 @@ class TimeTable(_Table, frozen=True):
     cycle_s: Annotated[float, Meta(ge=SHORTEST_CYCLE_S, le=3600.0)] = 1.0
 
     def __post_init__(self) -> None:
-        if self.timezone not in available_timezones():
-            expected = "an IANA name such as Pacific/Honolulu"
-            raise InputError.of("timezone", f"expected {expected}, got {self.timezone!r}")
+        check_timezone(self.timezone)
 
 
 class PlantTable(_Table, frozen=True):
@@ -135,18 +139,31 @@ class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
 
 
 class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
-    """Measured irradiance: a CSV of GHI with one column for each station, and their positions.
+    """Measured irradiance: a file of GHI with one column for each station, and their positions.
 
     ghi: CSV: time stamps, then one column of GHI [W/m^2] for each station.
     positions: CSV with the columns `station, lat, lon`.
     stations: Stations to use. Default: all listed ones.
     max_gap_s: Gaps of up to this time are filled on straight lines [s]. Default: none is.
+    timezone: Zone of time stamps without an offset. Default: `time.timezone`.
+    dates: Whether the day or the month comes first, where the time stamps leave it open.
+    unit: Unit of the values, where the header does not say it. Default: W/m2.
+    stamps: Which moment of its interval a time stamp names. Default: by the header, else by the
+        sun's path for steps of a minute or more, else `begin`.
     """
 
     ghi: str
     positions: str
     stations: tuple[str, ...] | None = None
     max_gap_s: Annotated[float, Meta(gt=0.0, le=LONGEST_S)] | None = None
+    timezone: str | None = None
+    dates: Literal["day-first", "month-first"] | None = None
+    unit: Literal["W/m2", "kW/m2"] | None = None
+    stamps: Literal["begin", "middle", "end"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.timezone is not None:
+            check_timezone(self.timezone)
 
 
 class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind"):

@@ -1,5 +1,6 @@
 """The commitment: the power that the plant has promised to deliver, at every time step."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -12,7 +13,7 @@ from msgspec import Meta
 from agents.settings import OfferedCommitment, Share
 from bus_schemas.errors import InputError
 from sim_plant import Floats
-from sim_plant.csv_tables import read_csv
+from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.time_steps import check_coverage, step_ns
 
 _LARGEST_KW = 1e8
@@ -74,7 +75,7 @@ class BelowAvailable(_Rule, frozen=True, tag="below-available"):
 class ScheduledCommitment(_Rule, frozen=True, tag="file"):
     """A schedule in a file.
 
-    path: CSV: ISO 8601 time stamps first, `commitment_kw` from then on [kW].
+    path: CSV: time stamps, then `commitment_kw` from then on, or a column in kW or MW.
     """
 
     path: str
@@ -96,12 +97,14 @@ def commitment_kw(
     available_kw: Floats,
     clear_sky_kw: Callable[[pd.DatetimeIndex], Floats],
     data_path: Callable[[str], Path],
+    timezone: str | None = None,
 ) -> Floats:
     """Return the committed power of the plant at every time step [kW], shape (T,).
 
     `available_kw` is the maximum AC power of the whole plant, shape (T,). `clear_sky_kw` returns
     what that would be under a clear sky; it is called only where the rule asks for it. `data_path`
-    returns the path of a file that the settings name.
+    returns the path of a file that the settings name; `timezone` is that of stamps without an
+    offset.
     """
     match settings:
         case ConstantCommitment(power_kw=power_kw):
@@ -123,7 +126,7 @@ def commitment_kw(
             window = pd.Series(available_kw).rolling(2 * half + 1, min_periods=1, center=True)
             return share * window.mean().to_numpy()
         case ScheduledCommitment(path=path):
-            return read_schedule_kw(data_path(path), times)
+            return read_schedule_kw(data_path(path), times, timezone)
 
 
 def is_hindsight(settings: CommitmentSettings) -> bool:
@@ -131,19 +134,34 @@ def is_hindsight(settings: CommitmentSettings) -> bool:
     return isinstance(settings, ShareOfMedian | BelowAvailable)
 
 
-def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
+def _power_column(table: CsvTable) -> str:
+    """Return the column with the power, whose name or unit says that it is in kW or MW."""
+    columns = table.value_columns
+    stated = [
+        name for name in columns if re.search("[km]w(?!h)", f"{name} {table.unit(name)}".lower())
+    ]
+    found = _COLUMN if _COLUMN in columns else stated[0] if len(stated) == 1 else None
+    if found is None:
+        raise InputError(
+            f"{table.name}: line 1: expected a column {_COLUMN}, or one whose name says kW or MW, "
+            f"got {', '.join(table.header)}"
+        )
+    return found
+
+
+def read_schedule_kw(path: Path, times: pd.DatetimeIndex, timezone: str | None = None) -> Floats:
     """Read a schedule and hold each power until the next [kW], shape (T,).
 
     The last power holds for as long as the one before it: a file of 24 hourly rows is a day.
     """
     table = read_csv(path)
-    table.check_header((_COLUMN,))
-    expected = f"a power from 0 to {_LARGEST_KW:g} kW"
-    power_kw = table.numbers((_COLUMN,), expected, 0.0, _LARGEST_KW)[:, 0]
+    column = _power_column(table)
+    factor = 1e3 if "mw" in f"{column} {table.unit(column)}".lower() else 1.0
+    expected = f"a power from 0 to {_LARGEST_KW / factor:g}"
+    power_kw = factor * table.numbers((column,), expected, 0.0, _LARGEST_KW / factor)[:, 0]
     table.check_length()
-    stamp = table.header[0]
-    begins = table.times(stamp)
-    table.check_ascending(stamp, begins.asi8)
+    begins = table.times(timezone)
+    table.check_ascending(table.stamp, begins.asi8)
     last_ns = (begins[-1] - begins[-2]).value
     check_coverage(f"{path.name}: expected a schedule", begins, last_ns, times)
     held: Floats = power_kw[begins.searchsorted(times, side="right") - 1]

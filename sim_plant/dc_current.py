@@ -17,7 +17,7 @@ from bus_schemas.errors import InputError, listed
 from bus_schemas.tree import check_name
 from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
-from sim_plant.sites import Sites, equal_ratings_kw, inverter_name, placed_around
+from sim_plant.sites import Sites, equal_ratings_kw, inverter_names, placed_around
 from sim_plant.sources import MeasuredPlant
 
 # Sensors at rest read a little off zero; the brightest edge of a cloud does not double the sun.
@@ -48,10 +48,9 @@ def read_currents(
     The middle of the plant stands at `place`, latitude and longitude; one whose place is unknown on
     the equator, at any longitude.
     """
-    table = read_csv(currents_csv)
-    table.check_header(("t_s",))
+    table = read_csv(currents_csv, ("t_s",))
     combiners = _read_combiners(positions_csv)
-    columns = [name for name in table.header if name != "t_s"]
+    columns = [name for name in table.header if name and name != "t_s"]
     if not columns:
         raise InputError(f"{table.name}: line 1: expected t_s and a column for each combiner")
     if unknown := [name for name in columns if name not in combiners.index]:
@@ -64,25 +63,27 @@ def read_currents(
     share = pd.DataFrame(np.maximum(current / full_power_current, 0.0), columns=columns)
     share = share.reindex(columns=combiners.index)
     means, report = _means(table.name, share, combiners["inverter"])
-    times = begins + pd.to_timedelta(table.seconds_ns("t_s"), unit="ns")
+    _, time_ns = table.steady(table.seconds_ns("t_s"))
+    table.check_steady("t_s", time_ns)
+    times = begins + pd.to_timedelta(time_ns, unit="ns")
     positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()
     x_m, y_m = positions.loc[means.columns].to_numpy().T
     rating_kw = equal_ratings_kw(plant_rating_kw, len(positions), "plant")[: len(x_m)]
-    names = tuple(inverter_name(str(inverter)) for inverter in means)
+    names = inverter_names(map(str, means))
     return MeasuredPlant(
         Sites(names, *placed_around(place or (0.0, 0.0), x_m, y_m), rating_kw),
         times,
         np.minimum(np.ascontiguousarray(means), 1.0) * rating_kw,
         str(currents_csv),
-        tuple(report),
+        table.said() + tuple(report),
     )
 
 
 def _read_combiners(path: Path) -> pd.DataFrame:
     """Return inverter and position of each combiner, indexed by its name."""
-    table = read_csv(path)
-    table.check_header(("combiner", "inverter", "x_m", "y_m"))
-    names, inverters = table.unique_names("combiner"), table.names("inverter")
+    needed = ("combiner", "inverter", "x_m", "y_m")
+    table = read_csv(path, needed, texts=needed[:2])
+    names, inverters = table.unique_names("combiner"), tuple(table.text("inverter"))
     for inverter in inverters:
         check_name(inverter, path.name)
     expected = f"metres from -{_FURTHEST_M:.0f} to {_FURTHEST_M:.0f}"
@@ -94,7 +95,9 @@ def _currents(table: CsvTable, columns: list[str], full_power_current: float) ->
     lowest, highest = _LOWEST_SHARE * full_power_current, _HIGHEST_SHARE * full_power_current
     unit = f"irradiance.full_power_current is {full_power_current:g}"
     expected = f"{lowest:g} to {highest:g}, as {unit}, or nothing"
-    current = table.numbers(columns, expected, lowest, highest, empty_is_missing=True)
+    current = table.numbers(
+        columns, expected, lowest, highest, empty_is_missing=True, sentinels=True
+    )
     largest = float(np.nanmax(current, initial=lowest))
     if 0.0 < largest < _FAINT_SHARE * full_power_current:
         raise InputError(

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
+import pandas as pd
 from msgspec import Meta
 
 from bus_schemas.faults import Second
@@ -20,10 +21,12 @@ class FrequencyFile(
 ):
     """A measured frequency.
 
-    path: CSV of two columns with a header: seconds since cycle 0, frequency [Hz].
+    path: CSV: seconds since cycle 0 or local time stamps, then the frequency [Hz].
+    column: The column to take, where there are several.
     """
 
     path: str
+    column: str | None = None
 
 
 class FrequencyEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -70,15 +73,18 @@ def frequency_hz(
     cycle_s: float,
     nominal_hz: float,
     find_file: Callable[[str], Path],
-) -> Floats:
-    """Return the frequency at the beginning of each cycle, shape (T,); by default the nominal one.
+    begins: pd.Timestamp,
+) -> tuple[Floats, tuple[str, ...]]:
+    """Return the frequency at the beginning of each cycle, shape (T,), and notes on its file.
 
-    `find_file` returns the path of a file that the settings name.
+    By default it is nominal. `find_file` returns the path of a file that the settings name;
+    `begins` is the local time of cycle 0.
     """
     time_s = np.arange(cycles, dtype=np.float64) * cycle_s
     if isinstance(settings, FrequencyFile):
         time_ns = np.rint(time_s * 1e9).astype(np.int64)
-        what = "the frequency of every cycle"
-        return held_values(find_file(settings.path), time_ns, (10.0, 110.0), what)
+        what, path = "the frequency of every cycle", find_file(settings.path)
+        bounds, column = (10.0, 110.0), settings.column
+        return held_values(path, time_ns, bounds, what, begins=begins, column=column)
     away_hz = [event.deviation_hz(time_s) for event in settings.events] if settings else []
-    return np.asarray(sum(away_hz, start=np.full(cycles, nominal_hz)))
+    return np.asarray(sum(away_hz, start=np.full(cycles, nominal_hz))), ()

@@ -1,21 +1,52 @@
 """Measured irradiance: one time series of GHI for each sensor, and where the sensors stand."""
 
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final, Literal, TypeAlias
 
+import msgspec
 import numpy as np
 import pandas as pd
+import pvlib
 
 from bus_schemas.errors import InputError, listed
 from sim_plant import Floats
+from sim_plant.clear_sky import stamps_by_sun
 from sim_plant.csv_tables import CsvTable, read_csv
+from sim_plant.table_layout import irradiance_factor, name_and_unit
 
-GHI_MIN_WM2 = -10.0
-GHI_MAX_WM2 = 2000.0
+GHI_MIN_WM2: Final = -20.0
+GHI_NIGHT_MIN_WM2: Final = -60.0
+"""By night a thermopile reads below zero, since it radiates to the cold sky."""
+
+GHI_MAX_WM2: Final = 2000.0
 
 # Even a dull day exceeds this many W/m^2, and no sensor on Earth reaches as many kW/m^2.
-_KILOWATT_BELOW = 2.0
+_KILOWATT_BELOW: Final = 2.0
+
+Stamps: TypeAlias = Literal["begin", "middle", "end"]
+_END_WORDS: Final = ("end", "ending")
+_BEGIN_WORDS: Final = ("begin", "beginning", "start")
+
+
+class StatedForm(msgspec.Struct, frozen=True, kw_only=True):
+    """What a file of irradiance may leave open, and its user states.
+
+    timezone: Zone of time stamps without an offset.
+    dates: Whether the day or the month comes first.
+    unit: Unit of the values.
+    stamps: Which moment of its interval a time stamp names.
+    """
+
+    timezone: str | None = None
+    dates: Literal["day-first", "month-first"] | None = None
+    unit: Literal["W/m2", "kW/m2"] | None = None
+    stamps: Stamps | None = None
+
+
+_AS_IT_SAYS: Final = StatedForm()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +59,7 @@ class Irradiance:
     source: The file.
     report: Lines on what was filled or left out.
     longest_gap_s: Longest gap that was filled on straight lines in time.
+    stamps: Which moment of its interval a time stamp was taken to name, where it matters.
     """
 
     ghi_wm2: pd.DataFrame
@@ -35,6 +67,7 @@ class Irradiance:
     source: str
     report: tuple[str, ...] = ()
     longest_gap_s: float = 0.0
+    stamps: Stamps | None = None
 
     @property
     def times(self) -> pd.DatetimeIndex:
@@ -50,42 +83,131 @@ def read_measured_ghi(
     positions_csv: Path,
     stations: Sequence[str] | None = None,
     max_gap_s: float | None = None,
+    form: StatedForm = _AS_IT_SAYS,
 ) -> Irradiance:
-    """Read measured GHI and the coordinates of the sensors from two CSV files.
+    """Read measured GHI and the coordinates of the sensors from two files.
 
-    The first column of `ghi_csv`, whatever its header, is the time stamp, with its offset from UTC
-    and in constant steps. Every other column is one sensor, named by the header, in W/m^2. Gaps of
-    at most `max_gap_s` are filled; by default there may be none. Pyranometers read a little below
-    zero at night: values from -10 to 0 W/m^2 are set to 0.
+    The time stamps keep one step, within a tenth of it. Every other column is one sensor, named by
+    the header, in W/m^2; in a long table one column has the names and one the values. Gaps of at
+    most `max_gap_s` are filled; by default there may be none. Values a little below zero, as
+    pyranometers show them at night, are set to 0.
 
     `stations` are the sensors wanted, in this order. By default they are all columns of `ghi_csv`,
     which must then be all stations of `positions_csv`: a file that lacks some is that of a smaller
     plant. Values of other columns are not checked.
     """
-    table = read_csv(ghi_csv)
-    stamp, *known = table.header
+    positions = read_positions(positions_csv)
+    table = wide(read_csv(ghi_csv), tuple(positions.index))
+    known = [station_of(name, positions.index) for name in table.value_columns]
     if stations is None:
-        positions = read_csv(positions_csv)
-        positions.check_header(("station",))
-        if missing := [name for name in positions.names("station") if name not in known]:
+        if missing := [name for name in positions.index if name not in known]:
             raise InputError(
                 f"{ghi_csv.name}: line 1: expected a column for each station of "
                 f"{positions_csv.name}, or irradiance.stations, got none for {listed(missing)}"
             )
-    wanted = tuple(known if stations is None else stations)
-    check_stations(wanted, known, f"{table.name}: line 1: stations")
-    coordinates = read_coordinates(positions_csv, wanted)
+        stations = [name for name in known if name in positions.index]
+    check_stations(stations, known, f"{table.name}: line 1: stations")
+    columns = dict(zip(known, table.value_columns, strict=True))
+    wanted = [columns[name] for name in stations]
+    if missing := [name for name in stations if name not in positions.index]:
+        expected = "a line for each station"
+        raise InputError(f"{positions_csv.name}: expected {expected}, got none for {missing}")
+    coordinates = positions.loc[list(stations)]
     may_lack, expected = max_gap_s is not None, "a number in W/m2"
     if not may_lack:
         expected += " (irradiance.max_gap_s fills gaps)"
-    numbers = table.numbers(wanted, expected, empty_is_missing=may_lack)
-    times = table.times(stamp)
-    table.check_steady(stamp, times.asi8, may_lack=may_lack)
-    found = checked_ghi(table, wanted, numbers).set_axis(times)
-    if max_gap_s is None:
-        return Irradiance(found, coordinates, str(ghi_csv))
-    complete, longest_s, report = _without_gaps(table, found, max_gap_s)
-    return Irradiance(complete, coordinates, str(ghi_csv), report, longest_s)
+    times = table.times(form.timezone, form.dates)
+    ordered, time_ns = table.steady(times.asi8)
+    ordered.check_steady(table.stamp, time_ns, may_lack=may_lack)
+    times = pd.DatetimeIndex(time_ns, tz="UTC")
+    values = ordered.numbers(wanted, expected, empty_is_missing=True, sentinels=True)
+    if not may_lack and np.isnan(values).any():
+        row, column = np.argwhere(np.isnan(values))[0]
+        raise ordered.error(int(row), wanted[column], expected)
+    factors = _factors(table, wanted, form.unit)
+    values = values if (factors == 1.0).all() else values * factors
+    ghi_wm2 = checked_ghi(ordered, wanted, values, form.unit, times, coordinates)
+    found = pd.DataFrame(ghi_wm2.to_numpy(), times, list(stations))
+    found.index, stamps = _begins(table, found, coordinates, form.stamps)
+    longest_s, report = 0.0, tuple[str, ...]()
+    if max_gap_s is not None:
+        found, longest_s, report = _without_gaps(ordered, found, max_gap_s)
+    source, report = str(ghi_csv), table.said() + report
+    return Irradiance(found, coordinates, source, report, longest_s, stamps)
+
+
+def station_of(column: str, stations: pd.Index) -> str:
+    """Return the station that a column is of: its name as it is, or without a unit."""
+    names = {name_and_unit(str(name))[0]: str(name) for name in stations}
+    return column if column in stations else names.get(name_and_unit(column)[0], column)
+
+
+def wide(table: CsvTable, stations: Sequence[str]) -> CsvTable:
+    """Return a table with a column for each station, from one with a line for each value."""
+    columns = table.value_columns
+    if any(station_of(name, pd.Index(stations)) in stations for name in columns):
+        return table
+    named = [one for one in columns if set(table.text(one).head(2000)) & set(stations)]
+    values = [one for one in columns if one not in named and table.is_numeric([one])]
+    if len(named) != 1 or len(values) != 1:
+        return table
+    at, of = table.place(values[0]), table.place(named[0])
+    stamps = [at for at in range(len(table.header)) if table.header[at] in {table.stamp}]
+    frame = pd.DataFrame(
+        {"time": table.fields[stamps[0]], "of": table.text(named[0]), "value": table.fields[at]}
+    )
+    again = frame.duplicated(["time", "of"])
+    if again.any():
+        raise table.error(int(again.argmax()), named[0], "one value of each station at a time")
+    lines = frame.groupby("time", sort=False).apply(lambda part: part.index[0])
+    spread = frame.pivot(index="time", columns="of", values="value").loc[lines.index]
+    header = (table.stamp, *map(str, spread.columns))
+    fields = spread.reset_index().set_axis(range(len(header)), axis=1).set_index(lines.to_numpy())
+    unit = table.layout.units[of] or name_and_unit(values[0])[1]
+    table.notes.append(f"a line for each value: {named[0]} names the station")
+    layout = replace(
+        table.layout,
+        header=header,
+        units=("", *[unit] * len(spread.columns)),
+        sample=((str(fields.iloc[0, 0]), *["0"] * len(spread.columns)),),
+    )
+    return replace(table, layout=layout, fields=fields)
+
+
+def _factors(table: CsvTable, columns: Sequence[str], stated: str | None) -> Floats:
+    """Return by what the values of each column are multiplied, by their units."""
+    factors = []
+    for column in columns:
+        unit = stated or table.unit(column)
+        factor = irradiance_factor(unit) if unit else 1.0
+        if factor is None:
+            raise InputError(
+                f"{table.name}: line 1: column '{column}': expected W/m2 or kW/m2, got {unit}"
+            )
+        factors.append(factor)
+        if factor != 1.0:
+            table.notes.append(f"{unit} was converted to W/m2")
+    return np.array(factors)
+
+
+def _begins(
+    table: CsvTable, ghi_wm2: pd.DataFrame, coordinates: pd.DataFrame, stamps: Stamps | None
+) -> tuple[pd.DatetimeIndex, Stamps | None]:
+    """Return the begin of the interval that each time stamp names, and which moment that is."""
+    times = pd.DatetimeIndex(ghi_wm2.index)
+    step = pd.Timedelta(int(np.median(np.diff(times.asi8))), unit="ns")
+    if stamps is None:
+        words = re.findall("[a-z]+", table.stamp.lower().replace("_", " "))
+        stamps = "end" if set(_END_WORDS) & set(words) else None
+        stamps = "begin" if set(_BEGIN_WORDS) & set(words) else stamps
+        if stamps is not None:
+            table.notes.append(f"a time stamp names the {stamps} of its interval, by its header")
+        elif step < pd.Timedelta(minutes=1):
+            return times, None  # The sun moves too little to tell, or to matter.
+        else:
+            stamps, why = stamps_by_sun(ghi_wm2.mean(axis=1), coordinates, step)
+            table.notes.append(f"a time stamp names the {stamps} of its interval, {why}")
+    return times - {"begin": 0 * step, "middle": step / 2, "end": step}[stamps], stamps
 
 
 def _without_gaps(
@@ -127,28 +249,55 @@ def _steps_of_gaps(values: pd.Series) -> pd.Series:
     return missing.groupby(missing.ne(missing.shift()).cumsum()).transform("sum")
 
 
+def read_positions(path: Path) -> pd.DataFrame:
+    """Return `lat` and `lon` of stations [degree], from a file with `station, lat, lon`."""
+    return read_csv(path, ("station", "lat", "lon"), texts=("station",)).coordinates("station")
+
+
 def read_coordinates(path: Path, stations: Sequence[str]) -> pd.DataFrame:
-    """Return `lat` and `lon` of stations [degree], from a CSV `station, lat, lon`."""
-    coordinates = read_csv(path).coordinates("station")
+    coordinates = read_positions(path)
     if missing := [name for name in stations if name not in coordinates.index]:
         raise InputError(f"{path.name}: expected a line for each station, got none for {missing}")
     return coordinates.loc[list(stations)]
 
 
-def checked_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> pd.DataFrame:
-    """Return GHI of sensors without negatives, after a check that it is in W/m^2; NaN is a gap."""
-    bad = np.argwhere((ghi_wm2 < GHI_MIN_WM2) | (ghi_wm2 > GHI_MAX_WM2))
-    if bad.size:
-        row, column = bad[0]
-        expected = f"{GHI_MIN_WM2:g} to {GHI_MAX_WM2:g} W/m2"
+def checked_ghi(
+    table: CsvTable,
+    columns: Sequence[str],
+    ghi_wm2: Floats,
+    unit: str | None,
+    times: pd.DatetimeIndex,
+    coordinates: pd.DataFrame,
+) -> pd.DataFrame:
+    """Refuse values that no sensor shows, NaN aside; set those below 0 to 0."""
+    smallest = float(np.nanmin(ghi_wm2, initial=0.0))
+    largest = float(np.nanmax(ghi_wm2, initial=GHI_NIGHT_MIN_WM2))
+    lowest = np.full(len(ghi_wm2), GHI_MIN_WM2)
+    if smallest < GHI_MIN_WM2:
+        low = np.asarray((ghi_wm2 < GHI_MIN_WM2).any(axis=1))
+        lat, lon = coordinates.mean()
+        sun = pvlib.solarposition.get_solarposition(times[low], lat, lon)["elevation"]
+        lowest[low] = np.where(sun < 0.0, GHI_NIGHT_MIN_WM2, GHI_MIN_WM2)
+    if smallest < GHI_MIN_WM2 or largest > GHI_MAX_WM2:
+        bad = np.argwhere((ghi_wm2 < lowest[:, None]) | (ghi_wm2 > GHI_MAX_WM2))
+        row, column = bad[0] if bad.size else (-1, 0)
+    else:
+        row = -1
+    if row >= 0:
+        when = " by night" if lowest[row] == GHI_NIGHT_MIN_WM2 else ""
+        expected = f"{lowest[row]:g} to {GHI_MAX_WM2:g} W/m2{when}"
         raise table.error(int(row), columns[column], expected)
-    largest = float(np.nanmax(ghi_wm2, initial=GHI_MIN_WM2))
-    if 0.0 < largest < _KILOWATT_BELOW:
+    if 0.0 < largest < _KILOWATT_BELOW and unit is None and not table.unit(columns[0]):
         raise InputError(
             f"{table.name}: expected W/m2, with a maximum of at least {_KILOWATT_BELOW:g}, got at "
-            f"most {largest:g}, which seems to be in kW/m2"
+            f"most {largest:g}: irradiance.unit (--unit) says whether that is W/m2 or kW/m2"
         )
-    return pd.DataFrame(np.maximum(ghi_wm2, 0.0), columns=list(columns))
+    if smallest < 0.0:
+        table.notes.append(
+            f"set to 0: {(ghi_wm2 < 0.0).sum():,} of the values, from {smallest:g} W/m2 up"
+        )
+        ghi_wm2 = np.maximum(ghi_wm2, 0.0)
+    return pd.DataFrame(ghi_wm2, columns=list(columns), copy=False)
 
 
 def check_stations(stations: Sequence[str], known: Sequence[str], where: str) -> None:

@@ -58,13 +58,14 @@ def read_day(
     check_stations(wanted, HORIZONTAL, "stations")
     coordinates = read_coordinates(positions_csv, wanted)
     path = folder / f"{day:%Y%m%d}.txt"
-    table = read_csv(path, _FIELDS)
+    table = read_csv(path, header=_FIELDS)
     if table.fields.shape[1] != len(_FIELDS):
         raise InputError(f"{path}: expected {len(_FIELDS)} fields, got {table.fields.shape[1]}")
     times = _times(table, day)
     ghi_wm2 = table.numbers(wanted, f"a number, {MISSING:g} where it is missing")
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
-    found = Irradiance(checked_ghi(table, wanted, ghi_wm2).set_index(times), coordinates, str(path))
+    checked = checked_ghi(table, wanted, ghi_wm2, None, times, coordinates).set_index(times)
+    found = Irradiance(checked, coordinates, str(path), tuple(table.notes))
     complete = fill_from_neighbours(_without_sparse(found, most_missing))
     return replace(complete, report=tuple(f"{path.name}: {line}" for line in complete.report))
 
@@ -108,4 +109,5 @@ def _without_sparse(found: Irradiance, most_missing: float) -> Irradiance:
         f"{name}: {count:,} of {total:,} values missing, {limit}: left out, with its inverter"
         for name, count in missing[~kept].items()
     )
+    report = found.report + report
     return Irradiance(found.ghi_wm2.loc[:, kept], found.coordinates[kept], found.source, report)

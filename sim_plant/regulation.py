@@ -46,13 +46,16 @@ class _Offer(
 
 
 class RegulationFile(_Offer, frozen=True, tag="file"):
-    """A signal from a CSV of two columns with a header.
+    """A signal from a file.
 
-    path: CSV: second of the signal's clock, signal from -1 to 1 (+: raise).
+    path: CSV: seconds of the signal's clock, times of day or time stamps, then the signal from -1
+        to 1 (+: raise).
+    column: The column to take, where there are several. Default: that of the run's first day.
     signal_midnight_s: Second of the signal at local midnight of the run's first day.
     """
 
     path: str
+    column: str | None = None
     signal_midnight_s: Annotated[float, Meta(ge=-1e9, le=1e9)] = 0.0
 
 
@@ -73,8 +76,8 @@ def regulation_kw(
     times: pd.DatetimeIndex,
     timezone: str,
     find_file: Callable[[str], Path],
-) -> Floats:
-    """Return the regulation that is asked of the plant in every cycle, shape (T,).
+) -> tuple[Floats, tuple[str, ...]]:
+    """Return the regulation that is asked of the plant in every cycle, shape (T,), and notes.
 
     It goes from -capacity to +capacity [kW], and is 0 while none is offered. `timezone` is the
     local time of the plant, an IANA name; `find_file` returns the path of a file that the settings
@@ -83,7 +86,7 @@ def regulation_kw(
     # The signal's clock is that of the wall: it leaps with the summer time, as market hours do.
     clock_ns = times.tz_convert(timezone).tz_localize(None).as_unit("ns").asi8
     offered = _offered(settings, clock_ns)
-    signal = np.zeros(len(times))
+    signal, notes = np.zeros(len(times)), tuple[str, ...]()
     if isinstance(settings, SyntheticRegulation):
         values = _synthetic(settings.seed)
         signal[offered] = values[clock_ns[offered] // (STEP_S * _NS) % SAMPLES]
@@ -92,8 +95,17 @@ def regulation_kw(
         path, what = find_file(settings.path), "a signal of the run's regulation"
         hint = "; regulation.signal_midnight_s shifts the signal"
         time_ns = clock_ns[offered] - midnight_ns
-        signal[offered] = held_values(path, time_ns, (-1.0, 1.0), what, hint)
-    return settings.capacity_kw * signal
+        midnight = times[0].tz_convert(timezone).normalize()
+        signal[offered], notes = held_values(
+            path,
+            time_ns,
+            (-1.0, 1.0),
+            what,
+            begins=midnight,
+            column=settings.column,
+            hint=hint,
+        )
+    return settings.capacity_kw * signal, notes
 
 
 _synthetic = lru_cache(maxsize=1)(synthetic_regd)

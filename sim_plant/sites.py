@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import isclose
 from pathlib import Path
 from typing import Annotated, Final
+from unicodedata import normalize
 
 import msgspec
 import numpy as np
@@ -16,6 +19,7 @@ from bus_schemas.tree import MOST_INVERTERS, check_name
 from sim_plant import Floats
 from sim_plant.csv_tables import read_csv
 
+_LONGEST_NAME: Final = 40
 _METRES_PER_DEGREE: Final = np.deg2rad(1.0) * 6_371_000.0
 """Of latitude anywhere, and of longitude on the equator."""
 
@@ -66,7 +70,7 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
 
     Without that column the rating of the plant is split equally. Further columns are left alone.
     """
-    table = read_csv(path)
+    table = read_csv(path, ("inverter", "lat", "lon"), texts=("inverter",))
     coordinates = table.coordinates("inverter")
     names = tuple(coordinates.index)
     if not 0 < len(names) <= MOST_INVERTERS:
@@ -88,9 +92,20 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
     return Sites(names, coordinates["lat"].to_numpy(), coordinates["lon"].to_numpy(), rating_kw)
 
 
-def inverter_name(station: str) -> str:
-    """Name the inverter at a station: `16` becomes `inv16`, `inv04` stays as it is."""
-    return station if station.startswith("inv") else f"inv{station}"
+def inverter_names(stations: Iterable[str]) -> tuple[str, ...]:
+    """Name the inverters at stations: `16` becomes `inv16`, `inv04` stays as it is.
+
+    What cannot stand in the name of a node becomes `-`: `Dach/Süd [1]` is `invDach-Sud-1`.
+    """
+    names: dict[str, None] = {}
+    for number, station in enumerate(stations, 1):
+        ascii_only = normalize("NFKD", station).encode("ascii", "ignore").decode()
+        plain = re.sub(r"[^A-Za-z0-9_-]+", "-", ascii_only).strip("-")[:_LONGEST_NAME]
+        name = plain if plain.startswith("inv") else f"inv{plain or f'-{number}'}"
+        while name in names:
+            name = f"{name}-{number}"
+        names[name] = None
+    return tuple(names)
 
 
 def equal_ratings_kw(plant_rating_kw: float | None, inverters: int, where: str) -> Floats:

@@ -16,7 +16,7 @@ from agents.process.interruption import interruptible
 from agents.process.machine_watch import MachineWatch
 from bus_schemas.errors import FailureError, InputError, listed
 from launch_scripts.fork_server_process import ForkServerProcess
-from launch_scripts.launch import check_processes, launch
+from launch_scripts.launch import check_processes, run_as_processes
 from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.view import ViewFor
 from results.report.result import Result
@@ -78,7 +78,7 @@ def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor)
     with ForkServerProcess() as server, MachineWatch() as watch, view_for(plan) as view:
         view.say(scenario.title)
         view.say(f"{cycles_per_s(1e9 / plan.timing.cycle_wall_ns)} for {round(duration_s, 2):g} s")
-        summary = launch(preparation, folder, view, began_at, server)
+        summary = run_as_processes(preparation, folder, view, began_at, server)
         stops = watch.stops()
         with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
             folder.write_summary(summary.as_json())

@@ -11,8 +11,13 @@ from timed_recordings import PLAN, TIMES_MS, cycle, recorded
 from agents.cycle import kind_of
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from recordings.inspect.health import LauncherAccount
-from results.run_summary import MessageCount, ProcessAccount, RunFacts, RunSummary
+from results.run_document import (
+    LauncherAccount,
+    MessageCount,
+    ProcessAccount,
+    RunDocument,
+    RunFacts,
+)
 from results.timing.report import TimingReport, report_on
 
 LOAD = (0.5, 0.75)
@@ -28,7 +33,7 @@ def missed(number: int) -> Iterable[Delivery]:
 
 def summary_of(
     folder: Path, plan: RunPlan = PLAN, *, lost: int = 0, dropped: int = 0
-) -> RunSummary:
+) -> RunDocument:
     """The summary of a run in this folder that took 10 s: each process 1 s of processor time."""
     accounts = [
         ProcessAccount(
@@ -41,7 +46,7 @@ def summary_of(
         for agent in plan.tree.agents()
         if agent not in plan.access.external
     ]
-    return RunSummary(
+    return RunDocument(
         run_id=plan.run_id,
         run=RunFacts(plan.plant, "launch", str(folder), "", planned_cycles=2, cycle_s=0.1),
         launcher=LauncherAccount(),

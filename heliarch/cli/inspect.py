@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
+import msgspec
 from cyclopts import Parameter
 from rich.text import Text
 
@@ -17,7 +18,6 @@ from results.tables import Column, Table, attributes, cell_text, key_column, tex
 from sunspec.process import read_accounts
 
 if TYPE_CHECKING:
-    from recordings.inspect.overview import Overview
     from recordings.inspect.timeline import NodeCycle
     from recordings.read.reader import RunReader
 
@@ -131,13 +131,14 @@ def _plant_text(central: NodeCycle) -> str:
     return text if frequency_hz is None else f"{text}, frequency {frequency_hz:.3f} Hz"
 
 
-def _show_overview(run: RunReader, cycles: range | None, output: Output) -> Overview:
+def _show_overview(run: RunReader, cycles: range | None, output: Output) -> dict[str, Any]:
     """Print what the recording, or a part of it, holds; return the same."""
-    from recordings.inspect.overview import facts, read_overview
+    from recordings.inspect.overview import facts
     from results.report.tables import devices_tables, health_table
+    from results.run_document import outcome_of, overview_of
 
     with progress_bar("reading") as run.follow:
-        found = read_overview(run, cycles)
+        found, outcome = overview_of(run, cycles), outcome_of(run)
     columns = (
         key_column("signal"),
         Column("nodes"),
@@ -151,7 +152,8 @@ def _show_overview(run: RunReader, cycles: range | None, output: Output) -> Over
     output.show(
         texts_table(found.run_id, facts(run, found)),
         Table("Signals", columns, attributes(found.signals, columns)),
-        health_table(found.health, run.clock),
+        health_table(found.health, run.clock, outcome),
         *devices_tables(read_accounts(run.path.parent)),
     )
-    return found
+    launcher = outcome.document.launcher if outcome.document else None
+    return {**msgspec.structs.asdict(found), "launcher": launcher, "failure": outcome.failure}

@@ -19,12 +19,12 @@ from heliarch.cli.live_view import PlainView
 from heliarch.cli.options import FileOptions, PageOptions, changed_scenario
 from heliarch.cli.output import Output, do_all
 from launch_scripts.fork_server_process import ForkServerProcess
-from launch_scripts.launch import check_processes, launch
+from launch_scripts.launch import check_processes, run_as_processes
 from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
-from launch_scripts.simulation import simulate
+from launch_scripts.simulation import run_in_one_process
 from live_page.process import PageProcess
 from results.headline import print_headline
-from results.run_summary import RunSummary
+from results.run_document import RunDocument
 from results.summary_table import print_summary
 from scenarios.run_options import RunOptions
 
@@ -55,7 +55,7 @@ def run_and_print(
     """Run what was asked for and print its result. Returns the exit status."""
     output = Output(files.json)
     with page_beside(pages, output) as page:
-        summary, folder = run(request, output.console, BEGAN_AT, server, page)
+        summary, folder = carry_out(request, output.console, BEGAN_AT, server, page)
         document = summary.as_json()
 
         def write_page() -> None:
@@ -92,13 +92,13 @@ def _what_next(run: Path) -> list[str]:
     return ["next:", *(f"  {line:<{width}}   {what}" for line, what in lines)]
 
 
-def run(
+def carry_out(
     request: RunRequest,
     console: Console,
     began_at: float,
     server: ForkServerProcess | None = None,
     page: PageProcess | None = None,
-) -> tuple[RunSummary, RunFolder]:
+) -> tuple[RunDocument, RunFolder]:
     """Run a plant, recorded; show it meanwhile.
 
     Without a server, which starts the processes, the run stays in this process. `began_at` is the
@@ -116,8 +116,8 @@ def run(
             if page is not None:
                 view.say(f"page: {page.show(folder.path)}")
             if server is None:
-                return simulate(preparation, folder, view, began_at), folder
-            return launch(preparation, folder, view, began_at, server), folder
+                return run_in_one_process(preparation, folder, view, began_at), folder
+            return run_as_processes(preparation, folder, view, began_at, server), folder
     except FailureError as failure:
         if not folder.recording.exists():
             raise

@@ -38,7 +38,7 @@ def view(
         Folder of a run, its run.mcap, or a folder of runs.
     """
     from live_page.server import PageServer
-    from recordings.inspect.health import SUMMARY_NAME
+    from recordings.read.run_file import SUMMARY_NAME
 
     several = _holds_several(path)
     address = open_address(page_address, page_port)

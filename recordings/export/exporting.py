@@ -99,7 +99,7 @@ def _add_all(
     """Add all messages on some ports; return the cycles that they are of, and their number."""
     first, end, messages = 1 << 62, 0, 0
     for record in reader.records(ports, cycles):
-        message = reader.decoded(record.port, record.sequence, record.payload)
+        message = reader.decoded(record)
         if message is None:
             continue
         try:

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import suppress
-from pathlib import Path
-from typing import Final
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from typing import NamedTuple, TypeAlias
 
 import msgspec
-from msgspec.structs import replace
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, SIGNALS, Port, Signal
 from bus_schemas.tree import ROOT
-from bus_schemas.whole_file import whole_file
-from recordings.inspect.health import Health, HealthWatch, with_account
-from recordings.read.counting import RecordingCount
-from recordings.read.gaps import PortGaps
+from recordings.inspect.health import Health, HealthWatch
+from recordings.read.gaps import PortGaps, gaps_of_ports
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECOVERY_METADATA
+from recordings.read.series import Listener
 
-OVERVIEW_NAME: Final = "overview.json"
+See: TypeAlias = Callable[[Port[Message], Message], None]
 
 
 class SignalCount(msgspec.Struct, frozen=True):
@@ -58,74 +55,112 @@ class Overview(msgspec.Struct, frozen=True):
     health: Health
 
 
-def keep_overview(recording: Path, count: RecordingCount | None = None) -> Overview:
-    """Make the overview of a run that has ended, and keep it beside the recording.
+class Reading(NamedTuple):
+    """What one pass over a recording found: an overview, and the messages of each port."""
 
-    count: Of a run in which nothing can be late or missing: it says all that there is to say.
-    """
-    with RunReader(recording) as run:
-        overview = _overview(run, None, count)
-    with whole_file(recording.parent / OVERVIEW_NAME) as file:
-        file.write(msgspec.json.encode(overview))
-    return overview
+    overview: Overview
+    gaps: dict[Port[Message], PortGaps]
+
+    def by_signal(self, publisher: str | None = None) -> Counter[str]:
+        """Return the messages of each signal, of one publisher or of all."""
+        counts: Counter[str] = Counter()
+        for port, gaps in self.gaps.items():
+            if publisher in {None, port.publisher}:
+                counts[port.signal.name] += gaps.messages
+        return +counts
 
 
 def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
-    """Return what a recording holds: as kept at the end of the run, or else by reading it."""
-    path = run.path.with_name(OVERVIEW_NAME)
-    changed_ns = max(os.fstat(file.fileno()).st_mtime_ns for file in run.files)
-    with suppress(OSError, msgspec.DecodeError):
-        if cycles is None and path.stat().st_mtime_ns >= changed_ns:
-            kept = msgspec.json.decode(path.read_bytes(), type=Overview)
-            if kept.run_id == run.plan.run_id:
-                return replace(kept, path=str(run.path), health=with_account(kept.health, run))
-    return _overview(run, cycles)
+    """Read what a recording holds, or a part of it."""
+    return read_through(run, cycles).overview
 
 
-def _overview(
-    run: RunReader, cycles: range | None, count: RecordingCount | None = None
-) -> Overview:
+def read_through(
+    run: RunReader,
+    cycles: range | None = None,
+    listener: Listener | None = None,
+    *,
+    only_count: bool = False,
+) -> Reading:
+    """Go through a recording once; a listener sees the messages of its ports.
+
+    only_count: Nothing can be late or missing in it: a million messages a second.
+    """
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
-    end = 0  # Nothing can be missing.
-    if count is None:
-        count, health, end = _go_through(run, cycles, wanted)
+    ports = listener.ports if listener else frozenset[Port[Message]]()
+    see = listener.see if listener else _see_nothing
+    if only_count:
+        gaps, wall_ns = _counted(run, ports, see)
+        health, end = Health(stop_cycle=run.stop_cycle), 0
     else:
-        health = with_account(Health(stop_cycle=run.stop_cycle, launcher=None), run)
-    wall_s, sent = count.wall_ns / 1e9, {port.signal for port in count.gaps}
-    return Overview(
+        watch = HealthWatch(run.plan, wanted)
+        wall_ns = _watched(run, cycles, watch, ports, see)
+        # If the run's end was not recorded, the cycles up to the last production were due.
+        end = min(watch.states.end_cycle(run.stop_cycle), wanted.stop)
+        gaps, health = watch.states.gaps, watch.health(run, end)
+    wall_s, sent = wall_ns / 1e9, {port.signal for port in gaps}
+    overview = Overview(
         path=str(run.path),
         run_id=run.plan.run_id,
         metadata=run.metadata,
         whole=run.whole,
         first_cycle=wanted.start,
         last_cycle=wanted.stop - 1,
-        complete_cycles=count.gaps[PRODUCTION.of(ROOT)].cycles(run.plan.timing.cycles),
+        complete_cycles=gaps[PRODUCTION.of(ROOT)].cycles(run.plan.timing.cycles),
         planned_cycles=run.plan.timing.cycles,
         interrupted=(run.stop_cycle or run.plan.timing.cycles) < run.plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
-            _count(signal, count.gaps, wanted, end, wall_s) for signal in SIGNALS if signal in sent
+            _count(signal, gaps, wanted, end, wall_s) for signal in SIGNALS if signal in sent
         ),
         health=health,
     )
+    return Reading(overview, gaps)
 
 
-def _go_through(
-    run: RunReader, cycles: range | None, wanted: range
-) -> tuple[RecordingCount, Health, int]:
-    """Go through a recording message by message, most of them without decoding them.
+def _see_nothing(port: Port[Message], message: Message) -> None:
+    """Stand for the listener where there is none."""
 
-    Also return before which cycle the run or the part ends.
-    """
-    watch = HealthWatch(run.plan, wanted)
+
+def _watched(
+    run: RunReader,
+    cycles: range | None,
+    watch: HealthWatch,
+    ports: Collection[Port[Message]],
+    see: See,
+) -> int:
+    """Let a watch see each message, most of them without decoding them; return the time [ns]."""
     first_ns = last_ns = 0
     for record in run.records(cycles=cycles):
         watch.see(record)
         last_ns = record.log_time_ns
         first_ns = first_ns or last_ns
-    # If the run's end was not recorded, the cycles up to the last production were due.
-    end = min(watch.states.end_cycle(run.stop_cycle), wanted.stop)
-    return RecordingCount(watch.states.gaps, last_ns - first_ns), watch.health(run, end), end
+        if record.port in ports and (message := run.decoded(record)):
+            see(record.port, message)
+    return last_ns - first_ns
+
+
+def _counted(
+    run: RunReader, ports: Collection[Port[Message]], see: See
+) -> tuple[dict[Port[Message], PortGaps], int]:
+    """Count messages, most of them without looking into them; return them and the time [ns]."""
+    gaps, counts, first_ns, last_ns = gaps_of_ports(run.plan), Counter[int](), 0, 0
+    read = {
+        number: port
+        for number, port in run.channels.items()
+        if port in ports or port.signal is PRODUCTION
+    }
+    for chunk in run.followed_chunks():
+        for channel, _, last_ns, _, _ in run.messages_of(chunk, run.channels):
+            counts[channel] += 1
+            first_ns = first_ns or last_ns
+        for record in run.records_of(chunk, read):
+            gaps[record.port].see(record.cycle, record.sequence, record.incarnation)
+            if record.port in ports and (message := run.decoded(record)):
+                see(record.port, message)
+    for channel, count in counts.items():
+        gaps[run.channels[channel]].messages = count
+    return gaps, last_ns - first_ns
 
 
 def _count(

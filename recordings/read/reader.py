@@ -220,7 +220,7 @@ class RunReader:
         for chunk in self._chunks_of(cycles):
             for channel, sequence, _, _, payload in self.messages_of(chunk, port_of):
                 port = port_of[channel]
-                message = self.decoded(port, sequence, payload)
+                message = self._decoded(port, sequence, payload)
                 if message is not None and (
                     cycles is None or cycles.start <= message.cycle < cycles.stop
                 ):
@@ -251,8 +251,11 @@ class RunReader:
             times_ns = logged_ns, published_ns
             yield RecordedMessage(port, head.cycle, sequence, *times_ns, payload, head.incarnation)
 
-    def decoded(self, port: Port[Message], sequence: int, payload: bytes) -> Message | None:
+    def decoded(self, record: RecordedMessage) -> Message | None:
         """Return a message; None if it is wrong, which is then named at the end."""
+        return self._decoded(record.port, record.sequence, record.payload)
+
+    def _decoded(self, port: Port[Message], sequence: int, payload: bytes) -> Message | None:
         try:
             return _decoded(port, sequence, payload)
         except InputError as error:

@@ -15,6 +15,8 @@ from bus_schemas.tree import PLANT, ROOT, agent_name
 from recordings.read.mcap_file import Outline
 
 RECORDING_NAME: Final = "run.mcap"
+SUMMARY_NAME: Final = "summary.json"
+FAILURE_NAME: Final = "failure.txt"
 
 RECOVERY_METADATA: Final = "recovery"
 """Name of the metadata of a recording that was made from a cut or damaged one."""

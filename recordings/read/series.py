@@ -28,6 +28,9 @@ from recordings.read.reader import RunReader
 from sim_plant.profile import PROFILE_NAME, load_profile
 from sim_plant.without_help import powers_without_help_kw, settling_cycles
 
+PLANT_SIGNALS: Final = (DISPATCH, METER, PRODUCTION)
+"""What the figures of merit of a run follow from."""
+
 _MOST_COLUMNS: Final = 100
 
 
@@ -238,6 +241,15 @@ class SeriesCollector:
         self.orders = OrderHistory()
         self._cycles = 0
 
+    @property
+    def has_clusters(self) -> bool:
+        return bool(self._clusters)
+
+    @property
+    def ports(self) -> frozenset[Port[Message]]:
+        """What the figures of merit follow from."""
+        return frozenset(signal.of(ROOT) for signal in PLANT_SIGNALS)
+
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message; those that the series does not need are ignored."""
         if not 0 <= message.cycle < self._plan.timing.cycles:
@@ -365,17 +377,27 @@ def _read(
     also: Sequence[Listener] = (),
 ) -> RunSeries:
     collector = SeriesCollector(reader.plan, clusters)
-    own = reader.ports(DISPATCH, METER, PRODUCTION) | ports
+    own = reader.ports(*PLANT_SIGNALS) | ports
     for port, message in reader.on(own.union(*(one.ports for one in also))):
         collector.see(port, message)
         for one in also:
             if port in one.ports:
                 one.see(port, message)
+    return collected(collector, reader)
+
+
+def plant_collector(plan: RunPlan) -> SeriesCollector:
+    """Return a collector of what the figures of merit need."""
+    return SeriesCollector(plan, columns_of(plan))
+
+
+def collected(collector: SeriesCollector, reader: RunReader) -> RunSeries:
+    """Return the series of a recording all of whose messages a collector has seen."""
     try:
         series = collector.series(reader.plan.run_id)
     except InputError as error:
         raise InputError(f"{reader.path}: {error}") from None
-    return _with_baseline(series, reader) if clusters else series
+    return _with_baseline(series, reader) if collector.has_clusters else series
 
 
 def _with_baseline(series: RunSeries, reader: RunReader) -> RunSeries:

@@ -18,8 +18,6 @@ from rich.markup import escape
 from agents.plan import RunPlan
 from bus_schemas.tree import ROOT, parent_of
 from bus_schemas.whole_file import whole_file
-from recordings.inspect.health import summary_in
-from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries, series_of
@@ -37,7 +35,7 @@ from results.report.plant_figures import plant_power, regulation
 from results.report.result import KeyFigure, Result
 from results.report.style import ReportFigure
 from results.report.tables import devices_tables, figures_tables, health_table, network_tables
-from results.run_summary import RunSummary
+from results.run_document import outcome_of, overview_of
 from results.tables import Table, counted
 from scenarios.scenario import AnswerBudgets
 from sunspec.process import read_accounts
@@ -60,15 +58,14 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
             found = HelpBetween(plan, _nodes_drawn(plan))
             series = series_of(reader, MOST_INVERTERS, [found])
             series = replace(series, label=f"hierarchical ({plan.control.scheme})")
-            health = read_overview(reader).health
-            summary = summary_in(reader.path.parent, plan, RunSummary)
+            health, outcome = overview_of(reader).health, outcome_of(reader)
             tables = [
                 *figures_tables([series]),
                 *answers_tables(judged(answers(series), _budgets(reader))),
                 help_table(found, reader.clock),
                 clusters_table(series, plan, found),
-                *network_tables(summary),
-                health_table(health, reader.clock),
+                *network_tables(outcome.document),
+                health_table(health, reader.clock, outcome),
                 *devices_tables(read_accounts(reader.path.parent)),
             ]
             marks, clock = run_marks(reader, health, series), reader.clock
@@ -105,11 +102,11 @@ def _notes(reader: RunReader) -> list[str]:
     ]
     if scenario.get("neighbours", {}).get("history") == "hindsight":
         notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
-    summary = summary_in(reader.path.parent, reader.plan, RunSummary)
-    notes += summary.run.remarks if summary else ()
-    stop, planned = reader.stop_cycle, reader.plan.timing.cycles
-    if stop is not None and stop < planned:
-        notes.append(f"The run was interrupted after {stop:,} of {planned:,} cycles.")
+    outcome = outcome_of(reader)
+    notes += outcome.document.run.remarks if outcome.document else ()
+    end = outcome.end(reader.stop_cycle, reader.plan.timing.cycles)
+    if end != "over":
+        notes.append(f"How the run ended: {end}.")
     if not reader.whole:
         notes.append("The recording is incomplete: the report shows the part that it holds.")
     return notes

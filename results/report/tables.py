@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from recordings.inspect.health import Health, counts_text, health_lines
+from recordings.inspect.health import Health
 from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from results.figures import Shown, run_figures, runs_as_columns, shown_in
-from results.run_summary import RunSummary
+from results.health_lines import counts_text, health_lines
+from results.run_document import Outcome, RunDocument
 from results.tables import Column, Table, attributes, key_column, texts_table
 from sunspec.process import DeviceAccount
 
@@ -42,12 +43,12 @@ def figures_tables(series: Sequence[RunSeries]) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def health_table(health: Health, clock: RunClock) -> Table:
+def health_table(health: Health, clock: RunClock, outcome: Outcome) -> Table:
     """Return the table of a run's health, a line for each kind of finding."""
-    return texts_table("Health of the run", health_lines(health, clock))
+    return texts_table("Health of the run", health_lines(health, clock, outcome))
 
 
-def network_tables(summary: RunSummary | None) -> list[Table]:
+def network_tables(summary: RunDocument | None) -> list[Table]:
     """Return the table of a run's messages by signal; none without its summary."""
     if summary is None:
         return []

@@ -22,9 +22,8 @@ from agents.process.machine_watch import MachineStop
 from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT
-from recordings.inspect.health import summary_in
 from recordings.read.reader import RunReader
-from results.run_summary import RunSummary
+from results.run_document import RunDocument, document_in
 from results.timing.clocks import HostClock, clocks_of
 from results.timing.devices import DeviceTiming, devices_of
 from results.timing.late_cycles import LateCycle, late_cycles
@@ -169,7 +168,7 @@ class TimingReport:
 
 def report_on(
     run: Path,
-    summary: RunSummary | None = None,
+    summary: RunDocument | None = None,
     load: tuple[float, float] | None = None,
     stops: Sequence[MachineStop] | None = None,
 ) -> TimingReport:
@@ -186,7 +185,7 @@ def report_on(
         stages = stage_table(reader, stops)
     table = prepared(stages, plan)
     late = late_cycles(table, plan)
-    summary = summary or summary_in(folder, plan, RunSummary)
+    summary = summary or document_in(folder, plan.run_id)
     cycles = int(stages.cycle.max()) + 1
     wall_s = cycles * plan.timing.cycle_wall_ns / 1e9
     interrupted = stop_cycle is not None and stop_cycle < plan.timing.cycles
@@ -310,7 +309,7 @@ def _judged(
 
 
 def _tiers(
-    processes: pd.DataFrame, summary: RunSummary | None, wall_s: float, plan: RunPlan
+    processes: pd.DataFrame, summary: RunDocument | None, wall_s: float, plan: RunPlan
 ) -> pd.DataFrame:
     """Add up the processes of each tier; memory is the largest one's.
 

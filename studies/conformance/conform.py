@@ -18,12 +18,12 @@ from agents.process.events import Status
 from bus_schemas.errors import FailureError, listed
 from bus_schemas.tree import PLANT
 from launch_scripts.fork_server_process import ForkServerProcess
-from launch_scripts.launch import launch
+from launch_scripts.launch import run_as_processes
 from launch_scripts.run_folder import RunFolder
 from recordings.record.complaints import OUT_OF_RANGE, UNDECODABLE, UNKNOWN, WRONG_SENDER
 from recordings.verify.comparison import LOSSES, Equality
 from recordings.verify.verification import verify
-from results.run_summary import RunSummary
+from results.run_document import RunDocument
 from scenarios.preparation import Preparation
 from sim_plant import Floats
 from sim_plant.profile import Profile
@@ -130,7 +130,7 @@ class Conformance:
 
     def _launch(
         self, name: str, script: Script, away: range = range(0)
-    ) -> tuple[RunFolder, RunSummary | Exception]:
+    ) -> tuple[RunFolder, RunDocument | Exception]:
         """Launch the plant around the device; return the folder, and how it ended."""
         cycles, folder = script.cycle, RunFolder(self.folder.path / name)
         plan = changed(
@@ -145,7 +145,7 @@ class Conformance:
         self.findings.note("token", "PASS")
         try:
             with ForkServerProcess() as server:
-                summary = launch(preparation, folder, view, time.monotonic(), server)
+                summary = run_as_processes(preparation, folder, view, time.monotonic(), server)
         except FailureError as failure:
             return folder, failure
         if summary.launcher.interrupted:
@@ -156,12 +156,12 @@ class Conformance:
         self,
         script: Script,
         folder: RunFolder,
-        ended: RunSummary | Exception,
+        ended: RunDocument | Exception,
         away: range,
     ) -> None:
         """Judge a launch by its recording; raise its failure if it did not come to cycle 0."""
         recorded = DeviceRun.of(folder.path, self._agent)
-        failure = "" if isinstance(ended, RunSummary) else str(ended).splitlines()[0]
+        failure = "" if isinstance(ended, RunDocument) else str(ended).splitlines()[0]
         if not recorded.cycles:
             of = "token" if "no sign of" in failure else "arming"
             self.findings.fail(of, failure)
@@ -177,7 +177,7 @@ class Conformance:
             shows = shown[min(finding.cycle, recorded.cycles)]
             if shows != AWAY:
                 self._note(finding, finding.requirement or shows, recorded.slow_cycle)
-        for wrong in ended.launcher.wrong if isinstance(ended, RunSummary) else ():
+        for wrong in ended.launcher.wrong if isinstance(ended, RunDocument) else ():
             if wrong.cause in (UNDECODABLE, UNKNOWN, WRONG_SENDER):
                 of = "bounds" if wrong.cause == UNDECODABLE else "decisions"
                 self.findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
@@ -203,7 +203,7 @@ class Conformance:
             script.play("cycles")
         folder, ended = self._launch(name, script)
         self.device.end()
-        if not isinstance(ended, RunSummary):
+        if not isinstance(ended, RunDocument):
             findings.fail("token" if "no sign of" in str(ended) else "stop", str(ended))
             raise ended
         kind = "missing" if ended.launcher.skipped_cycles or ended.missing_inputs else "cycles"

@@ -16,10 +16,17 @@ from reports_by_hand import summary_of
 from agents.process.events import Complaint, ExternalAccount, Recorded
 from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
-from recordings.inspect.health import LauncherAccount, WrongMessages
-from recordings.read.counting import count_messages
+from recordings.inspect.overview import read_through
+from recordings.read.reader import RunReader
 from results.figures import FIGURES
-from results.run_summary import MessageCount, ProcessAccount, RunFacts, RunSummary
+from results.run_document import (
+    LauncherAccount,
+    MessageCount,
+    ProcessAccount,
+    RunDocument,
+    RunFacts,
+    WrongMessages,
+)
 from results.summary_table import summary_table
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
@@ -33,7 +40,7 @@ SUMMARY = replace(
 )
 
 
-def rows_of(summary: RunSummary) -> dict[str, list[str]]:
+def rows_of(summary: RunDocument) -> dict[str, list[str]]:
     return {name: cells for name, *cells in summary_table(summary).texts()}
 
 
@@ -128,7 +135,7 @@ def test_of_recorder_and_listeners_the_largest_count_holds(account: RunAccount) 
         ("c1/inv01/impp", "late", 1),
     ]
     complaint = Complaint("small/c1/inv01/impp", "duplicate", 5, "it came twice in cycle 3")
-    found = account.summary(Recorded({}, 0, 0, complaints=(complaint,)), 1.0, interrupted=False)
+    found = account.document(Recorded({}, 0, 0, complaints=(complaint,)), 1.0, interrupted=False)
     assert [(wrong.key, wrong.cause, wrong.count) for wrong in found.launcher.wrong] == [
         ("c1/inv01/impp", "duplicate", 5),
         ("c1/inv01/impp", "late", 2),
@@ -153,11 +160,12 @@ def test_a_recording_that_holds_less_than_was_recorded_is_a_failure(
     heliarch("simulate", plant, "--duration", "300", "--out", folder.path)
     preparation = prepare(load_scenario(plant), RunOptions(duration="300"), "counted")
     account = RunAccount(preparation, folder, "launch", 0.0)
-    told = Recorded(dict(count_messages(folder.recording).by_signal()), 0, 300)
+    with RunReader(folder.recording) as run:
+        told = Recorded(dict(read_through(run).by_signal()), 0, 300)
     account.published.update(told.recorded)
     if harm is not None:
         harm(folder.recording)
-    summary = account.summary(told, 1.0, interrupted=False)
+    summary = account.document(told, 1.0, interrupted=False)
     failures = [*summary.failures()]
     assert len(failures) == (harm is not None)
     covered = summary.figures["cycles"] if summary.figures else 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import socket
 import time
 import urllib.request
@@ -11,10 +10,14 @@ from pathlib import Path
 
 import pytest
 from command_line import refusal
+from msgspec.structs import replace
 from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, whole_run, write_run
+from reports_by_hand import summary_of
 from served import served
 
+from results.figures import FIGURES
+from results.run_document import LauncherAccount, RunFacts
 from scenarios.fault_rules import parse_fault
 
 CYCLES = 60
@@ -100,16 +103,14 @@ def test_other_hosts_need_the_token(run: Path) -> None:
 
 
 def test_the_runs_of_a_folder_are_listed_with_their_figures(run: Path, tmp_path: Path) -> None:
-    (run / "summary.json").write_text(
-        json.dumps(
-            {
-                "run": {"scenario": "field", "cycle_s": 1.0, "planned_cycles": 1000},
-                "launcher": {"interrupted": True},
-                "cycles": CYCLES,
-                "figures": {"control-caused": 4.2},
-            }
-        )
+    document = replace(
+        summary_of(run, PLAN),
+        run=RunFacts("field", "launch", str(run), "", planned_cycles=1000, cycle_s=1.0),
+        launcher=LauncherAccount(interrupted=True),
+        cycles=CYCLES,
+        figures=dict.fromkeys(FIGURES) | {"control-caused": 4.2},
     )
+    (run / "summary.json").write_bytes(document.as_json())
     other = tmp_path / "runs" / "rates" / "rate-1"
     other.mkdir(parents=True)
     write_run(other / "run.mcap", whole_run(2))

@@ -20,7 +20,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
-from results.run_summary import RunSummary
+from results.run_document import RunDocument
 
 pytestmark = pytest.mark.processes
 
@@ -43,7 +43,7 @@ def controller(device: Device, folder: Path) -> subprocess.Popen[bytes]:
     return device(CONTROLLER, "--plan", folder / "plan.json", "--node", NODE)
 
 
-def wrong(summary: RunSummary) -> dict[tuple[str, str], int]:
+def wrong(summary: RunDocument) -> dict[tuple[str, str], int]:
     return {(entry.key, entry.cause): entry.count for entry in summary.launcher.wrong}
 
 

@@ -27,7 +27,7 @@ from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import RECORDER
 from heliarch.cli.live_view import PlainView
 from launch_scripts.fork_server_process import ForkServerProcess
-from launch_scripts.launch import launch
+from launch_scripts.launch import run_as_processes
 from launch_scripts.processes import Processes
 from launch_scripts.run_folder import RunFolder
 from recordings.read.reader import RunReader
@@ -282,7 +282,7 @@ def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
         preparation = prepare(scenario, RunOptions(duration="5"), f"run{number}")
         with ForkServerProcess() as server:
             view = PlainView(Console(file=io.StringIO()), preparation.plan)
-            launch(preparation, RunFolder(tmp_path / f"run{number}"), view, 0.0, server)
+            run_as_processes(preparation, RunFolder(tmp_path / f"run{number}"), view, 0.0, server)
         gc.collect()  # what earlier tests left behind would be counted in the first run alone
         own = psutil.Process()
         return own.num_fds(), len(own.children(recursive=True)), own.num_threads()

@@ -22,7 +22,7 @@ from bus_schemas.signals import SIGNALS
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT
 from recordings.read.reader import RunReader
-from results.run_summary import RunSummary
+from results.run_document import RunDocument
 
 pytestmark = pytest.mark.processes
 
@@ -45,9 +45,9 @@ def decided(folder: Path, command: str, *words: str) -> dict[tuple[str, int], Me
     return decisions(folder)
 
 
-def summary_of(folder: Path) -> RunSummary:
+def summary_of(folder: Path) -> RunDocument:
     """Return the summary that a run wrote, with what is in it checked."""
-    return msgspec.json.decode((folder / "summary.json").read_bytes(), type=RunSummary)
+    return msgspec.json.decode((folder / "summary.json").read_bytes(), type=RunDocument)
 
 
 CYCLES = 40

@@ -18,7 +18,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from launch_scripts.simulation import MemoryRun
 from recordings.read.reader import RunReader
-from results.run_summary import RunSummary
+from results.run_document import RunDocument
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
 
@@ -30,7 +30,7 @@ AHEAD = 1000
 """Cycles: what is forged for a cycle to come is there before the genuine message, at any speed."""
 
 
-def ended(run: Heliarch) -> RunSummary:
+def ended(run: Heliarch) -> RunDocument:
     """End a run with Ctrl-C."""
     run.interrupt()
     return summary_of(run.folder)

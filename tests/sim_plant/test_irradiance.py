@@ -64,7 +64,7 @@ def test_stations_are_taken_in_the_order_asked_for(read: Read) -> None:
     ("old", "new", "complaint"),
     [
         ("801.5,791.0", "801.5,2001", "ghi.csv: line 3, column 'AP1'"),
-        ("801.5,791.0", "801.5,-10.1", "ghi.csv: line 3, column 'AP1'"),
+        ("801.5,791.0", "801.5,-20.1", "ghi.csv: line 3, column 'AP1'"),
         ("20:00:02Z", "20:00:01Z", "ghi.csv: line 4, column 'utc'"),
         ("DH4,21", "DH3,21", "positions.csv: line 4, column 'station'"),
         ("-158.08505", "201.9", "positions.csv: line 4, column 'lon'"),
@@ -117,7 +117,7 @@ def test_missing_values_and_lines_are_filled_on_straight_lines_and_told(read: Re
 def test_a_file_without_gaps_is_read_the_same_whether_gaps_are_filled_or_not(read: Read) -> None:
     refused, filled = read(), read(max_gap_s=3.0)
     pd.testing.assert_frame_equal(refused.ghi_wm2, filled.ghi_wm2, check_freq=False)
-    assert filled.report == ()
+    assert filled.report == ("ghi.csv: set to 0: 1 of the values, from -0.7 W/m2 up",)
 
 
 @pytest.mark.parametrize(

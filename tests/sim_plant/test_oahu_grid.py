@@ -60,7 +60,7 @@ def test_each_sensor_has_its_own_field_and_the_tilted_have_none(read: Read) -> N
     for sensor, value in found.ghi_wm2.iloc[7].items():
         assert value == 10.0 * (5 + column(str(sensor))) + 7.0
     assert found.ghi_wm2["DH4"].iloc[3] == 0.0, "a small negative of the night"
-    assert found.report == ()
+    assert found.report == ("20100401.txt: set to 0: 1 of the values, from -0.7 W/m2 up",)
 
 
 # Gaps ---------------------------------------------------------------------------------------------
@@ -95,7 +95,7 @@ GOOD += "2,2010,91,1200" + ",700" * 19 + "\n3,2010,91,1200" + ",800" * 19 + "\n"
     ("old", "new", "place"),
     [
         ("2,2010,91,1200,700", "2,2010,91,1200,n/a", "line 3, column 'DH3': expected a number"),
-        ("2,2010,91,1200,700", "2,2010,91,1200,2100", "line 3, column 'DH3': expected -10 to"),
+        ("2,2010,91,1200,700", "2,2010,91,1200,2100", "line 3, column 'DH3': expected -20 to"),
         ("2,2010,91", "2,2010,92", "line 3, column 'day of year': expected that"),
         ("2,2010,91,1200", "2,2010,91,1260", "line 3, column 'second': expected times"),
         ("2,2010,91,1200", "1,2010,91,1200", "line 3, column 'second': expected times"),

@@ -46,8 +46,8 @@ def asked_kw(
     path: Path, times: pd.DatetimeIndex, toml: str = "", timezone: str = HONOLULU
 ) -> list[float]:
     settings = read(f'kind = "file"\npath = "{path.name}"\ncapacity_kw = {CAPACITY_KW}\n{toml}')
-    found: list[float] = regulation_kw(settings, times, timezone, path.parent.joinpath).tolist()
-    return found
+    found, _ = regulation_kw(settings, times, timezone, path.parent.joinpath)
+    return list(found.tolist())
 
 
 def complaint(path: Path, times: pd.DatetimeIndex | None = None, toml: str = "") -> str:
@@ -109,8 +109,8 @@ def test_the_offer_keeps_to_the_clock_when_it_is_set_forward(path: Path) -> None
 def test_a_synthetic_signal_does_not_depend_on_where_the_run_begins() -> None:
     settings = read('kind = "synthetic"\ncapacity_kw = 500\nseed = 3')
     assert settings == SyntheticRegulation(capacity_kw=500.0, seed=3)
-    day = regulation_kw(settings, cycles("2010-04-01", 86_400), HONOLULU, Path)
-    part = regulation_kw(settings, cycles("2010-04-01T12:00:01", 60), HONOLULU, Path)
+    day, _ = regulation_kw(settings, cycles("2010-04-01", 86_400), HONOLULU, Path)
+    part, _ = regulation_kw(settings, cycles("2010-04-01T12:00:01", 60), HONOLULU, Path)
     np.testing.assert_array_equal(part, day[43_201:43_261])
     np.testing.assert_array_equal(day[::2], day[1::2])
     assert np.abs(day).max() == 500.0

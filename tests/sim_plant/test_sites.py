@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from complaints import complaint_of
+from hypothesis import given
+from hypothesis import strategies as st
 
 from bus_schemas.errors import InputError
+from bus_schemas.tree import check_name
 from sim_plant.sites import (
     Grid,
     east_north_m,
-    inverter_name,
+    inverter_names,
     placed_around,
     read_sites,
 )
@@ -67,11 +70,17 @@ def test_what_cannot_be_used_is_located(path: Path, lines: list[str], complaint:
     assert found.startswith(f"{path.name}: {complaint}")
 
 
-@pytest.mark.parametrize(
-    ("station", "name"), [("16", "inv16"), ("DH3", "invDH3"), ("inv04", "inv04")]
-)
-def test_an_inverter_is_named_after_its_station(station: str, name: str) -> None:
-    assert inverter_name(station) == name
+def test_an_inverter_is_named_after_its_station() -> None:
+    assert inverter_names(["16", "DH3", "inv04"]) == ("inv16", "invDH3", "inv04")
+    assert inverter_names(["a/b", "p [1]", "Dach Süd"]) == ("inva-b", "invp-1", "invDach-Sud")
+
+
+@given(st.lists(st.text(min_size=1, max_size=60), min_size=1, max_size=6, unique=True))
+def test_any_station_has_a_node_name_of_its_own(stations: list[str]) -> None:
+    names = inverter_names(stations)
+    assert len(set(names)) == len(stations)
+    for name in names:
+        check_name(name, "station")
 
 
 # Positions ---------------------------------------------------------------------------------------

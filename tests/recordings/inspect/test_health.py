@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from memory_runs import run_in_memory
+from msgspec.structs import replace
 from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, numbered, whole_run, write_messages, write_run
+from reports_by_hand import summary_of
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import HELP, TELEMETRY
 from recordings.inspect.agent_states import AgentSpan, states_at
-from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME, Health, health_lines
+from recordings.inspect.health import Health
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
+from recordings.read.run_file import FAILURE_NAME, SUMMARY_NAME
+from results.health_lines import health_lines
+from results.run_document import LauncherAccount, WrongMessages, outcome_of
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
 
@@ -30,7 +33,7 @@ def health_of(folder: Path) -> tuple[Health, str]:
     with RunReader(folder) as run:
         health = read_overview(run).health
         return health, "\n".join(
-            f"{name}: {text}" for name, text in health_lines(health, run.clock)
+            f"{name}: {text}" for name, text in health_lines(health, run.clock, outcome_of(run))
         )
 
 
@@ -46,7 +49,7 @@ def written(
 def test_a_sound_run_has_nothing_to_report(tmp_path: Path) -> None:
     health, text = written(tmp_path)
     assert (health.messages_lost, health.repeated, health.misses, health.states) == (0, 0, (), ())
-    assert (health.stop_cycle, health.failure, health.launcher) == (CYCLES, "", None)
+    assert health.stop_cycle == CYCLES
     assert "not recorded" in text, "how many messages were dropped, only the launcher knows"
 
 
@@ -107,7 +110,7 @@ def test_a_restart_is_told_once_whenever_a_rare_message_follows(tmp_path: Path) 
     assert "c1/a: restarted in cycle 20" in text
 
 
-@pytest.mark.parametrize(("cycles", "text"), [(CYCLES, "ended in order"), (1000, "60 of 1,000")])
+@pytest.mark.parametrize(("cycles", "text"), [(CYCLES, "over"), (1000, "60 of 1,000")])
 def test_a_run_that_ended_before_its_last_cycle_was_interrupted(
     tmp_path: Path, cycles: int, text: str
 ) -> None:
@@ -174,24 +177,20 @@ def test_an_agent_whose_link_is_cut_is_named_and_nobody_else(
 
 @pytest.mark.parametrize("run_id", [PLAN.run_id, "another-run"])
 def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, run_id: str) -> None:
-    summary: dict[str, Any] = {
-        "dropped": {"late": 3},
-        "restarts": {"recorder": 2},
-        "skipped_cycles": 2,
-        "wrong": [{"key": "c1/a/impp", "cause": "out_of_range", "count": 5, "example": "x"}],
-    }
-    document = {"run_id": run_id, "launcher": summary}
-    (tmp_path / SUMMARY_NAME).write_text(json.dumps(document))
+    launcher = LauncherAccount(
+        dropped={"late": 3},
+        restarts={"recorder": 2},
+        wrong=(WrongMessages("c1/a/impp", "out_of_range", 5, "x"),),
+    )
+    document = replace(summary_of(tmp_path), run_id=run_id, launcher=launcher)
+    (tmp_path / SUMMARY_NAME).write_bytes(document.as_json())
+    _, text = written(tmp_path)
     (tmp_path / FAILURE_NAME).write_text("c1/a ended\nwith status 1\n")
-    health, text = written(tmp_path)
-    assert health.failure == "c1/a ended with status 1"
-    if run_id != PLAN.run_id:
-        assert health.launcher is None
-        return
-    assert health.launcher is not None
-    assert health.launcher.dropped == {"late": 3}
-    assert "5 out_of_range on c1/a/impp" in text
-    assert "states: recorder" in text
+    assert "failed: c1/a ended with status 1" in health_of(tmp_path)[1]
+    is_known = run_id == PLAN.run_id
+    for part in ("late 3", "5 out_of_range on c1/a/impp", "states: recorder"):
+        assert (part in text) == is_known
+    assert ("there is no summary.json" in text) == (not is_known)
 
 
 def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(

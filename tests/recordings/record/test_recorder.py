@@ -23,7 +23,8 @@ from bus_schemas.messages import Impp, Message, Setpoint
 from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Occurrence, Port, ports
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from bus_schemas.zenoh_session import RunSubscriber
-from recordings.read.counting import checked
+from launch_scripts.account import external_account
+from recordings.inspect.overview import read_through
 from recordings.read.reader import RunReader
 from recordings.record.complaints import Complaints, SecondSenders
 from recordings.record.phases import ArmingRound
@@ -63,8 +64,13 @@ def recorded(
         IN_LOCKSTEP, cast("RunSubscriber", subscriber), writer, cast("LauncherLink", link)
     ).run()
     (own,) = [event for event in link.told if isinstance(event, Recorded)]
-    account, *_ = checked(folder, IN_LOCKSTEP, own)
     with RunReader(folder) as reader:
+        reading = read_through(reader)
+        external = [
+            external_account(IN_LOCKSTEP, agent, own.cycles, reading)
+            for agent in IN_LOCKSTEP.elsewhere
+        ]
+        account = replace(own, external=tuple(external))
         return [message for port, message in reader.messages(IMPP) if port is PORT], account
 
 

@@ -2,28 +2,59 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
+from msgspec.structs import replace
 
-from agents.plan import RunPlan
 from agents.process.events import ExternalAccount
 from bus_schemas.errors import listed
-from recordings.inspect.health import Health, RunDocument, WrongMessages
-from recordings.inspect.overview import keep_overview
-from recordings.read.counting import RecordingCount
+from recordings.inspect.health import Health
+from recordings.inspect.overview import Overview, read_overview
 from recordings.read.reader import RunReader
-from recordings.read.series import plant_series_of
-from results.answers import Answer, answers, judged
-from results.figures import Figures, run_figures
-from results.highlights import Highlights, highlights
-from scenarios.scenario import AnswerBudgets
+from recordings.read.run_file import FAILURE_NAME, SUMMARY_NAME
+from results.answers import Answer
+from results.figures import Figures
+from results.highlights import Highlights
 from sunspec.process import DeviceAccount
 
 _MOST_REFUSED: Final = 0.1
 """Share of its messages that may be refused of an external agent: more is a failure."""
+
+
+class WrongMessages(msgspec.Struct, frozen=True):
+    """Messages of one key that were wrong in one way, with an explanation of the first one.
+
+    `publisher` is the agent that may publish on the key; empty: the run has no such key.
+    """
+
+    key: str
+    cause: str
+    count: int
+    example: str
+    publisher: str = ""
+
+
+class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
+    """The part of a run's health that only the launcher knows.
+
+    `dropped`: messages that agents could not use, by cause. `skipped_cycles` were over before a
+    process came to them. `recording_ended`: why the recording does not hold the run as a whole.
+    `given_up`: processes that were not started again, and since which cycle. `recording_gaps`:
+    first and last cycles that the recorder did not hear.
+    """
+
+    dropped: dict[str, int] = {}
+    restarts: dict[str, int] = {}
+    skipped_cycles: int = 0
+    recording_ended: str = ""
+    given_up: dict[str, int] = {}
+    recording_gaps: tuple[tuple[int, int], ...] = ()
+    wrong: tuple[WrongMessages, ...] = ()
+    interrupted: bool = False
 
 
 class MessageCount(msgspec.Struct, frozen=True):
@@ -76,16 +107,18 @@ class RunFacts(msgspec.Struct, frozen=True):
     offset_errors: float = 0.0
 
 
-class RunSummary(RunDocument, frozen=True, kw_only=True):
-    """The figures of a run.
+class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """What became of a run: its end, counts, figures, health and answers.
 
     `cycles` were completed. `figures` is None if none of them can be read in the recording.
     `messages` are those of Heliarch's processes, `external` what was heard of external agents.
-    `health` is None if the recording was not read for it. `answers` are the plant's, to orders and
+    `recording` is None if it could not be read. `answers` are the plant's, to orders and
     steps of the schedule. `highlights` are None without figures.
     """
 
+    run_id: str
     run: RunFacts
+    launcher: LauncherAccount
     cycles: int
     wall_s: float
     startup_s: float
@@ -94,13 +127,33 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
     devices: tuple[DeviceAccount, ...] = ()
-    health: Health | None = None
+    recording: Overview | None = None
     answers: tuple[Answer, ...] = ()
     highlights: Highlights | None = None
 
     @property
     def cycles_per_s(self) -> float:
         return self.cycles / self.wall_s if self.wall_s > 0.0 else 0.0
+
+    @property
+    def health(self) -> Health | None:
+        return self.recording.health if self.recording else None
+
+    @property
+    def end(self) -> str:
+        """How the run ended, in words."""
+        launcher, planned = self.launcher, self.run.planned_cycles
+        covered = f"after {self.cycles:,} of {planned:,} cycles"
+        parts = []
+        if launcher.interrupted:
+            parts.append(f"interrupted {covered}")
+        elif self.cycles < planned:
+            parts.append(f"ended early, {covered}")
+        if launcher.given_up:
+            parts.append(f"given up: {listed([*launcher.given_up])}")
+        if launcher.recording_ended or launcher.recording_gaps:
+            parts.append(launcher.recording_ended or "recording has gaps")
+        return "; ".join(parts) or "over"
 
     @property
     def missing_inputs(self) -> int:
@@ -176,21 +229,52 @@ class RunSummary(RunDocument, frozen=True, kw_only=True):
         return msgspec.json.format(msgspec.json.encode(document), indent=2)
 
 
-def recorded_figures(
-    recording: Path, budgets: AnswerBudgets | None = None
-) -> tuple[Figures, tuple[Answer, ...], Highlights]:
-    """Read figures of merit, answers and highlights.
-
-    Raises InputError: The recording has none to show.
-    """
-    with RunReader(recording) as run:
-        series = plant_series_of(run)
-    return run_figures(series), judged(answers(series), budgets), highlights(series)
-
-
-def recorded_health(recording: Path, plan: RunPlan, count: RecordingCount) -> Health | None:
-    """Keep an overview of a recording; return the health, where anything can be late or missing."""
-    if plan.timing.lockstep and not plan.restarts and not plan.elsewhere:
-        keep_overview(recording, count)
+def document_in(folder: Path, run_id: str) -> RunDocument | None:
+    """Return the document in a folder; None if there is none of this run."""
+    try:
+        document = msgspec.json.decode((folder / SUMMARY_NAME).read_bytes(), type=RunDocument)
+    except (OSError, msgspec.DecodeError):
         return None
-    return keep_overview(recording).health
+    return document if document.run_id == run_id else None
+
+
+def failure_in(folder: Path) -> str:
+    """Return in a line why the run in a folder failed; empty: it did not."""
+    try:
+        text = (folder / FAILURE_NAME).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+    return " ".join(text.split())
+
+
+class Outcome(NamedTuple):
+    """What is known of a run beside its recording: both are empty while it goes on."""
+
+    document: RunDocument | None
+    failure: str
+
+    def end(self, stop_cycle: int | None, planned: int) -> str:
+        """Return how a run ended, in words; `stop_cycle` is what its recording says of it."""
+        if self.failure:
+            return f"failed: {self.failure}"
+        if self.document is not None:
+            return self.document.end
+        if stop_cycle is None:
+            return "the recording stops before the run's end"
+        if stop_cycle < planned:
+            return f"interrupted after {stop_cycle:,} of {planned:,} cycles"
+        return "over"
+
+
+def outcome_of(run: RunReader) -> Outcome:
+    return Outcome(document_in(run.path.parent, run.plan.run_id), failure_in(run.path.parent))
+
+
+def overview_of(run: RunReader, cycles: range | None = None) -> Overview:
+    """Return what a recording holds: as known since the end of the run, or else by reading it."""
+    document = document_in(run.path.parent, run.plan.run_id)
+    if cycles is None and document is not None and document.recording is not None:
+        known_ns = run.path.with_name(SUMMARY_NAME).stat().st_mtime_ns
+        if known_ns >= max(os.fstat(file.fileno()).st_mtime_ns for file in run.files):
+            return replace(document.recording, path=str(run.path))
+    return read_overview(run, cycles)

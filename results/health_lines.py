@@ -1,0 +1,92 @@
+"""The health of a run in words: what its recording says, and what only its launcher knew."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from agents.faults import ProcessFault
+from bus_schemas.errors import listed
+from bus_schemas.faults import UNHEARD, Blackout, Disturbance
+from bus_schemas.tree import RECORDER
+from recordings.inspect.health import FaultEffect, Health
+from recordings.read.run_clock import RunClock
+from recordings.read.run_file import SUMMARY_NAME
+from results.run_document import LauncherAccount, Outcome
+from scenarios.fault_rules import fault_text
+
+_NAMED: Final = 5
+"""How many of each kind the text names; the others are counted."""
+
+
+def health_lines(health: Health, clock: RunClock, outcome: Outcome) -> Iterator[tuple[str, str]]:
+    launcher = outcome.document.launcher if outcome.document else None
+    touched = f"messages: {counts_text(health.faults) or 'none touched'}"
+    yield "faults", touched if health.fault_effects else "none injected"
+    for effect in health.fault_effects:
+        yield "fault", f"{fault_text(effect.fault)}: {_effect_text(effect, clock)}"
+    yield "missing", f"{health.messages_lost:,} messages not recorded{_named(health.lost)}"
+    if health.repeated:
+        yield "repeated", f"{health.repeated:,} messages came again"
+    yield "dropped", _dropped(launcher)
+    yield "inputs", _missed_text(health, clock)
+    for span in health.states[:_NAMED]:
+        yield "states", span.text(clock)
+    if others := len(health.states[_NAMED:]) + health.more_states:
+        yield "states", f"and {others:,} more"
+    # Messages show which agents restarted; the recorder publishes none.
+    if recorder := launcher.restarts.get(RECORDER) if launcher else None:
+        yield "states", f"{RECORDER}: restarted ({recorder:,})"
+    elif not health.states:
+        yield "states", "no agent was absent, cut off or given up"
+    yield from _lacks(launcher, clock) if launcher else ()
+    yield "run", outcome.end(health.stop_cycle, clock.plan.timing.cycles)
+
+
+def _lacks(launcher: LauncherAccount, clock: RunClock) -> Iterator[tuple[str, str]]:
+    for name, cycle in launcher.given_up.items():
+        yield "given up", f"{name} {clock.span_text(cycle, cycle)}"
+    for first, last in launcher.recording_gaps:
+        yield "gap", f"not recorded {clock.span_text(first, last)}: the recorder was cut off"
+
+
+def _effect_text(effect: FaultEffect, clock: RunClock) -> str:
+    fault = effect.fault
+    if isinstance(fault, Disturbance | Blackout) and fault.signal in UNHEARD:
+        return f"changed nothing: no agent acts on {fault.signal}"
+    if effect.first_cycle is None or effect.last_cycle is None:
+        return "never acted"
+    on = "" if isinstance(fault, ProcessFault) else f"on {effect.messages:,} messages "
+    return f"acted {on}{clock.span_text(effect.first_cycle, effect.last_cycle)}"
+
+
+def _dropped(launcher: LauncherAccount | None) -> str:
+    if launcher is None:
+        return f"not recorded: there is no {SUMMARY_NAME} beside the recording"
+    dropped, skipped = launcher.dropped, launcher.skipped_cycles
+    wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in launcher.wrong]
+    parts = [f"{sum(dropped.values()):,} messages that agents could not use{_named(dropped)}"]
+    parts += [f"{skipped:,} cycles skipped"] if skipped else []
+    parts += [f"wrong: {listed(wrong, _NAMED)}"] if wrong else []
+    return "; ".join(parts)
+
+
+def counts_text(counts: dict[str, int]) -> str:
+    return ", ".join(f"{count:,} {name}" for name, count in counts.items())
+
+
+def _named(counts: Mapping[str, int]) -> str:
+    """List the first counts with their names, after a colon; empty if there are none."""
+    named = listed([f"{name} {count:,}" for name, count in counts.items()], _NAMED)
+    return f": {named}" if named else ""
+
+
+def _missed_text(health: Health, clock: RunClock) -> str:
+    misses = health.misses
+    if not misses:
+        return "none missed at a deadline"
+    first = min(one.first_cycle for one in misses)
+    last = max(one.last_cycle for one in misses)
+    worst = _named({one.agent: one.inputs for one in misses})
+    used = f"{health.missing_inputs:,} missed and {health.old_inputs:,} older ones used"
+    return f"{used} {clock.span_text(first, last)}, most at{worst}"
