@@ -202,26 +202,35 @@ class RunAccount:
         )
 
     def _wrong_messages(self, recorded: Recorded) -> tuple[WrongMessages, ...]:
-        """Return the wrong messages by key and cause, the most frequent first.
+        """Return the wrong messages by key and cause, the most frequent first, each once.
 
-        The recorder complains of what it hears, and agents drop what they cannot use. All may have
-        counted the same message: the largest count holds. Of what was dropped only that of external
-        agents counts: other late messages are the machine's fault.
+        The recorder hears each message once and names its first cause. An agent may have dropped
+        the same message for another cause: only what agents dropped beyond that is added. Of what
+        was dropped only that of external agents counts: other late messages are the machine's
+        fault.
         """
         plan = self.preparation.plan
         publishers = {str(port): port.publisher for port in plan.wiring.ports}
-        counts: Counter[tuple[str, str]] = Counter()
-        for port, cause, count in self.dropped:
+        dropped: Counter[tuple[str, str]] = Counter()
+        for port, cause, count in self.dropped:  # Several listeners drop one message.
             if publishers.get(port) in plan.access.external:
-                counts[port, cause] = max(counts[port, cause], count)
-        examples = dict.fromkeys(counts, "dropped by an agent")
+                dropped[port, cause] = max(dropped[port, cause], count)
+        counts: Counter[tuple[str, str]] = Counter()
+        examples = dict.fromkeys(dropped, "dropped by an agent")
         for complaint in recorded.complaints:
             of = (complaint.key.removeprefix(f"{plan.plant}/"), complaint.cause)
-            counts[of] = max(counts[of], complaint.count)
+            counts[of] += complaint.count
             examples[of] = complaint.example
+        unmatched: Counter[str] = Counter()  # Complaints about messages dropped for other causes.
+        for (key, _), count in (counts - dropped).items():
+            unmatched[key] += count
+        for of, count in (dropped - counts).most_common():
+            same = min(unmatched[of[0]], count)
+            unmatched[of[0]] -= same
+            counts[of] += count - same
         return tuple(
             WrongMessages(key, cause, count, examples[key, cause], publishers.get(key, ""))
-            for (key, cause), count in counts.most_common()
+            for (key, cause), count in (+counts).most_common()
         )
 
 

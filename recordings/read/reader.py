@@ -312,13 +312,9 @@ class RunReader:
     @cached_property
     def last_cycle(self) -> int:
         """The last cycle of which there is a message, -1 if there is none."""
-        # The plant's message that the run is over carries the cycle after the last one, and an
-        # external agent may state any cycle.
-        ports = {port for port in self.ports() if port.signal is not RUN}
-        own = {port for port in ports if port.publisher not in self.plan.access.external}
-        found = self.last_cycle_on(own)
-        most = self.plan.timing.cycles - 1
-        return found if found >= 0 else min(self.last_cycle_on(ports), most)
+        # The plant's message that the run is over carries the cycle after the last one.
+        last = self.last_cycle_on(set(self._own_channels.values()))
+        return min(last, self.plan.timing.cycles - 1)
 
     def last_cycle_on(self, ports: Collection[Port[Message]]) -> int:
         """Return the last cycle of which there is a message on some ports, -1 if there is none."""
@@ -410,9 +406,20 @@ class RunReader:
 
     def _first_cycle(self, chunk: Chunk) -> int | None:
         if chunk not in self._first_cycles:
-            cycles = (record.cycle for record in self.records_of(chunk))
+            cycles = (record.cycle for record in self.records_of(chunk, self._own_channels))
             self._first_cycles[chunk] = next(cycles, None)
         return self._first_cycles[chunk]
+
+    @cached_property
+    def _own_channels(self) -> dict[int, Port[Message]]:
+        """The channels of the run's own agents: an external one may state any cycle."""
+        external = self.plan.access.external
+        own = {
+            number: port
+            for number, port in self.channels.items()
+            if port.publisher not in external and port.signal is not RUN
+        }
+        return own or self.channels
 
     @cached_property
     def _slack(self) -> int:

@@ -10,12 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from memory_use import traced_memory
+from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, cut, cycle_of_the_plant, whole_run, write_run, zero_chunk
 
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError, InputWarning
 from bus_schemas.signals import PRODUCTION, RUN, SIGNALS, TELEMETRY
 from bus_schemas.tree import ROOT
+from recordings.inspect.overview import read_overview
 from recordings.read.mcap_file import Chunk, read_outline
 from recordings.read.reader import RunReader
 
@@ -222,3 +224,21 @@ def test_a_frame_takes_little_more_memory_than_its_columns(tmp_path: Path, table
             frame = run.frame(table)
             _, peak = memory()
     assert peak < 2.0 * frame.memory_usage(index=True).sum() + 300_000
+
+
+@pytest.mark.parametrize("ahead", [5, 700])
+def test_a_device_that_states_later_cycles_moves_no_end(tmp_path: Path, ahead: int) -> None:
+    plan = with_changes(PLAN, external=("c2/c",))
+    deliveries = list(whole_run(60))
+    for _, message in deliveries:
+        if message.source == "c2/c":
+            message.cycle += ahead
+    # Chunks that begin with a message of the device.
+    deliveries.sort(key=lambda pair: pair[1].cycle - ahead * (pair[1].source == "c2/c"))
+    write_run(tmp_path / "run.mcap", deliveries, plan=plan, messages_per_chunk=7)
+    with RunReader(tmp_path / "run.mcap") as run:
+        assert (run.last_cycle, run.stop_cycle) == (59, 60)
+        assert list(run.frame("impp", nodes="c1/a", start=20, end=30).cycle) == [*range(20, 30)]
+        overview = read_overview(run)
+    assert (overview.last_cycle, overview.complete_cycles) == (59, 60)
+    assert {span.agent for span in overview.health.states} <= {"c2/c"}
