@@ -38,6 +38,7 @@ class Reach:
     def __init__(self, plan: RunPlan, now_ns: int) -> None:
         self._plan = plan
         self._heard_at_ns = dict.fromkeys((PLANT, *map(agent_name, plan.tree.nodes)), now_ns)
+        self._looked_at_ns = now_ns
         self._pause_ns = round(longest_pause_s(plan) * 1e9)
         self._awaited = _awaited(plan)
         self._newest = dict.fromkeys(self._heard_at_ns, 0)
@@ -46,6 +47,8 @@ class Reach:
 
     def hear(self, port: Port[Message], head: Head, payload: bytes, now_ns: int) -> None:
         source = head.source
+        if source not in self._newest:  # An operator speaks when it likes.
+            return
         self._heard_at_ns[source] = now_ns
         if head.cycle < self._newest[source]:  # It comes after later ones.
             return
@@ -77,7 +80,14 @@ class Reach:
         return frozenset(name for name, keys in self._awaited[stage].items() if keys <= late)
 
     def not_recorded(self, now_ns: int) -> list[str]:
-        """Return the agents that the recorder has not heard for a while."""
+        """Return the agents that the recorder has not heard for a while.
+
+        Called several times a second: after a longer time the recorder itself stood still, which
+        proves nothing.
+        """
+        if now_ns > self._looked_at_ns + self._pause_ns:
+            self._heard_at_ns = dict.fromkeys(self._heard_at_ns, now_ns)
+        self._looked_at_ns = now_ns
         return [name for name, at in self._heard_at_ns.items() if at < now_ns - self._pause_ns]
 
     def not_heard(self, now_ns: int) -> list[str]:

@@ -7,9 +7,9 @@ from typing import Any
 from plans_by_hand import REAL_TIME, plan_of
 
 from bus_schemas.codec import encode
-from bus_schemas.messages import Head, Impp, Message, Production
-from bus_schemas.signals import IMPP, PRODUCTION, Port
-from bus_schemas.tree import ROOT
+from bus_schemas.messages import Head, Impp, Message, Order, Production
+from bus_schemas.signals import IMPP, ORDER, PRODUCTION, Port
+from bus_schemas.tree import OPERATOR, PLANT, ROOT
 from recordings.record.reach import Reach
 
 A, B = "c1/a", "c1/b"
@@ -88,5 +88,21 @@ def test_a_recorder_that_hears_nobody_proves_nothing() -> None:
     run.hear(5, PRODUCTION.of(ROOT), f"{A}/command")
     run.hear(5, IMPP.of("c1"), f"{A}/impp", f"{A}/residual")
     assert run.not_heard == [A]
-    run.now_ns += 60 * REAL_TIME
+    for _ in range(20):
+        run.now_ns += REAL_TIME // 4
+        silent = run.reach.not_recorded(run.now_ns)
+    assert {PLANT, A, B} <= set(silent)
     assert run.not_heard == []
+
+
+def test_a_recorder_that_stood_still_itself_has_lost_nobody() -> None:
+    run = Heard()
+    run.hear(5, PRODUCTION.of(ROOT))
+    assert run.reach.not_recorded(run.now_ns + 60 * REAL_TIME) == []
+
+
+def test_an_operator_who_says_nothing_for_long_is_not_missed() -> None:
+    reach = Reach(plan_of({A: 100.0, B: 100.0}, external=("operator",)), 0)
+    order = Order(5, 0, OPERATOR, (), power_kw=50.0)
+    reach.hear(ORDER.of(ROOT), Head(5, OPERATOR), encode(order), REAL_TIME)
+    assert OPERATOR not in reach.not_recorded(2 * REAL_TIME)
