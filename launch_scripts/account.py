@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from msgspec.structs import replace
 
@@ -13,7 +14,7 @@ from agents.plan import RunPlan
 from agents.process.events import ExternalAccount, Finished, Recorded
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
-from bus_schemas.tree import ROOT
+from bus_schemas.tree import PLANT, ROOT
 from launch_scripts.processes import Process
 from launch_scripts.run_folder import RunFolder
 from recordings.inspect.overview import Reading, read_through
@@ -32,6 +33,9 @@ from results.run_document import (
     RunFacts,
     WrongMessages,
 )
+from results.timing.devices import devices_of
+from results.timing.measures import prepared
+from results.timing.stages import stage_table
 from scenarios.preparation import Preparation
 from sunspec.process import DeviceAccount
 
@@ -155,8 +159,10 @@ class RunAccount:
         return reading, series, ""
 
     def _compared(self, account: ExternalAccount) -> ExternalAccount:
-        """Return the account of an external agent; of a direct controller, also what differs."""
+        """Return the account of an external agent with its timing, and with what differs."""
         plan = self.preparation.plan
+        if not plan.timing.lockstep and not plan.faults.device:
+            account = _timed(account, self.folder.recording)
         if account.agent not in plan.tree.leaves or plan.faults.device:
             return account
         try:
@@ -252,3 +258,17 @@ def external_account(plan: RunPlan, agent: str, cycles: int, reading: Reading) -
         expected=sum(due.values()),
         answered=sum(own[port].cycles(cycles) for port in due),
     )
+
+
+def _timed(account: ExternalAccount, recording: Path) -> ExternalAccount:
+    """Return the account of an external controller with the times of its answers."""
+    try:
+        with RunReader(recording) as reader:
+            timings = devices_of(prepared(stage_table(reader, ()), reader.plan), reader.plan)
+    except InputError:  # There is nothing to measure.
+        return account
+    found = {one.agent: one for one in timings}.get(account.agent)
+    if found is None or account.agent == PLANT:
+        return account
+    wrong = found.findings if found.is_wrong else ()
+    return replace(account, late=found.late, timing=wrong)

@@ -23,6 +23,7 @@ from agents.process.events import (
     Over,
     Recorded,
     RecordingEnded,
+    Remark,
     Status,
 )
 from agents.process.interruption import Interruption, interruptible
@@ -193,6 +194,8 @@ class _Launch:
                     self._note_gap(event)
             case Over():
                 self._over = event
+            case Remark():
+                self._view.say(event.text)
             case Complaint():
                 self._view.say(f"wrong message on {event.key}: {event.example}")
             case RecordingEnded():

@@ -206,6 +206,7 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
             of = max(sum(account.recorded.values()), account.expected, refused)
             if refused > _MOST_REFUSED * of:
                 yield f"external agent {account.agent}: {refused:,} of {of:,} messages refused"
+            yield from account.timing
             if account.differing:
                 yield (
                     f"external agent {account.agent}: {account.differing:,} messages differ from "

@@ -120,10 +120,8 @@ def _message_rows(summary: RunDocument) -> Iterator[Row]:
 def _external_rows(summary: RunDocument) -> Iterator[Row]:
     for account in summary.external:
         answered = f"answered {account.answered:,} of {account.expected:,} times"
-        wrong = summary.launcher.wrong
-        of_agent = (one for one in wrong if one.publisher == account.agent)
-        late = sum(one.count for one in of_agent if one.cause == "late")
-        counts = {"lost": account.lost, "late": late, "refused": summary.refused(account)}
+        refused = summary.refused(account)
+        counts = {"lost": account.lost, "late": account.late, "refused": refused}
         notes = ["messages recorded", answered]
         notes += [f"{count:,} {name}" for name, count in counts.items() if count]
         yield f"External {account.agent}", sum(account.recorded.values()), "", "; ".join(notes)

@@ -95,6 +95,12 @@ class Over(Event, frozen=True):
     cycle: int
 
 
+class Remark(Event, frozen=True):
+    """What a user should know at once, in a line."""
+
+    text: str
+
+
 class Complaint(Event, frozen=True):
     """What was wrong with messages on a key (without the run's namespace), and the first one."""
 
@@ -111,6 +117,8 @@ class ExternalAccount(msgspec.Struct, frozen=True):
     lost: Its messages that their sequence numbers show to be missing.
     expected, answered: How many messages should have come on the keys with one in each cycle, and
         how many came.
+    late: In real time: how many stages' answers came too late for a listener.
+    timing: In real time: what was wrong with the times of its answers, in words.
     differing: How many of its messages are not what a direct controller must decide; 0 if it is
         none.
     """
@@ -120,7 +128,9 @@ class ExternalAccount(msgspec.Struct, frozen=True):
     lost: int = 0
     expected: int = 0
     answered: int = 0
+    late: int = 0
     differing: int = 0
+    timing: tuple[str, ...] = ()
 
 
 class Recorded(Event, frozen=True):

@@ -10,7 +10,7 @@ import msgspec
 from msgspec.structs import replace
 
 from agents.plan import RunPlan
-from agents.process.events import Armed, Event, Status
+from agents.process.events import Armed, Event, Remark, Status
 from bus_schemas.codec import decode, decode_head
 from bus_schemas.messages import Head, Message, Ready, Run
 from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, RUN, Port
@@ -25,6 +25,7 @@ from recordings.record.complaints import (
     Complaints,
     SecondSenders,
 )
+from recordings.record.devices import DeviceWatch
 from recordings.record.phases import ArmingRound, RunProgress
 from recordings.record.plausibility import out_of_range
 from recordings.record.reach import Reach
@@ -85,6 +86,7 @@ class RunListener:
         self._now_ns = now_ns
         self._arming = ArmingRound(plan, answered=joins_late)
         self._reach = Reach(plan, now_ns())
+        self._devices = DeviceWatch(plan)
         self._keys = {plan.wiring.key(port): _key(plan, port) for port in plan.wiring.ports}
 
     @property
@@ -156,6 +158,8 @@ class RunListener:
         self._writer.add(port, head, payload, heard_ns)
         if not self._plan.timing.lockstep:  # There each agent waits for its inputs.
             self._reach.hear(port, head, payload, heard_ns)
+            for text in self._devices.hear(port, head, payload):
+                self._tell(Remark(text))
         complaint = self.senders.hear(port, head.cycle, head.incarnation, payload)
         if known.is_elsewhere and message is not None:
             self._heard_elsewhere += 1

@@ -36,6 +36,8 @@ FLUSH_S: Final = 0.5
 """Time between flushes: the most that a crash can lose."""
 
 _NAP_S: Final = 0.005
+_SHORT_NAP_S: Final = 0.0005
+"""Beside devices, which are measured by when their messages arrive here."""
 _STATUS_S: Final = 0.25
 _MOST_AT_ONCE: Final = 2000
 
@@ -103,6 +105,8 @@ class Recorder:
         self._link = link
         self._now_ns = now_ns
         self._sleep = sleep
+        is_exact = bool(plan.access.external) and not plan.timing.lockstep
+        self._nap_s = _SHORT_NAP_S if is_exact else _NAP_S
         self._closing = Closing(has_others=bool(plan.elsewhere))
         self._tokens = subscriber.watch_tokens() if plan.elsewhere else None
         self._agent_of = {plan.wiring.alive_key(agent): agent for agent in plan.elsewhere}
@@ -119,11 +123,11 @@ class Recorder:
             for key, payload in heard:
                 if (ready := listener.hear(key, payload)) is not None:
                     self._subscriber.publish(READY.of(ROOT), ready)
-            quiet_s = 0.0 if heard else _NAP_S
+            quiet_s = 0.0 if heard else self._nap_s
             closing.note(len(heard) - (listener.own_heard - own_before), quiet_s)
             if not heard:
                 self._ask_launcher()
-                self._sleep(_NAP_S)
+                self._sleep(self._nap_s)
             now = self._now_s()
             self._link.beat(progress.newest_cycle)
             if now >= flush_at:

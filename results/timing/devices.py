@@ -20,6 +20,9 @@ from results.timing.stages import LATE, SILENT, sender_of
 _LEAST_HOP_MS: Final = 2.0
 """A disagreement below it is none: a hop takes less than 1 ms on a quiet machine."""
 
+MOST_MISSED_PERCENT: Final = 1.0
+"""Of a device's answers: as many may be late or missing as cycles of a run may be late."""
+
 _ODD_SHARE: Final = 0.05
 """Of the messages: 1 % of true stamps are beyond the p99 of a hop."""
 
@@ -40,6 +43,11 @@ class DeviceTiming(msgspec.Struct, frozen=True, kw_only=True):
     hop_p99_ms: float
     first: str
     findings: tuple[str, ...]
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether more answers were late or missing than may be, or its stamps are not true."""
+        return self.missed_percent > MOST_MISSED_PERCENT or self.stamps_off_ms > self.hop_p99_ms
 
     @property
     def missed_percent(self) -> float:

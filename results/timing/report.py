@@ -25,7 +25,7 @@ from bus_schemas.tree import CENTRAL, PLANT
 from recordings.read.reader import RunReader
 from results.run_document import RunDocument, document_in
 from results.timing.clocks import HostClock, clocks_of
-from results.timing.devices import DeviceTiming, devices_of
+from results.timing.devices import MOST_MISSED_PERCENT, DeviceTiming, devices_of
 from results.timing.late_cycles import LateCycle, late_cycles
 from results.timing.measures import COUNTS, LOOP, Floats, counts, durations, prepared, statistics
 from results.timing.stages import stage_table, stops_of, tier_of
@@ -43,9 +43,6 @@ _LEAST_LATENESS_MS: Final = 1.0
 
 _CPU_PERCENT: Final = 80.0
 """Of one core, for each process: above it, nothing is left to catch up with."""
-
-_LATE_PERCENT: Final = 1.0
-"""Of a device's answers: as many may be late or missing as cycles of a run may be late."""
 
 FEW: Final = 100
 """The p99 of fewer durations is the longest one: a single one must not decide."""
@@ -297,7 +294,7 @@ def _judged(
         size_mb = table.resident_mb.get(tier["kind"])
         lines.append((f"memory of a {name}", tier["resident_mb"], size_mb, "MB"))
     for one in external:
-        lines.append((f"late or silent {one.agent}", one.missed_percent, _LATE_PERCENT, "%"))
+        lines.append((f"late or silent {one.agent}", one.missed_percent, MOST_MISSED_PERCENT, "%"))
         lines.append((f"stamps of {one.agent}", one.stamps_off_ms, one.hop_p99_ms, "ms"))
     for line, value, limit, unit in lines:
         if limit is not None and value is not None and pd.notna(value):

@@ -21,6 +21,7 @@ from bus_schemas.signals import Signal
 from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
 from results.run_document import RunDocument
+from results.timing.report import report_on
 
 pytestmark = pytest.mark.processes
 
@@ -163,6 +164,53 @@ def test_a_device_that_states_a_wrong_residual_ends_the_run_with_status_1(
     assert result.exit_code == 1
     assert f"{NODE}: 25 messages differ" in result.stderr
     assert list(verify(folder).first or ())[:1] == [NODE]
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("late", "answers late"),
+        ("late 1", "answers late"),
+        ("late 2", "answers late"),
+        ("silent", "missing, the first: c1/inv01/residual of cycle 10"),
+        ("early", "before it sends"),
+        ("ahead", "after it has sent"),
+        ("jump", "before it sends"),
+    ],
+)
+def test_a_device_that_is_late_silent_or_stamps_wrongly_is_named_and_the_status_is_1(
+    device: Device, plant: str, fault: str, words: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    device(WRONG, fault, folder / "plan.json", NODE)
+    options = ("--duration", "40", "--pace", "5", "--external", NODE, "--out", folder)
+    result = command_line.heliarch("launch", plant, *options)
+    assert result.exit_code == 1
+    (finding,) = [line for line in summary_of(folder).external[0].timing if words in line]
+    assert NODE in finding
+    assert "of cycle " in finding
+    assert words in result.stderr
+    while_it_is = [line for line in result.stdout.splitlines() if f"{NODE}: {NODE}/" in line]
+    assert bool(while_it_is) or fault in ("early", "ahead", "jump"), "named on the screen at once"
+    if fault == "silent":
+        assert f"{NODE}: in time again; answers were late or missing in cycles 10 to 29" in (
+            result.stdout
+        )
+    report = report_on(folder)
+    assert {one.line for one in report.budgets if not one.passed} & {
+        f"late or silent {NODE}",
+        f"stamps of {NODE}",
+    }
+
+
+def test_a_device_in_time_has_no_finding(device: Device, plant: str, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    device(CONTROLLER, "--plan", folder / "plan.json", "--node", NODE)
+    options = ("--duration", "40", "--pace", "5", "--external", NODE, "--out", folder)
+    result = command_line.heliarch("launch", plant, *options)
+    (account,) = summary_of(folder).external
+    assert (account.timing, account.late) == ((), 0), result.output
+    assert result.exit_code == 0
 
 
 def contained(launched: Decisions, right: Decisions) -> None:

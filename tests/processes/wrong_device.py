@@ -23,12 +23,19 @@ FAULTS = set(sys.argv[1].split(",")) if __name__ == "__main__" else set[str]()
 """The requirements that the device does not meet."""
 
 
+SILENT = range(10, 30)
+"""Cycles in which a silent device publishes nothing."""
+
+
 class WrongDevice(direct_controller.DirectController):
     """The example, with faults."""
 
     def publish(self, signal: str, **fields: Any) -> None:
         if "arming" in FAULTS and self.cycle < 0:
             return
+        if "silent" in FAULTS and self.cycle in SILENT:
+            return
+        fields |= self.stamps()
         if "residual" in FAULTS and signal == "residual":
             fields["power_kw"] = (fields["power_kw"] or 0.0) + 10.0
         if self.cycle == 3:
@@ -42,6 +49,14 @@ class WrongDevice(direct_controller.DirectController):
             super().publish(signal, **fields)
             self.sequences[signal] = max(self.cycle, 0)
         super().publish(signal, **fields)
+
+    def stamps(self) -> dict[str, int]:
+        """Return a wrong stamp; one that is early is of 60 ms before the message goes out."""
+        now_ns = time.monotonic_ns()
+        if "early" in FAULTS or ("jump" in FAULTS and self.cycle % 3 == 0):
+            time.sleep(0.06)
+            return {"publish_time_ns": now_ns}
+        return {"publish_time_ns": now_ns + 80_000_000} if "ahead" in FAULTS else {}
 
     def inputs(self, *signals: str) -> list[dict[str, Any] | None]:
         if "expired" in FAULTS:
@@ -57,8 +72,10 @@ class WrongDevice(direct_controller.DirectController):
         super().hear(signal, message)
 
     def estimate(self) -> None:
-        if "late" in FAULTS:
-            time.sleep(0.5e-9 * self.plan["timing"]["cycle_wall_ns"])
+        for fault in ("late", "late 1", "late 2"):
+            if fault in FAULTS and (fault == "late" or self.cycle >= 5):
+                cycles = float(fault.partition(" ")[2] or 0.5)
+                time.sleep(cycles * 1e-9 * self.plan["timing"]["cycle_wall_ns"])
         super().estimate()
 
     def end(self, cycles: int) -> None:
