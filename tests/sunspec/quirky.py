@@ -50,6 +50,8 @@ class Quirky:
     obeys: bool = True
     slow_s: float = 0.0
     ends: bool = True
+    low_first: bool = False
+    """Whether the low register of a float comes first."""
     power_w: float | None = SUN_W
     writes: list[tuple[int, int, int]] = field(default_factory=list)
     """Function, first register and number of registers of each write."""
@@ -138,8 +140,16 @@ class Quirky:
             is_whole = number == 103 and power_w is not None
             value = round(power_w / 10.0) if is_whole and power_w is not None else power_w
             self._models[number].points["W"].value = value
-        image = b"SunS" + b"".join(bytes(model.get_mb()) for model in self._models.values())
+        image = b"SunS" + b"".join(self._words(model) for model in self._models.values())
         return image + (b"\xff\xff\x00\x00" if self.ends else b"")
+
+    def _words(self, model: Model) -> bytes:
+        words = bytearray(model.get_mb())
+        for point in model.points.values() if self.low_first else ():
+            if point.len == 2:
+                at = 2 * point.offset
+                words[at : at + 4] = words[at + 2 : at + 4] + words[at : at + 2]
+        return bytes(words)
 
 
 @contextmanager

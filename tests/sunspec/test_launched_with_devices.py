@@ -13,6 +13,7 @@ from typing import Any
 import command_line
 import psutil
 import pytest
+from quirky import quirky
 from running import REPOSITORY, Start, small_plant
 
 from recordings.inspect.overview import read_overview
@@ -99,6 +100,42 @@ def test_the_health_names_a_device_that_was_gone_for_a_while(
     assert absence.back_in is not None
     assert read_accounts(run.folder)[0].breaks
     assert "device c1/inv01: absent in cycles" in " ".join(run.output.read_text().split())
+
+
+def test_silent_slow_and_dropping_inverters_disturb_nobody_else(
+    scenario: str, heliarch: Start
+) -> None:
+    def dropping(number: int, answer: bytes) -> list[bytes]:
+        return [answer] if number % 10 else []
+
+    slower = ("--set", "time.cycle_s=1")  # 300 ms for a request: a round takes longer.
+    with (
+        quirky() as dies,
+        quirky() as sleeps,
+        quirky(slow_s=0.3) as slow,
+        quirky(answers=dropping) as drops,
+    ):
+        places = {"c1/inv01": dies, "c1/inv02": sleeps, "c2/inv03": slow, "c2/inv04": drops}
+        options = [f"--device={node}={one.address}" for node, one in places.items()]
+        run = heliarch("launch", scenario, "--pace", "1", "--duration", "24", *slower, *options)
+        run.until_recorded(4)
+        dies.__exit__()
+        sleeps.power_w = None  # It states no power, and not that it sleeps.
+        assert run.wait() == 0, run.error_text()
+    summary = _summary(run.folder)
+    assert summary["messages_lost"] == 0
+    assert not summary["launcher"]["restarts"]
+    accounts = {account.node: account for account in read_accounts(run.folder)}
+    assert accounts["c1/inv01"].gone_s is not None
+    assert accounts["c1/inv02"].refused
+    assert accounts["c2/inv03"].late
+    assert accounts["c2/inv04"].breaks
+    with RunReader(run.folder) as reader:
+        states = read_overview(reader).health.states
+    assert {found.agent for found in states} <= {f"device {node}" for node in places}
+    said = run.output.read_text()
+    assert said.count("connection closed by the inverter") == 1
+    assert "a cycle of 1 s is too short" in said
 
 
 def _gone_s(folder: Path) -> float:

@@ -10,10 +10,14 @@ from typing import Any
 import msgspec
 import pytest
 from quirky import RATING_W, SUN_W, Quirky, integers, quirky
+from running import small_plant
 from test_gateway import PLAN, command, eventually, gateway, newest
 
 from agents.device_profile import DeviceProfile
 from agents.plan import RunPlan
+from scenarios.preparation import prepare
+from scenarios.run_options import RunOptions
+from scenarios.scenario import load_scenario
 from sunspec.client import SunSpecInverter, SunSpecMeter
 from sunspec.modbus_tcp import DeviceError, DeviceRefusedError
 from sunspec.process import DeviceAccount, read_accounts
@@ -152,9 +156,9 @@ def float_models() -> dict[int, dict[str, Any]]:
     return models | {113: FLOAT}
 
 
-@pytest.mark.parametrize("word_order", ["high"])
-def test_float_models_are_read(word_order: str) -> None:
-    with quirky(models=float_models()) as device:
+@pytest.mark.parametrize("word_order", ["high", "low"])
+def test_float_models_are_read_in_either_order_of_words(word_order: str) -> None:
+    with quirky(models=float_models(), low_first=word_order == "low") as device:
         assert connected(device, word_order=word_order).read().power_kw == SUN_KW
 
 
@@ -225,6 +229,37 @@ def test_a_write_that_fails_is_called_so(tmp_path: Path) -> None:
         _, messages, account = run(device, tmp_path)
     assert any("the limit was not written" in message for message in messages)
     assert account.refused
+
+
+def test_a_device_that_is_busy_gets_the_next_command(tmp_path: Path) -> None:
+    busy = [0, 0]
+
+    def answers(number: int, answer: bytes) -> list[bytes]:
+        if answer[0] == 16 and busy:
+            busy.pop()
+            return [b"\x90\x06"]
+        return [answer]
+
+    with quirky(answers=answers, obeys=True) as device:
+        powers, messages, account = run(device, tmp_path)
+    assert account.refused == 2
+    assert len([message for message in messages if "busy" in message]) == 1
+    assert powers[-1] == 30.0
+    assert {count for _, _, count in device.writes} == {5}  # Still in one request.
+
+
+def test_the_profile_of_a_scenario_reaches_the_device_also_at_an_address_of_an_option(
+    tmp_path: Path,
+) -> None:
+    profile = "{ revert = false, limit_step_percent = 1 }"
+    address = 'address = "modbus://10.0.0.7/1"'
+    table = f'[[devices]]\nnode = "c1/inv01"\n{address}\nprofile = {profile}\n\n'
+    path = small_plant(tmp_path / "scenario", ("[irradiance]", f"{table}[irradiance]"))
+    options = RunOptions(devices=["c1/inv01=modbus://127.0.0.1:5020/3"])
+    site = prepare(load_scenario(path), options, "launch").plan.site
+    assert site.devices == (("c1/inv01", "modbus://127.0.0.1:5020/3"),)
+    assert site.profile_of("c1/inv01") == DeviceProfile(revert=False, limit_step_percent=1.0)
+    assert site.profile_of("c1/inv02") == DeviceProfile()
 
 
 def test_a_limit_is_only_written_if_it_differs_by_the_step_of_the_register(tmp_path: Path) -> None:
