@@ -26,7 +26,7 @@ class HostClock:
     def __init__(self, memory: memoryview | None = None) -> None:
         self._memory = memoryview(bytearray(CLOCK_BYTES)).cast("q") if memory is None else memory
 
-    def hear(self, published_ns: int, came_ns: int) -> None:
+    def observe(self, published_ns: int, came_ns: int) -> None:
         """Take in a message: its publish time there, and when it came by this host's clock."""
         if published_ns <= 0:
             return

@@ -18,8 +18,8 @@ from bus_schemas.signals import Occurrence, Port
 _NEVER: Final = 1 << 60
 
 _CROWDED: Final = 10_000
-"""Once so many messages wait, each port has a limit: a flood of one port must neither take all
-memory nor keep the others out."""
+"""From this many waiting messages on, each port has a limit: a flood of one port must neither take
+all memory nor keep the others out."""
 
 _MOST_OF_A_PORT: Final = 100
 
@@ -29,7 +29,7 @@ _this_thread = threading.local()
 class Inbox:
     """A queue from Zenoh's thread to the agent's: wakes the agent once, when enough has arrived.
 
-    dropped: Messages that found no room, by port and cause.
+    dropped: Messages without room in the queue, by port and cause.
     on_enough: Called on Zenoh's thread. By default it wakes the agent's.
     """
 
@@ -47,7 +47,7 @@ class Inbox:
         items, append, now_ns = self._items, self._items.append, time.monotonic_ns
         urgent = port.signal.occurrence is Occurrence.EVENT
 
-        def hear(sample: zenoh.Sample) -> None:
+        def receive(sample: zenoh.Sample) -> None:
             if not hasattr(_this_thread, "is_kept"):
                 # Otherwise Python makes and discards a state of Zenoh's thread for each callback:
                 # an eighth of the processor time of a cycle.
@@ -61,10 +61,10 @@ class Inbox:
                 self._urgent = self._urgent or urgent
                 self.on_enough()
 
-        return hear
+        return receive
 
     def want(self, wanted: int) -> bool:
-        """Ask to be called once so many or an urgent one are there; return whether they are."""
+        """Ask for a call at this many messages or an urgent one; return whether they are there."""
         self._wanted = wanted
         # The last one may have come just before that.
         return len(self._items) >= wanted or (self._urgent and bool(self._items))
@@ -82,7 +82,7 @@ class Inbox:
         self, wanted: int = 0, timeout_s: float = 0.0
     ) -> list[tuple[Port[Message], zenoh.ZBytes, int]]:
         until = time.monotonic() + timeout_s
-        # An opening may be left over from messages that were taken already.
+        # The gate may still be open from messages that were taken already.
         while timeout_s > 0.0 and not self.want(wanted):
             self.sleep(timeout_s)
             timeout_s = until - time.monotonic()

@@ -54,11 +54,6 @@ class MemoryBus:
         self._under_way: list[tuple[int, int, Arrival]] = []
         self._held: dict[str, list[Arrival] | None] = {}
 
-    @property
-    def holds_any(self) -> bool:
-        """Whether messages wait for their listeners."""
-        return bool(self._arrived)
-
     def hold(self, agent: str, *, keep: bool) -> None:
         """Bring an agent nothing from now on; keep what comes for it, or lose it."""
         self._held[agent] = [] if keep else None

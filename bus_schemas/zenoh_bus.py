@@ -7,42 +7,45 @@ acts itself (`agents.eager_driver`). See docs/decisions for what was measured.
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from heapq import heappop, heappush
 from itertools import count
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Self, TypeAlias
 
 import msgspec
 import zenoh
 
-from bus_schemas.bus import Arrival
+from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.host_clock import HostClock
 from bus_schemas.inbox import Inbox
-from bus_schemas.memory_bus import MemoryBus
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal
 from bus_schemas.tree import PLANT, RECORDER
 from bus_schemas.wiring import Wiring
-from bus_schemas.zenoh_session import ENCODING, AgentSessions, SessionSettings
+from bus_schemas.zenoh_session import ENCODING, Sessions, SessionSettings
 
 Put: TypeAlias = Callable[[bytes], None]
 PutChange: TypeAlias = Callable[[Port[Message], Put], Put]
 """Returns what puts messages of a port instead."""
 
 _MANY: Final = 30
-"""Ports of one signal from which on an agent declares them together: a session tells every peer of
-each declaration, which among 1,000 inverters would be a million messages."""
+"""From this many ports of a signal on, a process declares one wildcard: a session tells every peer
+of each declaration, which among 1,000 inverters would be a million messages."""
+
+_SHORTEST_S: Final = 0.01
+"""Shortest time-out of a query."""
 
 
-class ZenohBus(AgentSessions):
-    """The bus of one process: memory among its agents, Zenoh for what others hear.
+class ZenohBus:
+    """The bus of one process: a queue among its agents, Zenoh for what others hear.
 
     patience_s: Longest time that one call waits for messages.
     clock: Clock of the plant, if the plant is on another host.
+    sends: Byte that says whether the process is sending: in lockstep it may have to wait for that.
     """
 
     def __init__(
@@ -52,25 +55,45 @@ class ZenohBus(AgentSessions):
         settings: SessionSettings,
         patience_s: float,
         clock: HostClock | None = None,
+        sends: memoryview | None = None,
     ) -> None:
-        super().__init__(wiring, settings)
         self.now_ns = time.monotonic_ns if clock is None else clock.now_ns
-        self._clock = clock
-        self.inbox = Inbox()
-        self._process = process
+        self.inbox, self.outbox = Inbox(), Outbox()
+        self.heard = wiring.heard_from_others(process)
+        self._clock, self._sends = clock, sends
+        self._wiring = wiring
         self._hearers = wiring.hearers_in(process)
-        self._inside = MemoryBus(self._hearers, self._put)
-        self.outbox = self._inside.outbox
+        # Messages among the agents of the process.
+        self._own: deque[Arrival] = deque()
         self._patience_s = patience_s
+        self._lockstep = settings.lockstep
         self._newest: dict[Port[Message], bytes] = {}
-        self._puts: dict[Port[Message], list[Put]] = {}
-        self._declare()
+        self._sessions = Sessions(wiring, settings)
+        self.watch_tokens = self._sessions.watch_tokens
+        self._puts = self._declare_publishers(process, settings)
+        self._declare_subscribers()
+        if settings.lockstep:
+            self._sessions.kept += (
+                session.declare_queryable(
+                    f"{wiring.plant}/**", zenoh.handlers.Callback(self._answer, indirect=False)
+                )
+                for session in self._sessions.all
+            )
+        self._sessions.show_tokens(wiring.members_of(process))
 
-    def _declare(self) -> None:
-        wiring, process, settings = self._wiring, self._process, self._settings
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._sessions.close()
+
+    def _declare_publishers(
+        self, process: str, settings: SessionSettings
+    ) -> dict[Port[Message], list[Put]]:
+        """Return what puts the messages of each port: on the links of agents, then of devices."""
+        wiring = self._wiring
         devices = set(() if settings.devices is None else settings.devices.peers)
         published = wiring.carried[process, RECORDER]
-        self.heard = heard = wiring.heard_from_others(process)
         many = _signals_of_many(published)
         puts: dict[Port[Message], list[Put]] = {}
         for port in published:
@@ -84,36 +107,31 @@ class ZenohBus(AgentSessions):
                 partial(session.put, key, **how)
                 if port.signal in many
                 else session.declare_publisher(key, **how).put
-                for session in self._sessions[: 2 if hears_there else 1]
+                for session in self._sessions.all[: 2 if hears_there else 1]
             )
             puts[port] = [own, *to_devices]
-        self._puts = puts
-        hear_of = {wiring.key(port): self.inbox.callback(port) for port in heard}
+        return puts
 
-        def hear_many(sample: zenoh.Sample) -> None:
-            if (hear := hear_of.get(str(sample.key_expr))) is not None:
-                hear(sample)
+    def _declare_subscribers(self) -> None:
+        receive_of = {self._wiring.key(port): self.inbox.callback(port) for port in self.heard}
+
+        def receive_many(sample: zenoh.Sample) -> None:
+            if (receive := receive_of.get(str(sample.key_expr))) is not None:
+                receive(sample)
 
         subscribed = {
-            key: hear_of.get(key, hear_many) for key in wiring.key_exprs(heard, least=_MANY)
+            key: receive_of.get(key, receive_many)
+            for key in self._wiring.key_exprs(self.heard, least=_MANY)
         }
-        self._declared += (
+        self._sessions.kept += (
             session.declare_subscriber(
                 key,
                 zenoh.handlers.Callback(callback, indirect=False),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
-            for session in self._sessions
+            for session in self._sessions.all
             for key, callback in subscribed.items()
         )
-        if settings.lockstep:
-            self._declared += (
-                session.declare_queryable(
-                    f"{wiring.plant}/**", zenoh.handlers.Callback(self._answer, indirect=False)
-                )
-                for session in self._sessions
-            )
-        self._show_tokens(wiring.members_of(process))
 
     @property
     def dropped(self) -> Counter[tuple[str, str]]:
@@ -122,13 +140,18 @@ class ZenohBus(AgentSessions):
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
-        self._inside.publish(port, message, now_ns)
-
-    def _put(self, port: Port[Message], message: Message) -> None:
+        if self._sends is not None:
+            self._sends[0] = True
+        self.outbox.stamp(port, message, now_ns)
         payload = encode(message)
-        self._newest[port] = payload
+        if self._lockstep:
+            self._newest[port] = payload
         for put in self._puts[port]:
             put(payload)
+        for agent in self._hearers.get(port, ()):
+            self._own.append(Arrival(agent, port, message, now_ns))
+        if self._sends is not None:
+            self._sends[0] = False
 
     def change_device_puts(self, change: PutChange) -> None:
         """Change how messages are put on the links with devices."""
@@ -138,15 +161,15 @@ class ZenohBus(AgentSessions):
     def newest(self) -> list[Arrival]:
         """Return the newest messages of those that are heard in lockstep, the dispatch first.
 
-        Of those that answer within the patience: the caller asks again.
+        Of those that answer within the patience, of all sessions together: the caller asks again.
         """
-        taken = []
-        for session in self._sessions:
+        taken, give_up_at = [], time.monotonic() + self._patience_s
+        for session in self._sessions.all:
             for reply in session.get(
                 f"{self._wiring.plant}/**",
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=self._patience_s,
+                timeout=max(give_up_at - time.monotonic(), _SHORTEST_S),
             ):
                 if (sample := reply.ok) is not None:
                     port = self._wiring.port(str(sample.key_expr))
@@ -161,8 +184,8 @@ class ZenohBus(AgentSessions):
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
         """Return what has arrived: once `wanted` messages are there, or when the time has come."""
-        if arrived := self._inside.receive(None):
-            return arrived
+        if self._own:
+            return self._own_arrivals()
         give_up_at = time.monotonic() + self.timeout_s(until_ns)
         while taken := self.inbox.take(wanted, give_up_at - time.monotonic()):
             arrivals = self._decoded(taken)
@@ -171,15 +194,21 @@ class ZenohBus(AgentSessions):
         return []
 
     def take(self) -> list[Arrival]:
+        """Return what has arrived, without waiting; first that among the agents of the process."""
         arrived = self._decoded(self.inbox.take())
-        return [*self._inside.receive(None), *arrived] if self._inside.holds_any else arrived
+        return self._own_arrivals() + arrived if self._own else arrived
 
     def want(self, wanted: int) -> bool:
         """Ask to be called once so many messages are there; return whether they are.
 
         A message among the agents of the process is always enough.
         """
-        return self._inside.holds_any or self.inbox.want(wanted)
+        return bool(self._own) or self.inbox.want(wanted)
+
+    def _own_arrivals(self) -> list[Arrival]:
+        arrivals = list(self._own)
+        self._own.clear()
+        return arrivals
 
     def timeout_s(self, until_ns: int | None) -> float:
         """How long to wait for a time of the run's clock, at most for the patience."""
@@ -198,7 +227,7 @@ class ZenohBus(AgentSessions):
             else:
                 if self._clock is not None:
                     if port.publisher == PLANT:
-                        self._clock.hear(message.publish_time_ns, came_ns)
+                        self._clock.observe(message.publish_time_ns, came_ns)
                     time_ns = self._clock.at(came_ns)
                 for name in self._hearers[port]:
                     arrivals.append(Arrival(name, port, message, time_ns))

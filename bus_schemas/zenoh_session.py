@@ -212,76 +212,77 @@ class TokenWatch:
         return self._alive
 
 
-class AgentSessions:
-    """An agent's session, and that with devices if it has one, open until the context is left."""
+class Sessions:
+    """The sessions of a process, open until the context is left: its own, and one with devices.
+
+    all: The sessions; that with devices comes second, if there is one.
+    kept: Subscribers, queryables and tokens: each ends with the last reference to it.
+    """
 
     def __init__(self, wiring: Wiring, settings: SessionSettings) -> None:
-        self.outbox = Outbox()
+        self.all = [open_session(settings)]
+        self.kept: list[object] = []
         self._wiring = wiring
-        self._settings = settings
-        self._sessions = [open_session(settings)]
-        # A subscriber, queryable or token ends with the last reference to it.
-        self._declared: list[object] = []
         self._is_over = threading.Event()
         if settings.devices is not None:
             try:
-                self._sessions.append(open_session(settings.devices))
+                self.all.append(open_session(settings.devices))
             except zenoh.ZError:
-                self._close()
+                self.close()
                 raise
         if ports := settings.tcp_ports:
             words = ports, self._is_over, settings.lease_s / 4.0
             threading.Thread(target=_keep_from_lingering, args=words, daemon=True).start()
 
-    def __enter__(self) -> Self:
-        return self
+    def watch_tokens(self) -> TokenWatch:
+        return TokenWatch(self._wiring.alive_key("**"), self.all)
 
-    def __exit__(self, *error: object) -> None:
+    def show_tokens(self, members: Sequence[str]) -> None:
+        """Let others see that the agents of the process are there."""
+        self.kept += (
+            session.liveliness().declare_token(self._wiring.alive_key(name))
+            for session in self.all
+            for name in members
+        )
+
+    def close(self) -> None:
         """Close the sessions: an open one can hang the interpreter's exit."""
         self._is_over.set()
-        self._close()
-
-    def watch_tokens(self) -> TokenWatch:
-        return TokenWatch(self._wiring.alive_key("**"), self._sessions)
-
-    def _close(self) -> None:
-        for session in self._sessions:
+        for session in self.all:
             # With 1,000 links on a busy machine this takes longer than Zenoh waits. Every message
             # is already out.
             with suppress(zenoh.ZError):
                 session.close()
 
-    def _show_tokens(self, members: Sequence[str]) -> None:
-        """Let others see that the agents of the process are there."""
-        self._declared += (
-            session.liveliness().declare_token(self._wiring.alive_key(name))
-            for session in self._sessions
-            for name in members
-        )
 
-
-class RunSubscriber(AgentSessions):
-    """Hears every message of a run, and can answer.
+class RunSubscriber:
+    """Receives every message of a run, and can answer.
 
     Messages wait in a queue of Zenoh's own, without any Python in between, until they are drained.
     When it is full, publishers wait or drop, see `SessionSettings.lockstep`.
     """
 
     def __init__(self, agent: str, wiring: Wiring, settings: SessionSettings) -> None:
-        super().__init__(wiring, settings)
+        self._wiring = wiring
+        self._outbox = Outbox()
+        self._sessions = Sessions(wiring, settings)
+        self.watch_tokens = self._sessions.watch_tokens
         self._subscribers = [
             session.declare_subscriber(
                 f"{wiring.plant}/**",
                 zenoh.handlers.FifoChannel(QUEUE_LENGTH),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
-            for session in self._sessions
+            for session in self._sessions.all
         ]
-        self._show_tokens([agent])
+        self._sessions.show_tokens([agent])
 
-    def _close(self) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
         # A session does not close while Zenoh's thread waits for room in a queue.
-        closing = threading.Thread(target=super()._close)
+        closing = threading.Thread(target=self._sessions.close)
         closing.start()
         while closing.is_alive():
             with suppress(zenoh.ZError):  # A session has closed.
@@ -291,8 +292,8 @@ class RunSubscriber(AgentSessions):
 
     def publish(self, port: Port[Message], message: Message) -> None:
         """Send a message, which must arrive: this waits for listeners that have fallen behind."""
-        self.outbox.stamp(port, message, time.monotonic_ns())
-        for session in self._sessions:
+        self._outbox.stamp(port, message, time.monotonic_ns())
+        for session in self._sessions.all:
             session.put(
                 self._wiring.key(port),
                 encode(message),

@@ -24,11 +24,10 @@ from agents.process.launcher_link import LauncherLink
 from agents.process.machine import own_memory_mb, take_machine
 from agents.process.session import session_settings
 from agents.team import controller
-from bus_schemas.bus import Arrival, Bus
 from bus_schemas.errors import FailureError
 from bus_schemas.host_clock import HostClock
-from bus_schemas.messages import GivenUp, Message
-from bus_schemas.signals import GIVEN_UP, Port
+from bus_schemas.messages import GivenUp
+from bus_schemas.signals import GIVEN_UP
 from bus_schemas.tree import PLANT, ROOT
 from bus_schemas.zenoh_bus import FaultyBus, ZenohBus
 
@@ -130,22 +129,6 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
     return link.dismissed
 
 
-class _NotingBus:
-    """The bus of an agent in lockstep, where it may have to wait until a message can go out."""
-
-    def __init__(self, bus: Bus, sends: memoryview) -> None:
-        self._bus = bus
-        self._sends = sends
-
-    def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
-        self._sends[0] = True
-        self._bus.publish(port, message, now_ns)
-        self._sends[0] = False
-
-    def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
-        return self._bus.receive(until_ns, wanted)
-
-
 class AgentProcess:
     """The agents of one process: their loops and driver on the bus, and the link to the launcher.
 
@@ -168,18 +151,14 @@ class AgentProcess:
             session_settings(plan, name),
             patience_s=min(plan.timing.stall_timeout_s / 2.0, BEAT_S),
             clock=HostClock(link.table.clock() if link.table else None) if is_away else None,
+            sends=link.table.sends(name) if link.table and plan.timing.lockstep else None,
         )
         loops = [Loop(agent, plan, log_drop) for agent in agents]
         self.loop = loops[0]
-        self.driver = driver_of(loops, self._bus, plan)
-        faults = plan.network_faults()
-        if any(faults.concern(agent.name) for agent in agents):
-            self.driver = Driver(loops, FaultyBus(self._bus, faults), self._bus.now_ns)
+        self.driver = make_driver(plan, loops, self._bus)
         if plan.faults.device:
             disturbed = DeviceFaults(plan.faults.device).disturbed
             self._bus.change_device_puts(partial(disturbed, cycle_time_ns=self.loop.times.time_ns))
-        if plan.timing.lockstep and link.table is not None:
-            self.driver.bus = _NotingBus(self.driver.bus, link.table.sends(name))
         self.watch_tokens = self._bus.watch_tokens
         self._tokens = self.watch_tokens() if is_away or link.by_hand else None
         self._plant_gone_at = inf
@@ -292,12 +271,19 @@ class AgentProcess:
             time.sleep(_STAY_LOOK_S)
 
 
-def driver_of(loops: Sequence[Loop[Any]], bus: ZenohBus, plan: RunPlan) -> Driver:
-    """Return the driver of a process: Zenoh's thread must not wait for room in its own queue."""
-    published = sum(len(plan.wiring.published[loop.agent.name]) for loop in loops)
-    if loops[0].agent.name != PLANT and published <= _MOST_EAGER:
-        return EagerDriver(loops, bus)
-    return Driver(loops, bus, bus.now_ns)
+def make_driver(plan: RunPlan, loops: Sequence[Loop[Any]], bus: ZenohBus) -> Driver:
+    """Return the driver of a process.
+
+    Faults of its links delay messages, so its own thread must wait for them. The plant, and a group
+    with many messages, may wait in `put`, which Zenoh's thread must not: it empties that queue.
+    """
+    faults = plan.network_faults()
+    if any(faults.concern(loop.name) for loop in loops):
+        return Driver(loops, FaultyBus(bus, faults), bus.now_ns)
+    published = sum(len(plan.wiring.published[loop.name]) for loop in loops)
+    if loops[0].name == PLANT or published > _MOST_EAGER:
+        return Driver(loops, bus, bus.now_ns)
+    return EagerDriver(loops, bus)
 
 
 def set_up_process(plan: RunPlan, agent: str) -> None:

@@ -16,7 +16,7 @@ from plants_by_hand import dispatch, setpoint, telemetry
 from agents.eager_driver import EagerDriver
 from agents.loop import Loop
 from agents.plan import RunPlan
-from agents.process.agent_process import driver_of
+from agents.process.agent_process import make_driver
 from agents.team import Controller, controller
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode, encode
@@ -122,5 +122,5 @@ def test_who_sends_more_in_a_cycle_than_a_queue_takes_does_not_send_on_the_bus_s
         plan = plan_of({f"i{leaf}": 1.0 for leaf in range(number)})
         bus = ZenohBus("central", plan.wiring, SessionSettings("many", [], []), patience_s=0.0)
         with bus:
-            driver = driver_of([Loop(controller(plan, "central"), plan)], bus, plan)
+            driver = make_driver(plan, [Loop(controller(plan, "central"), plan)], bus)
         assert isinstance(driver, EagerDriver) == is_eager

@@ -16,7 +16,7 @@ def test_a_drifting_clock_is_followed_to_the_shortest_time_on_the_way() -> None:
         for published in range(S, 3_600 * S, S):
             came = published + round(hops_ms.choice((20.0, 25.0, 300.0)) * MS)
             shown = round(came * (1.0 + drift)) + AHEAD
-            clock.hear(published, shown)
+            clock.observe(published, shown)
             assert before <= clock.at(shown) <= came - 20 * MS
             before = clock.at(shown)
             if published > 30 * S:
@@ -25,16 +25,16 @@ def test_a_drifting_clock_is_followed_to_the_shortest_time_on_the_way() -> None:
 
 def test_it_shows_the_hosts_own_time_until_a_message_with_a_time_has_come() -> None:
     clock = HostClock()
-    clock.hear(0, AHEAD)
+    clock.observe(0, AHEAD)
     assert clock.at(AHEAD) == AHEAD
-    clock.hear(7 * S, AHEAD)
+    clock.observe(7 * S, AHEAD)
     assert clock.at(AHEAD) == 7 * S
 
 
 def test_the_processes_of_a_host_share_one_clock_which_the_fastest_message_sets() -> None:
     memory = memoryview(bytearray(CLOCK_BYTES)).cast("q")
     first, second = HostClock(memory), HostClock(memory)
-    first.hear(7 * S, AHEAD + 20 * MS)
+    first.observe(7 * S, AHEAD + 20 * MS)
     assert second.at(AHEAD + 20 * MS) == 7 * S
-    second.hear(8 * S, AHEAD + S + 2 * MS)
+    second.observe(8 * S, AHEAD + S + 2 * MS)
     assert first.at(AHEAD + S + 2 * MS) == second.at(AHEAD + S + 2 * MS) == 8 * S
