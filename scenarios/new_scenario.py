@@ -133,6 +133,11 @@ def measured_scenario(
     return text, found, [*remarks, *prepared.remarks]
 
 
+def _quoted(value: object) -> str:
+    """Return a text, or several, as TOML has them: its escapes know no pairs of surrogates."""
+    return json.dumps(value, ensure_ascii=False)
+
+
 def _guessed_zone(
     table: CsvTable, stations: Sequence[str], positions: pd.DataFrame, form: StatedForm
 ) -> str:
@@ -159,9 +164,9 @@ def _text(
     means = found.ghi_wm2.mean(axis=1).rolling(steps).mean().to_numpy()[steps - 1 :]
     zone = form.timezone or _timezone(table.first_offset)
     stated = [("timezone", form.timezone), ("dates", form.dates), ("unit", form.unit)]
-    lines = [f"{name} = {json.dumps(value)}" for name, value in stated if value]
+    lines = [f"{name} = {_quoted(value)}" for name, value in stated if value]
     if stamps := form.stamps or found.stamps:
-        lines.append(f"stamps = {json.dumps(stamps)}  # CHECK: what a time stamp names")
+        lines.append(f"stamps = {_quoted(stamps)}  # CHECK: what a time stamp names")
     if found.longest_gap_s:
         lines.append(f"max_gap_s = {found.longest_gap_s:g}  # {found.report[-1]}")
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", out.stem).strip("-")
@@ -169,16 +174,16 @@ def _text(
     return _TEXT.format(
         ghi_name=table.name,
         positions_name=positions_csv.name,
-        name=json.dumps(f"my-{name}"[:40] if not name or name in RESERVED_NAMES else name[:40]),
-        title=json.dumps(f"{len(stations)} inverters under the sun of {table.name}"),
+        name=_quoted(f"my-{name}"[:40] if not name or name in RESERVED_NAMES else name[:40]),
+        title=_quoted(f"{len(stations)} inverters under the sun of {table.name}"),
         start=_start(found.times[int(means.argmax())], zone),
-        timezone=json.dumps(zone),
+        timezone=_quoted(zone),
         duration_s=steps * step.total_seconds(),
         cycle_s=step.total_seconds(),
         rating_kw=_INVERTER_KW * len(stations),
-        ghi=json.dumps(os.path.relpath(ghi_csv, out.parent)),
-        positions=json.dumps(os.path.relpath(positions_csv, out.parent)),
-        stations=json.dumps(stations),
+        ghi=_quoted(os.path.relpath(ghi_csv, out.parent)),
+        positions=_quoted(os.path.relpath(positions_csv, out.parent)),
+        stations=_quoted(stations),
         fill="".join(f"{line}\n" for line in lines),
         clusters=max(round(len(stations) / _CLUSTER), 1),
     )

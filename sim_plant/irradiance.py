@@ -13,7 +13,7 @@ import pvlib
 
 from bus_schemas.errors import InputError, listed
 from sim_plant import Floats
-from sim_plant.clear_sky import stamps_by_sun
+from sim_plant.clear_sky import clear_ghi, stamps_by_sun
 from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.table_layout import irradiance_factor, name_and_unit
 
@@ -287,7 +287,8 @@ def checked_ghi(
         when = " by night" if lowest[row] == GHI_NIGHT_MIN_WM2 else ""
         expected = f"{lowest[row]:g} to {GHI_MAX_WM2:g} W/m2{when}"
         raise table.error(int(row), columns[column], expected)
-    if 0.0 < largest < _KILOWATT_BELOW and unit is None and not table.unit(columns[0]):
+    is_faint = 0.0 < largest < _KILOWATT_BELOW and unit is None and not table.unit(columns[0])
+    if is_faint and clear_ghi(times[:: len(times) // 1000 + 1], coordinates).max() > 50.0:
         raise InputError(
             f"{table.name}: expected W/m2, with a maximum of at least {_KILOWATT_BELOW:g}, got at "
             f"most {largest:g}: irradiance.unit (--unit) says whether that is W/m2 or kW/m2"

@@ -190,7 +190,7 @@ def _places(
 
 def named(header: Sequence[str], name: str) -> int | None:
     """Return the column of a name, in any case, or of another name for it."""
-    plain = [name_and_unit(cell.strip("# "))[0].strip().lower() for cell in header]
+    plain = [name_and_unit(cell.lstrip("# "))[0].strip().lower() for cell in header]
     known = (one for one in (name, *_ALIASES.get(name, ())) if one in plain)
     return next((plain.index(one) for one in known), None)
 
@@ -228,7 +228,7 @@ def _header(
 ) -> tuple[str, ...]:
     if head is None:
         return tuple(map(str, range(1, width + 1)))
-    names = [cell.strip("# ") for cell in rows[head]]
+    names = [rows[head][0].lstrip("# "), *rows[head][1:]]
     if len(names) == width - 1 and first[-1]:  # R writes no name for the first column.
         names.insert(0, "")
     return tuple(names + [""] * (width - len(names)))
