@@ -93,5 +93,7 @@ def conform(
     table = findings.table(agent)
     output.show(table)
     output.say(f"trials: {folder.path}")
-    output.write({"agent": agent, "passed": findings.passed, "requirements": json_rows(table)})
+    failures = [failure._asdict() for failure in findings.failures]
+    document = {"agent": agent, "passed": findings.passed, "requirements": json_rows(table)}
+    output.write({**document, "failures": failures})
     return OK if findings.passed else FAILED

@@ -176,14 +176,17 @@ class Conformance:
         for finding in found:
             shows = shown[min(finding.cycle, recorded.cycles)]
             if shows != AWAY:
-                self._note(finding, finding.requirement or shows, recorded.slow_cycle)
+                self._note(finding, finding.requirement or shows, recorded, folder.path.name)
         for wrong in ended.launcher.wrong if isinstance(ended, RunDocument) else ():
             if wrong.cause in (UNDECODABLE, UNKNOWN, WRONG_SENDER):
                 of = "bounds" if wrong.cause == UNDECODABLE else "decisions"
                 self.findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
 
-    def _note(self, finding: WrongAnswer, requirement: str, slow_cycle: int | None) -> None:
+    def _note(
+        self, finding: WrongAnswer, requirement: str, recorded: DeviceRun, trial: str
+    ) -> None:
         """Note a finding, unless our own messages were too late, or it is one of old."""
+        slow_cycle = recorded.slow_cycle
         if slow_cycle is not None and finding.cycle >= slow_cycle:
             text = f"the machine was too slow to judge from cycle {slow_cycle} on: lower --pace"
             self.findings.note(requirement, "too slow", text)
@@ -194,7 +197,9 @@ class Conformance:
             # One defect shall not fail all that comes after it.
             self.findings.note(requirement, "not judged", "answers differ as under `decisions`")
             return
-        self.findings.fail(requirement, finding.text)
+        cycle = finding.cycle
+        inputs = recorded.inputs_of(cycle)
+        self.findings.fail(requirement, finding.text, trial, cycle, finding.key, inputs)
 
     def _try_plant(self, name: str, plan: RunPlan) -> None:
         """Let a device conduct a run, and judge the recording."""

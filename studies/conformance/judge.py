@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -42,12 +42,14 @@ class WrongAnswer(NamedTuple):
     requirement: What it fails; empty: what the cycle shows.
     what: Signal, and field or kind of the difference. A late answer names no signal: one late stage
         makes all later stages of its cycle late.
+    key: Of the message; empty: no single one is wrong.
     """
 
     cycle: int
     requirement: str
     what: tuple[str, str]
     text: str
+    key: str = ""
 
 
 class Answer(NamedTuple):
@@ -95,6 +97,14 @@ class DeviceRun:
             last_cycle = reader.last_cycle
             found.cycles = last_cycle + 1 if reader.stop_cycle is None else reader.stop_cycle
         found.inputs.sort(key=lambda arrival: arrival.time_ns)
+        return found
+
+    def inputs_of(self, cycle: int) -> dict[str, list[dict[str, Any]]]:
+        """Return what the device was sent of a cycle, by key; copies in the order of time."""
+        found: dict[str, list[dict[str, Any]]] = {}
+        for port, message in ((one.port, one.message) for one in self.inputs):
+            if message.cycle == cycle:
+                found.setdefault(str(port), []).append(msgspec.to_builtins(message))
         return found
 
     def time_ns(self, cycle: float) -> int:
@@ -183,13 +193,15 @@ def judge(
             process, number = (port, answer.message.incarnation), answer.message.sequence
             if number != (due := sequences.get(process, 0)):
                 text = f"{where}, sequence: expected {due}, got {number}"
-                found.append(WrongAnswer(cycle, "head", (port.signal.name, "sequence"), text))
+                of_head = port.signal.name, "sequence"
+                found.append(WrongAnswer(cycle, "head", of_head, text, str(port)))
             sequences[process] = number + 1
         if port.signal.is_cyclic and cycle not in not_judged:
             mine = ours.get((port, cycle))
-            for of, what, text in _wrong(recorded, equality, port, cycle, mine, answers):
+            for of, what, why in _wrong(recorded, equality, port, cycle, mine, answers):
                 signal = "" if what == "late" else port.signal.name
-                found.append(WrongAnswer(cycle, of, (signal, what), f"{where}, {text}"))
+                text = f"{where}, {why}"
+                found.append(WrongAnswer(cycle, of, (signal, what), text, str(port)))
     return found
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections import Counter
+from typing import Any, Final, NamedTuple
 
 from results.tables import Table, key_column, word_column
 
@@ -38,10 +39,25 @@ OF_PLANT: Final[dict[str, str]] = {
 _RESULTS: Final = ("not tried", "PASS", "not judged", "too slow", "FAIL")
 
 
+class Failure(NamedTuple):
+    """One failure: in which trial and cycle, the key of the message, and what it was sent then."""
+
+    requirement: str
+    trial: str
+    cycle: int | None
+    message: str
+    text: str
+    inputs: dict[str, list[dict[str, Any]]]
+
+
 class Findings:
-    """The result for each requirement: the worst that was found, and the first text of that."""
+    """The result for each requirement: the worst that was found, and the first text of that.
+
+    failures: All of them, in the order of trials and cycles.
+    """
 
     def __init__(self, requirements: dict[str, str]) -> None:
+        self.failures: list[Failure] = []
         self._found = {name: ("not tried", text) for name, text in requirements.items()}
 
     def note(self, requirement: str, result: str, text: str = "") -> None:
@@ -49,7 +65,16 @@ class Findings:
         if _RESULTS.index(result) > _RESULTS.index(before):
             self._found[requirement] = result, text or its_text
 
-    def fail(self, requirement: str, text: str) -> None:
+    def fail(
+        self,
+        requirement: str,
+        text: str,
+        trial: str = "",
+        cycle: int | None = None,
+        message: str = "",
+        inputs: dict[str, list[dict[str, Any]]] | None = None,
+    ) -> None:
+        self.failures.append(Failure(requirement, trial, cycle, message, text, inputs or {}))
         self.note(requirement, "FAIL", text)
 
     @property
@@ -62,5 +87,13 @@ class Findings:
             word_column("result"),
             word_column("what a device must do, or the first failure", "text"),
         )
-        rows = [(name, *found) for name, found in self._found.items()]
+        counts = Counter(failure.requirement for failure in self.failures)
+        rows = [
+            (
+                name,
+                result,
+                text + (f" (and {more:,} more)" if (more := counts[name] - 1) > 0 else ""),
+            )
+            for name, (result, text) in self._found.items()
+        ]
         return Table(f"Conformance of {agent}", columns, rows)

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import command_line
 import pytest
@@ -32,6 +33,12 @@ CONTROLLER = f"{sys.executable} {EXAMPLES / 'direct_controller.py'} --plan {{pla
 @pytest.fixture
 def plant(tmp_path: Path) -> str:
     return small_plant(tmp_path / "plant", ("[control]\n", "[control]\nhold_cycles = 2\n"))
+
+
+def failures(plant: str, pace: str = "max") -> list[dict[str, Any]]:
+    """All failures that the newest trial of a device wrote."""
+    document = json.loads(Path(plant).with_name(f"results-{pace}").read_text(encoding="utf-8"))
+    return list(document["failures"])
 
 
 def results(plant: str, agent: str, command: str, *more: str, pace: str = "max") -> dict[str, str]:
@@ -106,6 +113,18 @@ def test_a_device_with_faults_fails_where_it_is_wrong_and_nowhere_else(plant: st
     faults = {"decisions", "head", "bounds", "wrong messages", "replaced"}
     found = failed(results(plant, NODE, wrong_device(",".join(sorted(faults)))))
     assert found == faults
+    every = failures(plant)
+    assert {one["requirement"] for one in every} == faults
+    wrong = [one for one in every if one["requirement"] == "wrong messages"]
+    assert len(wrong) > 1, "not only the first"
+    (first, *_) = [one for one in every if one["requirement"] == "decisions"]
+    assert (first["trial"], first["cycle"], first["message"]) == (
+        "lockstep",
+        3,
+        f"{NODE}/residual",
+    )
+    (telemetry,) = first["inputs"][f"{NODE}/telemetry"]
+    assert telemetry["cycle"] == 3
 
 
 @pytest.mark.soak
