@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -11,7 +12,8 @@ from agents.settings import Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
 from heliarch.cli.boundary import FAILED, OK
-from heliarch.cli.options import FILES, Json, Scenario, Tolerance
+from heliarch.cli.junit import Case, check_junit, write_junit
+from heliarch.cli.options import FILES, Json, Junit, Scenario, Tolerance
 from heliarch.cli.output import Output
 from results.tables import json_rows
 from scenarios.run_options import RunOptions, Whole
@@ -31,6 +33,7 @@ def conform(
     base_port: Annotated[Whole | None, Parameter(metavar="PORT")] = None,
     out: Annotated[Path | None, Parameter(metavar="DIR", group=FILES)] = None,
     json: Json = None,
+    junit: Junit = None,
 ) -> int:
     """Test your own device against the wire document.
 
@@ -72,6 +75,7 @@ def conform(
     from studies.conformance.conform import CYCLES, FROZEN, Conformance
     from studies.conformance.device import Device
 
+    check_junit(junit)
     output, device, file = Output(json), Device(command, agent), load_scenario(scenario)
     options = RunOptions(
         duration=f"{CYCLES * file.scenario.time.cycle_s:g}",
@@ -94,6 +98,19 @@ def conform(
     output.show(table)
     output.say(f"trials: {folder.path}")
     failures = [failure._asdict() for failure in findings.failures]
-    document = {"agent": agent, "passed": findings.passed, "requirements": json_rows(table)}
+    document: dict[str, Any] = {
+        "agent": agent,
+        "passed": findings.passed,
+        "requirements": json_rows(table),
+    }
     output.write({**document, "failures": failures})
+    write_junit(junit, {f"conform {agent}": _cases(document["requirements"])})
     return OK if findings.passed else FAILED
+
+
+def _cases(requirements: Iterable[dict[str, Any]]) -> Iterator[Case]:
+    for row in requirements:
+        name, result, text = row["requirement"], row["result"], row["text"]
+        failed = result not in {"PASS", "not tried"}
+        skipped = result if result == "not tried" else ""
+        yield Case(name, f"{result}: {text}" if failed else "", skipped)

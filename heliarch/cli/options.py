@@ -70,6 +70,8 @@ Data = Annotated[Path | None, _option("--data", "DIR", FILES, _DATA)]
 _JSON = "Write the result as JSON; - is standard output."
 _AS_FILE: Final = {"allow_leading_hyphen": True, "validator": new_file}
 Json = Annotated[_Text, _option("--json", "FILE", FILES, _JSON, **_AS_FILE)]
+_JUNIT = "Write a JUnit XML file with a test case for each row."
+Junit = Annotated[Path | None, _option("--junit", "FILE.xml", FILES, _JUNIT)]
 _REPORT = (
     "Write an HTML page to a file whose name ends in .html, or to a default path, which is printed."
 )

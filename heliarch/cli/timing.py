@@ -10,12 +10,21 @@ from cyclopts import Parameter
 
 from bus_schemas.errors import InputError
 from heliarch.cli.boundary import FAILED, INTERRUPTED, OK
-from heliarch.cli.options import FileOptions, Given, PageOptions, Settings, is_run, refuse_others
+from heliarch.cli.junit import Case, check_junit, write_junit
+from heliarch.cli.options import (
+    FileOptions,
+    Given,
+    Junit,
+    PageOptions,
+    Settings,
+    is_run,
+    refuse_others,
+)
 from heliarch.cli.output import Output, publish
 from scenarios.run_options import PlantOptions, ProcessOptions, RunOptions, TimeOptions
 
 if TYPE_CHECKING:
-    from results.timing.report import TimingReport
+    from results.timing.report import Budget, TimingReport
 
 
 def timing(
@@ -31,6 +40,7 @@ def timing(
     files: FileOptions = FileOptions(),
     by: Literal["tier", "agent", "link"] = "tier",
     stages: Annotated[Path | None, Parameter(metavar="FILE")] = None,
+    junit: Junit = None,
     given: Given = frozenset(),
 ) -> int:
     """Run a plant in real time and report whether it meets deadlines.
@@ -65,11 +75,13 @@ def timing(
     from results.timing.report import report_on
     from studies.timing import measured_run, parse_rates, prepare_at, sweep, sweep_result
 
+    check_junit(junit)
     output = Output(files.json)
     if is_run(path := Path(scenario)):
-        why = f"expected only --report, --json, --by or --stages with the recorded run {path}"
-        refuse_others(given, {"--report", "--json", "--by", "--stages"}, why)
-        return _publish(report_on(path), path, files, by, stages)
+        known = {"--report", "--json", "--junit", "--by", "--stages"}
+        why = f"expected only {', '.join(sorted(known))} with the recorded run {path}"
+        refuse_others(given, known, why)
+        return _publish(report_on(path), path, files, by, stages, junit)
     lowest_hz, highest_hz = parse_rates(rate)
     if stages is not None and lowest_hz != highest_hz:
         raise InputError("--stages: expected one rate with it")
@@ -80,7 +92,9 @@ def timing(
             preparation, place = prepare_at(lowest_hz, 60.0, request, request.out)
             if shown is not None:
                 output.say(f"page: {shown.show(place.path)}")
-            return _publish(measured_run(preparation, place, view), place.path, files, by, stages)
+            return _publish(
+                measured_run(preparation, place, view), place.path, files, by, stages, junit
+            )
         folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
 
         def timed(rate_hz: float) -> TimingReport:
@@ -100,7 +114,12 @@ def timing(
 
 
 def _publish(
-    report: TimingReport, run: Path, files: FileOptions, by: str, stages: Path | None
+    report: TimingReport,
+    run: Path,
+    files: FileOptions,
+    by: str,
+    stages: Path | None,
+    junit: Path | None,
 ) -> int:
     from recordings.read.run_file import RECORDING_NAME
     from results.timing.results import timing_result
@@ -110,7 +129,14 @@ def _publish(
     page = recording.with_name("timing.html")
     if stages is not None:
         write_stages(report.stages, stages)
+    write_junit(junit, {f"timing of {report.run.run_id}": map(_case, report.budgets)})
     publish(timing_result(report, by), files, page, f"recording: {recording}")
     if report.run.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
+
+
+def _case(budget: Budget) -> Case:
+    measured = "nothing was measured" if budget.value is None else f"{budget.value:.6g}"
+    text = f"{measured} {budget.unit}, at most {budget.limit:g} {budget.unit}"
+    return Case(budget.line, "" if budget.passed else text)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from heliarch.cli.boundary import FAILED, OK
-from heliarch.cli.options import End, Json, Nodes, Run, Start, Tolerance
+from heliarch.cli.junit import Case, check_junit, write_junit
+from heliarch.cli.options import End, Json, Junit, Nodes, Run, Start, Tolerance
 from heliarch.cli.output import Output, progress_bar
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ def verify(
     end: End = None,
     tolerance: Tolerance = 0.0,
     json: Json = None,
+    junit: Junit = None,
 ) -> int:
     """Run the agents of a recording again and compare outputs.
 
@@ -41,6 +44,7 @@ def verify(
     from recordings.verify.report import verification_data, verification_lines
     from recordings.verify.verification import verify as verify_run
 
+    check_junit(junit)
     results: list[Verification] = []
     rows: list[dict[str, Any]] = []
     equality, output = Equality(tolerance), Output(json)
@@ -54,4 +58,17 @@ def verify(
         rows.append(verification_data(found, wall_s))
     equal = all(found.equal for found in results)
     output.write({"equal": equal, "runs": rows})
+    write_junit(junit, {f"verify {found.recording}": _cases(found) for found in results})
     return OK if equal else FAILED
+
+
+def _cases(found: Verification) -> Iterator[Case]:
+    """Yield a case for each agent; one of which not all was compared fails."""
+    for agent, result in found.agents.items():
+        text = ""
+        if (first := result.first) is not None:
+            text = f"cycle {first.cycle}, {first.message or first.text}: {first.kind}"
+        elif result.compared < result.recorded:
+            text = f"{result.compared:,} of {result.recorded:,} messages compared"
+        yield Case(agent, text)
+    yield from (Case(agent, skipped=why) for agent, why in found.left_out.items())

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from command_line import heliarch, refusal
+from junitparser import JUnitXml
 from msgspec.structs import replace
 from plans_by_hand import with_changes
 from reports_by_hand import missed, summary_of
@@ -54,6 +55,11 @@ def test_a_run_that_was_recorded_earlier_is_timed_without_running_anything(tmp_p
     stages = tmp_path / "stages.csv"
     assert heliarch("timing", run, "--stages", stages, "--by", "link").exit_code == 1
     assert stages.read_text().startswith("cycle,agent,tier,stage,")
+    junit = tmp_path / "timing.xml"
+    assert heliarch("timing", run, "--junit", junit).exit_code == 1
+    (suite,) = JUnitXml.fromfile(str(junit))
+    budgets = {budget["line"]: budget["passed"] for budget in found["budgets"]}
+    assert {case.name: not case.result for case in suite} == budgets
     assert "--stages" in refusal("timing", run, "--stages", tmp_path / "stages.txt")
     assert "FAIL: " in (folder / "timing.html").read_text(encoding="utf-8")
     (tmp_path / "lockstep").mkdir()
