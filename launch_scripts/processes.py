@@ -415,7 +415,7 @@ class Processes:
         match event:
             case Started():
                 process.pid = event.pid
-                process.beat_at_s = process.moved_at_s = self.ran_s
+                process.beat_at_s = process.moved_at_s = self._moved_at_s = self.ran_s
             case Joined():
                 process.become("running" if self.has_begun else "armed")
                 process.beat_at_s = process.moved_at_s = self._moved_at_s = self.ran_s
@@ -522,7 +522,9 @@ class Processes:
             return ""
         if process.state == "starting":
             idle_s = self.ran_s - max(process.beat_at_s, self._moved_at_s)
-            return f"has not come onto the bus for {START_S:.0f} s" if idle_s > START_S else ""
+            if idle_s <= START_S or not any(one.is_there for one in self.own):
+                return ""
+            return f"has not come onto the bus for {START_S:.0f} s"
         limit_s = max(self._frozen_s, plant_s)
         if self.ran_s - process.beat_at_s > limit_s:
             return f"has not beaten for {limit_s:.1f} s"
@@ -574,10 +576,14 @@ class Processes:
         """Before cycle 0: return who is missing, if nothing has moved for long."""
         if self.ran_s - self._moved_at_s <= START_S:
             return None
-        absent = [one.name for one in self.own if not one.is_there]
+        absent = [one for one in self.own if not one.is_there]
         if absent:
-            text = f"in {START_S:.0f} s nobody came onto the bus; missing: {listed(absent, most=3)}"
-            return self.failure(absent[0], text)
+            has_hope = len(absent) < len(self.own) and any(not one.starts_s for one in absent)
+            if has_hope:  # Those who hang are started again, once.
+                return None
+            missing = listed([one.name for one in absent], most=3)
+            text = f"in {START_S:.0f} s nobody came onto the bus; missing: {missing}"
+            return self.failure(absent[0].name, text)
         names, number = self.never_heard
         if not number:
             return None  # All have answered once; the plant says what it waits for.

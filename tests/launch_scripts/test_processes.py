@@ -251,19 +251,29 @@ def test_a_process_that_freezes_while_it_arms_is_named_itself(watched: Make) -> 
     assert all(line.startswith("c2 ") for line in run.said)
 
 
-def test_a_process_that_does_not_come_onto_the_bus_is_named_once_nobody_else_comes(
+def test_a_process_that_does_not_come_onto_the_bus_is_started_again_once_and_then_named(
     watched: Make,
 ) -> None:
     run = watched(begun=False, joined=False)
-    for name in ("c1", "c2", "central", PLANT, RECORDER):
+    for name in ("c1/b", "c2/c", "c2/d", "c1", "c2", "central", PLANT, RECORDER):
         run.pass_by(8.0, NODE)
         run.joins(name)
+    assert run.got(SIGKILL) == [], "others have come meanwhile"
+    run.pass_by(11.0, NODE)
+    assert run.got(SIGKILL) == [NODE]
     assert run.processes.stuck_start() is None
-    assert run.got(SIGKILL) == []
-    run.pass_by(11.0, NODE, "c1/b", "c2/c", "c2/d")
+    run.dies(NODE)
+    run.pass_by(11.0, NODE)
     failure = run.processes.stuck_start()
     assert failure is not None
     assert NODE in str(failure)
+
+
+def test_a_start_in_which_nobody_comes_onto_the_bus_fails_after_ten_seconds(watched: Make) -> None:
+    run = watched(begun=False, joined=False)
+    run.pass_by(11.0, *[process.name for process in run.processes.own])
+    assert run.got(SIGKILL) == [], "no single one is to blame"
+    assert run.processes.stuck_start() is not None
 
 
 def test_agents_from_whom_nothing_comes_in_arming_rounds_are_named(watched: Make) -> None:

@@ -102,33 +102,42 @@ def test_a_process_that_is_not_started_again_is_given_up_and_the_run_goes_on(
     assert_equal_as_far_as_recorded(run, verify(run.folder))
 
 
-def test_a_process_that_dies_before_cycle_0_is_started_again(
-    heliarch: Start, plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [("SIGKILL", "killed by signal 9 before cycle 0"), ("SIGSTOP", "not come onto the bus")],
+)
+def test_a_process_that_dies_or_freezes_before_cycle_0_is_named_and_started_again(
+    heliarch: Start,
+    plant: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    harm: str,
+    said: str,
 ) -> None:
-    code = DIES_ONCE.replace("FOLDER", repr(str(tmp_path)))
+    code = HARMED_ONCE.replace("FOLDER", repr(str(tmp_path))).replace("HARM", harm)
     (tmp_path / "sitecustomize.py").write_text(code, encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     run = heliarch("launch", plant, "--duration", "5")
     assert run.wait() == 0, run.error_text()
-    assert run.output.read_text().count("killed by signal 9 before cycle 0") == 2
+    assert run.output.read_text().count(said) == 2
     assert summary_of(run.folder).launcher.restarts == {RECORDER: 1, INVERTER: 1}
 
 
-DIES_ONCE = f"""
+HARMED_ONCE = f"""
 import os, signal
 from pathlib import Path
 import launch_scripts.process as process
 
 run_process = process.run_process
 
-def die_once(agent, *arguments, **options):
-    flag = Path(FOLDER) / f"killed {{agent.replace('/', '.')}}"
+def harmed_once(agent, *arguments, **options):
+    flag = Path(FOLDER) / f"harmed {{agent.replace('/', '.')}}"
     if agent in ({INVERTER!r}, "recorder") and not flag.exists():
         flag.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.kill(os.getpid(), signal.HARM)
     return run_process(agent, *arguments, **options)
 
-process.run_process = die_once
+process.run_process = harmed_once
 """
 
 
