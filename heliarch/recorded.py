@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Collection, Iterator
 from functools import cached_property, wraps
 from pathlib import Path
@@ -9,7 +10,10 @@ from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
 
 import pandas as pd
 
-from bus_schemas.errors import InputError
+from bus_schemas.bus import Delivery
+from bus_schemas.errors import InputError, InputWarning
+from bus_schemas.messages import Message
+from bus_schemas.signals import Signal
 from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
 from results.figures import run_figures
@@ -61,12 +65,47 @@ def _parameter(option: str) -> str:
 class Run(RunReader):
     """A recorded run: its messages, tables, figures of merit and summary.
 
-    As a context manager it names what was damaged in the recording at the end. Without one, as in
-    a notebook, its files are closed when nobody needs it any more.
+    What is damaged or missing in its recording is named when it is read. The files are closed at
+    the end of a `with` block, or when nobody needs the run any more, as in a notebook.
     """
 
-    messages = by_parameter(RunReader.messages)
-    frames = by_parameter(RunReader.frames)
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        if not self.whole:
+            text = "it was cut, is damaged or is still being recorded: a part of the run is missing"
+            warnings.warn(f"{self.path}: {text}", InputWarning, stacklevel=3)
+
+    @by_parameter
+    def messages(
+        self,
+        *signals: Signal[Message] | str,
+        nodes: str | Collection[str] = (),
+        start: str | float | None = None,
+        end: str | float | None = None,
+    ) -> Iterator[Delivery]:
+        """Yield messages with their ports, in the order in which they were recorded.
+
+        signals, nodes: Which signals and which nodes; by default all.
+        start, end: The first cycle, and the one before which to end: a local time (`13:49:00`), a
+            time since the start (`90s`; a number is seconds) or a cycle (`c90`).
+        """
+        found = super().messages(*signals, nodes=nodes, start=start, end=end)
+        return self._named_at_end(found)
+
+    def _named_at_end(self, messages: Iterator[Delivery]) -> Iterator[Delivery]:
+        yield from messages
+        self.warn_of_damage()
+
+    @by_parameter
+    def frames(
+        self,
+        *tables: Signal[Message] | str,
+        nodes: str | Collection[str] = (),
+        start: str | float | None = None,
+        end: str | float | None = None,
+    ) -> dict[str, pd.DataFrame]:
+        """Return several tables by name, each as `frame` does: the recording is read once."""
+        return super().frames(*tables, nodes=nodes, start=start, end=end)
 
     @property
     def folder(self) -> Path:
@@ -83,12 +122,14 @@ class Run(RunReader):
     def metrics(self) -> pd.Series:
         """Figures of merit by name, as docs/metrics.md defines them; NaN: not defined here."""
         figures = run_figures(plant_series_of(self))
+        self.warn_of_damage()
         return pd.Series(figures, name=self.plan.run_id, dtype=float)
 
     @cached_property
     def power(self) -> pd.DataFrame:
         """Power of each inverter [kW]: a row for each cycle by local time, a column for each."""
         series = plant_series_of(self, most_inverters=None)
+        self.warn_of_damage()
         return pd.DataFrame(series.power_kw, series.times.rename("time"), list(series.inverters))
 
     def stages(self) -> pd.DataFrame:
@@ -96,7 +137,9 @@ class Run(RunReader):
 
         docs/timing.md describes its columns; every figure of `timing` is a groupby on it.
         """
-        return stage_table(self)
+        table = stage_table(self)
+        self.warn_of_damage()
+        return table
 
     def batches(
         self,

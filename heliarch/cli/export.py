@@ -37,7 +37,7 @@ def export(
     form
         mcap is all of the recording that can be read; json-mcap is for Foxglove and Lichtblick.
     clock
-        Times in json-mcap: wall, as recorded (the default), or sim, simulated time.
+        Times in json-mcap: wall, as recorded, or sim, simulated time: the default in lockstep.
     out
         The new file, or folder of tables; default beside the recording.
     """

@@ -79,11 +79,11 @@ def _show_nodes(
     from recordings.inspect.timeline import timeline
     from results.timeline_tables import node_table
 
-    for node in nodes:
-        rows = (row for (row,) in timeline(run, [node], cycles))
-        while part := list(islice(rows, _ROWS)):
-            output.show(node_table(run.plan.tree, node, part))
-            yield from (row.document() for row in part)
+    found = timeline(run, nodes, cycles)
+    while part := list(islice(found, _ROWS)):
+        for node, rows in zip(nodes, zip(*part, strict=True), strict=True):
+            output.show(node_table(run.plan.tree, node, rows))
+            yield from (row.document() for row in rows)
 
 
 def _show_plant(run: RunReader, cycle: int, output: Output) -> dict[str, Any]:

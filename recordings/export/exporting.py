@@ -72,7 +72,8 @@ def export(
         if form == "mcap":
             out = WholeRecording(beside, reader)
         elif form == "json-mcap":
-            out = ViewerFile(beside, reader, ports, clock or "wall")
+            usual: Clock = "sim" if reader.plan.timing.lockstep else "wall"
+            out = ViewerFile(beside, reader, ports, clock or usual)
         else:
             anchor = ClockAnchor.of(reader.metadata, reader.path)
             out = TableFolder(beside, reader.plan, signals, anchor, form)

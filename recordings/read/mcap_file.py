@@ -56,7 +56,7 @@ _NOWHERE: Final = 1 << 63
 
 _OPCODES: Final = frozenset(Opcode)
 _PRIVATE: Final = 0x80
-"""Records of this opcode or a higher one are an application's own."""
+"""Records of this opcode or a higher one are another application's; Heliarch writes none."""
 
 _UNCHUNKED: Final = frozenset({Opcode.MESSAGE, Opcode.CHANNEL, Opcode.SCHEMA})
 _BLOCK: Final = 1 << 20
@@ -113,6 +113,11 @@ class Outline:
     library: str = ""
 
     @property
+    def is_own(self) -> bool:
+        """Whether Heliarch has written the file."""
+        return self.library.startswith("heliarch")
+
+    @property
     def cut_early(self) -> bool:
         return not self.closed and not self.chunks
 
@@ -158,7 +163,8 @@ def walk_on(outline: Outline, file: BinaryIO, *, chunks: bool = True) -> None:
             end = _take_unchunked(outline, file, offset)
             outline.readable_end = end
             continue
-        if not (opcode in _OPCODES or opcode >= _PRIVATE) or end > size:
+        is_private = opcode >= _PRIVATE and not outline.is_own
+        if not (opcode in _OPCODES or is_private) or end > size:
             # What lies before the next chunk counts as a damaged one; before none, as cut off.
             end = _next_chunk(file, offset + 1)
             if not chunks or end > size:

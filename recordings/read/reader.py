@@ -107,6 +107,8 @@ class RunReader:
         self.damage: set[Chunk] = set()
         self.wrong: dict[Port[Message], str] = {}
         self.follow: Callable[[float], None] = lambda share: None
+        self._named: set[Chunk | Port[Message]] = set()
+        self._has_warned = False
         self._first_cycles: dict[Chunk, int | None] = {}
         self._unpacked: tuple[Chunk | None, bytes] = None, b""
         self._in_memory: dict[Chunk, bytes] = {}
@@ -115,7 +117,7 @@ class RunReader:
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
-            if not self.outline.library.startswith("heliarch"):
+            if not self.outline.is_own:
                 self._take_in_order_of_time()
         except BaseException:
             self._close_files()
@@ -298,8 +300,9 @@ class RunReader:
 
     @cached_property
     def channels(self) -> dict[int, Port[Message]]:
-        is_own = self.outline.library.startswith("heliarch")
-        if not self.outline.channels and is_own:  # The first chunk has them, and is damaged.
+        if (
+            not self.outline.channels and self.outline.is_own
+        ):  # The first chunk has them, and is damaged.
             return dict(enumerate(recorded_ports(self.plan), start=1))
         port_at = self.plan.wiring.port
         port_of = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
@@ -364,11 +367,19 @@ class RunReader:
         what = f"a part of the file is damaged and left out ({listed(parts)})"
         return f"{self.path}: {what}" if parts else ""
 
+    def warn_of_damage(self) -> None:
+        """Name what was damaged or wrong and therefore left out, each once."""
+        new = {port: text for port, text in self.wrong.items() if port not in self._named}
+        wrong = f"{self.path}: wrong messages were skipped: {listed(list(new.values()))}"
+        damage = self.damage_text() if self.damage - self._named or not self._has_warned else ""
+        self._named |= {*new, *self.damage}
+        self._has_warned = True
+        for text in filter(None, (damage, printable(wrong) if new else "")):
+            warnings.warn(text, InputWarning, stacklevel=2)
+
     def close(self) -> None:
         self._close_files()
-        wrong = f"{self.path}: wrong messages were skipped: {listed(list(self.wrong.values()))}"
-        for text in filter(None, (self.damage_text(), printable(wrong) if self.wrong else "")):
-            warnings.warn(text, InputWarning, stacklevel=1)
+        self.warn_of_damage()
 
     def __enter__(self) -> RunReader:
         return self

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,10 @@ import pyarrow as pa
 import pytest
 from command_line import python
 from msgspec.structs import replace
+from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 
 import heliarch
-from bus_schemas.errors import InputError
+from bus_schemas.errors import InputError, InputWarning
 from scenarios.scenario import load_scenario
 from scenarios.settings import with_settings
 from sim_plant.commitment import CommitmentSettings
@@ -206,3 +208,21 @@ def test_bad_input_is_an_input_error(plant: str, bad: dict[str, Any], named: str
 def test_importing_it_loads_nothing_heavy() -> None:
     modules = python("import heliarch, sys; print(*sys.modules)").stdout.split()
     assert not {"numpy", "pandas", "zenoh"} & {name.partition(".")[0] for name in modules}
+
+
+def test_a_damaged_recording_is_named_where_it_is_read_without_a_with_block(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.mcap", whole_run(90), messages_per_chunk=100)
+    chunk = zero_chunk(tmp_path / "run.mcap", 5)
+    run = heliarch.open_run(tmp_path)
+    with pytest.warns(InputWarning, match=f"chunk at byte {chunk.offset:,}"):
+        assert len(run.frame("impp", nodes="c1/a")) < 90
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # It has been said.
+        run.frame("impp", nodes="c1/a")
+
+
+def test_a_recording_that_was_cut_is_named_as_it_is_opened(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.mcap", whole_run(90), messages_per_chunk=100)
+    cut(tmp_path / "run.mcap")
+    with pytest.warns(InputWarning, match="a part of the run is missing"):
+        heliarch.open_run(tmp_path)
