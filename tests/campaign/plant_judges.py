@@ -106,8 +106,11 @@ def inverters(run: FaultyRun) -> Breaches:
     first_kw = run.profile.commitment_kw[0] + run.profile.regulation_kw[0]
     share_kw = ratings_kw * (min(max(first_kw, 0.0), ratings_kw.sum()) / ratings_kw.sum())
     reverts_kw = ratings_kw * [1.0 if isinstance(one, str) else one for one in to]
-    alpha, limit_kw, renewed = np.ones(count), ratings_kw.copy(), np.zeros(count)
-    ordered = [(-(10**9), np.ones(count), share_kw)]
+    # When the run begins an inverter holds its share of the first dispatch.
+    power_kw, renewed = run.profile.mpp_kw[0], np.zeros(count)
+    alpha = np.where(power_kw > share_kw, share_kw / power_kw, 1.0)
+    limit_kw = share_kw if plan.control.actuator == "limit" else ratings_kw
+    ordered = [(-(10**9), alpha.copy(), limit_kw.copy())]
     unsure, before = np.zeros(count, dtype=bool), -1
     for one in run.applied:
         cycle, passed = one.cycle, one.cycle - before
@@ -132,7 +135,8 @@ def inverters(run: FaultyRun) -> Breaches:
         want = np.array([o[1][n] for n, o in enumerate(due)])
         alpha = np.clip(want, alpha - step, alpha + step)
         want = np.array([o[2][n] for n, o in enumerate(due)])
-        limit_kw = np.clip(want, limit_kw - step * ratings_kw, limit_kw + step * ratings_kw)
+        held_kw = np.minimum(limit_kw, np.maximum(power_kw, want))  # What it holds back falls.
+        limit_kw = np.clip(want, held_kw - step * ratings_kw, held_kw + step * ratings_kw)
         mpp_kw, before = true_mpp_kw(run, cycle), cycle
         free_kw = mpp_kw if plan.control.actuator == "limit" else alpha * mpp_kw
         power_kw = np.minimum(free_kw, limit_kw)

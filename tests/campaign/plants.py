@@ -64,7 +64,7 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
             "irradiance.clouds.drift_speed_ms": 30,
             "commitment.share": 0.8,
         },
-        Worth(0.0045, 0.0075, 0.008, 0.0, 0.75),
+        Worth(0.0005, 0.0005, 0.0005, 0.0, 0.75),
     ),
     "day": CampaignPlant(
         _EIGHT,
@@ -111,7 +111,7 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
                 {"at": 150, "power_kw": 900},
             ],
         },
-        Worth(0.02, 0.04, 0.021, 0.0, 0.54),
+        Worth(0.019, 0.03, 0.0175, 0.0, 0.54),
         settles_s=50.0,
     ),
     "droop": CampaignPlant(
@@ -153,10 +153,10 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
             "plant.ramp_percent_per_s": 30,
             "plant.meter_noise": 0.01,
         },
-        Worth(0.0015, 0.0125, 0.003, 0.0, 0.33),
+        Worth(0.0028, 0.0013, 0.0009, 0.0, 0.33),
     ),
     "valley": CampaignPlant(
-        "valley", "150s", {"commitment.share": 0.7}, Worth(0.001, 0.0006, 0.0008, 0.0, 0.92)
+        "valley", "150s", {"commitment.share": 0.7}, Worth(0.0011, 0.0006, 0.0008, 0.0, 0.92)
     ),
 }
 
