@@ -330,6 +330,8 @@ class SunSpecInverter(SunSpecDevice):
             "revert_percent": self.limit_register(reverts_to_kw),
         }
         skipped = frozenset() if self.profile.revert else _REVERTS
+        if not self.profile.revert and self._limited.value(self._names["enabled"]) == 1:
+            skipped |= {"enabled"}  # It stays so, and some refuse to be written it.
         fields = raw.keys() & self._names.keys() - skipped
         self._write({self._names[field]: raw[field] for field in fields})
 

@@ -15,6 +15,8 @@ from sunspec2.device import Model
 
 RATING_W, SUN_W = 100_000.0, 80_000.0
 
+LIMITS = ("WMaxLimPct", "WMaxLimPct_RvrtTms", "WMaxLim_Ena")
+
 Answers = Callable[[int, bytes], list[bytes]]
 """From the number of a request and its answer: what is sent."""
 
@@ -45,6 +47,8 @@ class Quirky:
     first: int = 40_000
     functions: frozenset[int] = frozenset({3, 6, 16})
     refuses: bool = False
+    refused: Callable[[int, str], bool] = lambda function, point: False
+    """Whether it refuses to write a point by a function."""
     answers: Answers = lambda number, answer: [answer]
     echoes: bool = True
     obeys: bool = True
@@ -120,6 +124,11 @@ class Quirky:
                 return bytes([0x83, 2])
             return bytes([3, 2 * count]) + image[: 2 * count]
         words = request[6:] if function == 16 else request[3:5]
+        limits = LIMITS if 123 in self._models else ()
+        places = {name: self.register(123, name) - first for name in limits}
+        written = [name for name, place in places.items() if 0 <= place < len(words) // 2]
+        if any(self.refused(function, name) for name in written):
+            return bytes([function | 0x80, 2])
         self.writes.append((function, first, len(words) // 2))
         for number, model in self._models.items():
             for point in model.points.values():

@@ -231,6 +231,32 @@ def test_a_write_that_fails_is_called_so(tmp_path: Path) -> None:
     assert account.refused
 
 
+FAMILIES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    # Writes of several registers are refused, Ena is always 1, and a limit stays for ever.
+    "Kostal Plenticore": (
+        {
+            "models": integers(limits={"WMaxLim_Ena": 1, "WMaxLimPct_RvrtTms": None}),
+            "refused": lambda function, point: function == 16 or point != "WMaxLimPct",
+        },
+        {"write_function": 6, "revert": False},
+    ),
+    # One register is not written by the function for one register.
+    "APsystems ECU-R": ({"functions": frozenset({3, 16})}, {}),
+    # Both functions, and floats unless it is set to whole numbers.
+    "Fronius Symo": ({"models": {**integers(), 113: {"W": SUN_W, "St": 4}}}, {}),
+}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_family_is_limited_with_the_profile_of_the_document(tmp_path: Path, family: str) -> None:
+    quirks, profile = FAMILIES[family]
+    with quirky(**quirks) as device:
+        powers, messages, account = run(device, tmp_path, **profile)
+    assert powers[-1] == 30.0
+    assert (account.refused, account.breaks, account.excess_kw) == (0, 0, 0.0)
+    assert not any(messages)
+
+
 def test_a_device_that_is_busy_gets_the_next_command(tmp_path: Path) -> None:
     busy = [0, 0]
 
