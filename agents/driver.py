@@ -47,7 +47,7 @@ class Driver:
 
     @property
     def finished(self) -> bool:
-        return all(loop.finished for loop in self.loops.values())
+        return all(loop.cycle >= loop.times.end_cycle for loop in self.loops.values())
 
     def run(self) -> Iterator[Sequence[Arrival]]:
         """Go on to the end of the run; yield, after each wait, the messages that came."""
@@ -82,7 +82,12 @@ class Driver:
     @property
     def _wanted(self) -> int:
         """The least number of messages with which one of the agents can go on."""
-        return min((len(one.waiting) for one in self.loops.values() if one.waiting), default=1)
+        least = 0
+        for loop in self.loops.values():  # A generator would cost more than all its steps.
+            waiting = len(loop.waiting)
+            if waiting and (waiting < least or not least):
+                least = waiting
+        return least or 1
 
     def _until_ns(self, longest_ns: int | None) -> int | None:
         until_ns = self._next_deadline_ns()
@@ -91,7 +96,8 @@ class Driver:
         return until_ns
 
     def _act_on(self, arrivals: Sequence[Arrival]) -> None:
-        self._catch_up()
+        if self._deadlines:
+            self._catch_up()
         for agent, port, message, time_ns in arrivals:
             loop = self.loops[agent]
             loop.hear(port, message, time_ns)

@@ -10,11 +10,12 @@ import logging
 from collections import Counter
 from collections.abc import Callable
 from itertools import chain
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from agents.agent import Stage
 from agents.plan import RunPlan
 from bus_schemas.bounds import bounds_of, is_within
+from bus_schemas.bus import Cause
 from bus_schemas.errors import printable
 from bus_schemas.messages import Message, Missing, Order
 from bus_schemas.signals import ORDER, Occurrence, Port
@@ -24,10 +25,8 @@ log = logging.getLogger(__name__)
 
 _NONE_YET: Final = -(2**62)
 
-_COUNT_IN_ARMING: Final = frozenset({"wrong_sender", "out_of_range"})
+_COUNT_IN_ARMING: Final = frozenset({Cause.WRONG_SENDER, Cause.OUT_OF_RANGE})
 """The other causes do not: arming rounds overlap while links come up."""
-
-_JOINED: Final = "is of a process that joined in cycle"
 
 
 def log_drop(count: int, why: str) -> None:
@@ -57,6 +56,74 @@ class Input:
         self.incarnation = 0
         self.newest: Message | None = None
         self.ahead: dict[int, Message] = {}
+
+
+class Place(NamedTuple):
+    """Where an agent is when a message comes.
+
+    cycle: Its cycle, below 0 in arming rounds.
+    horizon: Cycles by which a publisher may be ahead.
+    cycles: Length of the run.
+    """
+
+    cycle: int
+    horizon: int
+    cycles: int
+
+    def is_far(self, of: int) -> bool:
+        """Whether a cycle is further ahead than any publisher may be."""
+        return of > max(self.cycle, 0) + self.horizon
+
+
+class Refusal(NamedTuple):
+    """A reason to refuse a message, whether it applies, and the reason in words."""
+
+    cause: Cause
+    applies: Callable[[Input, Message, Place], bool]
+    why: str
+
+
+REFUSALS: Final = (
+    Refusal(
+        Cause.WRONG_SENDER,
+        lambda one, m, at: m.incarnation < one.incarnation,
+        "is of a process that joined in cycle {m.incarnation}, since replaced",
+    ),
+    Refusal(
+        Cause.OUT_OF_RANGE,
+        lambda one, m, at: 0 < m.incarnation > m.cycle,
+        "is of a process that joined in cycle {m.incarnation}, which is yet to come",
+    ),
+    Refusal(
+        Cause.WRONG_CYCLE,
+        lambda one, m, at: m.cycle >= at.cycles or (at.cycle >= 0 and at.is_far(m.cycle)),
+        "is too far from {at.cycle}",
+    ),
+    Refusal(
+        Cause.DUPLICATE,
+        lambda one, m, at: m.cycle == one.newest_cycle,
+        "came after that of cycle {one.newest_cycle}",
+    ),
+    Refusal(
+        Cause.LATE,
+        lambda one, m, at: m.cycle < one.newest_cycle,
+        "came after that of cycle {one.newest_cycle}",
+    ),
+    Refusal(Cause.DUPLICATE, lambda one, m, at: m.cycle in one.ahead, "came twice"),
+    Refusal(
+        Cause.WRONG_CYCLE,
+        lambda one, m, at: (
+            m.cycle > at.cycle and not at.is_far(m.cycle) and len(one.ahead) > at.horizon
+        ),
+        "is one of too many that are ahead",
+    ),
+    Refusal(
+        Cause.WRONG_CYCLE,
+        lambda one, m, at: m.cycle >= 0 and m.cycle % one.period != 0,
+        "is not of a turn of its sender",
+    ),
+)
+"""Why an input refuses a message: the first reason that applies counts, and nothing changes."""
 
 
 class Inputs:
@@ -99,31 +166,21 @@ class Inputs:
             one.ahead = kept
 
     def admits(self, one: Input, message: Message, cycle: int) -> bool:
-        """Whether a message can be of its publisher's newest process, and of a cycle near by.
-
-        Nothing changes before.
-        """
-        of, incarnation = message.cycle, message.incarnation
-        is_ahead, is_far = of > cycle, of > max(cycle, 0) + self._horizon
-        if incarnation < one.incarnation:
-            cause, why = "wrong_sender", f"{_JOINED} {incarnation}, since replaced"
-        elif 0 < incarnation > of:
-            cause, why = "out_of_range", f"{_JOINED} {incarnation}, which is yet to come"
-        elif of >= self._cycles or (is_far and cycle >= 0):
-            cause, why = "wrong_cycle", f"is too far from {cycle}"
-        elif of <= one.newest_cycle:
-            cause = "duplicate" if of == one.newest_cycle else "late"
-            why = f"came after that of cycle {one.newest_cycle}"
-        elif of in one.ahead:
-            cause, why = "duplicate", "came twice"
-        elif is_ahead and not is_far and len(one.ahead) > self._horizon:
-            cause, why = "wrong_cycle", "is one of too many that are ahead"
-        elif of >= 0 and of % one.period:
-            cause, why = "wrong_cycle", "is not of a turn of its sender"
-        else:
-            return True
-        self.drop(cause, one.port, message, why, cycle)
-        return False
+        """Return whether to accept it: newest process, cycle within the horizon."""
+        of = message.cycle
+        if (
+            one.newest_cycle < of == cycle < self._cycles
+            and message.incarnation == one.incarnation
+            and not one.ahead
+            and not of % one.period
+        ):
+            return True  # As nearly all are: in its cycle, from the process that is known.
+        place = Place(cycle, self._horizon, self._cycles)
+        for cause, is_refused, why in REFUSALS:
+            if is_refused(one, message, place):
+                self.drop(cause, one.port, message, why.format(one=one, m=message, at=place), cycle)
+                return False
+        return True
 
     def keep(self, one: Input, message: Message, cycle: int) -> None:
         """Keep a message of a cycle to come: it may overtake the dispatch that lets an agent join.
@@ -137,20 +194,20 @@ class Inputs:
     def take(self, one: Input, message: Message, cycle: int) -> None:
         """Make a message the newest of its input; with a bad number it keeps no agent waiting."""
         if message.cycle <= one.newest_cycle or message.incarnation < one.incarnation:
-            self.drop("late", one.port, message, "was overtaken", cycle)
+            self.drop(Cause.LATE, one.port, message, "was overtaken", cycle)
             return
         one.newest_cycle = message.cycle
         if is_within(message, one.bounds):
             one.newest, one.incarnation = message, message.incarnation
         else:
-            self.drop("out_of_range", one.port, message, "has a number that cannot be", cycle)
+            self.drop(Cause.OUT_OF_RANGE, one.port, message, "contains a value out of range", cycle)
 
-    def hear_order(self, port: Port[Message], order: Order, cycle: int) -> None:
+    def take_order(self, port: Port[Message], order: Order, cycle: int) -> None:
         """Take in an order, which may come in any cycle, unless it has been long on its way."""
         if not is_within(order, self._order_bounds):
-            self.drop("out_of_range", port, order, "has a number that cannot be", cycle)
+            self.drop(Cause.OUT_OF_RANGE, port, order, "contains a value out of range", cycle)
         elif order.cycle < cycle - self._hold_cycles - 1:
-            self.drop("late", port, order, f"came in cycle {cycle}", cycle)
+            self.drop(Cause.LATE, port, order, f"came in cycle {cycle}", cycle)
         else:
             self.orders.append(order)
 
@@ -185,7 +242,9 @@ class Inputs:
             found[port] = message
         return found, tuple(missing)
 
-    def drop(self, cause: str, port: Port[Message], message: Message, why: str, cycle: int) -> None:
+    def drop(
+        self, cause: Cause, port: Port[Message], message: Message, why: str, cycle: int
+    ) -> None:
         """Count a message that is not used in a cycle of the agent."""
         if cycle >= 0 or cause in _COUNT_IN_ARMING:
             self.dropped[str(port), cause] += 1

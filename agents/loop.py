@@ -16,7 +16,7 @@ from agents.inputs import Input, Inputs
 from agents.plan import RunPlan
 from agents.run_times import RunTimes
 from bus_schemas.bounds import is_within
-from bus_schemas.bus import Delivery
+from bus_schemas.bus import Cause, Delivery
 from bus_schemas.messages import GivenUp, Message, Order, Run
 from bus_schemas.signals import DISPATCH, RUN, Port
 from bus_schemas.tree import ROOT
@@ -92,14 +92,33 @@ class Loop(Generic[S]):
 
     def hear(self, port: Port[Message], message: Message, time_ns: int) -> None:
         """Take in a message that came at a time of the run's clock."""
-        one = self.inputs.of.get(port)
+        inputs, cycle = self.inputs, self.cycle
+        one = inputs.of.get(port)
         if message.source != port.publisher:
-            why = f"is from {message.source!r}"
-            self.inputs.drop("wrong_sender", port, message, why, self.cycle)
+            inputs.drop(Cause.WRONG_SENDER, port, message, f"is from {message.source!r}", cycle)
         elif one is None:
             self._hear_event(port, message, time_ns)
-        elif not message.cycle < 0 <= self.cycle:  # None of an arming round.
-            self._hear_input(one, message, time_ns)
+        elif not message.cycle < 0 <= cycle and inputs.admits(one, message, cycle):
+            if port is _DISPATCH:
+                self._hear_dispatch(one, message, time_ns)
+            if message.cycle <= self.cycle:
+                inputs.take(one, message, self.cycle)
+            else:
+                inputs.keep(one, message, self.cycle)
+            if message.cycle == self.cycle and port in self.waiting:
+                self.waiting.discard(port)
+                if not self.waiting:
+                    self._ready_ns = time_ns
+
+    def _hear_dispatch(self, one: Input, dispatch: Message, time_ns: int) -> None:
+        """Go where the plant is: to another round, or into a run under way; or on after a stop."""
+        if self.cycle < 0 and dispatch.cycle > self.cycle and is_within(dispatch, one.bounds):
+            if dispatch.cycle < 0:
+                self.enter(dispatch.cycle, time_ns)
+            elif dispatch.cycle > 0:
+                self._join(dispatch, time_ns)
+        if self.times.end_cycle <= dispatch.cycle:
+            self._forget_false_stop(dispatch, time_ns)
 
     def _hear_event(self, port: Port[Message], message: Message, time_ns: int) -> None:
         match message:
@@ -108,49 +127,23 @@ class Loop(Generic[S]):
             case GivenUp():
                 self.give_up(message.agents, time_ns)
             case Order():
-                self.inputs.hear_order(port, message, self.cycle)
-
-    def _hear_input(self, one: Input, message: Message, time_ns: int) -> None:
-        inputs, port = self.inputs, one.port
-        if not inputs.admits(one, message, self.cycle):
-            return
-        # A dispatch takes a controller into another round, or into a run that is under way.
-        enters = port is _DISPATCH and self.cycle < 0 and message.cycle > self.cycle
-        if enters and is_within(message, one.bounds):
-            self._follow(message, time_ns)
-        if message.cycle <= self.cycle:
-            inputs.take(one, message, self.cycle)
-        else:
-            inputs.keep(one, message, self.cycle)
-        if port is _DISPATCH and self.times.end_cycle <= message.cycle:
-            self._forget_false_stop(message, time_ns)
-        if message.cycle == self.cycle and port in self.waiting:
-            self.waiting.discard(port)
-            if not self.waiting:
-                self._ready_ns = time_ns
+                self.inputs.take_order(port, message, self.cycle)
 
     def _hear_run(self, port: Port[Message], run: Run, time_ns: int) -> None:
         if run.state == "stop":
             if run.cycle <= self.inputs.of[_DISPATCH].newest_cycle:
                 why = "ends a cycle that the plant has begun"
-                self.inputs.drop("conflicting", port, run, why, self.cycle)
+                self.inputs.drop(Cause.CONFLICTING, port, run, why, self.cycle)
                 return
             self.end_before(run.cycle)
             self.times.stop_heard = True
         elif self.cycle < 0:
             self.begin(self.times.on_this_clock(run.start_time_ns, time_ns), time_ns)
 
-    def _follow(self, dispatch: Message, time_ns: int) -> None:
-        """Go where the plant is: to another round, or into a run under way."""
-        if dispatch.cycle < 0:
-            self.enter(dispatch.cycle, time_ns)
-        elif dispatch.cycle > 0:
-            self._join(dispatch, time_ns)
-
     def _forget_false_stop(self, dispatch: Message, now_ns: int) -> None:
         """Go on with the run: the plant has begun a cycle that a stop said would not take place."""
         why = f"stopped the run before cycle {self.times.end_cycle}, which the plant has begun"
-        self.inputs.drop("conflicting", RUN.of(ROOT), dispatch, why, self.cycle)
+        self.inputs.drop(Cause.CONFLICTING, RUN.of(ROOT), dispatch, why, self.cycle)
         was_finished = self.finished
         self.times.forget_stop()
         if was_finished:

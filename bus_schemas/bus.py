@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from enum import StrEnum
 from typing import NamedTuple, Protocol, TypeAlias
 
 from bus_schemas.messages import Message
@@ -20,6 +21,19 @@ class Arrival(NamedTuple):
     port: Port[Message]
     message: Message
     time_ns: int
+
+
+class Cause(StrEnum):
+    """Why a message is not used."""
+
+    DUPLICATE = "duplicate"
+    LATE = "late"
+    WRONG_SENDER = "wrong_sender"
+    OUT_OF_RANGE = "out_of_range"
+    WRONG_CYCLE = "wrong_cycle"
+    CONFLICTING = "conflicting"
+    UNDECODABLE = "undecodable"
+    FLOODED = "flooded"
 
 
 class Bus(Protocol):

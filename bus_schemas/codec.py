@@ -29,7 +29,10 @@ def decode(signal: Signal[M], payload: bytes) -> M:
     if len(payload) > LARGEST_PAYLOAD:
         raise msgspec.DecodeError(f"{len(payload)} bytes are more than {LARGEST_PAYLOAD}")
     decoder: msgspec.msgpack.Decoder[M] = _decoders[signal.type]
-    return _decoded(decoder, payload)
+    try:
+        return decoder.decode(payload)
+    except (UnicodeDecodeError, RecursionError) as error:
+        raise _undecodable(error) from None
 
 
 def decode_head(payload: bytes) -> Head:
@@ -45,10 +48,15 @@ def decode_json(data: bytes, type_: type[T]) -> T:
 def _decoded(decoder: msgspec.msgpack.Decoder[T] | msgspec.json.Decoder[T], payload: bytes) -> T:
     try:
         return decoder.decode(payload)
-    except UnicodeDecodeError as error:
-        raise msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}") from None
-    except RecursionError:
-        raise msgspec.DecodeError("lists or maps are nested too deep") from None
+    except (UnicodeDecodeError, RecursionError) as error:
+        raise _undecodable(error) from None
+
+
+def _undecodable(error: UnicodeDecodeError | RecursionError) -> msgspec.DecodeError:
+    """Return what an error of a decoder means that is no DecodeError."""
+    if isinstance(error, UnicodeDecodeError):
+        return msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}")
+    return msgspec.DecodeError("lists or maps are nested too deep")
 
 
 def json_schema(signal: Signal[Message]) -> dict[str, object]:

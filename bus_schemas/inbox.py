@@ -12,6 +12,7 @@ from typing import Final
 
 import zenoh
 
+from bus_schemas.bus import Cause
 from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port
 
@@ -90,12 +91,14 @@ class Inbox:
         self._urgent = False
         if self._waiting:
             self._waiting = Counter()
-        items = self._items
-        return [items.popleft() for _ in range(len(items))]
+        items, taken = self._items, []
+        while items:
+            taken.append(items.popleft())
+        return taken
 
     def _has_room(self, port: Port[Message]) -> bool:
         self._waiting[port] += 1
         if self._waiting[port] <= _MOST_OF_A_PORT:
             return True
-        self.dropped[str(port), "flooded"] += 1
+        self.dropped[str(port), Cause.FLOODED] += 1
         return False

@@ -17,7 +17,7 @@ from typing import Any, Final, Self, TypeAlias
 import msgspec
 import zenoh
 
-from bus_schemas.bus import Arrival, Outbox
+from bus_schemas.bus import Arrival, Cause, Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.host_clock import HostClock
 from bus_schemas.inbox import Inbox
@@ -223,7 +223,7 @@ class ZenohBus:
             try:
                 message = decode(port.signal, payload.to_bytes())
             except msgspec.DecodeError:
-                self.inbox.dropped[str(port), "undecodable"] += 1
+                self.inbox.dropped[str(port), Cause.UNDECODABLE] += 1
             else:
                 if self._clock is not None:
                     if port.publisher == PLANT:
