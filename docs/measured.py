@@ -26,12 +26,13 @@ from agents.control.clusters import geographic_clusters, search_clusters
 from agents.control.correlation import hourly_correlation
 from agents.control.offers import MISSED_SHARE, firm_share, nothing_offered
 from agents.plan import RunPlan, changed
-from agents.settings import OfferedCommitment
+from agents.settings import Actuator, OfferedCommitment
 from bus_schemas.tree import ROOT
 from docs.shown import Found, fill, keep, write
 from heliarch import compare, load_scenario, simulate
 from recordings.read.series import RunSeries
 from results.answers import Answer, answer, answers
+from results.figures import run_figures
 from scenarios.preparation import prepare
 from scenarios.run_options import RunOptions
 from scenarios.scenario import DcCurrents, MeasuredIrradiance, ScenarioFile
@@ -41,7 +42,7 @@ from studies.arrays.closed_loop import run_loop
 from studies.arrays.schemes import run_scheme
 
 WORKERS: Final = 2
-BOTH: Final = ("fraction", "limit")
+BOTH: Final[tuple[Actuator, ...]] = ("fraction", "limit")
 HIERARCHICAL: Final = ("paper", "predictive")
 
 Lines = Iterator[Sequence[object]]
@@ -266,6 +267,82 @@ def other_skies(data: Path) -> Lines:
             counts = [(apart <= most).all(axis=1).sum() for most in (5e-4, 0.02)]
             sums = (f"{one.sum(axis=1).mean():.3f}" for one in (paper, found))
             yield [sky, actuator, len(apart), *counts, *sums]
+
+
+HARD_CYCLES: Final = 1800
+BRIGHT, DARK = 0.95, 0.2
+"""What inverters have of their rating without a cloud, and under one."""
+
+
+def edges(seed: int, speed_ms: float, positions_m: np.ndarray) -> np.ndarray:
+    """Return shadows with hard edges, 300 m long in the mean, over inverters, shape (T, n)."""
+    draws = np.random.default_rng(seed)
+    ends_m = np.cumsum(draws.exponential(300.0, 200 + int(speed_ms * HARD_CYCLES / 100.0)))
+    angle = draws.uniform(0.0, 2.0 * np.pi)
+    along_m = positions_m @ [np.cos(angle), np.sin(angle)]
+    metres = np.arange(int(speed_ms * (HARD_CYCLES + 2) + np.ptp(along_m)) + 2)
+    is_dark = np.searchsorted(ends_m, metres) % 2 == 1
+    summed = np.concatenate([[0.0], np.cumsum(np.where(is_dark, DARK, BRIGHT))])
+    start = along_m - along_m.min() + speed_ms * np.arange(HARD_CYCLES)[:, None]
+    first, last = start.astype(int), (start + speed_ms).astype(int) + 1
+    return np.asarray((summed[last] - summed[first]) / (last - first))
+
+
+def switched(seed: int, chance: float, inverters: int) -> np.ndarray:
+    """Return inverters that go dark and bright at random, each by itself, shape (T, n)."""
+    flips = np.random.default_rng(seed).random((HARD_CYCLES, inverters)) < chance
+    return np.where(np.cumsum(flips, axis=0) % 2, DARK, BRIGHT)
+
+
+def checkerboard(cycles: int, inverters: int) -> np.ndarray:
+    """Return inverters of which every other one is dark, and then the others, shape (T, n)."""
+    turns = np.arange(HARD_CYCLES)[:, None] // cycles + np.arange(inverters)
+    return np.where(turns % 2, DARK, BRIGHT)
+
+
+def hard_skies() -> Lines:
+    """Write what is missed and over-delivered where a change cannot be foreseen."""
+    day = prepare(load_scenario("oahu"), RunOptions(duration=f"{HARD_CYCLES}s"), "hard")
+    rating_kw = np.array([day.plan.tree.rating_kw(leaf) for leaf in day.plan.tree.leaves])
+    positions_m, count = np.array(day.plan.site.positions_m), len(rating_kw)
+    skies: dict[str, list[np.ndarray]] = {
+        f"hard edges, {speed} m/s": [edges(seed, speed, positions_m) for seed in range(500, 506)]
+        for speed in (7, 15)
+    }
+    skies["on and off, 0.3 a cycle"] = [switched(seed, 0.3, count) for seed in range(50, 53)]
+    skies["checkerboard of 3 s"] = [checkerboard(3, count)]
+    runs = {
+        sky: [
+            (day.plan, Profile(share * rating_kw, np.full(HARD_CYCLES, part * median_kw)))
+            for share in shares
+            for median_kw in [float(np.median((share * rating_kw).sum(axis=1)))]
+            for part in (0.5, 0.8)
+        ]
+        for sky, shares in skies.items()
+    }
+    for title, changes in {
+        "oahu, cycles of 5 s": [("time.cycle_s", 5)],
+        "oahu, cycles of 10 s": [("time.cycle_s", 10)],
+        "oahu, meters with 5 % of noise": [("plant.meter_noise", 0.05)],
+    }.items():
+        scenario = with_settings(load_scenario("oahu"), changes)
+        options = [RunOptions(seed=seed, duration="30m") for seed in range(301, 307)]
+        days = [prepare(scenario, one, "hard") for one in options]
+        runs[title] = [(one.plan, one.profile) for one in days]
+    yield ["sky", "actuator", "paper", "predictive", *SUMS]
+    for sky, cells in runs.items():
+        for actuator in BOTH:
+            cell: list[str] = []
+            sums: list[str] = []
+            for scheme in HIERARCHICAL:
+                found = [
+                    run_figures(run_scheme(scheme, plan, profile, actuator)[0])
+                    for plan, profile in cells
+                ]
+                means = [np.mean([float(one[name] or 0.0) for one in found]) for name in CAUSES]
+                cell.append(f"{means[0]:.2f} / {means[1]:.2f}")
+                sums.append(f"{sum(means):.2f}")
+            yield [sky, actuator, *cell, *sums]
 
 
 STATES: Final[dict[str, dict[str, list[float]]]] = {
@@ -639,6 +716,7 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "skies": skies,
         "cycles": cycle_lengths,
         "steps": steps,
+        "hard skies": hard_skies,
     },
     "offers.md": {"offers": offers},
     "orders.md": {"commissioning": commissioning},

@@ -7,6 +7,10 @@ nothing where
 * no inverter was curtailed in a turn that the meter may still show;
 * it lies between aims that the meter may still show;
 * inverters follow on a ramp and the power comes nearer to the aim.
+
+An error that is gone before anything can be done about it comes back with the opposite sign if it
+is corrected. So how much of what would be missing is corrected is learned, as the share of a trend
+that is expected to go on is (see `forecast`): by a regression that fades.
 """
 
 from __future__ import annotations
@@ -25,6 +29,12 @@ once because an old reading says little of what is missing now."""
 
 HIGHEST_CORRECTION: Final = 0.1
 """Largest correction up and down, as a share of the plant's rating."""
+
+SHARE_MEMORY_S: Final = 600.0
+"""Time constant with which the share that is corrected is learned [s]."""
+
+SHARE_ASSUMED: Final = 0.01
+"""It takes corrections of this share of the rating to outweigh that at first all is corrected."""
 
 ERROR_MEMORY_S: Final = 20.0
 """Time constant of the mean error of the plant's power [s]."""
@@ -60,7 +70,10 @@ class Correction(NamedTuple):
     shown_kw: The aims of its last turns, the newest first: what the meter should show. NaN: all
         inverters were free, or there was no such turn.
     aim_kw: What it aims at now, before the correction.
-    correction_kw: What is added to that.
+    lacking_kw: What would be missing without a correction, as a mean that fades.
+    correction_kw: What is added to the aim: a share of that.
+    helped_kw2, tried_kw2: How well `lacking_kw` told what came: fading sums of both multiplied, and
+        of its square.
     error_kw: Mean distance between aim and meter.
     metered_kw, readings: Sum and number of the readings since the last turn.
     last_kw: Their mean before the last turn; NaN: there was none.
@@ -68,7 +81,10 @@ class Correction(NamedTuple):
 
     shown_kw: tuple[float, ...]
     aim_kw: float = 0.0
+    lacking_kw: float = 0.0
     correction_kw: float = 0.0
+    helped_kw2: float = 0.0
+    tried_kw2: float = 0.0
     error_kw: float = 0.0
     metered_kw: float = 0.0
     readings: int = 0
@@ -82,13 +98,16 @@ def nothing_metered(law: CorrectionLaw) -> Correction:
 def with_reading(last: Correction, power_kw: float) -> Correction:
     """Take up a reading of the meter."""
     return Correction(
-        last.shown_kw,
-        last.aim_kw,
-        last.correction_kw,
-        last.error_kw,
-        last.metered_kw + power_kw,
-        last.readings + 1,
-        last.last_kw,
+        shown_kw=last.shown_kw,
+        aim_kw=last.aim_kw,
+        lacking_kw=last.lacking_kw,
+        correction_kw=last.correction_kw,
+        helped_kw2=last.helped_kw2,
+        tried_kw2=last.tried_kw2,
+        error_kw=last.error_kw,
+        metered_kw=last.metered_kw + power_kw,
+        readings=last.readings + 1,
+        last_kw=last.last_kw,
     )
 
 
@@ -106,24 +125,47 @@ def corrected(
         setpoint holds.
     """
     is_free = desired_kw >= possible_kw
-    correction_kw, error_kw, metered_kw = last.correction_kw, last.error_kw, last.last_kw
+    error_kw, metered_kw = last.error_kw, last.last_kw
+    lacking_kw, helped_kw2, tried_kw2 = last.lacking_kw, last.helped_kw2, last.tried_kw2
     if last.readings > 0:
         metered_kw = last.metered_kw / last.readings
         delay_s += law.delay_s
-        lacks_kw = _missing_kw(last, metered_kw, shown_turns(delay_s, law.turn_s))
+        missed_kw = _missing_kw(last, metered_kw, shown_turns(delay_s, law.turn_s))
         time_s = last.readings * law.cycle_s
         if not is_free:
-            error_kw += (abs(lacks_kw) - error_kw) * time_s / (ERROR_MEMORY_S + time_s)
-        if law.is_ramped and (metered_kw - last.last_kw) * lacks_kw > 0.0:
-            lacks_kw = 0.0
-        gain = min(GAIN_PER_S * time_s, HIGHEST_GAIN / (1.0 + delay_s / time_s) ** 2)
-        most_kw = HIGHEST_CORRECTION * law.rating_kw
-        correction_kw = min(max(correction_kw + gain * lacks_kw, -most_kw), most_kw)
+            error_kw += (abs(missed_kw) - error_kw) * time_s / (ERROR_MEMORY_S + time_s)
+        is_on_its_way = law.is_ramped and (metered_kw - last.last_kw) * missed_kw > 0.0
+        if missed_kw != 0.0 and not is_on_its_way:
+            would_kw = missed_kw + last.correction_kw
+            # A large error that nothing told of counts for no more than the correction itself.
+            told_kw = min(max(would_kw, -abs(lacking_kw)), abs(lacking_kw))
+            kept = SHARE_MEMORY_S / (SHARE_MEMORY_S + time_s)
+            helped_kw2 = kept * helped_kw2 + told_kw * lacking_kw
+            tried_kw2 = kept * tried_kw2 + lacking_kw * lacking_kw
+            gain = min(GAIN_PER_S * time_s, HIGHEST_GAIN / (1.0 + delay_s / time_s) ** 2)
+            most_kw = HIGHEST_CORRECTION * law.rating_kw
+            lacking_kw = min(max(lacking_kw + gain * (would_kw - lacking_kw), -most_kw), most_kw)
     if is_free or not law.is_on:
-        correction_kw = 0.0
+        lacking_kw = 0.0
     aim_kw = desired_kw + law.offset_kw + law.offset_errors * error_kw
-    shown_kw = (nan if is_free else aim_kw, *last.shown_kw[:-1])
-    return Correction(shown_kw, aim_kw, correction_kw, error_kw, 0.0, 0, metered_kw)
+    return Correction(
+        shown_kw=(nan if is_free else aim_kw, *last.shown_kw[:-1]),
+        aim_kw=aim_kw,
+        lacking_kw=lacking_kw,
+        correction_kw=_share(helped_kw2, tried_kw2, law.rating_kw) * lacking_kw,
+        helped_kw2=helped_kw2,
+        tried_kw2=tried_kw2,
+        error_kw=error_kw,
+        metered_kw=0.0,
+        readings=0,
+        last_kw=metered_kw,
+    )
+
+
+def _share(helped_kw2: float, tried_kw2: float, rating_kw: float) -> float:
+    """Return how much of what would be missing is corrected."""
+    assumed_kw2 = (SHARE_ASSUMED * rating_kw) ** 2
+    return max((helped_kw2 + assumed_kw2) / (tried_kw2 + assumed_kw2), 0.0)
 
 
 def corrected_kw(known: Correction, law: CorrectionLaw) -> float:

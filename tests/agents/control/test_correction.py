@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
+import numpy as np
 import pytest
 
 from agents.control.correction import (
@@ -82,6 +83,23 @@ def test_turns_in_which_all_inverters_were_free_teach_nothing() -> None:
     wanted_kw, possible_kw = [800.0] * 5 + [300.0] * 4, [600.0] * 9
     metered_kw = [600.0] * 6 + [300.0] * 3
     assert not any(corrections_kw(law_of(1.0), wanted_kw, metered_kw, possible_kw))
+
+
+@pytest.mark.parametrize("cycle_s", [0.1, 1.0, 10.0])
+def test_errors_that_are_gone_before_they_are_corrected_are_soon_left_alone(cycle_s: float) -> None:
+    law, random = law_of(cycle_s), np.random.default_rng(5)
+    known, corrections_kw = nothing_metered(law), []
+    for error_kw in random.choice([-50.0, 50.0], 3000):
+        known = corrected(
+            with_reading(known, 500.0 + known.correction_kw + error_kw), 500.0, inf, 0.0, law
+        )
+        corrections_kw.append(abs(known.correction_kw))
+    # Without learning that is 5 kW in the shortest cycles, and 20 in the others.
+    assert np.mean(corrections_kw[-1000:]) < 2.0
+    # A constant error is corrected again, wholly.
+    for _ in range(round(3000 / cycle_s)):
+        known = corrected(with_reading(known, 480.0 + known.correction_kw), 500.0, inf, 0.0, law)
+    assert known.correction_kw == pytest.approx(20.0, rel=0.05)
 
 
 def test_it_never_exceeds_its_share_of_the_rating() -> None:
