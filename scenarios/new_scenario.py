@@ -86,11 +86,12 @@ history = "hindsight"  # the order of help comes from the run's own data
 
 
 def measured_scenario(
-    positions_csv: Path, ghi_csv: Path, out: Path, form: StatedForm
+    positions_csv: Path, ghi_csv: Path, out: Path, form: StatedForm, origin: str = ""
 ) -> tuple[str, Irradiance, list[str]]:
     """Return the TOML of a scenario that stands at `out` and runs on two files, the data, remarks.
 
-    It takes the stations that both files have, and the brightest hour of the irradiance.
+    It takes the stations that both files have, and the brightest hour of the irradiance. `origin`
+    is said in the scenario: where the irradiance comes from.
     """
     positions = read_positions(positions_csv)
     table = wide(read_csv(ghi_csv), tuple(positions.index))
@@ -111,7 +112,8 @@ def measured_scenario(
         LONGEST_S,
         replace(form, timezone=guess[0]) if guess else form,
     )
-    text = _text(
+    text = f"# {origin}\n" if origin else ""
+    text += _text(
         table,
         found,
         positions_csv,

@@ -69,3 +69,15 @@ def test_irradiance_that_is_zero_throughout_is_told(folder: Path) -> None:
     dark = [",".join([row.split(",")[0], *"0" * header.count(",")]) for row in rows]
     ghi.write_text("\n".join([header, *dark]), encoding="utf-8")
     assert "0 throughout" in done("init", *FILES)
+
+
+def test_an_archive_of_one_station_makes_a_plant_and_says_how(folder: Path) -> None:
+    rows = [f"{600 + at},2024-06-15T{18 + at // 12}:{5 * at % 60:02}:00Z,PT5M" for at in range(12)]
+    text = "\n".join(["ghi,period_end,period", *rows, ""])
+    (folder / "roof.csv").write_text(text, encoding="utf-8")
+    printed = done("init", FILES[0], "solcast:roof.csv", "--cloud-speed", "5")
+    told = "move over the plant, unchanged, at 5 m/s from 270 degrees"
+    assert told in printed
+    assert told in (folder / "my-plant.toml").read_text(encoding="utf-8").splitlines()[0]
+    assert (folder / "my-plant-ghi.csv").exists()
+    done("simulate", "my-plant.toml", "--out", "run")
