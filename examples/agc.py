@@ -40,6 +40,8 @@ def main() -> None:
                 break
             continue
         operator.cycle = message["cycle"]
+        if "operator" in message["order_replaced"]:
+            print(f"cycle {operator.cycle}: replaced by an order of {message['order_source']}")
         now_s = operator.cycle * cycle_s
         if operator.cycle < 0 or now_s < next_s:
             continue
