@@ -403,11 +403,14 @@ class _Corrections:
         slowest_s = max(map(run.plan.site.follows_within_s, run.plan.tree.leaves))
         self._settles_s = slowest_s + CORRECTS_WITHIN_S + 2.0 * self._turn_s
         self._aims_kw: list[float] = []  # Since they have been steady.
-        self._idle = 0
+        self._idle, self._kept = 0, 2 * run.plan.control.hold_cycles
+        self._shown_kw: list[float] = []
 
     def wrong(self, now: _Aim) -> str:
         """Say what is wrong with the correction of a turn; nothing if it is right."""
         last, self.last, near_kw = self.last, now, 2.0 * EXACT * self._rating_kw
+        if last is not None:
+            self._shown_kw = [*self._shown_kw, last.low_kw][-self._kept :]
         if last is None or max(one.high_kw - one.low_kw for one in (last, now)) > near_kw:
             self._aims_kw, self._idle = [], 0
             return ""
@@ -416,7 +419,10 @@ class _Corrections:
         self._aims_kw = [*self._aims_kw, now.aim_kw] if is_steady else []
         step_kw = now.low_kw - last.low_kw
         if last.one.process != now.one.process:
-            if min(abs(now.low_kw), abs(step_kw)) > BEGINS_SHARE * self._rating_kw:
+            # What the one before stated last may not have come through.
+            apart_kw = (abs(now.low_kw - kw) for kw in (0.0, *self._shown_kw))
+            lacks_kw = max((abs(now.aim_kw - kw) for kw in now.readings_kw), default=0.0)
+            if min(apart_kw) > MOST_GAIN_PER_S * lacks_kw + BEGINS_SHARE * self._rating_kw:
                 return f"begins with a correction of {now.low_kw:,.3f} kW"
         elif not now.readings_kw:
             if abs(step_kw) > near_kw:
