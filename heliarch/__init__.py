@@ -17,6 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from bus_schemas.errors import InputError
     from heliarch.recorded import Run, open_run
     from heliarch.runs import (
         Diff,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Diff",
+    "InputError",
     "Run",
     "compare",
     "diff",
@@ -45,6 +47,7 @@ __all__ = [
 ]
 
 _ELSEWHERE = {
+    "InputError": "bus_schemas.errors",
     "Run": "heliarch.recorded",
     "load_scenario": "scenarios.scenario",
     "open_run": "heliarch.recorded",

@@ -5,18 +5,21 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Collection, Iterator
 from functools import cached_property, wraps
+from html import escape
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
 
 import pandas as pd
 
+from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError, InputWarning
 from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
 from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
-from results.figures import run_figures
+from results.figures import Shown, run_figures, shown_in
 from results.run_document import RunDocument, document_in
 from results.timing.stages import stage_table
 
@@ -62,7 +65,7 @@ def _parameter(option: str) -> str:
     return _PARAMETERS.get(option, option[2:].replace("-", "_")) if is_option else option
 
 
-class Run(RunReader):
+class Run:
     """A recorded run: its messages, tables, figures of merit and summary.
 
     What is damaged or missing in its recording is named when it is read. The files are closed at
@@ -70,10 +73,41 @@ class Run(RunReader):
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        if not self.whole:
+        self._reader = RunReader(path)
+        if not self._reader.whole:
             text = "it was cut, is damaged or is still being recorded: a part of the run is missing"
             warnings.warn(f"{self.path}: {text}", InputWarning, stacklevel=3)
+
+    @property
+    def path(self) -> Path:
+        """The recording."""
+        return self._reader.path
+
+    @property
+    def folder(self) -> Path:
+        return self.path.parent
+
+    @property
+    def plan(self) -> RunPlan:
+        """What the run was to do, as all its agents agreed on it."""
+        return self._reader.plan
+
+    @property
+    def scenario(self) -> str:
+        """The scenario's TOML text."""
+        return self._reader.scenario
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Versions, host and clocks of the recording."""
+        return self._reader.metadata
+
+    @property
+    def summary(self) -> RunDocument:
+        """What is in `summary.json`. Raises FileNotFoundError: The run has not ended."""
+        if (found := document_in(self.folder, self.plan.run_id)) is None:
+            raise FileNotFoundError(f"{self.folder}: expected the summary.json of this run")
+        return found
 
     @by_parameter
     def messages(
@@ -89,12 +123,30 @@ class Run(RunReader):
         start, end: The first cycle, and the one before which to end: a local time (`13:49:00`), a
             time since the start (`90s`; a number is seconds) or a cycle (`c90`).
         """
-        found = super().messages(*signals, nodes=nodes, start=start, end=end)
-        return self._named_at_end(found)
+        return self._named_at_end(
+            self._reader.messages(*signals, nodes=nodes, start=start, end=end)
+        )
 
     def _named_at_end(self, messages: Iterator[Delivery]) -> Iterator[Delivery]:
         yield from messages
-        self.warn_of_damage()
+        self._reader.warn_of_damage()
+
+    def frame(
+        self,
+        table: Signal[Message] | str,
+        *,
+        nodes: str | Collection[str] = (),
+        start: str | float | None = None,
+        end: str | float | None = None,
+    ) -> pd.DataFrame:
+        """Return the messages of one signal as a table, one row each; for the rest see `messages`.
+
+        It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
+        `node` and the signal's own fields, with units in their names. The lists inside messages
+        have tables too: `help_given`, `production_inverters`, `given_up_agents`, `missing_inputs`.
+        """
+        (found,) = self.frames(table, nodes=nodes, start=start, end=end).values()
+        return found
 
     @by_parameter
     def frames(
@@ -105,31 +157,39 @@ class Run(RunReader):
         end: str | float | None = None,
     ) -> dict[str, pd.DataFrame]:
         """Return several tables by name, each as `frame` does: the recording is read once."""
-        return super().frames(*tables, nodes=nodes, start=start, end=end)
-
-    @property
-    def folder(self) -> Path:
-        return self.path.parent
-
-    @property
-    def summary(self) -> RunDocument:
-        """What is in `summary.json`. Raises FileNotFoundError: The run has not ended."""
-        if (found := document_in(self.folder, self.plan.run_id)) is None:
-            raise FileNotFoundError(f"{self.folder}: expected the summary.json of this run")
+        found = self._reader.frames(*tables, nodes=nodes, start=start, end=end)
+        self._reader.warn_of_damage()
         return found
+
+    @cached_property
+    def plant(self) -> pd.DataFrame:
+        """Dispatch, delivered, available power, baseline and shortfall of the plant [kW] by time.
+
+        `without_help_kw` is what the same sky would have given without help between inverters.
+        """
+        series = plant_series_of(self._reader)
+        self._reader.warn_of_damage()
+        columns = {
+            "dispatch_kw": series.desired_kw,
+            "delivered_kw": series.delivered_kw,
+            "available_kw": series.available_kw,
+            "without_help_kw": series.baseline_kw,
+            "shortfall_kw": series.shortfall_kw,
+        }
+        return pd.DataFrame(columns, series.times.rename("time"))
 
     @cached_property
     def metrics(self) -> pd.Series:
         """Figures of merit by name, as docs/metrics.md defines them; NaN: not defined here."""
-        figures = run_figures(plant_series_of(self))
-        self.warn_of_damage()
+        figures = run_figures(plant_series_of(self._reader))
+        self._reader.warn_of_damage()
         return pd.Series(figures, name=self.plan.run_id, dtype=float)
 
     @cached_property
     def power(self) -> pd.DataFrame:
         """Power of each inverter [kW]: a row for each cycle by local time, a column for each."""
-        series = plant_series_of(self, most_inverters=None)
-        self.warn_of_damage()
+        series = plant_series_of(self._reader, most_inverters=None)
+        self._reader.warn_of_damage()
         return pd.DataFrame(series.power_kw, series.times.rename("time"), list(series.inverters))
 
     def stages(self) -> pd.DataFrame:
@@ -137,8 +197,8 @@ class Run(RunReader):
 
         docs/timing.md describes its columns; every figure of `timing` is a groupby on it.
         """
-        table = stage_table(self)
-        self.warn_of_damage()
+        table = stage_table(self._reader)
+        self._reader.warn_of_damage()
         return table
 
     def batches(
@@ -158,7 +218,7 @@ class Run(RunReader):
 
         if cycles < 1:
             raise InputError.of("cycles", f"expected 1 or more, got {cycles}")
-        span = self.clock.span(start, end, ("start", "end"))
+        span = self._reader.clock.span(start, end, ("start", "end"))
         for first in range(span.start, span.stop, cycles):
             until = min(first + cycles, span.stop)
             part = self.frame(table, nodes=nodes, start=f"c{first}", end=f"c{until}")
@@ -166,9 +226,33 @@ class Run(RunReader):
                 names = part.select_dtypes("category").columns
                 yield pa.Table.from_pandas(part.astype(dict.fromkeys(names, "str")))
 
+    def close(self) -> None:
+        self._reader.close()
+
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        missed = self.metrics["control-caused"]
+        kept = "nothing was promised" if isnan(missed) else f"missed {missed:.3f} % of its promise"
+        return f"<Run {self.plan.run_id}: {len(self.plant):,} cycles, {kept}, in {self.folder}>"
+
+    def _repr_html_(self) -> str:
+        """Return the figures of merit for notebooks, below the name of the run."""
+        shown = {
+            f"{one.title} [{one.unit}]": round(self.metrics[one.name], one.decimals)
+            for one in shown_in(Shown.SUMMARY)
+            if not isnan(self.metrics[one.name])
+        }
+        table = pd.Series(shown, name=self.plan.run_id, dtype=object).to_frame()
+        return f"{escape(repr(self))}{table.to_html(border=0)}"
+
     def __del__(self) -> None:
-        for file in getattr(self, "files", ()):  # There are none where it could not be opened.
-            file.close()
+        if reader := getattr(self, "_reader", None):  # There is none if it could not be opened.
+            reader.release()
 
 
 def open_run(path: Path | str) -> Run:

@@ -28,6 +28,7 @@ from launch_scripts.run_folder import RunRequest
 from recordings.export.exporting import ExportSummary, Form
 from recordings.export.exporting import export as export_run
 from recordings.export.mcap_copies import Clock
+from recordings.read.reader import RunReader
 from recordings.verify.comparison import Equality
 from recordings.verify.verification import Verification
 from recordings.verify.verification import verify as verify_run
@@ -155,7 +156,7 @@ def export(
 ) -> ExportSummary:
     """Make tables, or a file for viewers, from a recording, as `heliarch export` does."""
     check_names("form", (form,), get_args(Form))
-    with open_run(_path(run)) as reader:
+    with RunReader(_path(run)) as reader:
         is_whole = start is None and end is None
         cycles = None if is_whole else reader.clock.span(start, end, ("start", "end"))
         path = None if out is None else Path(out)

@@ -120,7 +120,7 @@ class RunReader:
             if not self.outline.is_own:
                 self._take_in_order_of_time()
         except BaseException:
-            self._close_files()
+            self.release()
             raise
 
     def _take_in_order_of_time(self) -> None:
@@ -378,7 +378,7 @@ class RunReader:
             warnings.warn(text, InputWarning, stacklevel=2)
 
     def close(self) -> None:
-        self._close_files()
+        self.release()
         self.warn_of_damage()
 
     def __enter__(self) -> RunReader:
@@ -388,9 +388,10 @@ class RunReader:
         if kind is None:
             self.close()
         else:  # The error is what the user must read.
-            self._close_files()
+            self.release()
 
-    def _close_files(self) -> None:
+    def release(self) -> None:
+        """Close the files without a word."""
         for file in self.files:
             file.close()
 

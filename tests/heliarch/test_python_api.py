@@ -226,3 +226,22 @@ def test_a_recording_that_was_cut_is_named_as_it_is_opened(tmp_path: Path) -> No
     cut(tmp_path / "run.mcap")
     with pytest.warns(InputWarning, match="a part of the run is missing"):
         heliarch.open_run(tmp_path)
+
+
+def test_a_run_shows_its_figures_and_the_plants_powers(run: heliarch.Run) -> None:
+    assert run.plan.run_id in repr(run)
+    assert f"{run.metrics['control-caused']:.3f} %" in repr(run)
+    page = run._repr_html_()
+    assert "Satisfied commitment" in page
+    assert "nan" not in page
+    plant = run.plant
+    assert len(plant) == 60
+    assert plant.delivered_kw.to_numpy() == pytest.approx(run.power.sum(axis=1).to_numpy())
+    short = (plant.dispatch_kw - plant.delivered_kw).clip(lower=0.0)
+    assert plant.shortfall_kw.to_numpy() == pytest.approx(short.to_numpy())
+    assert len([name for name in dir(run) if not name.startswith("_")]) <= 15
+
+
+def test_an_error_of_the_input_is_a_public_type(run: heliarch.Run) -> None:
+    with pytest.raises(heliarch.InputError, match="start"):
+        run.frame("impp", start="25:00")
