@@ -148,7 +148,7 @@ class SessionSettings:
             "transport/link/protocols": sorted({end.partition("/")[0] for end in ends}) or ["tcp"],
         }
         if self.lockstep:
-            # By default a listener who stands still for 5 s is cut off, and lacks what is sent.
+            # By default a listener that stands still for 5 s is cut off, and messages are lost.
             settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = (
                 lease_ms * 1000
             )

@@ -51,7 +51,7 @@ _STOP_S: Final = 5.0
 
 _GATHER_S: Final = 0.5
 """After the first event of a stall, beside the time that each agent waits before it says so: for
-the others to say what they wait for. Who lives and waits must not be killed."""
+the others to say what they wait for. Live processes that merely wait must not be killed."""
 
 _LONGEST_PARENT: Final = 70
 """Of the folder of sockets: a socket's path has 107 characters at most."""

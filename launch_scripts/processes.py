@@ -238,6 +238,7 @@ class Processes:
         # Where links are cut by a fault rule, not being heard proves nothing.
         self._judges_hearing = plan.restarts and not plan.network_faults().acts
         self._unheard_s = sum(link_times(plan)) + _SPARE_S
+        self._silent_cycles = 2 * plan.control.periods.longest
         self._ready = selectors.DefaultSelector()
         self._ready.register(server.control, selectors.EVENT_READ, None)
 
@@ -307,7 +308,7 @@ class Processes:
             process.begins_at_s = inf
 
     def end_recorder(self, messages: int) -> None:
-        """Let the recorder close its file once it has so many messages."""
+        """Let the recorder close its file once it has this number of messages."""
         self[RECORDER].asked_to_end = True
         self.table.expect(messages)
 
@@ -540,7 +541,9 @@ class Processes:
             lives = process.is_there and not process.is_through
             if not lives or self.ran_s - process.beat_at_s > 2.0 * BEAT_S:
                 continue
-            if process.name not in not_heard:
+            # A process that lacks its inputs may publish nothing: its own links are not to blame.
+            is_silent = process.beat.spoke_in < process.beat.cycle - self._silent_cycles
+            if process.name not in not_heard or is_silent:
                 process.unheard_since_s, process.unheard_in_a_row = None, 0
             elif process.unheard_since_s is None:
                 process.unheard_since_s = self.ran_s
@@ -573,13 +576,13 @@ class Processes:
         return True
 
     def stuck_start(self) -> FailureError | None:
-        """Before cycle 0: return who is missing, if nothing has moved for long."""
+        """Return a failure that names the missing, if nothing has moved for long before cycle 0."""
         if self.ran_s - self._moved_at_s <= START_S:
             return None
         absent = [one for one in self.own if not one.is_there]
         if absent:
             has_hope = len(absent) < len(self.own) and any(not one.starts_s for one in absent)
-            if has_hope:  # Those who hang are started again, once.
+            if has_hope:  # A process that hangs is started again once.
                 return None
             missing = listed([one.name for one in absent], most=3)
             text = f"in {START_S:.0f} s nobody came onto the bus; missing: {missing}"

@@ -119,7 +119,7 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
         if loop.times.stop_heard and loop.times.end_cycle == plan.timing.cycles:
             return True
         driver.turn(longest_ns=driver.now_ns() + round(_STOP_LOOK_S * 1e9))
-        # It is through with its cycles: who stays in one of them counts as stuck.
+        # It is through with its cycles; a process that stays in one of them counts as stuck.
         link.beat(plan.timing.cycles)
         if process.plant_is_gone():
             return True
@@ -202,7 +202,7 @@ class AgentProcess:
     def beat(self) -> None:
         """Show that the process is alive; the plant publishes which agents were given up since."""
         loop, table = self.loop, self.link.table
-        self.link.beat(loop.cycle)
+        self.link.beat(loop.cycle, self._bus.outbox.newest_cycle)
         if loop.name != PLANT or table is None or loop.cycle < 0:
             return
         if table.number_given_up != self._given_up:

@@ -25,27 +25,29 @@ _HEAD: Final = struct.Struct("qq?7x")
 """Messages to expect, counted from 1 (0: not known), how many agents were given up, and whether the
 recording is closed."""
 
-_PLACE: Final = struct.Struct("qq???5x")
-_SENDS: Final = 16
-_GIVEN_UP: Final = 17
-_DISMISSED: Final = 18
+_PLACE: Final = struct.Struct("qqq???5x")
+_SENDS: Final = 24
+_GIVEN_UP: Final = 25
+_DISMISSED: Final = 26
 
 
 class Beat(NamedTuple):
     """The newest beat of a process.
 
     time_ns: Its monotonic time; 0: there was none.
+    spoke_in: The newest cycle in which the process published; -1: it did not.
     sends: Whether the process is sending a message, for which it may have to wait in lockstep.
     """
 
     time_ns: int
     cycle: int
+    spoke_in: int
     sends: bool
     is_given_up: bool
     is_dismissed: bool
 
 
-NO_BEAT: Final = Beat(0, -1, sends=False, is_given_up=False, is_dismissed=False)
+NO_BEAT: Final = Beat(0, -1, -1, sends=False, is_given_up=False, is_dismissed=False)
 
 
 class BeatTable:
@@ -60,9 +62,9 @@ class BeatTable:
         self._memory = mmap(file, size)
         self._places = {name: _HEAD.size + n * _PLACE.size for n, name in enumerate(names)}
 
-    def beat(self, name: str, cycle: int = -1) -> None:
+    def beat(self, name: str, cycle: int = -1, spoke_in: int = -1) -> None:
         now_ns = time.monotonic_ns()
-        struct.pack_into("qq", self._memory, self._places[name], now_ns, cycle)
+        struct.pack_into("qqq", self._memory, self._places[name], now_ns, cycle, spoke_in)
 
     def sends(self, name: str) -> memoryview:
         """Return the byte in which a process notes whether it is sending."""
@@ -97,7 +99,7 @@ class BeatTable:
         return tuple(name for name in self._places if self.read(name).is_given_up)
 
     def expect(self, messages: int) -> None:
-        """Let the recorder end once so many messages of the run have come."""
+        """Let the recorder end once this number of messages of the run has come."""
         _HEAD.pack_into(self._memory, 0, messages + 1, self.number_given_up, False)
 
     def expected(self) -> int | None:

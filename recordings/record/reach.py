@@ -16,7 +16,7 @@ from recordings.read.gaps import NOTHING_MISSED
 from recordings.record.phases import longest_pause_s
 
 _LATE_CYCLES: Final = 2
-"""A listener whose newest message of a process is older than so many cycles does not hear it."""
+"""A listener does not hear a process whose newest message is older than this."""
 
 _StageKey: TypeAlias = tuple[str, str]
 
