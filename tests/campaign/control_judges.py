@@ -345,12 +345,19 @@ def _aims(run: FaultyRun) -> Iterator[_Aim | None]:
     """Yield what the central controller aims at, turn by turn; None where it is not known."""
     children, near_kw = run.plan.tree.children(ROOT), 2.0 * EXACT * run.rating_kw()
     reference, read, process, seen_kw = (nan, nan), 0, -1, tuple[float, ...]()
-    readings = run.trace.of["meter"]
+    readings, stated = run.trace.of["meter"], tuple[float, ...]()
     for one in run.of_stage("solve"):
         if one.agent != CENTRAL:
             continue
-        if one.process != process:
-            reference, process, seen_kw = (nan, nan), one.process, ()
+        is_new, process = one.process != process, one.process
+        seen_kw = () if is_new else seen_kw
+        if one.used["dispatch"] is not None:
+            before = reference
+            if is_new and stated:  # It begins with the dispatch, or where another one once was.
+                begins = [*reference_kw(run, one, (nan, nan)), *stated]
+                before = min(begins), max(begins)
+            reference = reference_kw(run, one, before)
+            stated += reference
         meter = one.used["meter"]
         if meter is not None and meter.cycle > read:
             new = range(read + 1, meter.cycle + 1)
@@ -360,7 +367,6 @@ def _aims(run: FaultyRun) -> Iterator[_Aim | None]:
         if one.used["dispatch"] is None or one.doubtful or None in given:
             yield None
             continue
-        reference = reference_kw(run, one, reference)
         has_kw = {child: _counts_kw(run, one, child) for child in children}
         silent_kw = sum(kw for child, kw in has_kw.items() if one.used[key(child, "impp")] is None)
         target_kw = sum(setpoint.share_kw for setpoint in given if setpoint) + silent_kw
