@@ -32,14 +32,14 @@ _NEVER: Final = -(2**31)
 
 
 class DirectState(msgspec.Struct, frozen=True, gc=False):
-    """The estimate of the maximum, and the cycle of the telemetry that it last rests on."""
+    """The estimate of the maximum, and the cycle of its newest telemetry."""
 
     estimate: Estimate
     telemetry_cycle: int
 
 
 class DirectController:
-    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha."""
+    """Estimates its inverter's maximum power, states its deficit, turns a setpoint into alpha."""
 
     may_skip = True
 

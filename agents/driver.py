@@ -28,7 +28,7 @@ class Driver:
         self.loops = {loop.name: loop for loop in loops}
         self.bus = bus
         self.now_ns = now_ns
-        # The numbers keep the order of deadlines at one moment, and names uncompared.
+        # The numbers order deadlines of one moment.
         self._numbers = count()
         self._deadlines: list[tuple[int, int, str]] = []
         self._deadline_of: dict[str, int | None] = dict.fromkeys(self.loops)
@@ -68,7 +68,7 @@ class Driver:
         """Act on nothing more that comes."""
 
     def advance(self, loop: Loop[Any]) -> None:
-        """Take an agent as far as its inputs go, and publish what it says."""
+        """Close stages of an agent while their inputs are complete, and publish its outputs."""
         while loop.is_complete:
             self._close(loop)
         deadline_ns = loop.deadline_ns

@@ -98,7 +98,7 @@ def check_fault(
 ) -> None:
     """Refuse a fault that does not fit the run.
 
-    external: Agents that Heliarch does not run: faults cannot act on what they receive.
+    external: Agents that Heliarch does not run: faults cannot act on their inputs.
     addresses: Agents on other hosts: their processes cannot be stopped from here.
     """
     if isinstance(fault, ProcessFault):

@@ -1,4 +1,4 @@
-"""What an agent hears: the newest message of each input, its age, and what is missing.
+"""Inputs of an agent: the newest message of each, its age, and the missing ones.
 
 An input older than `hold_cycles` is expired: the agent decides without it. Its messages name, in
 `missing`, the inputs that were older than they should have been.
@@ -39,7 +39,7 @@ class Input:
     """One input of an agent: its newest message, and those of cycles to come.
 
     newest: The newest message that can be used.
-    newest_cycle: The newest cycle of which a message came, also one that cannot be used.
+    newest_cycle: Cycle of the newest message, usable or not.
     ahead: Messages of cycles to come: a child may run ahead of a parent that acts rarely.
     """
 
@@ -133,9 +133,9 @@ class Inputs:
     on_drop: Called for each message that is not used: how many of its kind there were, and why.
 
     dropped: Messages that were not used, by port and cause.
-    missing: Awaited inputs that a deadline found missing.
-    old: Inputs that a stage used and that were older than they should have been.
-    given_up: Inputs of agents that do not come back: nothing of them is awaited.
+    missing: Awaited inputs that had not come by a deadline.
+    old: Used inputs that were older than they should have been.
+    given_up: Inputs of agents that do not come back: no stage awaits them.
     orders: Orders since the last stage that uses them, in the order in which they came.
     """
 

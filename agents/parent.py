@@ -185,7 +185,7 @@ class Supervisor(Parent):
         self._alone = (report, Stage("solve", (), (self._setpoint, *self._inputs)))
 
     def initial_state(self) -> None:
-        """Return nothing: the newest messages say all that it must know."""
+        """Return nothing: the newest messages are all it needs."""
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns the newest setpoint holds."""
@@ -209,7 +209,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     """What the central controller remembers.
 
     correction: What it has learned of the plant's meter.
-    meter_cycle: Cycle of the meter's newest reading.
+    meter_cycle: Cycle of the newest reading of the meter.
     clamped: How many dispatches were beyond what the plant can give.
     offers: What its offers rest on, see `agents.control.offers`.
     reference_kw: The dispatch within the ramp limits; NaN: there was none yet.
@@ -258,7 +258,7 @@ class CentralController(Parent):
         state, notices = self._follow_dispatch(state, turn)
         outputs = [*self.report_up(turn, reports), *offered, *notices]
         if turn.get(_DISPATCH) is not None and self._control.periods.is_turn(ROOT, turn.cycle):
-            # The way down to the inverters is taken to be as long as that of their reports up.
+            # The setpoints' way down is assumed to take as long as the reports' way up.
             delay = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
             wanted_kw = self._wanted_kw(state, turn, possible_kw)
             delay_s, law = delay * self._correction.cycle_s, self._correction

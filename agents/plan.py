@@ -1,4 +1,4 @@
-"""The plan of a run: all that its processes must agree on, in one file that each of them reads."""
+"""The plan of a run: one file that each of its processes reads, so that all agree."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ from bus_schemas.wiring import Links, Wiring
 LONGEST_CYCLE_NS: Final = 3_600_000_000_000
 MOST_CYCLES: Final = 10_000_000
 MOST_VALUES: Final = 100_000_000
-"""A run has at most so many cycles, and cycles times inverters: 0.8 GB for one number of each."""
+"""Limits of a run: cycles, and cycles times inverters (0.8 GB for one number of each)."""
 
 START_WITHIN_NS: Final = 10_000_000_000
-"""A start time further from now than this is of another host's clock."""
+"""A start time further away than this comes from another host's clock."""
 
 
 class Neighbourhood(msgspec.Struct, frozen=True):
@@ -113,7 +113,7 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     """How the controllers decide.
 
     period_cycles: Period of each tier that has children, the central controller's first.
-    hold_cycles: An input that is older than this is expired.
+    hold_cycles: An older input is expired.
     correction: Whether the central controller corrects its target by the plant's meter.
     offset_kw, offset_errors: How much more than the dispatch the plant aims at: a power, and so
         many times its own mean error.
@@ -383,7 +383,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def restarts(self) -> bool:
         lockstep = self.timing.lockstep
         when = self.supervision.restart.when or ("never" if lockstep else "on-failure")
-        # In lockstep a parent that acts rarely would lack what came between its turns.
+        # In lockstep a parent that acts rarely would lack the messages between its turns.
         return when != "never" and not (lockstep and self.control.periods.longest > 1)
 
     @property

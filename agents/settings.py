@@ -93,7 +93,7 @@ class OfferedCommitment(
     tag_field="kind",
     tag="offered",
 ):
-    """What the central controller offers for each interval, from what it knows before it begins.
+    """How the central controller offers the commitment of an interval before it begins.
 
     The first interval begins with the run. Within an interval the commitment follows the power
     under a clear sky.
@@ -158,7 +158,7 @@ class Droop(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 class GridSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the grid asks of the plant, and what is lost on the way to its meter.
+    """Demands of the grid on the plant, and losses on the way to its meter.
 
     ramp_up_kw_per_min: Fastest rise of the plant's target [kW/min]. Default: any.
     ramp_down_kw_per_min: Fastest fall of the plant's target [kW/min]. Default: any.

@@ -1,4 +1,4 @@
-"""Which numbers a message can have. A message with a number out of bounds is not used."""
+"""Limits of the numbers in messages. A message beyond them is not used."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
 }
 """Bounds by message type; those of powers are multiples of the rating of the message's node.
 
-Telemetry is judged by the estimate, which knows what its inverter can have measured."""
+The estimate judges telemetry: it knows the limits of its inverter's measurements."""
 
 
 def bounds_of(message_type: type[Message], rating_kw: float) -> tuple[Bound, ...]:

@@ -132,7 +132,7 @@ def link_objections(
 ) -> Iterator[str]:
     """Yield why a fault does not fit a run.
 
-    external: Agents that Heliarch does not run: faults cannot act on what they receive.
+    external: Agents that Heliarch does not run: faults cannot act on their inputs.
     """
     if isinstance(fault, Disturbance):
         yield from _disturbance_objections(fault)

@@ -9,7 +9,7 @@ from typing import Final
 log = logging.getLogger(__name__)
 
 _DRIFT: Final = 10_000
-"""Clocks of two hosts run apart by less than one part in so many."""
+"""Clocks of two hosts drift apart by less than one part in this number."""
 
 
 CLOCK_BYTES: Final = 16

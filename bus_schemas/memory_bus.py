@@ -49,13 +49,13 @@ class MemoryBus:
         self._clock = clock
         self.faults = faults
         self._arrived: deque[Arrival] = deque()
-        # The numbers keep the order of what happens at one moment, and messages uncompared.
+        # The numbers order messages of one moment, which cannot be compared.
         self._numbers = count()
         self._under_way: list[tuple[int, int, Arrival]] = []
         self._held: dict[str, list[Arrival] | None] = {}
 
     def hold(self, agent: str, *, keep: bool) -> None:
-        """Bring an agent nothing from now on; keep what comes for it, or lose it."""
+        """Deliver nothing to an agent from now on; keep or lose its messages."""
         self._held[agent] = [] if keep else None
 
     def release(self, agent: str) -> None:

@@ -93,7 +93,7 @@ class Head(msgspec.Struct, gc=False):
 
 
 class Telemetry(Message, kw_only=True):
-    """What an inverter measured in the interval that just ended, and what it obeyed in it.
+    """Measurements of an inverter in the interval that just ended, and its limits then.
 
     `alpha` is the curtailment level it was told. `limit_kw` is the power it did not exceed: its
     rating, or less where the actuator of the run is `limit` and it is curtailed. `available_kw` is

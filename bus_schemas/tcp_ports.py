@@ -16,7 +16,7 @@ def reserved_ports(
     address: str = "127.0.0.1",
     devices: Collection[str] = (),
 ) -> Iterator[dict[str, int]]:
-    """Reserve a port at an address of this host for each agent, as long as the context lasts.
+    """Reserve a port at an address of this host for each agent, until the context is left.
 
     A socket stays bound to each port without listening on it: the kernel gives the port to no other
     program, but Zenoh, which sets SO_REUSEADDR as well, can listen on it. The first agent gets

@@ -1,4 +1,4 @@
-"""The control tree: who is whose parent. It is given by the paths and ratings of its inverters."""
+"""The control tree: parents and children, given by paths and ratings of the inverters."""
 
 from __future__ import annotations
 

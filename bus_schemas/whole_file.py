@@ -69,7 +69,7 @@ def new_path(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
-    """Give a temporary name in the same folder; what is left under it at the end is removed."""
+    """Give a temporary name in the same folder; remove an unfinished file at the end."""
     beside = path.with_name(f".{path.name}.{os.getpid()}{_UNFINISHED}")
     try:
         yield beside

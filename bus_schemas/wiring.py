@@ -1,4 +1,4 @@
-"""Who publishes and hears what in a run, under which key, and who is linked with whom.
+"""Wiring of a run: publisher, listeners and key of each port, and links between processes.
 
 All of it follows from the table of signals. A key is `<plant>/<path of the node>/<signal>`; a Zenoh
 session adds the run's namespace before it. Zenoh peers do not relay, so each pair that talks needs

@@ -97,7 +97,7 @@ class ZenohBus:
         many = _signals_of_many(published)
         puts: dict[Port[Message], list[Put]] = {}
         for port in published:
-            # The session for devices needs only what is heard there; the recorder hears all.
+            # The session for devices carries only what they hear; the recorder hears all.
             hears_there = not devices.isdisjoint({RECORDER, *wiring.listeners[port]})
             must_arrive = settings.lockstep or port.signal.occurrence is Occurrence.EVENT
             control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
@@ -139,7 +139,7 @@ class ZenohBus:
         return self.inbox.dropped
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
-        """Send a message. In lockstep this waits for a listener who has fallen behind."""
+        """Send a message. In lockstep this waits for listeners that have fallen behind."""
         if self._sends is not None:
             self._sends[0] = True
         self.outbox.stamp(port, message, now_ns)
@@ -199,7 +199,7 @@ class ZenohBus:
         return self._own_arrivals() + arrived if self._own else arrived
 
     def want(self, wanted: int) -> bool:
-        """Ask to be called once so many messages are there; return whether they are.
+        """Ask for a call at this many messages; return whether they are there.
 
         A message among the agents of the process is always enough.
         """
@@ -240,7 +240,7 @@ class FaultyBus:
     def __init__(self, bus: ZenohBus, faults: NetworkFaults) -> None:
         self._bus = bus
         self._faults = faults
-        # The numbers keep the order of what is due at one moment, and messages uncompared.
+        # The numbers order messages of one moment, which cannot be compared.
         self._numbers = count()
         self._under_way: list[tuple[int, int, Arrival]] = []
 
