@@ -259,7 +259,6 @@ def _plan(
     wall_ns: int,
     keys_folder: str,
 ) -> RunPlan:
-    control, offered = scenario.control, scenario.commitment
     with scenario_file.named():
         groups = process_groups(scenario.processes, day.tree)
     external = external_agents(options.external or (), day.tree)
@@ -273,56 +272,13 @@ def _plan(
     )
     where = f"{scenario_file.path}: devices"
     devices = real_inverters(scenario.devices, where, options.devices or (), day.tree)
-    scheme = options.scheme or control.scheme
-    seed = options.seed
-    if seed is None and isinstance(scenario.irradiance, CloudIrradiance):
-        seed = scenario.irradiance.seed
     plan = RunPlan(
         run_id=run_id,
         plant=scenario.name,
         inverters=day.tree.inverters,
-        timing=Timing(
-            start_time_ns=day.times[0].value,
-            cycle_ns=round(scenario.time.cycle_s * 1e9),
-            cycles=len(day.times),
-            timezone=scenario.time.timezone,
-            cycle_wall_ns=wall_ns,
-            stall_timeout_s=control.stall_timeout_s,
-        ),
-        control=Control(
-            period_cycles=control.period_cycles or (1,) * day.tree.height,
-            scheme=scheme,
-            actuator=options.actuator or scenario.plant.actuator,
-            alpha_min=control.alpha_min,
-            hold_cycles=control.hold_cycles,
-            neighbourhoods=neighbourhoods(
-                day.tree, day.deviations, day.order, _beginnings_ns(day.times, scenario)
-            ),
-            correction=scheme == "predictive" if control.correction is None else control.correction,
-            offset_kw=control.offset * day.tree.rating_kw(ROOT),
-            offset_errors=control.offset_errors,
-            offers=offered if isinstance(offered, OfferedCommitment) else None,
-        ),
-        site=Site(
-            seed=seed,
-            regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
-            ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
-            available_bias=scenario.plant.available_bias,
-            available_share=scenario.plant.available_share,
-            revert=_renewable(scenario.plant.revert, scenario),
-            ramp_percent_per_s=scenario.plant.ramp_percent_per_s,
-            delay_s=scenario.plant.delay_s,
-            settings=tuple(
-                replace(entry, revert=entry.revert and _renewable(entry.revert, scenario))
-                for entry in scenario.plant.settings
-            ),
-            devices=tuple(pair for pair in devices if pair[0] != METER),
-            meter=dict(devices).get(METER, ""),
-            profiles=tuple(
-                (table.node, table.profile) for table in scenario.devices if table.profile != PLAIN
-            ),
-            positions_m=day.positions_m,
-        ),
+        timing=_timing(scenario, day, wall_ns),
+        control=_control(scenario, options, day),
+        site=_site(scenario, options, day, devices),
         access=Access(  # The launcher chooses the ports.
             # With fixed ports the namespace is fixed too, so that a device is configured once.
             namespace=scenario.name if options.base_port is not None else "",
@@ -348,6 +304,64 @@ def _plan(
     if options.base_port is not None:
         check_base_port(options.base_port, plan)
     return plan
+
+
+def _timing(scenario: Scenario, day: _Day, wall_ns: int) -> Timing:
+    return Timing(
+        start_time_ns=day.times[0].value,
+        cycle_ns=round(scenario.time.cycle_s * 1e9),
+        cycles=len(day.times),
+        timezone=scenario.time.timezone,
+        cycle_wall_ns=wall_ns,
+        stall_timeout_s=scenario.control.stall_timeout_s,
+    )
+
+
+def _control(scenario: Scenario, options: RunOptions, day: _Day) -> Control:
+    control, offered = scenario.control, scenario.commitment
+    scheme = options.scheme or control.scheme
+    return Control(
+        period_cycles=control.period_cycles or (1,) * day.tree.height,
+        scheme=scheme,
+        actuator=options.actuator or scenario.plant.actuator,
+        alpha_min=control.alpha_min,
+        hold_cycles=control.hold_cycles,
+        neighbourhoods=neighbourhoods(
+            day.tree, day.deviations, day.order, _beginnings_ns(day.times, scenario)
+        ),
+        correction=scheme == "predictive" if control.correction is None else control.correction,
+        offset_kw=control.offset * day.tree.rating_kw(ROOT),
+        offset_errors=control.offset_errors,
+        offers=offered if isinstance(offered, OfferedCommitment) else None,
+    )
+
+
+def _site(
+    scenario: Scenario, options: RunOptions, day: _Day, devices: Sequence[tuple[str, str]]
+) -> Site:
+    seed = options.seed
+    if seed is None and isinstance(scenario.irradiance, CloudIrradiance):
+        seed = scenario.irradiance.seed
+    return Site(
+        seed=seed,
+        regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
+        ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
+        available_bias=scenario.plant.available_bias,
+        available_share=scenario.plant.available_share,
+        revert=_renewable(scenario.plant.revert, scenario),
+        ramp_percent_per_s=scenario.plant.ramp_percent_per_s,
+        delay_s=scenario.plant.delay_s,
+        settings=tuple(
+            replace(entry, revert=entry.revert and _renewable(entry.revert, scenario))
+            for entry in scenario.plant.settings
+        ),
+        devices=tuple(pair for pair in devices if pair[0] != METER),
+        meter=dict(devices).get(METER, ""),
+        profiles=tuple(
+            (table.node, table.profile) for table in scenario.devices if table.profile != PLAIN
+        ),
+        positions_m=day.positions_m,
+    )
 
 
 def _renewable(revert: Revert, scenario: Scenario) -> Revert:

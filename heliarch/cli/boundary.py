@@ -41,7 +41,14 @@ _BAD_PATH: Final = (
 )
 """Bad input where the user named the path; elsewhere a failure."""
 
-_EXTRAS: Final = {"cryptography": "keys", "pymodbus": "modbus", "sunspec2": "modbus"}
+_EXTRAS: Final = {
+    "cryptography": "keys",
+    "numba": "compare",
+    "plotly": "report",
+    "pyarrow": "tables",
+    "pymodbus": "modbus",
+    "sunspec2": "modbus",
+}
 """Packages that not every user needs, and the extra that installs them."""
 
 
@@ -133,7 +140,7 @@ def _verdict(error: Exception, words: Sequence[str]) -> tuple[str, int]:
     if isinstance(error, ModuleNotFoundError):
         package = (error.name or "").partition(".")[0]
         if extra := _EXTRAS.get(package):
-            return f"{package} is not installed: pip install 'heliarch[{extra}]'", BAD_INPUT
+            return f"{words[0]} needs {package}: pip install 'heliarch[{extra}]'", BAD_INPUT
     return f"unexpected {type(error).__name__}: {error} (--debug shows where)", FAILED
 
 

@@ -8,7 +8,7 @@ from heliarch.cli.output import publish
 
 
 def diff(first: Run, second: Run, /, *, report: Report = None, json: Json = None) -> int:
-    """Compare two recorded runs: their scenarios, their figures of merit, every message.
+    """Compare two recorded runs: scenarios, figures, every message.
 
     Both runs must be of the same plant and begin at the same time. Exit status 1: they differ, or
     not all of both could be compared. --report writes diff.html by default.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -43,7 +44,16 @@ def new_table(kind: object, value: str | None) -> None:
     new_file(kind, value)
 
 
+def is_installed(package: str) -> bool:
+    try:
+        return find_spec(package) is not None
+    except (ValueError, ModuleNotFoundError):
+        return False
+
+
 def _new_page(kind: object, value: str | None) -> None:
+    if value is not None and not is_installed("plotly"):  # Before any work is done.
+        raise ValueError("A page needs plotly: pip install 'heliarch[report]'.")
     if value and not value.endswith(".html"):
         raise ValueError("Expected a file whose name ends in .html.")
     new_file(kind, value)

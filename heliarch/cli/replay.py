@@ -31,7 +31,7 @@ def replay(
     json: Json = None,
     given: Given = frozenset(),
 ) -> int:
-    """Put a recording back onto the bus, whole or without some of its agents.
+    """Put a recording back onto the bus, whole or without some agents.
 
     With --without it prints the command that starts an agent beside the replay, also under pdb,
     and begins when all agents that are left out answer.

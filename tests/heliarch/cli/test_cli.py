@@ -68,6 +68,32 @@ def test_a_file_that_the_user_did_not_name_is_no_bad_input(tmp_path: Path) -> No
     assert "Traceback" in python(code, "scenarios", "--debug", status=1).stderr
 
 
+@pytest.mark.parametrize(
+    ("package", "extra", "words"),
+    [
+        ("numba", "compare", ["compare", "oahu", "--duration", "60"]),
+        ("plotly", "report", ["simulate", "oahu", "--report", "--out", "run"]),
+        ("plotly", "report", ["report", "run"]),
+        ("pyarrow", "tables", ["export", "run", "--format", "csv"]),
+    ],
+)
+def test_a_command_without_its_package_names_the_extra(
+    package: str, extra: str, words: list[str], tmp_path: Path
+) -> None:
+    done("simulate", "oahu", "--duration", "5", "--out", tmp_path / "run")
+    hidden = (
+        "import sys\nclass Hidden:\n    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name.partition('.')[0] == {package!r}:\n"
+        "            raise ModuleNotFoundError(name, name=name)\n"
+        "sys.meta_path.insert(0, Hidden())\n"
+    )
+    if words[0] == "simulate":  # It asks whether the package is there.
+        hidden = f"import sys\nsys.modules[{package!r}] = None\n"
+    refused = python(hidden + MAIN, *words, cwd=tmp_path, status=2)
+    (line,) = refused.stderr.splitlines()
+    assert f"needs {package}: pip install 'heliarch[{extra}]'" in line
+
+
 def test_an_unexpected_error_is_one_line_and_its_traceback_is_asked_for() -> None:
     code = f"import heliarch.cli.scenarios as s\ns.Output = lambda *_: 1 / 0\n{MAIN}"
     failed = python(code, "scenarios", status=1)
