@@ -12,7 +12,7 @@ from typing import Final
 import msgspec
 
 from agents.agent import Stage, Turn
-from agents.control.forecast import forecast_impp, held_kw
+from agents.control.forecast import Reading, forecast_impp, held_kw
 from agents.control.impp import (
     NOTHING_KNOWN,
     Estimate,
@@ -98,9 +98,8 @@ class DirectController:
             return estimate_impp(power_kw, alpha, available_kw, rating_kw, last)
         if self._control.actuator == "limit":
             alpha = 1.0  # It holds its limit, and gives all it has below it.
-        return forecast_impp(
-            power_kw, alpha, available_kw, telemetry.limit_kw, rating_kw, self._cycle_s, last
-        )
+        reading = Reading(power_kw, alpha, available_kw, telemetry.limit_kw)
+        return forecast_impp(reading, rating_kw, self._cycle_s, last)
 
     def _actuate(self, state: DirectState, turn: Turn) -> list[Delivery]:
         """Command the setpoint; without one the inverter's own share of the dispatch.

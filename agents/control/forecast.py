@@ -17,7 +17,7 @@ shortfall. The direct controller reduces it in three ways:
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from agents.control.impp import (
     ROUNDING,
@@ -94,82 +94,99 @@ MOST_STATED_SHARE: Final = 2.0
 """Bounds of what one such reading may say: near 0 kW it says nothing."""
 
 
-def forecast_impp(
-    power_kw: float,
-    alpha: float,
-    available_kw: float,
-    limit_kw: float,
-    rating_kw: float,
-    cycle_s: float,
-    last: Estimate,
-) -> Estimate:
+class Reading(NamedTuple):
+    """What an inverter says of the interval that ended.
+
+    power_kw: Measured power; NaN if there is none.
+    alpha: Curtailment level that it applied, in (0, 1]; 1 if it only holds a limit.
+    available_kw: What it states that it could have given; NaN if it states nothing.
+    limit_kw: Power that it did not exceed; the rating or more if it was free.
+    """
+
+    power_kw: float
+    alpha: float
+    available_kw: float
+    limit_kw: float
+
+
+class Observed(NamedTuple):
+    """The maximum of the interval that ended; assumed, not seen, where a limit hid it.
+
+    is_stated: Whether it is what the inverter states, and that is believed.
+    meter: What has been learned of the inverter's meter.
+    """
+
+    maximum_kw: float
+    is_seen: bool
+    is_stated: bool
+    meter: Meter
+
+
+def forecast_impp(reading: Reading, rating_kw: float, cycle_s: float, last: Estimate) -> Estimate:
     """Forecast the maximum power of the interval that is about to begin.
 
-    Parameters
-    ----------
-    power_kw, alpha, available_kw, rating_kw, last
-        As in `estimate_impp`. An inverter that only holds a limit applied an alpha of 1.
-    limit_kw
-        Power that it did not exceed, whatever its maximum; the rating or more if it was free.
-    cycle_s
-        Length of a cycle [s].
-
-    Returns
-    -------
-    Estimate
-        With a measurement that is missing or absurd the last forecast, one cycle older.
+    With a measurement that is missing or absurd it is the last forecast, one cycle older.
     """
-    if not is_plausible(power_kw, alpha, rating_kw):
+    if not is_plausible(reading.power_kw, reading.alpha, rating_kw):
         return stale(last)
-    maximum_kw = min(max(power_kw, 0.0) / alpha, rating_kw)
+    return _extrapolated(_observed(reading, rating_kw, cycle_s, last), rating_kw, cycle_s, last)
+
+
+def _observed(reading: Reading, rating_kw: float, cycle_s: float, last: Estimate) -> Observed:
+    """Tell the maximum from a reading, whether a limit hid it, and learn from both."""
+    maximum_kw = min(max(reading.power_kw, 0.0) / reading.alpha, rating_kw)
+    limit_kw, available_kw, meter = reading.limit_kw, reading.available_kw, last.meter
     asked_for_all = limit_kw >= last.power_kw * (1.0 - ROUNDING)
     believes = False
     if is_stated(available_kw, rating_kw):
         # What the inverter says it could give decides, and not a reading that noise moves.
-        stated_kw = min(available_kw * last.meter.stated_share, rating_kw)
+        stated_kw = min(available_kw * meter.stated_share, rating_kw)
         given_kw = min(stated_kw, limit_kw)
         believes = abs(maximum_kw - given_kw) <= WIDEST_BOUND_TOLERANCE * given_kw
         is_held = believes and limit_kw < rating_kw and limit_kw <= stated_kw
     else:
-        lowest_kw = limit_kw * last.meter.reads * (1.0 - _tolerance(asked_for_all, last.meter))
+        lowest_kw = limit_kw * meter.reads * (1.0 - _tolerance(asked_for_all, meter))
         is_held = limit_kw < rating_kw and maximum_kw >= lowest_kw
-    meter = last.meter
     if not is_held and maximum_kw > 0.0 and 0.0 < available_kw <= rating_kw:
         meter = _learned_share(maximum_kw / available_kw, cycle_s, meter)
     if is_held and limit_kw > 0.0 and not asked_for_all:
         meter = _learned_reading(maximum_kw / limit_kw, cycle_s, meter)
-    is_seen = believes or not is_held
     if believes:
         maximum_kw = min(available_kw * meter.stated_share, rating_kw)
-    elif is_seen:
+    elif not is_held:
         maximum_kw = min(maximum_kw / meter.reads, rating_kw)
     else:
         growth = 1.0 + HIDDEN_GROWTH_PER_S * cycle_s
         maximum_kw = min(max(last.maximum_kw, limit_kw) * growth, rating_kw)
+    return Observed(maximum_kw, believes or not is_held, believes, meter)
+
+
+def _extrapolated(now: Observed, rating_kw: float, cycle_s: float, last: Estimate) -> Estimate:
+    """Go on along the trend, as far as trends were seen to go on."""
     trend_kw_per_s, spread_kw = 0.0, last.spread_kw
     followed_kw2, trends_kw2 = last.followed_kw2, last.trends_kw2
     # A statement after a reading, or the reverse, is no change of the sky.
-    if is_seen and last.is_seen and believes == last.is_stated:
-        change_kw_per_s = (maximum_kw - last.maximum_kw) / cycle_s
+    if now.is_seen and last.is_seen and now.is_stated == last.is_stated:
+        change_kw_per_s = (now.maximum_kw - last.maximum_kw) / cycle_s
         kept, trend_kw = 1.0 - _gain(cycle_s, DAMPING_MEMORY_S), last.trend_kw_per_s * cycle_s
         followed_kw2 = kept * followed_kw2 + change_kw_per_s * cycle_s * trend_kw
         trends_kw2 = kept * trends_kw2 + trend_kw * trend_kw
         trend_kw_per_s = last.trend_kw_per_s
         trend_kw_per_s += (change_kw_per_s - trend_kw_per_s) * _gain(cycle_s, TREND_TIME_S)
-        error_kw = abs(maximum_kw - last.power_kw)
+        error_kw = abs(now.maximum_kw - last.power_kw)
         spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
-    damping = _damping(followed_kw2, trends_kw2, rating_kw)
+    change_kw = _damping(followed_kw2, trends_kw2, rating_kw) * trend_kw_per_s * cycle_s
     return Estimate(
-        power_kw=min(_ahead(maximum_kw, damping * trend_kw_per_s * cycle_s), rating_kw),
+        power_kw=min(_ahead(now.maximum_kw, change_kw), rating_kw),
         stale_cycles=0,
-        is_seen=is_seen,
-        is_stated=believes,
-        maximum_kw=maximum_kw,
+        is_seen=now.is_seen,
+        is_stated=now.is_stated,
+        maximum_kw=now.maximum_kw,
         trend_kw_per_s=trend_kw_per_s,
         spread_kw=spread_kw,
         followed_kw2=followed_kw2,
         trends_kw2=trends_kw2,
-        meter=meter,
+        meter=now.meter,
     )
 
 

@@ -25,7 +25,7 @@ from agents.control.correction import (
     nothing_metered,
     with_reading,
 )
-from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp, held_kw
+from agents.control.forecast import HIDDEN_ALPHA_MIN, Reading, forecast_impp, held_kw
 from agents.control.grid import GridLaw, net_kw
 from agents.control.impp import (
     NOTHING_KNOWN,
@@ -358,7 +358,8 @@ def estimate(
     if not settings.is_forecast:
         return estimate_impp(power_kw, alpha, available_kw, rating_kw, last)
     share = 1.0 if settings.is_limited else alpha
-    return forecast_impp(power_kw, share, available_kw, limit_kw, rating_kw, settings.cycle_s, last)
+    reading = Reading(power_kw, share, available_kw, limit_kw)
+    return forecast_impp(reading, rating_kw, settings.cycle_s, last)
 
 
 def commanded_kw(

@@ -233,19 +233,23 @@ BUGS: Final[dict[str, Bug]] = {
         "agents.control.share:share_kw", _then(lambda kw, *_: 0.99 * kw)
     ),
     "the correction is one of turns, not of seconds": Bug(
-        "agents.control.correction:corrected", _with(cycle_s=1.0)
+        "agents.control.correction:corrected",
+        _with(law=lambda v: v["law"]._replace(cycle_s=1.0)),
     ),
     "the correction has no bound": Bug(
-        "agents.control.correction:corrected", _with(rating_kw=lambda v: 100.0 * v["rating_kw"])
+        "agents.control.correction:corrected",
+        _with(law=lambda v: v["law"]._replace(rating_kw=100.0 * v["law"].rating_kw)),
     ),
     "the correction goes on while all are free": Bug(
-        "agents.control.correction:corrected", _with(is_free=False)
+        "agents.control.correction:corrected", _with(possible_kw=float("inf"))
     ),
     "the correction only goes up": Bug(
-        "agents.control.correction:corrected", _then(lambda kw, *_: max(kw, 0.0))
+        "agents.control.correction:corrected_kw",
+        _then(lambda kw, known, _: max(kw, min(known.aim_kw, kw + abs(known.correction_kw)))),
     ),
     "the correction does not know the ramp": Bug(
-        "agents.control.correction:follows_kw", _with(last_kw=lambda v: v["aim_kw"])
+        "agents.control.correction:corrected",
+        _with(law=lambda v: v["law"]._replace(is_ramped=False)),
     ),
     "the correction does not know the delay": Bug(
         "agents.control.correction:shown_turns", _always(1)
@@ -256,11 +260,14 @@ BUGS: Final[dict[str, Bug]] = {
     "a hidden maximum is not probed": Bug(
         "agents.control.forecast:forecast_impp",
         _then(
-            lambda new, *v: new if new.is_seen else new._replace(power_kw=max(v[3], v[6].power_kw))
+            lambda new, reading, _, __, last: (
+                new if new.is_seen else new._replace(power_kw=max(reading.limit_kw, last.power_kw))
+            )
         ),
     ),
     "stated power is not believed": Bug(
-        "agents.control.forecast:forecast_impp", _with(available_kw=float("nan"))
+        "agents.control.forecast:forecast_impp",
+        _with(reading=lambda v: v["reading"]._replace(available_kw=float("nan"))),
     ),
     "an inverter is held at its forecast without room": Bug(
         "agents.control.forecast:held_kw",

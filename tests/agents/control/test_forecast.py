@@ -14,6 +14,7 @@ from agents.control.forecast import (
     HIDDEN_GROWTH_PER_S,
     MOST_DAMPING,
     TREND_TIME_S,
+    Reading,
     forecast_impp,
     held_kw,
 )
@@ -32,7 +33,7 @@ def forecast(
     available_kw: float = math.nan,
     cycle_s: float = 1.0,
 ) -> Estimate:
-    return forecast_impp(power_kw, alpha, available_kw, limit_kw, RATING_KW, cycle_s, last)
+    return forecast_impp(Reading(power_kw, alpha, available_kw, limit_kw), RATING_KW, cycle_s, last)
 
 
 def measured(*maxima_kw: float, cycle_s: float = 1.0) -> Estimate:
