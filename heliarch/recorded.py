@@ -210,7 +210,7 @@ class Run:
         end: str | float | None = None,
         cycles: int = 3600,
     ) -> Iterator[pa.Table]:
-        """Yield a table, as of `frame`, in Arrow parts of so many cycles.
+        """Yield a table, as of `frame`, in Arrow parts of `cycles` cycles.
 
         In this way the table of a long run need not fit into memory.
         """

@@ -172,7 +172,7 @@ class RunAccount:
         return replace(account, differing=result.differences["differs"])
 
     def _unrecorded(self, reading: Reading | None) -> Iterator[tuple[int, int]]:
-        """Yield the gaps without what came late after all: first and last cycles."""
+        """Yield first and last cycle of each gap, without cycles whose messages came late."""
         produced = reading.gaps[PRODUCTION.of(ROOT)] if reading else None
         for first, last in self.recording_gaps:
             cycles = range(first, last + 1)
@@ -248,7 +248,7 @@ def _by_cause(dropped: list[tuple[str, str, int]]) -> dict[str, int]:
 
 
 def external_account(plan: RunPlan, agent: str, cycles: int, reading: Reading) -> ExternalAccount:
-    """Return what the recording of a run of so many cycles holds of an external agent."""
+    """Return the account of an external agent from the recording of a run of `cycles` cycles."""
     own = {port: one for port, one in reading.gaps.items() if port.publisher == agent}
     due = {port: -(-cycles // step) for port in own if (step := due_step(plan, port))}
     return ExternalAccount(

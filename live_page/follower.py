@@ -103,7 +103,7 @@ class RunFollower:
         return [chunk for chunk, cycles in chunks if cycle in cycles]
 
     def powers(self, cycles: range, points: int) -> dict[str, list[float]]:
-        """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
+        """Return the plant's powers [kW] of some cycles, thinned out to about `points` rows."""
         if not self.cycles:
             return {"cycle": []}
         begin, end = max(cycles.start, 0), min(cycles.stop, self.cycles)

@@ -13,7 +13,7 @@ from recordings.inspect.agent_states import Change
 
 _MOST: Final = 500
 _MERGED_CYCLES: Final = 60
-"""What happens again within so many cycles is one event with a count."""
+"""Repetitions within this many cycles are one event with a count."""
 
 Subject: TypeAlias = tuple[str, str, str]
 """Kind, agent and text of events."""

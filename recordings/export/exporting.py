@@ -54,7 +54,7 @@ def export(
     cycles: range | None = None,
     clock: Clock | None = None,
 ) -> ExportSummary:
-    """Export some signals, nodes and cycles of a recording; those that are not given means all.
+    """Export some signals, nodes and cycles of a recording; omitted means all.
 
     The new file, or folder of tables, is by default beside the recording.
     """

@@ -32,7 +32,7 @@ Clock: TypeAlias = Literal["wall", "sim"]
 """Which time a viewer shows: the wall clock, or the simulated time of the cycle."""
 
 EXPORT_METADATA: Final = "heliarch export"
-"""Name of the metadata of a file for viewers. Not that of a recording, which it is not."""
+"""Name of the metadata of a file for viewers, distinct from that of a recording."""
 
 _LIBRARY: Final = f"heliarch {version('heliarch')}"
 

@@ -1,4 +1,4 @@
-"""When agents were absent, cut off or given up: what page, `heliarch inspect` and report show.
+"""When agents were absent, cut off or given up, as page, `heliarch inspect` and report show it.
 
 It follows from cycles, sequence numbers and the inputs that agents missed. The order in which
 messages were recorded, and when, says nothing: a recorder can be late.
@@ -77,7 +77,7 @@ class AgentSpan(msgspec.Struct, frozen=True):
         return self.is_restarted or self.cycles >= _NOTABLE_CYCLES[self.kind]
 
     def what(self) -> str:
-        """Return what befell the agent in words: `cut off from the recorder`, `absent, killed`."""
+        """Return kind and cause in words: `cut off from the recorder`, `absent, killed`."""
         joint = " " if self.cause == BY_RECORDER else ", "
         return joint.join(filter(None, (self.kind, self.cause)))
 
@@ -241,7 +241,7 @@ class AgentStates:
         )
 
     def spans(self) -> list[AgentSpan]:
-        """Return what is worth an event, by agents in the order of the tree."""
+        """Return the spans that are events, by agents in the order of the tree."""
         nobody = self._nobody()
         found = [
             AgentSpan(RECORDER, "cut off", span.start, len(span), back_in=span.stop)
@@ -257,7 +257,7 @@ class AgentStates:
         return found
 
     def changes(self) -> Iterator[Change]:
-        """Yield begin and end of what is worth an event, and what the fault rules did so far."""
+        """Yield begin and end of each such span, and what the fault rules did so far."""
         for span in self.spans():
             if span.cycles:
                 yield Change(span.kind, span.first_cycle, span.agent, span.what())
@@ -296,7 +296,7 @@ class AgentStates:
             self._changed.add(name)
 
     def _judge(self) -> None:
-        """Work out anew who is cut off in cycles of which something new is known."""
+        """Work out anew which agents are cut off in cycles of which more is known."""
         for cycle in self._changed_cycles:
             heard = {name for name, port in self._port_of.items() if self.gaps[port].has(cycle)}
             found = self._listeners.cut_off(cycle, self._lacked[cycle], heard)

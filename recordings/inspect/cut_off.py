@@ -1,4 +1,4 @@
-"""Who is cut off: judged by what those who await an agent's messages lacked in a cycle."""
+"""Finds agents that are cut off, by the messages that their listeners lacked in a cycle."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bus_schemas.tree import ROOT, agent_name, parent_of
 
 
 class Listeners:
-    """Who awaits whose messages, and what follows from those that were lacking in a cycle.
+    """Which listener awaits messages of which agents.
 
     A listener that lacks most agents that were heard is cut off itself, and what it lacks says
     nothing of the others. Otherwise an agent is cut off whose parent, or half of whose listeners,
@@ -43,7 +43,7 @@ class Listeners:
     def cut_off(
         self, cycle: int, lacked: Mapping[str, set[str]], recorded: Collection[str]
     ) -> dict[str, int]:
-        """Return who is cut off in a cycle, and for how many cycles no listener will say more.
+        """Return the agents cut off in a cycle, each with the cycles until it is awaited again.
 
         lacked: The agents that each listener lacked in it.
         recorded: The agents of which a message of it was recorded.

@@ -108,7 +108,7 @@ def frames(
 ) -> dict[str, pd.DataFrame]:
     """Return tables by name: of signals, a message in each row, or of `LISTS`.
 
-    `on_wrong` is told of messages whose lists cannot be read.
+    on_wrong: Called for each message with unreadable lists.
     """
     own = {name: own_columns(_SIGNALS[name]) for name in names if name not in LISTS}
     cells = {name: [attrgetter(field) for field, _ in columns] for name, columns in own.items()}

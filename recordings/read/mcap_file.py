@@ -72,7 +72,7 @@ RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 
 
 class DamagedChunkError(ValueError):
-    """A chunk does not hold what was written."""
+    """A chunk is damaged."""
 
 
 class Chunk(NamedTuple):
@@ -265,7 +265,7 @@ def _ends_well(file: BinaryIO, begin: int, size: int) -> bool:
 
 
 def unpack_chunk(file: BinaryIO, chunk: Chunk) -> bytes:
-    """Return the records in a chunk; DamagedChunkError if it does not hold what was written."""
+    """Return the records in a chunk. Raises DamagedChunkError: It is damaged."""
     if not chunk.is_record:
         file.seek(chunk.offset)
         return file.read(chunk.length)
@@ -286,7 +286,7 @@ def unpack_chunk(file: BinaryIO, chunk: Chunk) -> bytes:
 
 
 def _unpacked(packing: bytes, packed: memoryview, size: int) -> bytes:
-    """Unpack at most so many bytes."""
+    """Unpack at most `size` bytes."""
     match packing:
         case b"lz4":
             return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size))

@@ -50,7 +50,7 @@ _LATEST_S: Final = 30.0
 _MESSAGES_PER_CHUNK: Final = 4096
 
 _LAST_CHUNKS: Final = 4
-"""The newest message of a recording is in one of so many chunks at its end."""
+"""The newest message of a recording is in one of its last chunks: a recorder can be late."""
 
 _FURTHEST_CYCLES: Final = 1000
 """The same in lockstep over processes, where a link can fall behind: as the recorder allows."""
@@ -326,7 +326,7 @@ class RunReader:
         for chunk in reversed(self.outline.chunks):
             if cycles := [record.cycle for record in self.records_of(chunk, port_of)]:
                 found, seen = max(found, *cycles), seen + 1
-            if seen == _LAST_CHUNKS:  # A recorder can be late, but not by more.
+            if seen == _LAST_CHUNKS:
                 break
         return found
 
@@ -368,7 +368,7 @@ class RunReader:
         return f"{self.path}: {what}" if parts else ""
 
     def warn_of_damage(self) -> None:
-        """Name what was damaged or wrong and therefore left out, each once."""
+        """Warn of damaged parts and wrong messages that were left out, each once."""
         new = {port: text for port, text in self.wrong.items() if port not in self._named}
         wrong = f"{self.path}: wrong messages were skipped: {listed(list(new.values()))}"
         damage = self.damage_text() if self.damage - self._named or not self._has_warned else ""

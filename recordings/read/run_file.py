@@ -28,7 +28,7 @@ def further_file(recording: Path, number: int) -> Path:
 
 
 SCHEMA_VERSION: Final = "4"
-"""Version of the message types. A reader refuses what it does not know."""
+"""Version of the message types. A reader refuses other versions."""
 
 
 def log_name(agent: str) -> str:

@@ -25,7 +25,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
 from recordings.verify.comparison import Equality, FieldDifference
 
-# Causes of complaints about messages that are recorded: numbers that cannot be right, messages that
+# Causes of complaints about messages that are recorded: numbers out of range, messages that
 # came again, and messages that contradict others of their key.
 OUT_OF_RANGE: Final = "out_of_range"
 DUPLICATE: Final = "duplicate"
@@ -89,7 +89,7 @@ _CONTENT = Equality(ignored=frozenset({"incarnation", "missing"}))
 class SecondSenders:
     """The newest messages, by cycle, and the newest incarnations of keys with one in each cycle.
 
-    `extra` counts, by signal, what came second on keys of the launcher's own processes.
+    `extra` counts, by signal, second messages on keys of the launcher's own processes.
     """
 
     def __init__(self, plan: RunPlan) -> None:

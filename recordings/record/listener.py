@@ -32,7 +32,7 @@ from recordings.record.reach import Reach
 from recordings.record.writer import RunWriter
 
 _FAR_AHEAD: Final = 1000
-"""A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
+"""A message further ahead of the dispatch than this is refused [cycles]."""
 
 
 _NAMED: Final = 3

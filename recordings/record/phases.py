@@ -170,7 +170,7 @@ class Closing:
             self._quiet_s += quiet_s
 
     def is_over(self, now_s: float, own_heard: int) -> bool:
-        """Whether the recording may end, when so many messages of the launcher's have come."""
+        """Whether the recording may end, given the messages of the launcher's processes so far."""
         if self._asked_at_s is None:
             return False
         if self.expected is None:

@@ -1,4 +1,4 @@
-"""Names messages of external agents whose numbers cannot be right.
+"""Names messages of external agents with numbers out of range.
 
 Agents treat such a message as missing and do not complain, so the recorder names the device.
 """
@@ -14,7 +14,7 @@ from bus_schemas.signals import Port
 
 
 def out_of_range(plan: RunPlan, port: Port[Message], message: Message, heard_ns: int) -> str:
-    """Say what cannot be right in a message that came at a monotonic time; empty: nothing."""
+    """Name the number of a message that is out of range; `heard_ns`: when it came, monotonic."""
     begins_ns = plan.timing.sim_time_ns(message.cycle)
     if message.sim_time_ns != begins_ns:
         cycle = message.cycle

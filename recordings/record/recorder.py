@@ -165,7 +165,7 @@ class Recorder:
         self._link.tell(self._listener.status())
 
     def _account(self) -> Recorded:
-        """Return what is in this recorder's file; `checked` counts the whole recording."""
+        """Return what is in this recorder's file alone."""
         listener = self._listener
         progress = listener.progress
         cycles = progress.cycles if self._link.starts else progress.completed

@@ -65,7 +65,7 @@ class ClockAnchor:
 class RunWriter:
     """A recording that is being written.
 
-    What cannot be written, as on a full disk, ends the recording, not the run: later messages are
+    A failed write, as on a full disk, ends the recording, not the run: later messages are
     counted and not kept. Then `ended_early` says why, and `on_end` is called with it (None: the
     error is raised instead).
 
@@ -128,8 +128,8 @@ class RunWriter:
         self._unless_ended(self._file.close)
 
     def abandon(self) -> None:
-        """Close a file that cannot be written any more, as it is."""
-        with suppress(*_UNWRITABLE):  # It tries once more to write what it could not write before.
+        """Close the file as it is, after a failed write."""
+        with suppress(*_UNWRITABLE):  # The library tries the failed write again.
             self._file.close()
 
     def _unless_ended(self, act: Callable[[], None]) -> None:
