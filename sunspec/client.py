@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 import time
 from abc import ABC, abstractmethod
-from contextlib import suppress
 from math import isfinite, isnan, nan
 from typing import Final, NamedTuple
 
@@ -159,8 +158,8 @@ class SunSpecDevice(ABC):
         self._link.open()
         if not (self._models and [*self._models.values()][-1].is_there()):
             self._models = {}
-            self._scan()
             try:
+                self._scan()
                 self._find_models()
             except DeviceError:
                 self._models = {}
@@ -181,14 +180,18 @@ class SunSpecDevice(ABC):
     def _scan(self) -> None:
         """Find where models begin. What was found until the device refuses to go on is kept."""
         at = self._base() + 2
-        with suppress(DeviceRefusedError, NoAnswerError):
-            while at < 65_535:
+        while at < 65_535:
+            try:
                 number, length = struct.unpack(">HH", self._link.read(at, 2))
-                if number in {0, 0xFFFF}:
-                    return
-                model = DeviceModel(self._link, number, at, length, self.profile.word_order)
-                self._models.setdefault(number, model)
-                at += 2 + length
+            except (DeviceRefusedError, NoAnswerError) as error:
+                if isinstance(error, DeviceRefusedError) and error.is_passing:
+                    raise
+                return
+            if number in {0, 0xFFFF}:
+                return
+            model = DeviceModel(self._link, number, at, length, self.profile.word_order)
+            self._models.setdefault(number, model)
+            at += 2 + length
 
     def _base(self) -> int:
         stated = self.profile.base_address
@@ -200,6 +203,8 @@ class SunSpecDevice(ABC):
                     return base
                 found.append("other registers")
             except (DeviceRefusedError, NoAnswerError) as error:
+                if isinstance(error, DeviceRefusedError) and error.is_passing:
+                    raise
                 found.append(str(error).removeprefix(f"{self.address}: "))
         places = " or ".join(map(str, bases))
         hint = "" if stated is not None else "; profile = { base_address = ... } says where"

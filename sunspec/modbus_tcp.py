@@ -29,6 +29,7 @@ _EXCEPTIONS: Final = {
 
 _OF_KIND: Final = frozenset({1, 2, 3})
 _GATEWAY_EXCEPTIONS: Final = frozenset({10, 11})
+_PASSING: Final = frozenset({5, 6, 10, 11})
 
 
 class DeviceError(Exception):
@@ -38,10 +39,11 @@ class DeviceError(Exception):
 class DeviceRefusedError(DeviceError):
     """A device answers that it does not do what is asked; the connection stays.
 
-    is_of_kind: Whether it does not know such a request; otherwise it may do so later.
+    is_of_kind: Whether it does not know such a request.
+    is_passing: Whether it is busy, or was not reached, and may do it the next time.
     """
 
-    is_of_kind = False
+    is_of_kind = is_passing = False
 
 
 class LinkClosedError(DeviceError):
@@ -149,9 +151,9 @@ class ModbusLink:
             if code in _GATEWAY_EXCEPTIONS:  # The answer may still come.
                 self.close()
             what = f"exception {code} ({_EXCEPTIONS.get(code, 'unknown')})"
-            text = f"{what} to function {request[0]} at register {register}"
+            text = f"{what} of unit {unit} to function {request[0]} at register {register}"
             refusal = DeviceRefusedError(f"{self._address}: {text}")
-            refusal.is_of_kind = code in _OF_KIND
+            refusal.is_of_kind, refusal.is_passing = code in _OF_KIND, code in _PASSING
             raise refusal
         return answer[1:]
 

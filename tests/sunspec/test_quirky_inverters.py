@@ -108,6 +108,19 @@ def test_answers_that_come_one_late_after_exception_11_are_never_readings(
     assert account.refused + account.breaks
 
 
+@pytest.mark.parametrize("request_number", [1, 2, 5, 9])
+def test_one_wrong_or_missing_answer_before_the_run_does_not_refuse_it(
+    tmp_path: Path, request_number: int
+) -> None:
+    for number, wrong in enumerate((b"\x83\x0b", b"\x83\x06", b"\x04\x00")):
+        spoiled = {request_number: [wrong]}
+        with quirky(
+            answers=lambda at, answer, spoiled=spoiled: spoiled.get(at, [answer])
+        ) as device:
+            powers, _, _ = run(device, tmp_path / str(number), cycles=2)
+        assert set(powers) <= {SUN_KW, 30.0}
+
+
 def test_a_gateway_that_never_repeats_the_numbers_of_requests_works() -> None:
     with quirky(echoes=False) as device:
         found = connected(device)
