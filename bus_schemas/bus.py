@@ -47,13 +47,9 @@ class Bus(Protocol):
 
 
 class Outbox:
-    """Stamps messages with their publish time and number: from 0 for each incarnation.
-
-    newest_cycle: Of its messages; -1: there was none.
-    """
+    """Stamps messages with their publish time and number: from 0 for each incarnation."""
 
     def __init__(self) -> None:
-        self.newest_cycle = -1
         self._sent: dict[tuple[Port[Message], int], int] = {}
 
     def stamp(self, port: Port[Message], message: Message, now_ns: int) -> None:
@@ -62,7 +58,6 @@ class Outbox:
             key = (port, message.incarnation)
             message.sequence = sequence = self._sent.get(key, 0)
             self._sent[key] = sequence + 1
-            self.newest_cycle = message.cycle
 
     @property
     def published(self) -> Counter[str]:

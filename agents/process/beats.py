@@ -35,7 +35,7 @@ class Beat(NamedTuple):
     """The newest beat of a process.
 
     time_ns: Its monotonic time; 0: there was none.
-    spoke_in: The newest cycle in which the process published; -1: it did not.
+    spoke_in: The cycle of its newest message that another process listens to; -1: there is none.
     sends: Whether the process is sending a message, for which it may have to wait in lockstep.
     """
 
