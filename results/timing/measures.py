@@ -20,7 +20,7 @@ LEVELS: Final = ("tier", "agent", "link")
 COUNTS: Final = ["missed_deadlines", "missing_inputs", "overruns", "skipped_cycles"]
 STATISTICS: Final = {"min": 0.0, "p50": 0.5, "p99": 0.99, "p99.9": 0.999, "max": 1.0}
 
-_BARS: Final = " ▁▂▃▄▅▆▇█"
+BARS: Final = " ▁▂▃▄▅▆▇█"
 _BINS: Final = 16
 
 
@@ -84,15 +84,15 @@ docs/timing.md has the definitions."""
 
 
 def prepared(table: pd.DataFrame, plan: RunPlan) -> pd.DataFrame:
-    """Add what measures need beside the tidy table: `across` hosts, and the agent's `is_last`."""
+    """Add what measures need: whether a hop is `across` hosts, and a stage the agent's last one."""
     host = plan.access.addresses
     key_host = {str(port): host.get(port.publisher, "") for port in plan.wiring.ports}
     there = [key_host.get(key, "") for key in table.awaited.astype(str)]
     here = [host.get(agent, "") for agent in table.agent.astype(str)]
-    by = table[table.arrived.notna()].groupby(["cycle", "agent"], observed=True).arrived.idxmax()
+    last = table.groupby("agent", observed=True).order.transform("max")
     return table.assign(
         across=(table.awaited != "") & (np.array(there) != here),
-        is_last=table.index.isin(by),
+        is_last=table.order == last,
         cycle_ms=plan.timing.cycle_wall_ns / 1e6,
     )
 
@@ -131,7 +131,7 @@ def durations(table: pd.DataFrame, level: str) -> Iterator[tuple[str, str, Float
 def statistics(table: pd.DataFrame) -> pd.DataFrame:
     """Return a row for each measure by tier, agent and link: count, percentiles, and a histogram.
 
-    A percentile is the least duration that so many percent do not exceed.
+    A percentile is the least duration that this share of all durations does not exceed.
     """
     quantiles, names = list(STATISTICS.values()), [f"{name}_ms" for name in STATISTICS]
     found: dict[tuple[str, str], dict[str, Floats]] = {}
@@ -158,8 +158,8 @@ def bins(least_ms: float, most_ms: float) -> Floats:
 def text_histogram(ms: Floats, edges: Floats) -> str:
     """Return a bar for each bin, its height by the logarithm of the count: one duration is seen."""
     counts, _ = np.histogram(np.clip(ms, edges[0], edges[-1]), edges)
-    heights = np.log1p(counts) / max(np.log1p(counts).max(), 1.0) * (len(_BARS) - 1)
-    return "".join(_BARS[int(np.ceil(height))] for height in heights)
+    heights = np.log1p(counts) / max(np.log1p(counts).max(), 1.0) * (len(BARS) - 1)
+    return "".join(BARS[int(np.ceil(height))] for height in heights)
 
 
 def counts(table: pd.DataFrame) -> pd.DataFrame:

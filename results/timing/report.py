@@ -343,14 +343,13 @@ def _host(
     names = ("kernel", "cpu_count", "python", "version heliarch", "version eclipse-zenoh")
     machine = plan.supervision.machine
     bound = [*machine.cpus_of.items(), ("others" if machine.cpus_of else "all", machine.cpus)]
+    kernel, cpus, python, heliarch, zenoh = (metadata.get(name, "unknown") for name in names)
     return Host(
-        **dict(
-            zip(
-                ("kernel", "cpus", "python", "heliarch", "zenoh"),
-                (metadata.get(name, "unknown") for name in names),
-                strict=True,
-            )
-        ),
+        kernel=kernel,
+        cpus=cpus,
+        python=python,
+        heliarch=heliarch,
+        zenoh=zenoh,
         priority=machine.priority or 0,
         bound_to={who: tuple(cpus) for who, cpus in bound if cpus},
         load_before=load[0] if load else None,

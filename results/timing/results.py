@@ -15,7 +15,7 @@ from results.report.result import Result
 from results.report.tables import devices_tables
 from results.tables import Cell, Column, Table, counted, key_column, word_column
 from results.timing.late_cycles import LateCycle
-from results.timing.measures import LOOP, MEASURES, STATISTICS, bins
+from results.timing.measures import BARS, LOOP, MEASURES, STATISTICS, bins
 from results.timing.report import FEW, Budget, TimingReport
 
 _FEW_NOTE: Final = (
@@ -206,7 +206,7 @@ def _histograms(report: TimingReport) -> style.ReportFigure:
         times = report.times[(report.times.by == "tier") & (report.times.measure == measure)]
         edges = bins(times.min_ms.min(), times.max_ms.max()) if len(times) else ()
         for row in times.to_dict("records"):
-            heights = [" ▁▂▃▄▅▆▇█".index(bar) for bar in row["histogram"]]
+            heights = [BARS.index(bar) for bar in row["histogram"]]
             line = {"color": colour, "width": 1.2, "shape": "hv"}
             curve = style.curve(list(edges[:-1]), heights, f"{measure} {row['of']}", line)
             figure.add_trace(curve)

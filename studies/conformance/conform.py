@@ -103,7 +103,7 @@ class Conformance:
         self.preparation = dataclasses.replace(self.preparation, plan=plan)
 
     def run(self, seed: int) -> Findings:
-        """Take the device through all situations; where it does not arm there is no further one."""
+        """Take the device through all situations; stop if it never arms."""
         plan = self.preparation.plan
         plans = {"lockstep": changed(plan, timing={"cycle_wall_ns": 0}, faults={"rules": ()})}
         if not plan.timing.lockstep:
@@ -233,7 +233,7 @@ class Conformance:
 
 
 def _of_cycles(profile: Profile, cycles: int) -> Profile:
-    """Return a profile of so many cycles, which repeats itself if it has fewer."""
+    """Return a profile of this length [cycles]; a shorter one is repeated."""
 
     def longer(values: Floats) -> Floats:
         return np.resize(values, (cycles, *values.shape[1:]))

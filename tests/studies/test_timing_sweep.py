@@ -35,7 +35,7 @@ def test_rates_are_read(text: str, rates: tuple[float, float]) -> None:
 @pytest.mark.parametrize(
     "text", ["0", "-5", "nan", "fast", "5,10", "1001", "inf", "20..10", "5..5", "10..2000", ""]
 )
-def test_what_is_no_rate_is_refused(text: str) -> None:
+def test_other_texts_than_rates_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="--rate: expected"):
         parse_rates(text)
 

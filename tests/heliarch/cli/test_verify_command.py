@@ -78,7 +78,7 @@ def test_a_difference_is_found_with_its_place_its_values_and_its_inputs(changed:
         ("--nodes c2/d --to 2s", range(2)),
     ],
 )
-def test_what_the_user_allows_or_leaves_out_does_not_count(
+def test_allowed_and_unselected_differences_do_not_count(
     words: str, cycles: range, changed: Path
 ) -> None:
     found, outcome = outcome_of(changed, *words.split())

@@ -147,7 +147,7 @@ TELEMETRY_LOST = {"plant": {"only new": 1}, "c2/c": {"input not recorded": 1}}
         (IMPP.of("c1/a"), 7, with_a_stray, {}),
     ],
 )
-def test_what_was_planted_is_found_in_its_cycle_and_nothing_else(
+def test_each_planted_difference_is_found_in_its_cycle_and_no_other(
     port: Port[Message],
     cycle: int,
     change: Change,

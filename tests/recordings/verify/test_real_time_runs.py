@@ -146,7 +146,7 @@ def test_rerun_stops_at_an_ambiguous_input(tmp_path: Path) -> None:
     assert 0 < result.not_compared <= sum(message.cycle >= 12 for message in own)
 
 
-def test_a_message_of_a_killed_process_that_the_recorder_did_not_hear_is_no_difference(
+def test_unrecorded_messages_of_a_killed_process_are_no_difference(
     tmp_path: Path,
 ) -> None:
     messages, (last, *_) = killed(KILLED_CHILD)
@@ -355,7 +355,7 @@ def test_a_device_chooses_how_far_above_its_forecast_it_holds_its_inverter(tmp_p
     assert "c1/a" in first_differences(ours), "our own controllers have no such choice"
 
 
-def test_of_two_messages_in_one_cycle_the_first_one_was_used_and_none_of_no_cycle(
+def test_the_first_of_two_messages_in_a_cycle_is_used(
     tmp_path: Path,
 ) -> None:
     plan = faulty_plan(Disturbance(loss=0.02), external=("c1/a",))

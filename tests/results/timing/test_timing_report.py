@@ -111,7 +111,7 @@ def test_missed_deadlines_overruns_skipped_cycles_and_losses_are_counted(tmp_pat
     assert failed(dropped) == {"dropped messages"}
 
 
-def test_what_was_not_measured_although_it_must_be_is_not_kept(tmp_path: Path) -> None:
+def test_a_required_budget_without_a_measurement_is_not_kept(tmp_path: Path) -> None:
     # The commands never complete the plant's stage, and a device sends no estimate.
     plan = with_changes(PLAN, external=("c1/a",))
     estimates = ("c1/a/impp", "c1/a/residual", "c1/a/help")

@@ -90,7 +90,7 @@ def test_a_message_that_is_missing_or_comes_twice_is_named(recorded: DeviceRun) 
     ]
 
 
-def test_what_comes_after_the_end_fails_stop(recorded: DeviceRun) -> None:
+def test_messages_after_the_end_fail_stop(recorded: DeviceRun) -> None:
     recorded.cycles -= 1
     assert {of for of, _ in found(recorded)} == {"stop"}
 
