@@ -211,7 +211,7 @@ def preview_table(found: Irradiance) -> list[str]:
     times, mean_wm2 = found.times, found.ghi_wm2.mean(axis=1)
     clear_wm2 = clear_ghi(times, found.coordinates)
     energy = float(np.nansum(clear_wm2))
-    share = f"{100.0 * float(mean_wm2.sum()) / energy:.0f} %" if energy else "no sun at all"
+    share = f"{100.0 * float(mean_wm2.sum()) / energy:.0f} % of a clear sky" if energy else "night"
     off_h = hours_from_noon(mean_wm2, found.coordinates)
     return [
         f"data: {len(found.sensors)} stations, {times[0]:%Y-%m-%d %H:%M} to "
@@ -219,5 +219,5 @@ def preview_table(found: Irradiance) -> list[str]:
         f"gaps: {f'up to {found.longest_gap_s:g} s, filled' if found.longest_gap_s else 'none'}",
         f"brightest hour: {brightest_hour(mean_wm2):%Y-%m-%d %H:%M} UTC, "
         f"{abs(off_h):.1f} h {'after' if off_h >= 0 else 'before'} solar noon",
-        f"irradiance: {float(mean_wm2.max()):.0f} W/m2 at most, {share} of a clear sky",
+        f"irradiance: {float(mean_wm2.max()):.0f} W/m2 at most, {share}",
     ]

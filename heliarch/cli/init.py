@@ -23,6 +23,7 @@ def init(
     /,
     *,
     out: Annotated[Path, Parameter(group=FILES, metavar="FILE")] = Path("my-plant.toml"),
+    preview: Annotated[Path | None, Parameter(group=FILES, metavar="FILE.html|png")] = None,
     timezone: Annotated[str | None, Parameter(metavar="ZONE")] = None,
     dates: Literal["day-first", "month-first"] | None = None,
     unit: Literal["W/m2", "kW/m2"] | None = None,
@@ -46,6 +47,8 @@ def init(
         solcast, pvgis), with one station, whose clouds move over the plant.
     out
         The new scenario.
+    preview
+        Draw the irradiance beside a clear sky.
     timezone
         Zone of time stamps without an offset, such as Europe/Berlin; default: by the sun's path.
     dates
@@ -69,6 +72,10 @@ def init(
     if timezone is not None:
         check_timezone(timezone, "--timezone")
     check_new(out)
+    if preview is not None:
+        from results.report.irradiance_preview import check_preview, write_preview
+
+        check_preview(preview)
     form = StatedForm(timezone=timezone, dates=dates, unit=unit, stamps=stamps)
     with Console(stderr=True).status(f"reading {ghi}"):
         path, origin = Path(ghi), ""
@@ -83,8 +90,12 @@ def init(
         text, found, remarks = measured_scenario(positions, path, out, form, origin)
     with whole_file(out) as file:
         file.write(text.encode())
+    lines = preview_table(found)
+    if preview is not None:
+        write_preview(found, [*lines, *remarks], preview)
+        lines.append(f"preview: {preview}")
     Output().say(
-        *preview_table(found),
+        *lines,
         *([f"irradiance: {origin}"] if origin else []),
         f"scenario: {out}; its lines with CHECK hold what the files do not say",
         *remarks,

@@ -81,3 +81,10 @@ def test_an_archive_of_one_station_makes_a_plant_and_says_how(folder: Path) -> N
     assert told in (folder / "my-plant.toml").read_text(encoding="utf-8").splitlines()[0]
     assert (folder / "my-plant-ghi.csv").exists()
     done("simulate", "my-plant.toml", "--out", "run")
+
+
+@pytest.mark.parametrize(("name", "start"), [("p.html", b"<!"), ("p.png", b"\x89PNG")])
+def test_a_preview_is_a_page_or_a_picture(folder: Path, name: str, start: bytes) -> None:
+    assert f"preview: {name}" in done("init", *FILES, "--preview", name)
+    assert (folder / name).read_bytes().startswith(start)
+    assert "--preview" in refusal("init", *FILES, "--out", "b.toml", "--preview", "p.gif")
