@@ -33,8 +33,8 @@ STEADY_SHARE: Final = 0.002
 MISSED_SHARE: Final = 0.005
 """Of the plant's rating: a steady error above this is corrected."""
 
-MOST_GAIN_PER_S: Final = 0.6
-"""Share of what lacks by which a correction changes in a second, or at once, at most."""
+MOST_FIRST_GAIN: Final = 0.6
+"""Share of what lacks by which a new process changes a correction that it takes up, at most."""
 
 CORRECTS_WITHIN_S: Final = 10.0
 """Time in which a steady error changes the correction, besides that of the slowest inverter."""
@@ -398,8 +398,8 @@ def target(run: FaultyRun) -> Breaches:
 class _Corrections:
     """Follows the correction from turn to turn.
 
-    Only a new reading of the meter changes it: soon if a steady aim is missed, and by no more than
-    a part of what lacks. It is 0 while nothing is curtailed. A new process begins at 0 or goes on.
+    Only a new reading of the meter changes it: soon if a steady aim is missed, and not by far more
+    than what lacks. It is 0 while nothing is curtailed. A new process begins at 0 or goes on.
     """
 
     def __init__(self, run: FaultyRun) -> None:
@@ -428,7 +428,7 @@ class _Corrections:
             # What the one before stated last may not have come through.
             apart_kw = (abs(now.low_kw - kw) for kw in (0.0, *self._shown_kw))
             lacks_kw = max((abs(now.aim_kw - kw) for kw in now.readings_kw), default=0.0)
-            if min(apart_kw) > MOST_GAIN_PER_S * lacks_kw + BEGINS_SHARE * self._rating_kw:
+            if min(apart_kw) > MOST_FIRST_GAIN * lacks_kw + BEGINS_SHARE * self._rating_kw:
                 return f"begins with a correction of {now.low_kw:,.3f} kW"
         elif not now.readings_kw:
             if abs(step_kw) > near_kw:
@@ -450,11 +450,11 @@ class _Corrections:
         self._idle = self._idle + 1 if is_idle else 0
         if self._idle * self._turn_s > self._settles_s:
             return f"does not correct {lacks_kw:,.1f} kW"
-        if len(self._aims_kw) * self._turn_s > self._settles_s and now.low_kw != 0.0:
+        if len(self._aims_kw) * self._turn_s > self._settles_s:
             pairs = product(self._aims_kw, now.readings_kw)
             most_kw = max(abs(aim_kw - reading_kw) for aim_kw, reading_kw in pairs)
-            most_kw *= min(MOST_GAIN_PER_S * self._turn_s, MOST_GAIN_PER_S)
-            if abs(step_kw) > most_kw + 2.0 * EXACT * self._rating_kw:
+            most_kw += abs(now.low_kw) / 2.0 + MISSED_SHARE * self._rating_kw
+            if abs(step_kw) > most_kw:
                 return f"corrects by {step_kw:,.3f} kW for {lacks_kw:,.3f} kW"
         return ""
 
