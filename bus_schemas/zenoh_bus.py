@@ -45,7 +45,6 @@ class ZenohBus:
 
     patience_s: Longest time that one call waits for messages.
     clock: Clock of the plant, if the plant is on another host.
-    spoke_in: Cycle of the newest message that another process listens to; -1: there is none.
     sends: Byte that says whether the process is sending: in lockstep it may have to wait for that.
     """
 
@@ -64,12 +63,6 @@ class ZenohBus:
         self._clock, self._sends = clock, sends
         self._wiring = wiring
         self._hearers = wiring.hearers_in(process)
-        self.spoke_in = -1
-        self._listened = {
-            port
-            for port in wiring.carried[process, RECORDER]
-            if any(wiring.process_of(agent) != process for agent in wiring.listeners[port])
-        }
         # Messages among the agents of the process.
         self._own: deque[Arrival] = deque()
         self._patience_s = patience_s
@@ -151,8 +144,6 @@ class ZenohBus:
             self._sends[0] = True
         self.outbox.stamp(port, message, now_ns)
         payload = encode(message)
-        if port in self._listened:
-            self.spoke_in = message.cycle
         if self._lockstep:
             self._newest[port] = payload
         for put in self._puts[port]:

@@ -238,7 +238,6 @@ class Processes:
         # Where links are cut by a fault rule, not being heard proves nothing.
         self._judges_hearing = plan.restarts and not plan.network_faults().acts
         self._unheard_s = sum(link_times(plan)) + _SPARE_S
-        self._silent_cycles = 2 * plan.control.periods.longest
         self._ready = selectors.DefaultSelector()
         self._ready.register(server.control, selectors.EVENT_READ, None)
 
@@ -541,9 +540,7 @@ class Processes:
             lives = process.is_there and not process.is_through
             if not lives or self.ran_s - process.beat_at_s > 2.0 * BEAT_S:
                 continue
-            # A process that lacks its inputs may publish nothing: its own links are not to blame.
-            is_silent = process.beat.spoke_in < process.beat.cycle - self._silent_cycles
-            if process.name not in not_heard or is_silent:
+            if process.name not in not_heard:
                 process.unheard_since_s, process.unheard_in_a_row = None, 0
             elif process.unheard_since_s is None:
                 process.unheard_since_s = self.ran_s

@@ -202,7 +202,7 @@ class AgentProcess:
     def beat(self) -> None:
         """Show that the process is alive; the plant publishes which agents were given up since."""
         loop, table = self.loop, self.link.table
-        self.link.beat(loop.cycle, self._bus.spoke_in)
+        self.link.beat(loop.cycle)
         if loop.name != PLANT or table is None or loop.cycle < 0:
             return
         if table.number_given_up != self._given_up:

@@ -25,29 +25,27 @@ _HEAD: Final = struct.Struct("qq?7x")
 """Messages to expect, counted from 1 (0: not known), how many agents were given up, and whether the
 recording is closed."""
 
-_PLACE: Final = struct.Struct("qqq???5x")
-_SENDS: Final = 24
-_GIVEN_UP: Final = 25
-_DISMISSED: Final = 26
+_PLACE: Final = struct.Struct("qq???5x")
+_SENDS: Final = 16
+_GIVEN_UP: Final = 17
+_DISMISSED: Final = 18
 
 
 class Beat(NamedTuple):
     """The newest beat of a process.
 
     time_ns: Its monotonic time; 0: there was none.
-    spoke_in: The cycle of its newest message that another process listens to; -1: there is none.
     sends: Whether the process is sending a message, for which it may have to wait in lockstep.
     """
 
     time_ns: int
     cycle: int
-    spoke_in: int
     sends: bool
     is_given_up: bool
     is_dismissed: bool
 
 
-NO_BEAT: Final = Beat(0, -1, -1, sends=False, is_given_up=False, is_dismissed=False)
+NO_BEAT: Final = Beat(0, -1, sends=False, is_given_up=False, is_dismissed=False)
 
 
 class BeatTable:
@@ -62,9 +60,9 @@ class BeatTable:
         self._memory = mmap(file, size)
         self._places = {name: _HEAD.size + n * _PLACE.size for n, name in enumerate(names)}
 
-    def beat(self, name: str, cycle: int = -1, spoke_in: int = -1) -> None:
+    def beat(self, name: str, cycle: int = -1) -> None:
         now_ns = time.monotonic_ns()
-        struct.pack_into("qqq", self._memory, self._places[name], now_ns, cycle, spoke_in)
+        struct.pack_into("qq", self._memory, self._places[name], now_ns, cycle)
 
     def sends(self, name: str) -> memoryview:
         """Return the byte in which a process notes whether it is sending."""

@@ -60,10 +60,10 @@ class LauncherLink:
     def _dismiss(self, *_: object) -> None:
         self._was_told_to_end = True
 
-    def beat(self, cycle: int, spoke_in: int = -1) -> None:
+    def beat(self, cycle: int) -> None:
         """Show that the loop that does the work is at work, or waits in this cycle."""
         if self.table is not None:
-            self.table.beat(self._name, cycle, spoke_in)
+            self.table.beat(self._name, cycle)
 
     def expected_messages(self) -> int | None:
         """Return how many messages of the run were published in all; None: not known yet."""

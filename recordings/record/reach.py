@@ -41,6 +41,12 @@ class Reach:
         self._looked_at_ns = now_ns
         self._pause_ns = round(longest_pause_s(plan) * 1e9)
         self._awaited = _awaited(plan)
+        self._awaited_keys = {
+            key for of in self._awaited.values() for keys in of.values() for key in keys
+        }
+        # The newest cycle of a message of each agent that others await.
+        self._said_in = dict.fromkeys(self._heard_at_ns, 0)
+        self._silent_cycles = _LATE_CYCLES * plan.control.periods.longest
         self._newest = dict.fromkeys(self._heard_at_ns, 0)
         # The processes that each stage of a listener lacks, by its newest message.
         self._lacks: dict[_StageKey, frozenset[str]] = {}
@@ -53,6 +59,8 @@ class Reach:
         if head.cycle < self._newest[source]:  # It comes after later ones.
             return
         self._newest[source] = head.cycle
+        if str(port) in self._awaited_keys:
+            self._said_in[source] = head.cycle
         misses_nothing = NOTHING_MISSED in payload
         if misses_nothing and not self._lacks:
             return
@@ -104,7 +112,16 @@ class Reach:
                 lacks = self._lacks.get(stage, frozenset())
                 lacked |= lacks
                 heard |= awaited.keys() - lacks
-        return sorted(lacked - heard)
+        return sorted(process for process in lacked - heard if self._speaks(process))
+
+    def _speaks(self, process: str) -> bool:
+        """Whether a process says what others await, as far as the recorder hears it.
+
+        One that lacks its own inputs may have nothing to say: its links are not to blame.
+        """
+        members = self._plan.wiring.members_of(process)
+        said_in = max(self._said_in[name] for name in members)
+        return said_in >= max(self._newest[name] for name in members) - self._silent_cycles
 
 
 def _awaited(plan: RunPlan) -> dict[_StageKey, dict[str, set[str]]]:

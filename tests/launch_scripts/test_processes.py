@@ -127,7 +127,6 @@ class Watched:
         step_s: float = 0.25,
         status: Status | None = None,
         stuck: Sequence[str] = (),
-        speak: bool = True,
     ) -> None:
         """Let time pass in which all but some processes beat."""
         for _ in range(round(seconds / step_s)):
@@ -135,8 +134,7 @@ class Watched:
             self.cycle += 1
             for process in self.processes.own:
                 if process.name not in silent and process.exited is None:
-                    cycle = 7 if process.name in stuck else self.cycle
-                    self.table.beat(process.name, cycle, cycle if speak else 0)
+                    self.table.beat(process.name, 7 if process.name in stuck else self.cycle)
             self.table.beat(FORK_SERVER)
             if status is not None:
                 self.tells(RECORDER, status)
@@ -304,12 +302,6 @@ def test_a_live_process_that_no_listener_hears_is_started_again(watched: Make) -
     assert run.got(SIGKILL) == []
     run.pass_by(2.0, status=not_heard(NODE, PLANT))
     assert run.got(SIGKILL) == [NODE]
-
-
-def test_one_that_has_nothing_to_say_is_not_started_again(watched: Make) -> None:
-    run = watched()
-    run.pass_by(60.0, status=not_heard("central"), speak=False)
-    assert run.got(SIGKILL) == []
 
 
 def test_one_that_stays_away_is_given_up_and_the_run_goes_on(watched: Make) -> None:

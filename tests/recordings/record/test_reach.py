@@ -7,8 +7,8 @@ from typing import Any
 from plans_by_hand import REAL_TIME, plan_of
 
 from bus_schemas.codec import encode
-from bus_schemas.messages import Head, Impp, Message, Order, Production
-from bus_schemas.signals import IMPP, ORDER, PRODUCTION, Port
+from bus_schemas.messages import Head, Help, Impp, Message, Order, Production
+from bus_schemas.signals import HELP, IMPP, ORDER, PRODUCTION, Port
 from bus_schemas.tree import OPERATOR, PLANT, ROOT
 from recordings.record.reach import Reach
 
@@ -27,7 +27,9 @@ class Heard:
         self.now_ns = cycle * REAL_TIME
         source, head = port.publisher, (cycle, 0)
         message: Message
-        if port.signal is IMPP:
+        if port.signal is HELP:
+            message = Help(*head, source, missing, missing_kw=1.0)
+        elif port.signal is IMPP:
             message = Impp(*head, source, missing, power_kw=50.0, stale_cycles=0)
         else:
             powers: dict[str, Any] = dict.fromkeys(("dispatch_kw", "available_kw"), 0.0)
@@ -49,6 +51,15 @@ def test_a_process_is_not_heard_if_every_listener_lacks_it() -> None:
         run.hear(cycle, IMPP.of("c1"), f"{A}/impp", f"{A}/residual@2")
     assert run.not_heard == [A]
     run.hear(7, PRODUCTION.of(ROOT))
+    assert run.not_heard == []
+
+
+def test_a_process_that_has_nothing_to_say_to_its_listeners_is_not_blamed() -> None:
+    run = Heard()
+    for cycle in range(5, 20):
+        run.hear(cycle, IMPP.of("c1"), f"{A}/impp", f"{A}/residual")
+        run.hear(cycle, PRODUCTION.of(ROOT), f"{A}/command")
+        run.hear(cycle, HELP.of(A))
     assert run.not_heard == []
 
 
