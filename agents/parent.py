@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
-from math import isnan, nan
+from math import isnan, nan, sqrt
 from operator import itemgetter
 from typing import Final, NamedTuple
 
@@ -275,9 +275,13 @@ class CentralController(Parent):
         if meter.correction_kw is not None and state.meter_cycle == 0:
             kept = len(state.correction.shown_kw)
             shown_kw = (*(nan if kw is None else kw for kw in meter.expected_kw), *((nan,) * kept))
+            tried_kw2 = (meter.tried_kw or 0.0) ** 2
             correction = state.correction._replace(
                 shown_kw=shown_kw[:kept],
+                lacking_kw=meter.lacking_kw or 0.0,
                 correction_kw=meter.correction_kw,
+                helped_kw2=(meter.helped_share or 0.0) * tried_kw2,
+                tried_kw2=tried_kw2,
                 error_kw=meter.error_kw or 0.0,
             )
             reference_kw = nan if meter.reference_kw is None else meter.reference_kw
@@ -297,6 +301,9 @@ class CentralController(Parent):
             error_kw=known.error_kw,
             expected_kw=tuple(None if isnan(kw) else kw for kw in known.shown_kw),
             reference_kw=None if isnan(state.reference_kw) else state.reference_kw,
+            lacking_kw=known.lacking_kw,
+            tried_kw=sqrt(known.tried_kw2),
+            helped_share=known.helped_kw2 / known.tried_kw2 if known.tried_kw2 > 0.0 else 0.0,
         )
         if self._offers is not None:
             memory.intervals = known_intervals(state.offers)

@@ -36,6 +36,10 @@ _MEMORY: Final = 2.0
 """Largest power, also below 0, in what a central controller remembers."""
 
 
+_TRIED: Final = 100.0
+"""Largest root of the sum of squares of what it has tried, in 10 minutes of the shortest cycles."""
+
+
 class Bound(NamedTuple):
     """A field, its lowest and its highest value."""
 
@@ -50,9 +54,13 @@ class Bound(NamedTuple):
         return f"{low} to {self.high:.10g}"
 
 
-_OF_MEMORY: Final = tuple(
-    Bound(field, -_MEMORY, _MEMORY)
-    for field in ("correction_kw", "error_kw", "expected_kw", "reference_kw")
+_OF_MEMORY: Final = (
+    *(
+        Bound(field, -_MEMORY, _MEMORY)
+        for field in ("correction_kw", "error_kw", "expected_kw", "reference_kw", "lacking_kw")
+    ),
+    Bound("tried_kw", 0.0, _TRIED),
+    Bound("helped_share", -_ROUNDING, _ROUNDING),
 )
 
 BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {

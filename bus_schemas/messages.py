@@ -172,6 +172,9 @@ class Meter(Message, kw_only=True):
     expected_kw: Expected = ()
     reference_kw: float | None = None
     record: Powers | None = None
+    lacking_kw: float | None = None
+    tried_kw: float | None = None
+    helped_share: float | None = None
 
 
 class Memory(Message, kw_only=True):
@@ -179,8 +182,9 @@ class Memory(Message, kw_only=True):
 
     Its correction, the mean error of the plant's power, what the meter should show of its last
     turns (the newest first; nil: that is not known), and the dispatch within the ramp limits.
-    `intervals` counts the past intervals that its offers rest on; `record`, in cycles with an
-    offer, is all that they rest on.
+    `lacking_kw` would be missing without a correction; how much of that is corrected rests on what
+    was tried so far, and on the share of it that helped. `intervals` counts the past intervals that
+    its offers rest on; `record`, in cycles with an offer, is all that they rest on.
     """
 
     correction_kw: float
@@ -189,6 +193,9 @@ class Memory(Message, kw_only=True):
     reference_kw: float | None = None
     intervals: Count = 0
     record: Powers | None = None
+    lacking_kw: float = 0.0
+    tried_kw: float = 0.0
+    helped_share: float = 0.0
 
 
 class Impp(Message, kw_only=True):

@@ -107,6 +107,8 @@ class Plant:
         if (memory := state.memory) is not None:
             meter.correction_kw, meter.error_kw = memory.correction_kw, memory.error_kw
             meter.expected_kw, meter.reference_kw = memory.expected_kw, memory.reference_kw
+            meter.lacking_kw, meter.tried_kw = memory.lacking_kw, memory.tried_kw
+            meter.helped_share = memory.helped_share
             if state.record is not None and memory.intervals < state.record.intervals:
                 meter.record = state.record.record
         outputs: list[Delivery] = [(DISPATCH.of(ROOT), dispatch), (METER.of(ROOT), meter)]

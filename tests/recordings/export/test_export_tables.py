@@ -37,6 +37,7 @@ MAY_BE_NIL = {
         "order_ramp_kw_per_min",
     ),
     *("order_hold_s", "order_renew_s", "correction_kw", "error_kw", "reference_kw"),
+    *("lacking_kw", "tried_kw", "helped_share"),
 }
 BATCH_ROWS = 5
 
