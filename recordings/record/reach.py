@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import Final, TypeAlias
 
 import msgspec
@@ -31,8 +32,10 @@ _decode_lacks = msgspec.msgpack.Decoder(_Lacks).decode
 class Reach:
     """When the recorder last heard each agent, and which processes no listener hears.
 
-    A stage of a listener lacks a process if all that it awaits from it is missing. What a device
-    says it lacks does not count.
+    A stage of a listener lacks a process if all that it awaits from it is missing. It proves that
+    the process is not heard only if this says what the stage awaits, as far as the recorder hears
+    it: one that lacks its own inputs may have nothing to say. A listener that lacks all others is
+    the one cut off. What a device says it lacks does not count.
     """
 
     def __init__(self, plan: RunPlan, now_ns: int) -> None:
@@ -41,11 +44,10 @@ class Reach:
         self._looked_at_ns = now_ns
         self._pause_ns = round(longest_pause_s(plan) * 1e9)
         self._awaited = _awaited(plan)
-        self._awaited_keys = {
-            key for of in self._awaited.values() for keys in of.values() for key in keys
+        # The newest cycle of a message of each port that another process awaits.
+        self._said_in = {
+            key: 0 for of in self._awaited.values() for keys in of.values() for key in keys
         }
-        # The newest cycle of a message of each agent that others await.
-        self._said_in = dict.fromkeys(self._heard_at_ns, 0)
         self._silent_cycles = _LATE_CYCLES * plan.control.periods.longest
         self._newest = dict.fromkeys(self._heard_at_ns, 0)
         # The processes that each stage of a listener lacks, by its newest message.
@@ -59,8 +61,8 @@ class Reach:
         if head.cycle < self._newest[source]:  # It comes after later ones.
             return
         self._newest[source] = head.cycle
-        if str(port) in self._awaited_keys:
-            self._said_in[source] = head.cycle
+        if (key := str(port)) in self._said_in:
+            self._said_in[key] = head.cycle
         misses_nothing = NOTHING_MISSED in payload
         if misses_nothing and not self._lacks:
             return
@@ -105,23 +107,28 @@ class Reach:
         """
         if not self._lacks:
             return []
-        silent = set(self.not_recorded(now_ns))
+        no_evidence = {*self.not_recorded(now_ns), *self._cut_off()}
         heard, lacked = set[str](), set[str]()
         for stage, awaited in self._awaited.items():
-            if stage[0] not in silent:
+            if stage[0] not in no_evidence:
                 lacks = self._lacks.get(stage, frozenset())
-                lacked |= lacks
+                lacked |= {process for process in lacks if self._says(process, awaited[process])}
                 heard |= awaited.keys() - lacks
-        return sorted(process for process in lacked - heard if self._speaks(process))
+        return sorted(lacked - heard)
 
-    def _speaks(self, process: str) -> bool:
-        """Whether a process says what others await, as far as the recorder hears it.
+    def _says(self, process: str, keys: set[str]) -> bool:
+        """Whether a process says one of these things while it says anything at all."""
+        newest = max(self._newest[name] for name in self._plan.wiring.members_of(process))
+        return max(self._said_in[key] for key in keys) >= newest - self._silent_cycles
 
-        One that lacks its own inputs may have nothing to say: its links are not to blame.
-        """
-        members = self._plan.wiring.members_of(process)
-        said_in = max(self._said_in[name] for name in members)
-        return said_in >= max(self._newest[name] for name in members) - self._silent_cycles
+    def _cut_off(self) -> list[str]:
+        """Return the listeners that await several processes and hear none."""
+        hears, lacks = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
+        for stage, awaited in self._awaited.items():
+            lacked = self._lacks.get(stage, frozenset())
+            lacks[stage[0]] |= lacked
+            hears[stage[0]] |= awaited.keys() - lacked
+        return [name for name, of in lacks.items() if len(of) > 1 and not hears[name]]
 
 
 def _awaited(plan: RunPlan) -> dict[_StageKey, dict[str, set[str]]]:

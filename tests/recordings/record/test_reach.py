@@ -7,8 +7,8 @@ from typing import Any
 from plans_by_hand import REAL_TIME, plan_of
 
 from bus_schemas.codec import encode
-from bus_schemas.messages import Head, Help, Impp, Message, Order, Production
-from bus_schemas.signals import HELP, IMPP, ORDER, PRODUCTION, Port
+from bus_schemas.messages import Head, Help, Impp, Memory, Message, Order, Production, Setpoint
+from bus_schemas.signals import HELP, IMPP, MEMORY, ORDER, PRODUCTION, SETPOINT, Port
 from bus_schemas.tree import OPERATOR, PLANT, ROOT
 from recordings.record.reach import Reach
 
@@ -29,6 +29,11 @@ class Heard:
         message: Message
         if port.signal is HELP:
             message = Help(*head, source, missing, missing_kw=1.0)
+        elif port.signal is SETPOINT:
+            message = Setpoint(*head, source, missing, power_kw=50.0, share_kw=50.0, help_given=())
+        elif port.signal is MEMORY:
+            nothing: dict[str, Any] = {"expected_kw": (), "reference_kw": None}
+            message = Memory(*head, source, missing, correction_kw=0.0, error_kw=0.0, **nothing)
         elif port.signal is IMPP:
             message = Impp(*head, source, missing, power_kw=50.0, stale_cycles=0)
         else:
@@ -61,6 +66,34 @@ def test_a_process_that_has_nothing_to_say_to_its_listeners_is_not_blamed() -> N
         run.hear(cycle, PRODUCTION.of(ROOT), f"{A}/command")
         run.hear(cycle, HELP.of(A))
     assert run.not_heard == []
+
+
+def test_a_controller_that_waits_for_the_dispatch_of_a_plant_that_is_cut_off_is_not_blamed() -> (
+    None
+):
+    run = Heard()
+    commands = [f"{leaf}/command" for leaf in (A, B)]
+    for cycle in range(5, 30):
+        run.hear(cycle, IMPP.of(ROOT), "dispatch")
+        run.hear(cycle, MEMORY.of(ROOT), "dispatch")
+        if cycle < 12:  # Until the dispatch has expired.
+            run.hear(cycle, SETPOINT.of("c1"), "dispatch")
+        run.hear(cycle, IMPP.of("c1"), "dispatch")
+        if cycle < 20:  # Until the setpoint has expired too.
+            late = ("c1/setpoint@11",) if cycle >= 12 else ()
+            run.hear(cycle, SETPOINT.of(A), "dispatch", *late)
+        run.hear(cycle, PRODUCTION.of(ROOT), *commands, "memory")
+        assert "central" not in run.not_heard, cycle
+
+
+def test_a_process_is_not_heard_although_it_says_more_than_some_of_its_listeners_await() -> None:
+    run = Heard()
+    for cycle in range(5, 30):
+        run.hear(cycle, IMPP.of(ROOT))
+        run.hear(cycle, MEMORY.of(ROOT))
+        run.hear(cycle, PRODUCTION.of(ROOT), "memory")
+        run.hear(cycle, SETPOINT.of(A), "c1/setpoint")
+    assert run.not_heard == ["central"]
 
 
 def test_a_message_that_is_a_cycle_late_was_heard() -> None:
