@@ -18,8 +18,8 @@ A, B = "c1/a", "c1/b"
 class Heard:
     """What a recorder heard of two inverters and their supervisor, cycle by cycle."""
 
-    def __init__(self, *external: str) -> None:
-        plan = plan_of({A: 100.0, B: 100.0}, cycle_wall_ns=REAL_TIME, external=external)
+    def __init__(self, **changes: tuple[str, ...]) -> None:
+        plan = plan_of({A: 100.0, B: 100.0}, cycle_wall_ns=REAL_TIME, **changes)
         self.reach = Reach(plan, 0)
         self.now_ns = 0
 
@@ -96,6 +96,14 @@ def test_a_process_is_not_heard_although_it_says_more_than_some_of_its_listeners
     assert run.not_heard == ["central"]
 
 
+def test_a_plant_that_awaits_one_process_alone_is_believed() -> None:
+    run = Heard(groups=("central",))
+    for cycle in range(5, 10):
+        run.hear(cycle, MEMORY.of(ROOT))
+        run.hear(cycle, PRODUCTION.of(ROOT), f"{A}/command", f"{B}/command", "memory")
+    assert run.not_heard == ["central"]
+
+
 def test_a_message_that_is_a_cycle_late_was_heard() -> None:
     run = Heard()
     run.hear(9, PRODUCTION.of(ROOT), f"{A}/command@8")
@@ -122,7 +130,7 @@ def test_the_order_in_which_messages_come_does_not_matter() -> None:
 
 
 def test_what_a_device_states_proves_nothing() -> None:
-    run = Heard("c1")
+    run = Heard(external=("c1",))
     run.hear(9, IMPP.of("c1"), f"{A}/impp", f"{A}/residual")
     assert run.not_heard == []
 
