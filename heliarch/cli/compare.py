@@ -54,9 +54,9 @@ def compare(
 ) -> None:
     """Compare control schemes under the same sky.
 
-    For one day or many; or compare two recorded runs.
+    For one day or many.
 
-    For a single case, --frontier or two runs, --report writes a page, compare.html by default.
+    For a single case, --report writes a page, compare.html by default.
 
     Example: `heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10`
 
