@@ -141,8 +141,16 @@ def test_a_device_that_does_everything_wrong_is_named_and_contained(
     assert found[f"{NODE}/impp", "wrong_sender"] == 1
     assert found["c1/inv02/impp", "wrong_sender"] == 1
     assert found["c1/nobody/impp", "unknown"] == 1
-    assert found[f"{NODE}/impp", "wrong_cycle"] == 2
-    assert found[f"{NODE}/impp", "duplicate"] > 10
+    assert found[f"{NODE}/impp", "wrong_cycle"] == 1, "the other states the time of its run, too"
+    of_impp = {cause: count for (key, cause), count in found.items() if key == f"{NODE}/impp"}
+    assert of_impp["conflicting"] == 10 + 10_000 + 1, "twice in a cycle: each counts once"
+    assert of_impp.keys() == {
+        "undecodable",
+        "wrong_sender",
+        "wrong_cycle",
+        "conflicting",
+        "out_of_range",
+    }
     assert found[f"{NODE}/command", "out_of_range"] == 5
     assert found[f"{NODE}/impp", "out_of_range"] == 7, "two have the time of another cycle"
     assert summary.lost_by_processes == 0
