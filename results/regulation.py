@@ -16,7 +16,7 @@ opposes the signal counts as 0.
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -58,19 +58,12 @@ def regulation_figures(series: RunSeries) -> dict[str, float | None]:
     response = (series.delivered_kw - series.commitment_kw) / capacity_kw
     offered_h = int(offered.sum()) * series.cycle_s / 3600.0
     steps = np.abs(np.diff(signal))[offered[1:] & offered[:-1]]
-    # The number of the 2 s of the clock in which each cycle begins.
-    begins_ns = round(series.cycle_s * 1e9) * np.arange(series.cycles) + series.start_time_ns
     score = performance_score(signal, response, offered, series.times[0], series.cycle_s)
     return {
         "capacity": capacity_kw,
         "offered": offered_h,
         "signal-mileage": float(steps.sum()) / offered_h,
-        **requests_fulfilled(
-            (series.delivered_kw - series.desired_kw)[offered],
-            (begins_ns // round(REQUEST_S * 1e9))[offered],
-            (series.available_kw >= series.desired_kw)[offered],
-            series.rating_kw,
-        ),
+        **_requests_to_tolerances(series),
         **(score or {}),
     }
 
@@ -93,30 +86,42 @@ def offered_cycles(regulation_kw: Values, cycle_s: float) -> NDArray[np.bool_]:
     return np.cumsum(change)[:-1] > 0
 
 
-def requests_fulfilled(
-    deviation_kw: Values, request: NDArray[np.int64], is_able: NDArray[np.bool_], rating_kw: float
-) -> dict[str, float | None]:
-    """Return the requests that were fulfilled at each tolerance, in %: of all, of the feasible.
+def _requests_to_tolerances(series: RunSeries) -> dict[str, float | None]:
+    figures: dict[str, float | None] = {}
+    for name, percent in TOLERANCES_PERCENT.items():
+        found = requests_fulfilled(series, series.rating_kw * percent / 100.0)
+        figures[name] = found.percent
+        if found.feasible_percent is not None:
+            figures[name.replace("regd", "regd-feasible")] = found.feasible_percent
+    return figures
+
+
+class Fulfilled(NamedTuple):
+    """Share of the requests that were fulfilled, in %: of all, and of the feasible, if any."""
+
+    percent: float
+    feasible_percent: float | None
+
+
+def requests_fulfilled(series: RunSeries, tolerance_kw: float) -> Fulfilled:
+    """Return which share of the requests of a run that offers regulation was fulfilled.
 
     A request lasts 2 s, or a cycle where that is longer. It is fulfilled if |delivered - dispatch|
     is within the tolerance in every cycle that begins in it. It is feasible, the paper's condition,
     if available power was at least the dispatch in each of its cycles. The paper gives 99.88 %
     without a tolerance.
-
-    Cycle by cycle, shape (K,): delivered power less the dispatch, the number of the request that
-    the cycle belongs to, ascending, and whether available power was at least the dispatch.
     """
+    offered = offered_cycles(series.regulation_kw, series.cycle_s) & series.known
+    # The number of the 2 s of the clock in which each cycle begins.
+    begins_ns = round(series.cycle_s * 1e9) * np.arange(series.cycles) + series.start_time_ns
+    request = (begins_ns // round(REQUEST_S * 1e9))[offered]
+    deviation_kw = np.abs(series.delivered_kw - series.desired_kw)[offered]
+    is_able = (series.available_kw >= series.desired_kw)[offered]
     begins = np.flatnonzero(np.diff(request, prepend=request[0] - 1))
-    largest_kw = np.maximum.reduceat(np.abs(deviation_kw), begins)
+    fulfilled = np.maximum.reduceat(deviation_kw, begins) <= tolerance_kw
     feasible = np.logical_and.reduceat(is_able, begins)
-    figures: dict[str, float | None] = {}
-    for name, percent in TOLERANCES_PERCENT.items():
-        fulfilled = largest_kw <= rating_kw * percent / 100.0
-        figures[name] = 100.0 * float(fulfilled.mean())
-        if feasible.any():
-            of_feasible = 100.0 * float(fulfilled[feasible].mean())
-            figures[name.replace("regd", "regd-feasible")] = of_feasible
-    return figures
+    of_feasible = 100.0 * float(fulfilled[feasible].mean()) if feasible.any() else None
+    return Fulfilled(100.0 * float(fulfilled.mean()), of_feasible)
 
 
 def performance_score(

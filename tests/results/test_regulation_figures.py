@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 from runs_by_hand import NOON, run_of
 
-from results.regulation import offered_cycles, regulation_figures
+from recordings.read.series import RunSeries
+from results.regulation import offered_cycles, regulation_figures, requests_fulfilled
 
 CAPACITY_KW = 200.0
 COMMITMENT_KW = 400.0
 
 
-def regulated(
+def regulated_run(
     regulation_kw: ArrayLike,
     error_kw: ArrayLike = 0.0,
     available_kw: ArrayLike = 900.0,
     cycle_s: float = 1.0,
     start: str = NOON,
-) -> dict[str, float | None]:
-    """The figures of a run that delivers what is desired but for an error."""
+) -> RunSeries:
+    """A run that delivers what is desired but for an error."""
     regulation_kw = np.asarray(regulation_kw, dtype=float)
-    run = run_of(
+    return run_of(
         np.full_like(regulation_kw, COMMITMENT_KW),
         available_kw,
         COMMITMENT_KW + regulation_kw + np.asarray(error_kw, dtype=float),
@@ -31,7 +34,11 @@ def regulated(
         cycle_s=cycle_s,
         start=start,
     )
-    return regulation_figures(run)
+
+
+def regulated(*powers_kw: Any, **of_run: Any) -> dict[str, float | None]:
+    """The figures of such a run."""
+    return regulation_figures(regulated_run(*powers_kw, **of_run))
 
 
 def test_a_request_is_fulfilled_if_every_cycle_in_it_is_within_the_tolerance() -> None:
@@ -64,6 +71,22 @@ def test_a_request_is_feasible_if_the_plant_could_meet_it_in_every_cycle() -> No
     assert [found[name] for name in names] == pytest.approx([200 / 3, 200 / 3, 50.0, 50.0])
     none = regulated([5.0, 5.0], -395.0, available_kw=10.0)
     assert "regd-feasible" not in none
+
+
+@pytest.mark.parametrize(
+    ("percent", "of_all", "of_feasible"),
+    # Errors of the requests, in % of the 200 kW offered: 2, 5, 10 (not feasible), 20, 25.
+    [(1, 0.0, 0.0), (2, 20.0, 25.0), (5, 40.0, 50.0), (10, 60.0, 50.0), (20, 80.0, 75.0)],
+)
+def test_a_tolerance_may_be_a_share_of_the_capacity(
+    percent: float, of_all: float, of_feasible: float
+) -> None:
+    run = regulated_run(
+        [50.0, 50.0, -80.0, -80.0, 150.0, 150.0, 10.0, 10.0, -20.0, -20.0],
+        [0.0, 4.0, -10.0, 2.0, -20.0, 0.0, 40.0, 0.0, -40.0, -50.0],
+        available_kw=[900.0] * 4 + [530.0, 900.0] + [900.0] * 4,
+    )
+    assert requests_fulfilled(run, CAPACITY_KW * percent / 100.0) == (of_all, of_feasible)
 
 
 @pytest.mark.parametrize(
