@@ -16,9 +16,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NoReturn
 
-from cyclopts.exceptions import CycloptsError
+from cyclopts.exceptions import CycloptsError, UnusedCliTokensError
 
-from bus_schemas.errors import FailureError, InputError, InputWarning, printable
+from bus_schemas.errors import FailureError, InputError, InputWarning, listed, printable
 
 BEGAN_AT: Final = time.monotonic()
 """When the program was started [s]."""
@@ -31,6 +31,10 @@ INTERRUPTED: Final = 130
 
 _ONCE_S: Final = 1.0
 """Signals so soon after each other count as one: `timeout` sends two."""
+
+_IMPORTING: Final = "<frozen importlib._bootstrap>"
+_IMPORT_S: Final = 0.02
+"""How long a signal waits each time it finds that a module is being imported."""
 
 _BAD_PATH: Final = (
     FileExistsError,
@@ -110,20 +114,38 @@ class _Interrupt(KeyboardInterrupt):
 
 
 def _handler() -> Callable[[int, FrameType | None], None]:
-    """Return what raises for a signal, but for one that follows at once."""
+    """Return what raises for a signal, but for one that follows at once.
+
+    Not while a module is imported: some libraries catch everything there and go on without what
+    was not imported. The signal is raised again soon after, for the handler that then stands.
+    """
     raised_at = -inf
 
     def handle(number: int, frame: FrameType | None) -> None:
         nonlocal raised_at
-        if time.monotonic() >= raised_at + _ONCE_S:
+        if _imports(frame):
+            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(number))
+            signal.setitimer(signal.ITIMER_REAL, _IMPORT_S)
+        elif time.monotonic() >= raised_at + _ONCE_S:
             raised_at = time.monotonic()
             raise _Interrupt if number == signal.SIGINT else SystemExit(128 + number)
 
     return handle
 
 
+def _imports(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename == _IMPORTING:
+            return True
+        frame = frame.f_back
+    return False
+
+
 def _text(error: Exception) -> str:
     if isinstance(error, CycloptsError):
+        if isinstance(error, UnusedCliTokensError):
+            got = listed([printable(one) for one in error.unused_tokens or ()], most=3)
+            return f"expected no more words, got {got}"
         return " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror

@@ -251,6 +251,10 @@ def test_an_empty_word_is_named(words: str, named: str, folder: Path) -> None:
     assert named in refusal(*words.split(" "))
 
 
+def test_a_word_too_many_is_named_as_it_was_typed() -> None:
+    assert refusal("doctor", "my run").endswith("expected no more words, got my run")
+
+
 def test_without_a_command_the_help_is_shown() -> None:
     result = heliarch()
     assert result.exit_code == 2
@@ -434,3 +438,36 @@ def test_a_signal_ends_a_command_with_its_status_and_leaves_nothing_behind(
     assert not alive
     new = {path.name for path in folder.iterdir()} - {path.name for path in before}
     assert new <= {"runs"}
+
+
+@pytest.mark.parametrize("number", [SIGINT, SIGTERM])
+def test_a_signal_counts_also_while_a_library_is_imported_that_catches_all(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    library = f"""
+import signal
+try:
+    signal.raise_signal({int(number)})
+    sum(range(1_000))
+except BaseException:
+    pass
+"""
+    program = """
+import signal, time
+from heliarch.cli.boundary import boundary
+signal.signal(signal.SIGINT, signal.default_int_handler)
+with boundary():
+    import library
+    time.sleep(10.0)
+"""
+    (tmp_path / "library.py").write_text(library, encoding="utf-8")
+    path = os.pathsep.join([str(tmp_path), str(REPOSITORY)])
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert result.returncode == 128 + number, result.stderr
