@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Final, NamedTuple
 
 from bus_schemas.messages import (
@@ -25,6 +26,7 @@ _ROUNDING: Final = 1.0 + 1e-9
 """Sums and shares over several tiers may exceed a rating by a rounding error."""
 
 _ABOVE_ZERO: Final = 5e-324
+_LEAST_NORMAL: Final = sys.float_info.min
 LARGEST: Final = 1e30
 """Multiple of the rating up to which an operator may ask for too much: any finite number."""
 
@@ -48,9 +50,9 @@ class Bound(NamedTuple):
     high: float
 
     def __str__(self) -> str:
-        if self.high >= LARGEST:
+        if self.low <= -LARGEST and self.high >= LARGEST:
             return "a finite number"
-        low = "above 0" if self.low == _ABOVE_ZERO else f"{self.low:.10g}"
+        low = "above 0" if 0.0 < self.low < _LEAST_NORMAL else f"{self.low:.10g}"
         return f"{low} to {self.high:.10g}"
 
 

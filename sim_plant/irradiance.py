@@ -224,7 +224,9 @@ def _without_gaps(
     every = found.reindex(pd.date_range(times[0], times[-1], freq=pd.Timedelta(seconds=step_s)))
     steps = every.apply(_steps_of_gaps)  # Of the gap that each missing value is in.
     longest, missing = steps.max(), (steps > 0).sum()
-    limit = min(max_gap_s / step_s, len(every) - 1)
+    if empty := [str(name) for name in longest.index[longest == len(every)]]:
+        raise InputError(f"{table.name}: expected values, got none of {listed(empty)}")
+    limit = max_gap_s / step_s
     too_long = []
     for name in longest.index[longest > limit]:
         row = times.searchsorted(every.index[(steps[name] > limit).argmax()])

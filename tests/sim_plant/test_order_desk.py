@@ -56,7 +56,14 @@ def test_its_socket_is_for_the_owner_alone_and_goes_with_the_run(tmp_path: Path)
         (HEAD + b'"source": "command", "power_kw": NaN}', "JSON"),
         (HEAD + b'"source": "command", "power_kw": -1}', "power_kw: expected 0 to 200, got -1"),
         (HEAD + b'"source": "command", "power_kw": 201}', "power_kw: expected 0 to 200, got 201"),
-        (HEAD + b'"source": "command", "power_kw": 0.0, "ramp_kw_per_min": 0}', "ramp_kw_per_min"),
+        (
+            HEAD + b'"source": "command", "power_kw": 0.0, "ramp_kw_per_min": 0}',
+            "ramp_kw_per_min: expected above 0 to 1e+30, got 0",
+        ),
+        (
+            HEAD + b'"source": "command", "power_kw": 0.0, "hold_s": 0}',
+            "hold_s: expected above 0 to 1e+30, got 0",
+        ),
         (HEAD + b'"source": "\xff", "power_kw": 0.0}', "UTF-8"),
         (HEAD + b'"source": "a\\u001b[31m", "power_kw": 0.0}', "source"),
         (HEAD + b'"source": "command", "other": ' + b"[" * 4_000, "other"),
