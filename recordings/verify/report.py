@@ -25,7 +25,7 @@ from recordings.verify.comparison import (
 from recordings.verify.verification import Verification
 
 REPETITION: Final = (
-    "the same code on the same inputs: this proves repetition, not that decisions are right"
+    "this code on the recorded inputs: this proves repetition, not that decisions are right"
 )
 MOST_GAPS: Final = 10
 """Lines on spans that cannot be compared."""
