@@ -233,8 +233,12 @@ def other_skies(data: Path) -> Lines:
     known = hope(data).scenario.irradiance
     assert isinstance(known, MeasuredIrradiance)
     others = [name for name in pyranometers if name not in (known.stations or ())]
-    large = {"grid": {"rows": 6, "columns": 10, **OAHU_GRID}, "rating_kw": 30_000}
-    small = {"grid": {"rows": 3, "columns": 3, **OAHU_GRID}, "rating_kw": 4500}
+    large = {
+        "inverters": None,
+        "grid": {"rows": 6, "columns": 10, **OAHU_GRID},
+        "rating_kw": 30_000,
+    }
+    small = {"inverters": None, "grid": {"rows": 3, "columns": 3, **OAHU_GRID}, "rating_kw": 4500}
     melpitz: dict[str, dict[str, Any]] = {
         "HOPE, 17 other stations": {"irradiance.stations": others[:17]},
         "HOPE, 9 others in two clusters": {
@@ -247,11 +251,11 @@ def other_skies(data: Path) -> Lines:
         "oahu, cloud cover 0.7": {"irradiance.clouds.cloud_cover": 0.7},
         "oahu, 60 inverters in four tiers": {
             "plant": large,
-            "control": {"cluster_count": [12, 3]},
+            "control": {"cluster_sizes": None, "cluster_count": [12, 3]},
         },
         "oahu, 9 inverters, cycles of 10 s": {
             "plant": small,
-            "control": {"cluster_count": [2]},
+            "control": {"cluster_sizes": None, "cluster_count": [2]},
             "time.cycle_s": 10,
         },
     }

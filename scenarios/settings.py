@@ -79,7 +79,8 @@ def with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, object]]) 
 def _put(document: dict[str, Any], field: str, value: object) -> None:
     """Set a field; what stands where a table belongs gives way, and is refused later.
 
-    A table changes the fields that it names; one of another kind replaces the old one.
+    A table changes the fields that it names, and removes those that it names as None; one of
+    another kind replaces the old one.
     """
     *tables, name = field.split(".")
     for part in tables:
@@ -92,7 +93,7 @@ def _put(document: dict[str, Any], field: str, value: object) -> None:
 
 def _merged(old: dict[str, Any], value: object) -> object:
     if isinstance(value, Mapping) and value.get("kind", old.get("kind")) == old.get("kind"):
-        return {**old, **value}
+        return {name: new for name, new in {**old, **value}.items() if new is not None}
     return value
 
 
