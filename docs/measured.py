@@ -576,7 +576,7 @@ METER_COLUMNS: Final = (
 
 
 def judged(runs: Sequence[RunSeries], factor: float) -> pd.Series:
-    """Return mean errors of runs as a meter sees them that reads so many times the power."""
+    """Return the mean errors of runs as seen by a meter that reads a multiple of the power."""
     return pd.DataFrame(
         energy_figures(
             run.desired_kw, factor * run.available_kw, factor * run.delivered_kw, run.cycle_s

@@ -336,7 +336,7 @@ def check_processes(plan: RunPlan) -> None:
 
 @contextmanager
 def private_folder() -> Iterator[str]:
-    """Make a folder of sockets that nobody but the user can enter; its path is short."""
+    """Make a folder of sockets, with a short path, that only the user can enter."""
     parent = os.environ.get("XDG_RUNTIME_DIR", "")
     if not os.access(parent, os.W_OK) or len(parent) > _LONGEST_PARENT:
         parent = "/tmp"

@@ -1,4 +1,4 @@
-"""What one tells of a run first: its power in sixty steps, and its hardest minutes."""
+"""Highlights of a run: its power in sixty steps, and its hardest minutes."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ class HardMinute(msgspec.Struct, frozen=True):
 
 
 class Highlights(msgspec.Struct, frozen=True):
-    """What one tells of a run first."""
+    """The curve and the hardest minutes of a run."""
 
     curve: Curve
     hard_minutes: list[HardMinute]
 
 
 def highlights(series: RunSeries) -> Highlights:
-    """Return what one tells of a run first."""
+    """Return the curve and the hardest minutes of a run."""
     return Highlights(_curve(series), list(_hard_minutes(series)))
 
 

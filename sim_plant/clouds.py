@@ -94,7 +94,7 @@ _NEXT_PIECE = np.array([0.7548776662466927, 0.5698402909980532])
 
 
 _BLOCK_POINTS: Final = 4
-"""A mean over a block is one over so many points on each side."""
+"""A block is averaged over this many points along each of its sides."""
 
 
 class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -56,7 +56,7 @@ class Overview(msgspec.Struct, frozen=True):
 
 
 class Reading(NamedTuple):
-    """What one pass over a recording found: an overview, and the messages of each port."""
+    """The result of one pass over a recording: an overview, and the messages of each port."""
 
     overview: Overview
     gaps: dict[Port[Message], PortGaps]

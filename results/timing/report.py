@@ -299,7 +299,7 @@ def _judged(
     for line, value, limit, unit in lines:
         if limit is not None and value is not None and pd.notna(value):
             yield Budget(line, "", "", float(value), limit, unit, passed=bool(value <= limit))
-    # A run of which nobody knows what was lost is not clean.
+    # A run whose losses are unknown is not clean.
     lost, most = run.lost_messages, table.lost_messages
     is_kept = lost is not None and lost <= most
     yield Budget("messages not recorded", "", "", lost, most, "", passed=is_kept)

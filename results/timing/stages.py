@@ -29,7 +29,7 @@ from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 
 STOPS_NAME: Final = "machine_stops.json"
-"""In a run's folder: when the machine stood still. Runs that nobody timed have none."""
+"""In a run's folder: when the machine stood still. Only timed runs have this file."""
 
 SILENT, WITHOUT, OVERRUN, LATE = "silent", "without", "overrun", "late"
 """Values of `late`: published nothing in the cycle; closed without an input that it awaited; had

@@ -1,4 +1,4 @@
-"""What one tells of a run first: its hardest minutes, and its power in few steps."""
+"""Highlights of a run: its hardest minutes, and its power in few steps."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from bus_schemas.errors import InputError
 from scenarios.new_scenario import measured_scenario
 from scenarios.preparation import RunOptions, prepare
-from scenarios.scenario import load_scenario
+from scenarios.scenario import MeasuredIrradiance, load_scenario
 from sim_plant.clear_sky import clear_ghi
 from sim_plant.irradiance import StatedForm
 
@@ -112,7 +112,9 @@ def test_the_names_of_stations_are_kept_and_those_of_inverters_are_made_from_the
 ) -> None:
     out, _ = written(tmp_path, [station, "p2"], "2024-06-15T11:00", 10, "UTC")
     found = load_scenario(str(out))
-    assert found.scenario.irradiance.stations == (station, "p2")  # type: ignore[union-attr]
+    irradiance = found.scenario.irradiance
+    assert isinstance(irradiance, MeasuredIrradiance)
+    assert irradiance.stations == (station, "p2")
     leaves = prepare(found, RunOptions(), "test").plan.tree.leaves
     assert inverter in {leaf.rpartition("/")[2] for leaf in leaves}
 
