@@ -126,7 +126,7 @@ simulate small.toml --page --orders                                     --orders
 simulate small.toml --report x.pdf                                      x.pdf
 simulate small.toml --json run                                          --json
 simulate small.toml --json run/run.mcap                                 --json
-simulate small.toml small.toml                                          'small.toml'
+simulate small.toml small.toml                                          got small.toml
 simulate oahuu                                                          oahu
 simulate hope-melpitz                                                   docs/data.md
 simulate oahu --set time.duration_s=2590000 --set time.cycle_s=0.4      time.duration_s
