@@ -263,7 +263,7 @@ class CentralController(Parent):
             wanted_kw = self._wanted_kw(state, turn, possible_kw)
             delay_s, law = delay * self._correction.cycle_s, self._correction
             correction = corrected(state.correction, wanted_kw, possible_kw, delay_s, law)
-            outputs += self.setpoints(turn, corrected_kw(correction, law), reports)
+            outputs += self.setpoints(turn, corrected_kw(correction, law, self._grid), reports)
             state = replace(state, correction=correction)
         outputs.append(self._memory(state, turn, has_offered=bool(offered)))
         return state, outputs

@@ -18,6 +18,8 @@ from __future__ import annotations
 from math import ceil, inf, isnan, nan
 from typing import Final, NamedTuple
 
+from agents.control.grid import GridLaw, gross_kw
+
 GAIN_PER_S: Final = 0.4
 """Share of the error that is added in a second."""
 
@@ -168,9 +170,13 @@ def _share(helped_kw2: float, tried_kw2: float, rating_kw: float) -> float:
     return max((helped_kw2 + assumed_kw2) / (tried_kw2 + assumed_kw2), 0.0)
 
 
-def corrected_kw(known: Correction, law: CorrectionLaw) -> float:
-    """Return the target of the plant [kW]."""
-    return min(max(known.aim_kw + known.correction_kw, 0.0), law.rating_kw)
+def corrected_kw(known: Correction, law: CorrectionLaw, grid: GridLaw) -> float:
+    """Return the target of the inverters together [kW].
+
+    Losses are known ahead, so that the correction need not find them.
+    """
+    needed_kw = gross_kw(known.aim_kw, grid) if law.is_on else known.aim_kw
+    return min(max(needed_kw + known.correction_kw, 0.0), law.rating_kw)
 
 
 def shown_turns(delay_s: float, turn_s: float) -> int:

@@ -271,7 +271,7 @@ def closed_loop(
             known = with_reading(known, read_kw)
         if cycle % tree.period[0] == 0:
             known = corrected(known, heard_kw, possible_kw, 0.0, settings.correction)
-            target_kw[0] = corrected_kw(known, settings.correction)
+            target_kw[0] = corrected_kw(known, settings.correction, settings.grid)
         solve_down(cycle, tree, settings, node_impp_kw, target_kw)
         for i in range(inverters):
             node = tree.inverters[i]

@@ -245,7 +245,7 @@ BUGS: Final[dict[str, Bug]] = {
     ),
     "the correction only goes up": Bug(
         "agents.control.correction:corrected_kw",
-        _then(lambda kw, known, _: max(kw, min(known.aim_kw, kw + abs(known.correction_kw)))),
+        _then(lambda kw, known, *_: max(kw, min(known.aim_kw, kw + abs(known.correction_kw)))),
     ),
     "the correction does not know the ramp": Bug(
         "agents.control.correction:corrected",

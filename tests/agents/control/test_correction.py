@@ -15,6 +15,7 @@ from agents.control.correction import (
     nothing_metered,
     with_reading,
 )
+from agents.control.grid import NO_GRID, GridLaw, gross_kw, net_kw
 
 RATING_KW = 1000.0
 
@@ -29,7 +30,7 @@ def settled(loss_kw: float, cycle_s: float, seconds: float, delay_s: float = 0.0
     known, found = nothing_metered(law), [500.0 - loss_kw] * (late + 1)
     for _ in range(round(seconds / cycle_s)):
         known = corrected(with_reading(known, found[-1 - late]), 500.0, inf, 0.0, law)
-        found.append(corrected_kw(known, law) - loss_kw)
+        found.append(corrected_kw(known, law, NO_GRID) - loss_kw)
     return found
 
 
@@ -45,6 +46,18 @@ def test_nor_does_it_swing_where_readings_come_late(delay_s: float) -> None:
     metered_kw = settled(20.0, 1.0, 21.0 * (1.0 + delay_s) ** 2, delay_s)
     assert metered_kw[-1] == pytest.approx(500.0, abs=0.01)
     assert max(metered_kw) < 500.01
+
+
+def test_losses_that_are_known_need_no_correction() -> None:
+    law, grid = law_of(1.0), GridLaw(loss_kw=2.0, loss_per_kw=1.5e-5)
+    known = corrected(nothing_metered(law), 500.0, 900.0, 0.0, law)
+    asked_kw = corrected_kw(known, law, grid)
+    assert net_kw(asked_kw, grid) == pytest.approx(500.0)
+    known = corrected(with_reading(known, net_kw(asked_kw, grid)), 500.0, 900.0, 0.0, law)
+    assert known.correction_kw == pytest.approx(0.0)
+    # Which the paper's rule does not know.
+    known = corrected(nothing_metered(law), 500.0, 900.0, 0.0, law._replace(is_on=False))
+    assert corrected_kw(known, law._replace(is_on=False), grid) == 500.0 < gross_kw(500.0, grid)
 
 
 def test_it_takes_the_same_time_whatever_the_cycle() -> None:
