@@ -9,10 +9,9 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import msgspec
-from msgspec import Meta
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
@@ -30,8 +29,9 @@ _LARGEST_BYTES: Final = 1_000
 class _Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the page asks for. No power: back to the schedule."""
 
-    power_kw: Annotated[float, Meta(ge=0.0)] | None
-    ramp_kw_per_min: Annotated[float, Meta(gt=0.0, le=1e12)] | None = None
+    power_kw: float | None
+    ramp_kw_per_min: float | None = None
+    hold_s: float | None = None
 
 
 def order_route(folder: Path) -> Route:
@@ -54,17 +54,17 @@ def order_route(folder: Path) -> Route:
 
 
 def _lines(folder: Path, asked: _Asked) -> Iterator[tuple[str, bool]]:
-    """Give an order; yield the reply, how the plant settled, and empty texts meanwhile.
+    """Give an order; yield the reply, in each cycle how far the plant is, and how it settled.
 
     Each with whether the order is in force.
     """
     plan = load_plan(folder / "plan.json")
     found = LiveAnswer(plan)
     with OrderLine(folder, plan.timing.cycle_wall_ns / 1e9) as line:
-        line.give(PAGE, power_kw=asked.power_kw, ramp_kw_per_min=asked.ramp_kw_per_min)
+        line.give(PAGE, **msgspec.structs.asdict(asked))
         for text in found.lines(line.heard()):
             if found.reply is not None:
-                yield text, found.reply.is_in_force
+                yield text or found.progress, found.reply.is_in_force
 
 
 async def _texts(

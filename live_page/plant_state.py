@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
+from math import ceil
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -17,6 +18,7 @@ from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEM
 from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from recordings.read.mcap_file import Chunk
+from sim_plant.orders import is_ordered, order_text, target_kw
 
 _UNHELPFUL_KW: Final = 0.005
 
@@ -76,6 +78,23 @@ class PlantState:
             "help": self._help(messages),
             "agents": columns(list(self._agent_rows(cycle, messages))),
             "unread": unread,
+            "order": self._order(messages),
+        }
+
+    def _order(self, messages: Messages) -> dict[str, Any] | None:
+        """Return what the plant is asked for, by whom, and the cycles of its order."""
+        dispatch = messages.get(DISPATCH.of(ROOT))
+        if not isinstance(dispatch, Dispatch):
+            return None
+        given, holds_s = is_ordered(dispatch), dispatch.order_hold_s
+        length = None if holds_s is None else ceil(holds_s / self._plan.timing.cycle_s)
+        return {
+            "source": dispatch.order_source,
+            "text": order_text(dispatch) if dispatch.order_source else "the schedule",
+            "since": dispatch.order_cycle if given else None,
+            "until": dispatch.order_renewed + length if given and length is not None else None,
+            "power_kw": round(dispatch.power_kw, 2),
+            "target_kw": round(target_kw(dispatch), 2),
         }
 
     def powers(self, node: str, cycle: int) -> dict[str, float | None]:

@@ -25,7 +25,7 @@ the power does not settle: of simulated time."""
 
 def answer_text(found: Answer) -> str:
     """Say in a line how the plant answered: `2,000 kW reached within 1 % after 3.0 s`."""
-    asked = f"{found.to_kw:z,.0f} kW"
+    asked = _kw(found.to_kw)
     if found.settling_s is None:
         return f"{asked} not reached within {TOLERANCE_PERCENT:g} %"
     took = f"after {found.ramp_s + found.settling_s:.1f} s"
@@ -51,6 +51,18 @@ class LiveAnswer:
     @property
     def is_over(self) -> bool:
         return self.answer is not None or (self.reply is not None and not self.reply.is_in_force)
+
+    @property
+    def progress(self) -> str:
+        """Say how far the plant is: `delivers 1,800 kW of 2,000 kW, 3.0 s after the order`."""
+        if not self._seen:
+            return ""
+        status, after_s = self._seen[-1], len(self._seen) * self._plan.timing.cycle_s
+        wanted_kw = target_kw(status.dispatch)
+        text = f"delivers {_kw(status.delivered_kw)} of {_kw(wanted_kw)}"
+        if not _is_there(status):
+            text += f", asked for now: {_kw(status.dispatch.power_kw)}"
+        return f"{text}, {after_s:.1f} s after the order"
 
     def lines(self, heard: Iterable[FromPlant]) -> Iterator[str]:
         """Yield what the plant says as text: its reply, how it settled, empty ones meanwhile."""
@@ -122,6 +134,10 @@ def _reasons(found: Answer, seen: list[PlantStatus], plan: RunPlan) -> str:
     if frequency_hz is not None and response_kw(frequency_hz, law):
         reasons.append(f"; the frequency is {frequency_hz:.3f} Hz")
     return "".join(reasons)
+
+
+def _kw(value: float) -> str:
+    return f"{value:z,.0f} kW"
 
 
 def _is_there(status: PlantStatus) -> bool:

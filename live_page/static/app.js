@@ -4,7 +4,7 @@ import {chartGroup} from "./chart.js";
 import {$, json} from "./dom.js";
 import {eventList} from "./events.js";
 import {plantMap} from "./map.js";
-import {showOrders} from "./order_panel.js";
+import {orderPanel} from "./order_panel.js";
 import {keepInAddress, placeInAddress} from "./links.js";
 import {nodePanel} from "./node_panel.js";
 import {figures} from "./panels.js";
@@ -45,8 +45,7 @@ function inTurn(act) {
 
 function showRun(plan) {
   showHeader(plan);
-  if (plan.takes_orders) showOrders();
-  const time = runTime(plan), place = placeInAddress();
+  const time = runTime(plan), place = placeInAddress(), orders = orderPanel(plan, time);
   let chosen = place.cycle;
   const {at, connect, seek, keys} = playback(update, place.cycle, cycle => { chosen = cycle; keep(); });
   const reload = inTurn(async () => {
@@ -101,6 +100,7 @@ function showRun(plan) {
     const more = map.show(frame);
     if (plan.positions_m.length) $("map-note").textContent = more > 0 ? `${more} smaller helps are not drawn.` : "";
     tree.show(frame);
+    orders.show(frame);
     $("sentence").textContent = `${time.timeOf(at.cycle)}: ${sentence(plan, frame)}`;
     $("clock").textContent = time.timeOf(at.cycle);
     $("day").textContent = time.dayOf(at.cycle);

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 from browser import Browser, browser, needs_browser
+from order_desks import obeying_plant
+from plans_by_hand import plan_of
 from recordings_by_hand import whole_run, write_run
 from replayed_runs import run_in_memory, write
 from running import Start
@@ -234,6 +236,32 @@ def test_the_page_goes_on_from_the_cycle_shown_when_its_server_is_back(
     with served(run, port=port):
         window.until("return document.querySelector('#banner').hidden", "its server again")
         window.until(at(6), "the cycle that it showed")
+
+
+def test_the_page_orders_a_power_and_shows_how_the_plant_settles(
+    window: Browser, run: Path
+) -> None:
+    with (
+        obeying_plant(run, plan_of({"a": 200.0, "b": 200.0}, cycles=10_000)),
+        served(run, orders=True) as page,
+    ):
+        window.open(page.address)
+        window.until(at(CYCLES - 1), "the run")
+        assert "the schedule" in window.text("#order-now")
+        most = float(window.run("return document.querySelector('#order-power').max"))
+        window.run(
+            f"const power = document.querySelector('#order-power'); power.value = {most + 1};"
+            "document.querySelector('#order-form').requestSubmit()"
+        )
+        assert window.text("#order-answer") == ""  # More than the plant's rating is not sent.
+        window.run(
+            "const slider = document.querySelector('#order-slider'); slider.value = 250;"
+            "slider.oninput(); document.querySelector('#order-form').requestSubmit()"
+        )
+        settled = "return document.querySelector('#order-settling').textContent.includes('reached')"
+        window.until(settled, "the plant's answer")
+        assert window.text("#order-answer").startswith("in force from cycle")
+        assert window.problems() == []
 
 
 def test_two_pages_with_tokens_on_one_host_do_not_lock_each_other_out(

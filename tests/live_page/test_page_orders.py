@@ -34,13 +34,14 @@ def test_the_page_orders_a_power_and_the_way_back_and_is_told_how_the_plant_answ
     page: Served, tmp_path: Path
 ) -> None:
     status, text = page.order(ORDER)
-    reply, settled = text.splitlines()
+    reply, *progress, settled = text.splitlines()
     assert status == 200
+    assert progress[0] == "delivers 250 kW of 250 kW, 1.0 s after the order"
     assert reply.startswith("in force from cycle ")
     assert settled == "250 kW reached within 1 % after 1.0 s, overshoot 0.0 %"
     assert source_of_order(tmp_path) == "page"
     status, text = page.order(json.dumps({"power_kw": None, "ramp_kw_per_min": 6e3}).encode())
-    assert (status, text.splitlines()[1].partition(" reached")[0]) == (200, "100 kW")
+    assert (status, text.splitlines()[-1].partition(" reached")[0]) == (200, "100 kW")
 
 
 def test_the_way_back_works_while_a_ramp_goes_on(page: Served, tmp_path: Path) -> None:
@@ -48,8 +49,18 @@ def test_the_way_back_works_while_a_ramp_goes_on(page: Served, tmp_path: Path) -
     with page.opened_order(ramp) as answer:
         assert answer.readline().startswith(b"in force from cycle ")
         status, text = page.order(json.dumps({"power_kw": None}).encode())
-        assert (status, text.splitlines()[1].partition(" reached")[0]) == (200, "100 kW")
-        assert b"then another order came" in answer.readline()
+        assert (status, text.splitlines()[-1].partition(" reached")[0]) == (200, "100 kW")
+        *progress, last = answer.read().splitlines()
+        assert b"asked for now: 100 kW" in progress[0]
+        assert b"then another order came" in last
+
+
+def test_an_order_holds_for_its_time(page: Served, tmp_path: Path) -> None:
+    status, text = page.order(json.dumps({"power_kw": 250.0, "hold_s": 20.0}).encode())
+    assert status == 200
+    assert "250 kW reached" in text
+    with OrderLine(tmp_path) as line:
+        assert any(one.dispatch.order_state == "over" for one in line.statuses())
 
 
 @pytest.mark.parametrize(
@@ -81,6 +92,7 @@ def test_a_request_that_is_not_of_the_page_orders_nothing(
         b'{"power_kw": NaN}',
         b'{"power_kw": "250"}',
         b'{"power_kw": 250, "ramp_kw_per_min": 0}',
+        b'{"power_kw": 250, "hold_s": -1}',
         b'{"source": "modbus", "power_kw": 250}',
         b'{"power_kw": "\xff"}',
         b"{}",
