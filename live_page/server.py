@@ -11,10 +11,12 @@ import asyncio
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import lru_cache
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import quote
 
 import msgspec
 import uvicorn
@@ -129,6 +131,7 @@ class PageServer:
             Route("/node", self._node),
             Route("/stream", self._stream),
             Route("/metrics", self._metrics),
+            Route("/no-help", self._without_help),
         ]
         routes: list[BaseRoute] = [Mount("/static", StaticFiles(directory=_STATIC))]
         if not self._several:
@@ -184,9 +187,16 @@ class PageServer:
 
     async def _compare(self, request: Request) -> Response:
         """Return the comparison of two runs as a page of its own, which holds all that it needs."""
-        first, second = (self._recording(request.query_params.get(one, "")) for one in "ab")
-        page = await asyncio.to_thread(_comparison, (first, second))
-        return HTMLResponse(page, headers={_CONTENT_POLICY: _ONE_FILE_ONLY})
+        names = [request.query_params.get(one, "") for one in "ab"]
+        paths = [self._recording(name) for name in names]
+        ways = [(name.replace("~", "/"), f"run/{quote(name, safe='')}/") for name in names]
+        return await asyncio.to_thread(_comparison, paths, [("all runs", "./"), *ways])
+
+    async def _without_help(self, request: Request) -> Response:
+        """Return the comparison of a run with what its sky would have given without help."""
+        ways = [("all runs", "../../")] if self._several else []
+        path = self._view(request).path
+        return await asyncio.to_thread(_comparison, [path], [*ways, ("this run", "./")])
 
     async def _plan(self, request: Request) -> Response:
         plan = self._view(request).plan()
@@ -255,12 +265,21 @@ class _Guard:
         await self._app(scope, receive, send_with_policy)
 
 
-def _comparison(recordings: tuple[Path, Path]) -> str:
+def _comparison(recordings: list[Path], links: list[tuple[str, str]]) -> Response:
+    """Compare two runs, or one with its baseline; a page with a way back, also if it cannot."""
     # Plotly is for this page alone: the others do not wait for it.
     from results.report.page import html_page  # noqa: PLC0415
-    from results.two_runs import diff_runs  # noqa: PLC0415
+    from results.report.result import Result  # noqa: PLC0415
+    from results.two_runs import diff_runs, with_and_without_help  # noqa: PLC0415
 
-    return html_page(diff_runs(recordings))
+    status = 200
+    try:
+        first, last = recordings[0], recordings[-1]
+        result = diff_runs((first, last)) if last is not first else with_and_without_help(first)
+    except InputError as error:
+        status, result = 422, Result("These runs cannot be compared", (), None, lines=[str(error)])
+    page = html_page(replace(result, links=links))
+    return HTMLResponse(page, status, headers={_CONTENT_POLICY: _ONE_FILE_ONLY})
 
 
 def _json(document: object) -> Response:

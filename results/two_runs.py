@@ -9,12 +9,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.control.grid import gross_kw
 from bus_schemas.errors import InputError
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECORDING_NAME
 from recordings.read.series import RunSeries, series_of
 from results.figures import Shown, run_figures, runs_as_columns, shown_in
 from results.message_differences import message_differences
+from results.report.plant_figures import plant_power
 from results.report.result import Result
 from results.report.run_report import run_line, runs_result
 from results.scenario_differences import scenario_differences
@@ -43,6 +45,31 @@ def diff_runs(paths: tuple[Path, Path]) -> Result:
     title = " and ".join(_name(path) for path in paths)
     result = runs_result(title, series, tables, lines, document)
     return replace(result, verdict=(found.equal, found.verdict))
+
+
+def with_and_without_help(path: Path) -> Result:
+    """Put a recording beside what its sky would have given without help between inverters."""
+    with RunReader(path) as reader:
+        series = replace(series_of(reader), label="with help")
+        lines = [run_line(reader.plan)]
+    if not np.isfinite(series.without_help_kw).any():
+        raise InputError(f"{path}: expected a cycle with the power of each inverter, got none")
+    both = [series, _without_help(series)]
+    table = figures_table(*both)
+    title = f"{_name(path)}, with help and without"
+    result = runs_result(title, both, [table], lines, json_rows(table))
+    return replace(result, figures=lambda: [plant_power(both)])
+
+
+def _without_help(series: RunSeries) -> RunSeries:
+    """Return a run's baseline as a run of its own, with one column for the whole plant."""
+    law, alone_kw = series.plan.grid_law, series.without_help_kw
+    asked = "commitment_kw", "regulation_kw", "dispatch_kw", "frequency_hz"
+    values = {name: getattr(series, name) for name in asked}
+    values["mpp_kw"] = series.mpp_kw.sum(axis=1, keepdims=True)
+    values["power_kw"] = np.array([gross_kw(kw, law) for kw in alone_kw.tolist()])[:, None]
+    alone = RunSeries.of(series.plan, "without help", values, ("plant",))
+    return replace(alone, first_cycle=series.first_cycle, baseline_kw=alone_kw)
 
 
 def _name(path: Path) -> str:
@@ -93,7 +120,7 @@ def _differ(first: RunSeries, second: RunSeries, name: str) -> NDArray[np.bool_]
 
 
 def figures_table(first: RunSeries, second: RunSeries) -> Table:
-    """Return the figures of merit of two runs side by side."""
     runs = [(one.label, run_figures(one)) for one in (first, second)]
     figures = shown_in(Shown.REPORT | Shown.COMPARE)
-    return runs_as_columns("Figures of merit, B less A", runs, figures, difference=True)
+    title = f"Figures of merit, {second.label} less {first.label}"
+    return runs_as_columns(title, runs, figures, difference=True)

@@ -51,7 +51,7 @@ export function powerPanel(time, group, shown, at) {
     $("cursor-time").textContent = pointed ? cursorText(history.cycle[row]) : "";
     values($("values"), [
       ...POWERS.map(line => ({...line, value: value(line.name)})),
-      {label: "delivered − dispatch", value: difference(value("delivered"), value("dispatch"))},
+      {label: "deviation", value: difference(value("delivered"), value("dispatch"))},
       {label: "denied by the sky", value: value("unavoidable")},
     ]);
   }

@@ -16,8 +16,8 @@ const figure = (heading, name, more = {}) => ({heading, by: run => run.figures[n
 const COLUMNS = [
   {heading: "run", by: run => run.name, show: link, words: true},
   {heading: "plant", by: run => run.scenario},
-  {heading: "rating", by: run => run.rating_kw, show: run => run.rating_kw === null ? "–" : power(run.rating_kw).join(" "), digits: true},
-  {heading: "inverters", by: run => run.inverters, digits: true, middle: true},
+  {heading: "rating", by: run => run.rating_kw, show: run => run.rating_kw === null ? "–" : power(run.rating_kw).join(" "), digits: true, small: true},
+  {heading: "inverters", by: run => run.inverters, digits: true, middle: true, small: true},
   figure("missed", "control-caused", {small: true}),
   figure("without help", "without-help", {small: true}),
   figure("denied by the sky", "unavoidable", {middle: true}),
@@ -120,7 +120,7 @@ $("filter").oninput = draw;
 $("theme").onclick = toggleTheme;
 $("compare").onclick = () => {
   const [a, b] = [...chosen].map(encodeURIComponent);
-  open(`compare?a=${a}&b=${b}`);
+  location.href = `compare?a=${a}&b=${b}`;
 };
 refresh();
 setInterval(refresh, 5000);

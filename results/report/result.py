@@ -35,6 +35,7 @@ class Result:
     verdict: Whether all is well, and a line that says so.
     figures, details: Draws the figures; further tables. Only the page has them.
     headline, key_figures, moments: What the page of a run shows first, with its first figure.
+    links: Texts and addresses of the pages that lead here, of a page that is served.
     """
 
     title: str
@@ -48,6 +49,7 @@ class Result:
     headline: str = ""
     key_figures: Sequence[KeyFigure] = ()
     moments: Sequence[Moment] = ()
+    links: Sequence[tuple[str, str]] = ()
 
 
 def print_result(console: Console, result: Result) -> None:

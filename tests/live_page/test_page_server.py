@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import re
 import socket
 import time
 import urllib.request
 from pathlib import Path
+from urllib.error import HTTPError
 
 import pytest
 from command_line import refusal
@@ -160,4 +162,28 @@ def test_two_runs_of_a_folder_are_compared(tmp_path: Path) -> None:
             text = answer.read().decode()
             assert "script-src 'unsafe-inline'" in answer.headers["Content-Security-Policy"]
         assert "source=c2/*,loss=0.2" in text
+        assert {"./", "run/one/", "run/two/"} <= set(re.findall('href="([^"#]+)"', text))
         assert page.status("compare?a=one&b=three") == 404
+
+
+def test_runs_that_cannot_be_compared_are_a_page_with_a_way_back(tmp_path: Path) -> None:
+    later = with_changes(PLAN, start_time_ns=PLAN.timing.start_time_ns + 10**9)
+    for name, plan in (("one", PLAN), ("later", later)):
+        (tmp_path / name).mkdir()
+        write_run(tmp_path / name / "run.mcap", whole_run(9), plan=plan)
+    with served(tmp_path, several=True) as page, pytest.raises(HTTPError) as refused:
+        urllib.request.urlopen(f"{page.root}compare?a=one&b=later", timeout=60)
+    text = refused.value.read().decode()
+    assert (refused.value.code, refused.value.headers.get_content_type()) == (422, "text/html")
+    assert "expected the beginning of" in text
+    assert {"./", "run/one/", "run/later/"} <= set(re.findall('href="([^"#]+)"', text))
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_a_run_is_compared_with_no_help(run: Path, several: bool) -> None:
+    with served(run.parent if several else run, several=several) as page:
+        path = f"{page.root}run/{run.name}/no-help" if several else f"{page.root}no-help"
+        with urllib.request.urlopen(path, timeout=60) as answer:
+            text = answer.read().decode()
+    assert "without help less with help" in text
+    assert ("../../" in re.findall('href="([^"#]+)"', text)) is several
