@@ -7,8 +7,7 @@ the control law, so that an error in it cannot hide itself.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import product
-from math import inf, isnan, nan
+from math import ceil, inf, isnan, nan
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -35,6 +34,12 @@ MISSED_SHARE: Final = 0.005
 
 MOST_FIRST_GAIN: Final = 0.6
 """Share of what lacks by which a new process changes a correction that it takes up, at most."""
+
+MOST_GAIN_PER_S: Final = 0.6
+"""Share of an error that is taken for lasting in a second, or at once, at most."""
+
+WELL_TRIED_SHARE: Final = 0.05
+"""Of the plant's rating: where corrections of so much have been tried, what was learned counts."""
 
 CORRECTS_WITHIN_S: Final = 10.0
 """Time in which a steady error changes the correction, besides that of the slowest inverter."""
@@ -322,6 +327,7 @@ class _Aim(NamedTuple):
     possible_kw: What all inverters can give, at the meter.
     readings_kw: What the meter sent since its last turn, up to the newest that was used.
     is_shown: Whether the target shows the correction: it does not at its bounds.
+    memory: What it states that a new process will need.
     """
 
     one: Decision
@@ -331,6 +337,7 @@ class _Aim(NamedTuple):
     possible_kw: float
     readings_kw: tuple[float, ...]
     is_shown: bool
+    memory: Any
 
     @property
     def aim_kw(self) -> float:
@@ -372,10 +379,12 @@ def _aims(run: FaultyRun) -> Iterator[_Aim | None]:
         target_kw = sum(setpoint.share_kw for setpoint in given if setpoint) + silent_kw
         possible_kw = sum(has_kw.values())
         low_kw, high_kw = (aim_kw(run, one, kw, possible_kw) for kw in reference)
+        stated_now = run.trace.of["memory"].get(one.cycle, ())
+        memory = next((m for m in stated_now if m.incarnation == one.process), None)
         is_shown = silent_kw + near_kw < target_kw < run.rating_kw() - near_kw
         yield _Aim(
             *(one, target_kw - high_kw, target_kw - low_kw, target_kw, net_kw(run, possible_kw)),
-            *(seen_kw, is_shown),
+            *(seen_kw, is_shown, memory),
         )
         seen_kw = ()
 
@@ -386,59 +395,115 @@ def target(run: FaultyRun) -> Breaches:
     control = run.plan.control
     most_kw = near_kw + (MOST_CORRECTION * run.rating_kw() if control.correction else 0.0)
     for now in _aims(run):
-        if now is not None and now.is_shown:
-            if now.low_kw > most_kw or now.high_kw < -most_kw:
-                yield now.one.cycle, f"central corrects by {now.low_kw:,.3f} kW"
-            elif control.correction and not control.offset_errors and (text := watch.wrong(now)):
-                yield now.one.cycle, f"central {text}"
-        elif now is None or now.readings_kw:
-            watch.last = None  # What it has corrected by is not known.
+        if now is None:
+            watch.forget()
+        elif now.is_shown and (now.low_kw > most_kw or now.high_kw < -most_kw):
+            yield now.one.cycle, f"central corrects by {now.low_kw:,.3f} kW"
+        elif control.correction and not control.offset_errors and (text := watch.wrong(now)):
+            yield now.one.cycle, f"central {text}"
 
 
 class _Corrections:
     """Follows the correction from turn to turn.
 
-    Only a new reading of the meter changes it: soon if a steady aim is missed, and not by far more
-    than what lacks. It is 0 while nothing is curtailed. A new process begins at 0 or goes on.
+    Only a reading of the meter that shows an error changes it, soon if a steady aim is missed, and
+    not by far more than what lacks. It is 0 while nothing is curtailed. A new process begins at 0
+    or goes on.
     """
 
     def __init__(self, run: FaultyRun) -> None:
-        self.last: _Aim | None = None
-        self._rating_kw, self._cycle_s = run.rating_kw(), run.plan.timing.cycle_s
-        self._turn_s = run.plan.control.period_cycles[0] * self._cycle_s
-        slowest_s = max(map(run.plan.site.follows_within_s, run.plan.tree.leaves))
+        site, leaves, control = run.plan.site, run.plan.tree.leaves, run.plan.control
+        settings = [*map(site.settings_of, leaves)]
+        self._rating_kw, self._offset_kw = run.rating_kw(), control.offset_kw
+        self._near_kw = 2.0 * EXACT * self._rating_kw
+        self._period = control.period_cycles[0]
+        self._turn_s = self._period * run.plan.timing.cycle_s
+        slowest_s = max(map(site.follows_within_s, leaves))
         self._settles_s = slowest_s + CORRECTS_WITHIN_S + 2.0 * self._turn_s
+        self._is_ramped = any(one.ramp_percent_per_s for one in settings)
+        delay_s = max(one.delay_s or 0.0 for one in settings)
+        self._seen_turns = 2 + ceil(round(delay_s / self._turn_s, 9))
+        self._last: _Aim | None = None  # The last turn, if it showed what it corrected by.
+        self._turns: list[_Aim] = []  # The last ones of this process, as many as a meter may show.
+        self._metered_kw = nan
         self._aims_kw: list[float] = []  # Since they have been steady.
-        self._idle, self._kept = 0, 2 * run.plan.control.hold_cycles
+        self._idle, self._kept = 0, 2 * control.hold_cycles
         self._shown_kw: list[float] = []
+        self._process = -1
+
+    def forget(self) -> None:
+        """Go on after a turn of which nothing is known."""
+        self._last, self._turns, self._metered_kw = None, [], nan
+        self._aims_kw, self._idle = [], 0
 
     def wrong(self, now: _Aim) -> str:
         """Say what is wrong with the correction of a turn; nothing if it is right."""
-        last, self.last, near_kw = self.last, now, 2.0 * EXACT * self._rating_kw
-        if last is not None:
-            self._shown_kw = [*self._shown_kw, last.low_kw][-self._kept :]
-        if last is None or max(one.high_kw - one.low_kw for one in (last, now)) > near_kw:
-            self._aims_kw, self._idle = [], 0
+        if now.high_kw - now.low_kw > self._near_kw:
+            self.forget()
             return ""
-        is_steady = abs(now.aim_kw - last.aim_kw) < STEADY_SHARE * self._rating_kw
-        is_steady = is_steady and last.one.process == now.one.process
-        self._aims_kw = [*self._aims_kw, now.aim_kw] if is_steady else []
+        last, is_new = self._last, now.one.process != self._process
+        if is_new:
+            self.forget()
+        text = ""
+        if last is not None and now.is_shown:
+            text = self._begins_wrong(now) if is_new else self._wrong_change(last, now)
+        if not text and now.memory is not None:
+            text = self._wrong_memory(now)
+        self._last, self._process = now if now.is_shown else None, now.one.process
+        self._turns = [*self._turns, now][-self._seen_turns :]
+        if now.is_shown:
+            self._shown_kw = [*self._shown_kw, now.low_kw][-self._kept :]
+        if now.readings_kw:
+            self._metered_kw = self._read_kw(now)
+        return text
+
+    def _read_kw(self, now: _Aim) -> float:
+        """Return what the law read since its last turn; NaN where it may have missed a reading."""
+        readings_kw = now.readings_kw
+        if self._period == 1:
+            return readings_kw[-1]
+        return float(np.mean(readings_kw)) if len(readings_kw) == self._period else nan
+
+    def _begins_wrong(self, now: _Aim) -> str:
+        # What the one before stated last may not have come through.
+        apart_kw = (abs(now.low_kw - kw) for kw in (0.0, *self._shown_kw))
+        lacks_kw = max((abs(now.aim_kw - kw) for kw in now.readings_kw), default=0.0)
+        if min(apart_kw) > MOST_FIRST_GAIN * lacks_kw + BEGINS_SHARE * self._rating_kw:
+            return f"begins with a correction of {now.low_kw:,.3f} kW"
+        return ""
+
+    def _wrong_change(self, last: _Aim, now: _Aim) -> str:
         step_kw = now.low_kw - last.low_kw
-        if last.one.process != now.one.process:
-            # What the one before stated last may not have come through.
-            apart_kw = (abs(now.low_kw - kw) for kw in (0.0, *self._shown_kw))
-            lacks_kw = max((abs(now.aim_kw - kw) for kw in now.readings_kw), default=0.0)
-            if min(apart_kw) > MOST_FIRST_GAIN * lacks_kw + BEGINS_SHARE * self._rating_kw:
-                return f"begins with a correction of {now.low_kw:,.3f} kW"
-        elif not now.readings_kw:
-            if abs(step_kw) > near_kw:
-                return f"corrects by {step_kw:,.3f} kW without a reading"
-        elif now.aim_kw > now.possible_kw + near_kw:
+        is_steady = abs(now.aim_kw - last.aim_kw) < STEADY_SHARE * self._rating_kw
+        self._aims_kw = [*self._aims_kw, now.aim_kw] if is_steady else []
+        if now.aim_kw > now.possible_kw + self._near_kw:
             has_all = not any(message.missing for message in now.one.sent.values())
-            if abs(now.low_kw) > near_kw and has_all:
+            if abs(now.low_kw) > self._near_kw and has_all:
                 return f"corrects by {now.low_kw:,.3f} kW, though nothing is curtailed"
-        else:
-            return self._wrong_step(now, step_kw)
+            return ""
+        if abs(step_kw) > self._near_kw and (why := self._no_error(now)):
+            return f"corrects by {step_kw:,.3f} kW {why}"
+        return self._wrong_step(now, step_kw) if now.readings_kw else ""
+
+    def _no_error(self, now: _Aim) -> str:
+        """Say why what the meter shows is no error; nothing if it may be one."""
+        if not now.readings_kw:
+            return "without a reading"
+        read_kw = self._read_kw(now)
+        if len(self._turns) < self._seen_turns or isnan(read_kw):
+            return ""
+        could = (
+            one.aim_kw - self._offset_kw < one.possible_kw + self._near_kw
+            for one in (*self._turns, now)
+        )
+        if not all(could):
+            return "for what only the sky could have given"
+        aims_kw = [one.aim_kw for one in self._turns]
+        if min(aims_kw) <= read_kw <= max(aims_kw):
+            return f"though {read_kw:,.3f} kW was aimed at"
+        way_kw = read_kw - self._metered_kw
+        if self._is_ramped and way_kw * (self._turns[-1].aim_kw - read_kw) > 0.0:
+            return f"while the power goes its way of {way_kw:,.3f} kW"
         return ""
 
     def _wrong_step(self, now: _Aim, step_kw: float) -> str:
@@ -450,12 +515,29 @@ class _Corrections:
         self._idle = self._idle + 1 if is_idle else 0
         if self._idle * self._turn_s > self._settles_s:
             return f"does not correct {lacks_kw:,.1f} kW"
-        if len(self._aims_kw) * self._turn_s > self._settles_s:
-            pairs = product(self._aims_kw, now.readings_kw)
-            most_kw = max(abs(aim_kw - reading_kw) for aim_kw, reading_kw in pairs)
-            most_kw += abs(now.low_kw) / 2.0 + MISSED_SHARE * self._rating_kw
-            if abs(step_kw) > most_kw:
-                return f"corrects by {step_kw:,.3f} kW for {lacks_kw:,.3f} kW"
+        return ""
+
+    def _wrong_memory(self, now: _Aim) -> str:
+        """Check what would be missing, as it is stated, and how much of it is corrected."""
+        said, rating_kw, near_kw = now.memory, self._rating_kw, self._near_kw
+        lacking_kw, correction_kw = said.lacking_kw, said.correction_kw
+        if abs(lacking_kw) > MOST_CORRECTION * rating_kw + near_kw:
+            return f"takes {lacking_kw:,.3f} kW for missing"
+        if now.is_shown and not abs(correction_kw - now.low_kw) <= near_kw:
+            return f"says that it corrects by {correction_kw:,.3f} kW, not {now.low_kw:,.3f} kW"
+        if said.tried_kw > WELL_TRIED_SHARE * rating_kw:
+            least, most = (min(max(said.helped_share, 0.0) + more, 1.0) for more in (0.0, 0.05))
+            parts_kw = sorted((least * lacking_kw, most * lacking_kw))
+            if not parts_kw[0] - near_kw <= correction_kw <= parts_kw[1] + near_kw:
+                return f"corrects {correction_kw:,.3f} of {lacking_kw:,.3f} kW, not {least:.3f}"
+        before = self._turns[-1].memory if len(self._turns) == self._seen_turns else None
+        if before is None or not now.readings_kw or lacking_kw == 0.0:
+            return ""
+        apart = (abs(one.aim_kw - kw) for one in self._turns for kw in now.readings_kw)
+        apart_kw = max(apart) + abs(before.correction_kw - before.lacking_kw)
+        most_kw = MOST_GAIN_PER_S * min(self._turn_s, 1.0) * apart_kw + near_kw
+        if abs(lacking_kw - before.lacking_kw) > most_kw:
+            return f"learns {lacking_kw - before.lacking_kw:,.3f} kW of {apart_kw:,.3f} kW at once"
         return ""
 
 

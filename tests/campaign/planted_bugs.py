@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from math import isnan
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -242,6 +243,14 @@ BUGS: Final[dict[str, Bug]] = {
     ),
     "the correction goes on while all are free": Bug(
         "agents.control.correction:corrected", _with(possible_kw=float("inf"))
+    ),
+    "turns that teach nothing are taught": Bug(
+        "agents.control.correction:corrected",
+        _then(
+            lambda new, *_: new._replace(
+                shown_kw=tuple(new.aim_kw if isnan(kw) else kw for kw in new.shown_kw)
+            )
+        ),
     ),
     "the correction only goes up": Bug(
         "agents.control.correction:corrected_kw",

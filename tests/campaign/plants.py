@@ -155,6 +155,16 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
         },
         Worth(0.0028, 0.0013, 0.0009, 0.0, 0.33),
     ),
+    "lossy": CampaignPlant(  # It would have to correct by more than it may.
+        _EIGHT,
+        "150s",
+        {
+            "grid": {"loss_constant_percent": 4, "loss_quadratic_percent": 20},
+            "irradiance.clouds.cloud_cover": 0.0,
+            "commitment.share": 0.6,
+        },
+        Worth(0.046, 0.0, 0.024, 0.0, 0.76),
+    ),
     "valley": CampaignPlant(
         "valley", "150s", {"commitment.share": 0.7}, Worth(0.0011, 0.0006, 0.0008, 0.0, 0.92)
     ),
