@@ -308,8 +308,8 @@ def checkerboard(cycles: int, inverters: int) -> np.ndarray:
     return np.where(turns % 2, DARK, BRIGHT)
 
 
-def hard_skies() -> Lines:
-    """Write what is missed and over-delivered where a change cannot be foreseen."""
+def hard_cells() -> dict[str, list[tuple[RunPlan, Profile]]]:
+    """Return plants and skies whose changes cannot be foreseen, by the name of the sky."""
     day = prepare(load_scenario("oahu"), RunOptions(duration=f"{HARD_CYCLES}s"), "hard")
     rating_kw = np.array([day.plan.tree.rating_kw(leaf) for leaf in day.plan.tree.leaves])
     positions_m, count = np.array(day.plan.site.positions_m), len(rating_kw)
@@ -337,8 +337,13 @@ def hard_skies() -> Lines:
         options = [RunOptions(seed=seed, duration="30m") for seed in range(301, 307)]
         days = [prepare(scenario, one, "hard") for one in options]
         runs[title] = [(one.plan, one.profile) for one in days]
+    return runs
+
+
+def hard_skies() -> Lines:
+    """Write what is missed and over-delivered where a change cannot be foreseen."""
     yield ["sky", "actuator", "paper", "predictive", *SUMS]
-    for sky, cells in runs.items():
+    for sky, cells in hard_cells().items():
         for actuator in BOTH:
             cell: list[str] = []
             sums: list[str] = []
@@ -585,17 +590,58 @@ def judged(runs: Sequence[RunSeries], factor: float) -> pd.Series:
     ).mean()
 
 
+JUDGES: Final = {"truth": "", "meter": "metered-"}
+UTILITY: Final = "utility"
+NO_LOSSES: Final = {"loss_constant_percent": 0.0, "loss_quadratic_percent": 0.0}
+PARTS: Final[dict[str, dict[str, Any]]] = {
+    "nothing": {},
+    "the meter's error": {"grid.meter_error_percent": 0.0},
+    "losses": {f"grid.{name}": value for name, value in NO_LOSSES.items()},
+    "both": {"grid": {"meter_error_percent": 0.0, **NO_LOSSES}},
+    "ramps": {"plant.ramp_percent_per_s": None},
+    "the delay": {"plant.delay_s": 0.0},
+    "averages over arrays": {"plant.block_m": 0.0},
+    "trackers": {"pv": {"tracker_gcr": None}},
+    "DC/AC 1.3": {"pv.dc_ac_ratio": 1.0},
+    "noise of the inverters' meters": {"plant.meter_noise": 0.0},
+}
+"""Parts of `utility` that are turned off, and the settings for that."""
+
+
 def realism() -> Lines:
     """Write means over ten skies of the paper's plant, and of one as plants are built today."""
+    yield ["scenario", "scheme", "actuator", "judged by", "unavoidable %", *ERRORS, "RMSE kW"]
+    for scenario in ("oahu", UTILITY):
+        for (scheme, actuator), group in ten_skies(scenario).groupby(
+            ["scheme", "actuator"], sort=False
+        ):
+            means = group.mean(numeric_only=True)
+            for judge, prefix in JUDGES.items():
+                names = [f"{prefix}{cause}" for cause in CAUSES]
+                if not group[names].isna().any(axis=None):
+                    cells = (f"{means[name]:.3f}" for name in ("unavoidable", *names))
+                    yield [scenario, scheme, actuator, judge, *cells, f"{means['rmse']:.1f}"]
+
+
+def utility_parts() -> Lines:
+    """Write control-caused / over-delivered in `utility` with one of its parts turned off."""
     schemes = ("uniform-cap", *HIERARCHICAL)
-    run = partial(compare, schemes=schemes, actuators=BOTH, seeds=range(1, 11), workers=WORKERS)
-    yield ["scenario", "scheme", "actuator", "unavoidable %", *ERRORS, "RMSE kW"]
-    for scenario in ("oahu", "utility"):
-        rows = run(scenario)
-        for names, group in rows.groupby(["scheme", "actuator"], sort=False):
-            percents = group[["unavoidable", *CAUSES]].mean()
-            cells = (f"{percent:.3f}" for percent in percents)
-            yield [scenario, *names, *cells, f"{group['rmse'].mean():.1f}"]
+    yield ["without", "actuator", "judged by", *schemes]
+    for title, changes in PARTS.items():
+        scenario = with_settings(load_scenario(UTILITY), list(changes.items()))
+        rows = ten_skies(scenario)
+        means = rows.groupby(["actuator", "scheme"]).mean(numeric_only=True)
+        for actuator in BOTH:
+            for judge, prefix in JUDGES.items():
+                names = [f"{prefix}{cause}" for cause in CAUSES]
+                if judge == "truth" or not rows[names].isna().any(axis=None):
+                    found = (means.loc[(actuator, scheme), names] for scheme in schemes)
+                    yield [title, actuator, judge, *(f"{m:.3f} / {o:.3f}" for m, o in found)]
+
+
+def ten_skies(scenario: str | ScenarioFile) -> pd.DataFrame:
+    schemes = ("uniform-cap", *HIERARCHICAL)
+    return compare(scenario, schemes=schemes, actuators=BOTH, seeds=range(1, 11), workers=WORKERS)
 
 
 def unavoidable() -> Lines:
@@ -927,6 +973,7 @@ SYNTHETIC: Final[dict[str, Tables]] = {
         "paper here": paper_here,
         "plant meter": plant_meter,
         "realism": realism,
+        "utility parts": utility_parts,
         "unavoidable": unavoidable,
     },
     "offers.md": {"offers": offers},

@@ -91,11 +91,15 @@ FIGURES: Final = {
         ("control-caused-energy", "Shortfall, control-caused", "kWh", 2, _SR),
         ("without-help-energy", "Control-caused, without help", "kWh", 2, _SR),
         ("over-delivered-energy", "Over-delivery", "kWh", 2, _SR),
+        ("metered-control-caused-energy", "Control-caused, by the meter", "kWh", 2, _SR),
+        ("metered-over-delivered-energy", "Over-delivery, by the meter", "kWh", 2, _SR),
         ("shortfall", "Shortfall", "% of dispatch", 3, _NOWHERE),
         ("unavoidable", "Unavoidable", "% of dispatch", 3, _C),
         ("control-caused", "Control-caused", "% of dispatch", 3, _C),
         ("without-help", "Control-caused, without help", "% of dispatch", 3, _NOWHERE),
         ("over-delivered", "Over-delivered", "% of dispatch", 3, _C),
+        ("metered-control-caused", "Control-caused, by the meter", "% of dispatch", 3, _C),
+        ("metered-over-delivered", "Over-delivered, by the meter", "% of dispatch", 3, _C),
         ("rmse", "Tracking RMSE", "kW", 2, _SRC),
         ("mae", "Tracking MAE", "kW", 2, _R),
         ("mileage", "Mileage per hour", "kW/h", 0, _SRC),
@@ -217,6 +221,7 @@ def run_figures(series: RunSeries) -> Figures:
         "cycles": int(known.sum()),
         "planned-cycles": series.plan.timing.cycles,
         **energy_figures(dispatch_kw, available_kw, delivered_kw, series.cycle_s),
+        **_metered_figures(series),
         **_baseline_figures(series),
         **_battery_figures(series),
         "unknown-energy": float(np.nansum(series.unknown_kw[known])) * hours or None,
@@ -272,6 +277,19 @@ def energy_figures(
         figures |= {name: 100.0 * kwh[name] / dispatched_kwh for name in missed_kw}
         figures["satisfied"] = 100.0 - 100.0 * kwh["shortfall"] / dispatched_kwh
     return figures
+
+
+def _metered_figures(series: RunSeries) -> Figures:
+    """Compute the same from what a meter reads that is known to be wrong: what is paid."""
+    percent = series.plan.grid.meter_error_percent
+    if percent == 0.0:
+        return {}
+    known, reads = series.known, 1.0 + percent / 100.0
+    read_kw = reads * series.available_kw[known], reads * series.delivered_kw[known]
+    found = energy_figures(series.desired_kw[known], *read_kw, series.cycle_s)
+    names = ("control-caused", "over-delivered")
+    parts = [f"{name}{ending}" for name in names for ending in ("-energy", "")]
+    return {f"metered-{part}": found.get(part) for part in parts}
 
 
 def _baseline_figures(series: RunSeries) -> Figures:

@@ -44,6 +44,8 @@ def headline(figures: Figures) -> str:
     if missed is None:
         return "nothing was promised"
     parts = [f"missed {percent(missed)} of the promise"]
+    if (metered := figures["metered-control-caused"]) is not None:
+        parts[0] += f" ({percent(metered)} by the plant's meter)"
     if alone is not None:
         parts.append(f"without help between inverters {percent(alone)}")
     if denied := figures["unavoidable"]:

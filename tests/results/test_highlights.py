@@ -11,7 +11,7 @@ from plans_by_hand import plan_of
 from rich.console import Console
 
 from recordings.read.series import RunSeries
-from results.figures import Figures
+from results.figures import FIGURES, Figures
 from results.headline import curve_lines, headline
 from results.highlights import Highlights, highlights
 
@@ -65,6 +65,8 @@ def test_the_curves_fit_a_narrow_terminal(can_draw: bool) -> None:
 
 
 def test_the_headline_has_the_baseline_only_where_it_is_known() -> None:
-    figures: Figures = {"control-caused": 0.009, "without-help": 2.3, "unavoidable": 0.0}
+    figures: Figures = dict.fromkeys(FIGURES)
+    figures |= {"control-caused": 0.009, "without-help": 2.3, "unavoidable": 0.0}
     assert "2.30 %" in headline(figures)
+    assert "0.50 % by the plant's meter" in headline(figures | {"metered-control-caused": 0.5})
     assert "without" not in headline(figures | {"without-help": None})

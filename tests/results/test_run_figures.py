@@ -69,6 +69,17 @@ def test_a_run_of_four_half_hours_by_hand() -> None:
     )
 
 
+def test_a_plant_whose_meter_is_wrong_is_judged_by_truth_and_by_meter() -> None:
+    grid = GridSettings(meter_error_percent=10.0)
+    found = run_figures(run_of([100.0] * 4, 150.0, [100.0, 80.0, 100.0, 90.0], grid=grid))
+    assert found["control-caused"] == pytest.approx(7.5)
+    assert found["over-delivered"] == 0.0
+    assert found["metered-control-caused"] == pytest.approx(100.0 * (12.0 + 1.0) / 400.0)
+    assert found["metered-over-delivered"] == pytest.approx(100.0 * 20.0 / 400.0)
+    exact = run_figures(run_of([100.0] * 4, 150.0, [100.0, 80.0, 100.0, 90.0]))
+    assert exact["metered-control-caused"] is None
+
+
 def test_power_that_nobody_measures_is_a_figure_of_its_own() -> None:
     run = run_of([100.0] * 4, 150.0, 100.0, cycle_s=900.0)
     found = run_figures(replace(run, unknown_kw=np.array([0.0, 0.0, 40.0, 40.0])))
