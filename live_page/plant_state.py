@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain
 from math import ceil
 from typing import Any, Final, TypeAlias
 
 import msgspec
 
+from agents.control.forecast import BOUND_TOLERANCE
 from agents.dispatch import own_share_kw
 from bus_schemas.codec import decode
-from bus_schemas.messages import Dispatch, Impp, Message, Production, Setpoint, parse_missing
+from bus_schemas.messages import (
+    Dispatch,
+    Impp,
+    Message,
+    Production,
+    Setpoint,
+    Telemetry,
+    parse_missing,
+)
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
@@ -99,7 +108,8 @@ class PlantState:
 
     def powers(self, node: str, cycle: int) -> dict[str, float | None]:
         """Return the powers of one node in a cycle [kW]."""
-        ports = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
+        ports: set[Port[Any]] = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
+        ports |= {TELEMETRY.of(leaf) for leaf in self._leaves_of(node)}
         if node != ROOT:
             ports.add(SETPOINT.of(node))
         return self._powers(self._messages(cycle, ports), node)
@@ -108,7 +118,8 @@ class PlantState:
         """Return the powers of a node [kW]; None: no message states it.
 
         `help` is the setpoint less the node's share of its parent's target: negative if the node
-        gets help. The central controller's setpoint is the dispatch.
+        gets help. The central controller's setpoint is the dispatch. `bound` is the IMPP where that
+        is only an upper bound: a limit hides the maximum of an inverter below the node.
         """
         dispatch, made = messages.get(DISPATCH.of(ROOT)), messages.get(PRODUCTION.of(ROOT))
         assert dispatch is None or isinstance(dispatch, Dispatch)
@@ -116,7 +127,9 @@ class PlantState:
         setpoint = messages.get(SETPOINT.of(node)) if node != ROOT else dispatch
         helped = setpoint.power_kw - setpoint.share_kw if isinstance(setpoint, Setpoint) else None
         below = self._leaves_below[node]
+        is_bound = any(map(partial(self._is_hidden, messages), self._leaves_of(node)))
         powers = {
+            "bound": impp.power_kw if isinstance(impp, Impp) and is_bound else None,
             "impp": impp.power_kw if isinstance(impp, Impp) else None,
             "share": own_share_kw(dispatch, self._tree.rating_kw(node)),
             "setpoint": setpoint.power_kw if isinstance(setpoint, Setpoint | Dispatch) else None,
@@ -125,6 +138,17 @@ class PlantState:
             "mpp": _total(made, "inverter_mpp_kw", below),
         }
         return {name: None if kw is None else round(kw, 2) for name, kw in powers.items()}
+
+    def _leaves_of(self, node: str) -> list[str]:
+        return [self._tree.leaves[leaf] for leaf in self._leaves_below[node]]
+
+    def _is_hidden(self, messages: Messages, leaf: str) -> bool:
+        """Whether an inverter gives what its limit lets it, and does not state what it could."""
+        read = messages.get(TELEMETRY.of(leaf))
+        if not isinstance(read, Telemetry) or read.available_kw is not None:
+            return False
+        is_limited = read.limit_kw < self._tree.rating_kw(leaf)
+        return is_limited and read.power_kw >= read.limit_kw * (1.0 - BOUND_TOLERANCE)
 
     def _help(self, messages: Messages) -> list[tuple[int, int, float]]:
         """Return who helps whom by how much: numbers of donor and needy, kW."""

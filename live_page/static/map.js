@@ -177,7 +177,9 @@ export function plantMap(svg, note, legend, plan, select) {
 
 function titleOf(node, {nodes, agents}) {
   const [available, made] = [nodes.mpp, nodes.power].map(powers => powers[node.number]);
-  return `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW; ${agents.text[node.number + 1]}`;
+  const [bound, impp] = [nodes.bound, nodes.impp].map(powers => powers[node.number]);
+  const known = bound === null ? `IMPP ${kw(impp)} kW` : `IMPP at most ${kw(bound)} kW, its limit hides its maximum`;
+  return `${node.path}: available ${kw(available)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW; ${known}; ${agents.text[node.number + 1]}`;
 }
 
 // What the colours of the lines mean. Where there are more clusters than colours, only that they join one.

@@ -9,6 +9,7 @@ import {values} from "./panels.js";
 const POWERS = [
   {label: "available", name: "mpp", color: "--available", fill: "--available-fill", width: 1},
   {label: "IMPP", name: "impp", color: "--impp"},
+  {label: "IMPP, at most", name: "bound", color: "--impp", dash: [2, 4]},
   {label: "share", name: "share", color: "--dispatch", dash: [7, 4]},
   {label: "setpoint", name: "setpoint", color: "--setpoint", dash: [3, 3], width: 2},
   {label: "delivered", name: "power", color: "--delivered", width: 2},
@@ -28,7 +29,8 @@ export function nodePanel(plan, time, group, shown, at) {
     const {from, to} = shown(at), x = history.cycle.map(time.seconds);
     const range = [from, to, at.cycle].map(time.seconds);
     const column = name => history[name] ?? x.map(() => null);
-    powerChart.show([x, ...POWERS.map(line => column(line.name))], ...range);
+    const seen = name => name === "impp" ? column(name).map((value, row) => history.bound?.[row] == null ? value : null) : column(name);
+    powerChart.show([x, ...POWERS.map(line => seen(line.name))], ...range);
     helpChart.show([x, column("help")], ...range);
     showValues();
   }
@@ -38,7 +40,9 @@ export function nodePanel(plan, time, group, shown, at) {
     if (!frame || panel.selected === null) return;
     const pointed = row !== null && history.cycle[row] !== undefined;
     const value = name => pointed ? history[name]?.[row] : frame.nodes[name][panel.selected];
-    values($("node-values"), [...POWERS, {...HELP, fill: undefined}].map(line => ({...line, value: value(line.name)})));
+    const unused = value("bound") === null ? "bound" : "impp";
+    const lines = [...POWERS, {...HELP, fill: undefined}].filter(({name}) => name !== unused);
+    values($("node-values"), lines.map(line => ({...line, value: value(line.name)})));
   }
 
   function describe() {

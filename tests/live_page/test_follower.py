@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from command_line import done
+from msgspec.structs import replace
 from plans_by_hand import with_changes
 from recordings_by_hand import (
     PLAN,
@@ -21,7 +22,7 @@ from recordings_by_hand import (
 from served import growing_run
 
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Notice, Production
+from bus_schemas.messages import Notice, Production, Telemetry
 from bus_schemas.signals import IMPP, NOTICE, PRODUCTION, RUN, TELEMETRY
 from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
@@ -105,6 +106,28 @@ def test_a_frame_has_the_powers_the_help_and_the_shares(tmp_path: Path) -> None:
     assert set(frame["agents"]["kind"]) == {"fine"}
     # The central controller acts every other cycle: its newest setpoint holds.
     assert nodes["setpoint"][number("c1")] == 120.0
+
+
+def test_an_impp_is_only_an_upper_bound_where_a_limit_hides_the_maximum(tmp_path: Path) -> None:
+    limited = {
+        "c1/a": {"power_kw": 49.9, "limit_kw": 50.0},
+        "c1/b": {"power_kw": 30.0, "limit_kw": 50.0},
+        "c2/c": {"power_kw": 50.0, "limit_kw": 50.0, "available_kw": 70.0},
+    }
+
+    def read(delivery: Delivery) -> Delivery:
+        port, message = delivery
+        if isinstance(message, Telemetry):
+            message = replace(message, **limited.get(port.node, {}))
+        return port, message
+
+    write_run(tmp_path / "run.mcap", map(read, whole_run(20)))
+    state = PlantState(followed(tmp_path / "run.mcap"))
+    nodes = state.frame(7)["nodes"]
+    bounds = {node: nodes["bound"][number(node)] for node in PLAN.tree.nodes}
+    assert {node for node, bound in bounds.items() if bound is not None} == {ROOT, "c1", "c1/a"}
+    assert bounds["c1/a"] == nodes["impp"][number("c1/a")]
+    assert state.powers("c1/a", 7)["bound"] == bounds["c1/a"]
 
 
 def test_what_is_missing_is_shown_as_missing(tmp_path: Path) -> None:
