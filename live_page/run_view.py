@@ -75,6 +75,7 @@ class RunView:
         plan, tree = follower.plan, follower.plan.tree
         number = {node: number for number, node in enumerate(tree.nodes)}
         devices = dict(plan.site.devices)
+        irradiance = follower.run.scenario_table().get("irradiance", {})
         return {
             "run": plan.run_id,
             "plant": plan.plant,
@@ -91,6 +92,7 @@ class RunView:
                 for node in tree.nodes
             ],
             "positions_m": plan.site.positions_m,
+            "has_clouds": irradiance.get("kind") == "clouds" and bool(plan.site.positions_m),
             "cycles": plan.timing.cycles,
             "cycle_s": plan.timing.cycle_ns / 1e9,
             "cycle_wall_s": plan.timing.cycle_wall_ns / 1e9,

@@ -132,6 +132,7 @@ class PageServer:
             Route("/stream", self._stream),
             Route("/metrics", self._metrics),
             Route("/no-help", self._without_help),
+            Route("/clouds", self._clouds),
         ]
         routes: list[BaseRoute] = [Mount("/static", StaticFiles(directory=_STATIC))]
         if not self._several:
@@ -209,6 +210,12 @@ class PageServer:
     async def _node(self, request: Request) -> Response:
         node = request.query_params.get("path", "")
         return _json(await self._view(request).node(node, _cycles(request)))
+
+    async def _clouds(self, request: Request) -> Response:
+        from live_page.sky import clouds  # noqa: PLC0415 - scipy is slow to import
+
+        follower, _ = await self._view(request).newest()
+        return _json(clouds(follower.run, int(_number(request, "cycle", 0))))
 
     async def _metrics(self, request: Request) -> Response:
         """Return the newest cycle for Prometheus, which reads the recording on meanwhile."""

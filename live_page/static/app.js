@@ -1,6 +1,7 @@
 // The page of one run: asks for its plan, follows its stream of updates, and hands them to the panels.
 
 import {chartGroup} from "./chart.js";
+import {cloudLayer} from "./clouds.js";
 import {$, json} from "./dom.js";
 import {eventList} from "./events.js";
 import {plantMap} from "./map.js";
@@ -66,6 +67,7 @@ function showRun(plan) {
   const node = nodePanel(plan, time, group, span.shown, at);
   const bar = positionBar(plan, time, at, seek);
   const map = plantMap($("map"), $("map-note"), $("clusters"), plan, select);
+  const showClouds = plan.has_clouds ? cloudLayer($("map"), map.place) : () => {};
   const tree = controlTree($("tree"), plan, select);
   const events = eventList($("events"), $("later"), time.timeOf, seek);
   let devices = {};
@@ -101,6 +103,7 @@ function showRun(plan) {
     if (plan.positions_m.length) $("map-note").textContent = more > 0 ? `${more} smaller helps are not drawn.` : "";
     tree.show(frame);
     orders.show(frame);
+    showClouds(at.cycle);
     $("sentence").textContent = `${time.timeOf(at.cycle)}: ${sentence(plan, frame)}`;
     $("clock").textContent = time.timeOf(at.cycle);
     $("day").textContent = time.dayOf(at.cycle);

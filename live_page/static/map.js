@@ -75,7 +75,8 @@ export function plantMap(svg, note, legend, plan, select) {
   const scale = Math.min((width - 2 * margin) / Math.max(right - left, 1e-9), 470 / Math.max(high - low, 1e-9));
   const height = Math.max((high - low) * scale + 2 * margin, 240) + 16;
   const middle = [(left + right) / 2, (low + high) / 2];
-  const at = metres.map(([x, y]) => [width / 2 + (x - middle[0]) * scale, (height - 16) / 2 - (y - middle[1]) * scale]);
+  const placeOf = ([x, y]) => [width / 2 + (x - middle[0]) * scale, (height - 16) / 2 - (y - middle[1]) * scale];
+  const at = metres.map(placeOf);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.replaceChildren();
   const typical = typicalDistance(at);
@@ -131,6 +132,7 @@ export function plantMap(svg, note, legend, plan, select) {
   note.textContent = known ? "" : "The recording does not say where the inverters stand: a row for each cluster.";
 
   return {
+    place: {at: placeOf, scale},
     select(number) {
       for (const chosen of svg.querySelectorAll(".selected")) chosen.classList.remove("selected");
       for (const chosen of [number, plan.nodes[number].parent]) shapes.get(chosen)?.classList.add("selected");
