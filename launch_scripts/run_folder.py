@@ -34,6 +34,9 @@ class RunFolder:
         except FileExistsError:
             got = f"got {self.path}, in which another run has begun"
             raise InputError.of("--out", f"expected a new or empty folder, {got}") from None
+        except OSError as error:
+            got = f"got {self.path}: {error.strerror}"
+            raise InputError.of("--out", f"expected a folder that can be made, {got}") from None
 
     def fill(
         self, preparation: Preparation, tcp_ports: dict[str, int], sockets: str = ""

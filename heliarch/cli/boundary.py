@@ -16,7 +16,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NoReturn
 
-from cyclopts.exceptions import CycloptsError, UnusedCliTokensError
+from cyclopts.exceptions import CycloptsError, MissingArgumentError, UnusedCliTokensError
 
 from bus_schemas.errors import FailureError, InputError, InputWarning, listed, printable
 
@@ -146,6 +146,8 @@ def _text(error: Exception) -> str:
         if isinstance(error, UnusedCliTokensError):
             got = listed([printable(one) for one in error.unused_tokens or ()], most=3)
             return f"expected no more words, got {got}"
+        if isinstance(error, MissingArgumentError) and (name := error.keyword):
+            return f"{name}: expected a value (one that begins with - is written {name}=-1)"
         return " ".join(str(error).split())
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror

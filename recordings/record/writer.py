@@ -22,6 +22,7 @@ from typing import Final
 from mcap.writer import Writer
 
 from agents.plan import RunPlan
+from bus_schemas.code_digest import code_digest
 from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Head, Message
@@ -161,7 +162,7 @@ class RunWriter:
         if driver == "launch":  # The timing of a run depends on the host.
             run |= {"host": platform.node(), "kernel": platform.release()}
             run["cpu_count"] = str(os.cpu_count())
-        run["python"] = platform.python_version()
+        run |= {"python": platform.python_version(), "code": code_digest()}
         run |= {f"version {name}": version(name) for name in _VERSIONED}
         self._writer.add_metadata("run", run)
         clocks = {"monotonic_ns": str(anchor.monotonic_ns), "wall_ns": str(anchor.wall_ns)}

@@ -54,6 +54,8 @@ def verification_lines(
     if count := messages.misplaced:
         yield f"{count:,} messages belong to no cycle of the run, or come long after it"
     yield from difference_lines(agents, RunClock(plan, plan.timing.cycles - 1))
+    if verification.same_code is False:
+        yield "the recording was made by other code than this: the sources differ"
     yield REPETITION
     yield _verdict(verification, equality)
 
@@ -103,6 +105,7 @@ def verification_data(verification: Verification, wall_s: float) -> dict[str, An
         "differences",
         "unrecorded_cycles",
         "left_out",
+        "same_code",
     )
     first = verification.first
     return {

@@ -13,6 +13,7 @@ from agents.cycle import stage_place
 from agents.direct import DirectController
 from agents.plan import RunPlan
 from agents.team import controller, direct_controller
+from bus_schemas.code_digest import code_digest
 from bus_schemas.errors import InputError
 from bus_schemas.selection import find_agents
 from bus_schemas.signals import PRODUCTION
@@ -35,7 +36,8 @@ class Verification:
     `stop_cycle` is the first cycle that did not take place; None if the run broke off. In
     `unrecorded_cycles` the recorder was away; None if it always was there. `asked` counts the
     recorded messages of the agents and cycles that are to be compared. `agents` are the results
-    of the agents that were run again, `left_out` the others and why.
+    of the agents that were run again, `left_out` the others and why. `same_code` says whether the
+    recording was made by the code at hand; None if it does not say.
     """
 
     recording: Path
@@ -47,6 +49,7 @@ class Verification:
     asked: int
     agents: dict[str, AgentResult]
     left_out: dict[str, str]
+    same_code: bool | None
 
     def total(self, figure: str) -> int:
         """Return the sum of a figure over the results of all agents."""
@@ -101,6 +104,7 @@ def verify(
     with RunReader(run) as reader:
         reader.follow = progress
         plan, stop_cycle = reader.plan, reader.stop_cycle
+        code = reader.metadata.get("run", {}).get("code")
         wanted = reader.clock.span(start, end)
         team, left_out = _team(plan, nodes, reader.path)
         absences = list(unrecorded_spans(reader))
@@ -132,6 +136,7 @@ def verify(
         left_out_messages + sum(result.recorded for result in results.values()),
         results,
         left_out,
+        code == code_digest() if code else None,
     )
     if not verification.total("recorded") and not verification.differences:
         raise InputError(f"{reader.path}: expected messages of {', '.join(team)}, got none")

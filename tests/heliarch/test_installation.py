@@ -47,6 +47,17 @@ def test_the_wheel_launches_with_page_and_report(installed: Path) -> None:
     assert (installed.parent / "run" / "report.html").stat().st_size > 1_000_000
 
 
+def test_verify_says_that_other_code_made_a_recording(installed: Path) -> None:
+    simulated = ("heliarch", "simulate", "oahu", "--duration", "5", "--out", "simulated")
+    assert run(installed, *simulated).returncode == 0
+    assert "other code" not in run(installed, "heliarch", "verify", "simulated").stdout
+    with (installed / "agents" / "direct.py").open("a", encoding="utf-8") as source:
+        source.write("# A change that decides nothing.\n")
+    verified = run(installed, "heliarch", "verify", "simulated")
+    assert verified.returncode == 0, verified.stdout
+    assert "made by other code than this" in verified.stdout
+
+
 def test_a_module_of_another_package_is_named(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "first" / "scenarios").mkdir(parents=True)
     (tmp_path / "first" / "scenarios" / "__init__.py").touch()

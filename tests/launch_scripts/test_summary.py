@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from reports_by_hand import summary_of
 
 from agents.process.events import Complaint, ExternalAccount, Recorded
+from bus_schemas.errors import InputError
 from launch_scripts.account import RunAccount
 from launch_scripts.run_folder import RunFolder
 from recordings.inspect.overview import read_through
@@ -171,3 +172,8 @@ def test_a_recording_that_holds_less_than_was_recorded_is_a_failure(
     covered = summary.figures["cycles"] if summary.figures else 0
     assert covered == 300 if harm is None else 0 <= (covered or 0) < 300
     assert harm is None or str(folder.recording) in failures[0]
+
+
+def test_a_folder_that_cannot_be_made_is_named_with_its_option() -> None:
+    with pytest.raises(InputError, match=r"^--out: .*got /proc/x"):
+        RunFolder(Path("/proc/x")).make()

@@ -108,6 +108,7 @@ simulate small.toml --from noon                                         --from
 simulate small.toml --to 11:00                                          --to
 simulate small.toml --to 13:00 --duration 1h                            --duration
 simulate small.toml --duration soon                                     --duration
+launch small.toml --duration -5s                                        --duration=-1
 simulate small.toml --pace fast                                         --pace
 simulate small.toml --seed 1.5                                          --seed
 simulate small.toml --seed 1 --seed 2                                   --seed
