@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import fields
 from functools import cached_property, wraps
 from html import escape
+from inspect import Parameter, Signature, signature
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar, get_args, get_type_hints
 
 import pandas as pd
 
@@ -22,8 +24,10 @@ from recordings.read.series import plant_series_of
 from results.figures import Shown, run_figures, shown_in
 from results.run_document import RunDocument, document_in
 from results.timing.stages import stage_table
+from scenarios.run_options import RunOptions
 
 if TYPE_CHECKING:
+    import plotly.graph_objects as go
     import pyarrow as pa
 
 
@@ -42,7 +46,10 @@ _PARAMETERS: Final = {
 
 
 def by_parameter(function: Callable[P, T]) -> Callable[P, T]:
-    """Let errors of a function name its parameters in place of the command's options."""
+    """Let errors of a function name its parameters in place of the command's options.
+
+    Its signature lists the options that it takes by name, for notebooks to complete.
+    """
 
     @wraps(function)
     def call(*words: P.args, **options: P.kwargs) -> T:
@@ -51,7 +58,23 @@ def by_parameter(function: Callable[P, T]) -> Callable[P, T]:
         except InputError as error:
             raise error.renamed(_as_parameters(error.field)) from error.__cause__
 
+    call.__dict__["__signature__"] = _with_options(function)
     return call
+
+
+def _with_options(function: Callable[..., object]) -> Signature:
+    """Return a signature that names what `**options: Unpack[...]` stands for."""
+    found, parameters = signature(function), list[Parameter]()
+    defaults = {one.name: one.default for one in fields(RunOptions)}
+    for one in found.parameters.values():
+        if one.kind is not Parameter.VAR_KEYWORD:
+            parameters.append(one)
+            continue
+        (options,) = get_args(get_type_hints(function)[one.name])
+        for name, kind in get_type_hints(options).items():
+            known = {"default": defaults[name], "annotation": kind}
+            parameters.append(Parameter(name, Parameter.KEYWORD_ONLY, **known))
+    return found.replace(parameters=parameters)
 
 
 def _as_parameters(field: str) -> str:
@@ -96,11 +119,6 @@ class Run:
     def scenario(self) -> str:
         """The scenario's TOML text."""
         return self._reader.scenario
-
-    @property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """Versions, host and clocks of the recording."""
-        return self._reader.metadata
 
     @property
     def summary(self) -> RunDocument:
@@ -173,7 +191,7 @@ class Run:
             "dispatch_kw": series.desired_kw,
             "delivered_kw": series.delivered_kw,
             "available_kw": series.available_kw,
-            "without_help_kw": series.baseline_kw,
+            "without_help_kw": series.without_help_kw,
             "shortfall_kw": series.shortfall_kw,
         }
         return pd.DataFrame(columns, series.times.rename("time"))
@@ -191,6 +209,17 @@ class Run:
         series = plant_series_of(self._reader, most_inverters=None)
         self._reader.warn_of_damage()
         return pd.DataFrame(series.power_kw, series.times.rename("time"), list(series.inverters))
+
+    def plot(self) -> go.Figure:
+        """Draw the report's figure with plotly: the plant's power, and how far it was off.
+
+        Examples
+        --------
+        >>> open_run("runs/oahu-20261121-120000-4711").plot().show()
+        """
+        from results.report.run_report import power_figure  # noqa: PLC0415 - plotly is an extra
+
+        return power_figure(self._reader)
 
     def stages(self) -> pd.DataFrame:
         """Return the tidy table of a run in real time: a row for each stage in each cycle.

@@ -11,12 +11,12 @@ from dataclasses import fields
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeAlias, TypeVar, get_args
+from typing import Any, Final, NamedTuple, TypeAlias, TypedDict, TypeVar, Unpack, get_args
 
 import pandas as pd
 from rich.console import Console
 
-from agents.settings import Actuator
+from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError, InputWarning
 from bus_schemas.selection import find_signals
 from heliarch.cli.live_view import PlainView
@@ -46,6 +46,37 @@ from studies.timing import measured_run, parse_rates, prepare_at
 from studies.workers import share_work
 
 T = TypeVar("T")
+
+
+class TimeKeywords(TypedDict, total=False):
+    """Which part of a scenario is run, see `TimeOptions`."""
+
+    start: str | float | None
+    duration: str | float | None
+    end: str | float | None
+
+
+class RunKeywords(TimeKeywords, total=False):
+    """All that can be asked for of a run, see `RunOptions`."""
+
+    pace: str | float | None
+    seed: int | None
+    scheme: Scheme | None
+    actuator: Actuator | None
+    faults: str | Iterable[str] | None
+    external: str | Iterable[str] | None
+    devices: str | Iterable[str] | None
+    operator: str | None
+    external_timeout_s: float
+    base_port: int | None
+    secure: bool
+    keys: Path | None
+    address: str
+    on: str | Iterable[str] | None
+    cpus: str | Iterable[str] | None
+    priority: int | None
+
+
 Recording: TypeAlias = str | Path | Run
 """A recorded run: its folder, its MCAP file, or what `open_run` returned."""
 
@@ -60,7 +91,7 @@ def simulate(
     settings: Mapping[str, object] | None = None,
     data: str | Path | None = None,
     out: str | Path | None = None,
-    **options: Any,
+    **options: Unpack[RunKeywords],
 ) -> Run:
     """Simulate a plant in this process and record it, as `heliarch simulate` does.
 
@@ -90,7 +121,7 @@ def launch(
     settings: Mapping[str, object] | None = None,
     data: str | Path | None = None,
     out: str | Path | None = None,
-    **options: Any,
+    **options: Unpack[RunKeywords],
 ) -> Run:
     """Run a plant as a team of processes over Zenoh and record it, as `heliarch launch` does.
 
@@ -109,7 +140,7 @@ def timing(
     settings: Mapping[str, object] | None = None,
     data: str | Path | None = None,
     out: str | Path | None = None,
-    **options: Any,
+    **options: Unpack[RunKeywords],
 ) -> TimingReport:
     """Run a plant at so many cycles a second and judge it, as `heliarch timing` does.
 
@@ -176,7 +207,7 @@ def compare(
     data: str | Path | None = None,
     workers: int = 1,
     cluster: str = "",
-    **span: Any,
+    **span: Unpack[TimeKeywords],
 ) -> pd.DataFrame:
     """Compare control schemes, as `heliarch compare` does.
 

@@ -45,7 +45,7 @@ def plant_power(series: Sequence[RunSeries]) -> style.ReportFigure:
         look = style.scheme_line(position)
         powers.append(style.time_line(one, one.delivered_kw, _of("delivered", one, series), look))
         off_kw = one.delivered_kw - one.desired_kw
-        name = f"deviation, {one.label}"
+        name = _of("deviation", one, series)
         deviations.append(style.time_line(one, off_kw, name, look, **_UNLISTED))
     powers.append(style.time_line(first, first.desired_kw, "dispatch", _DASHED))
     if _asks_regulation(first):

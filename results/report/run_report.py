@@ -12,6 +12,7 @@ from typing import Final
 import msgspec
 import numpy as np
 import pandas as pd
+import plotly.graph_objects as go
 from rich.console import Console
 from rich.markup import escape
 
@@ -20,7 +21,7 @@ from bus_schemas.tree import ROOT, parent_of
 from bus_schemas.whole_file import whole_file
 from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock
-from recordings.read.series import RunSeries, series_of
+from recordings.read.series import RunSeries, plant_series_of, series_of
 from results.answers import answers, answers_tables, judged
 from results.figures import Figures, run_figures
 from results.headline import headline, percent
@@ -76,6 +77,14 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
     with whole_file(path) as file:
         file.write(page.encode())
     return path
+
+
+def power_figure(reader: RunReader) -> go.Figure:
+    """Draw the first figure of a run's report alone."""
+    series, health = plant_series_of(reader), overview_of(reader).health
+    figure = plant_power([series]).figure
+    mark(figure, series, run_marks(reader, health, series))
+    return figure
 
 
 def _nodes_drawn(plan: RunPlan) -> Collection[str]:

@@ -32,7 +32,7 @@ def test_every_cell_runs_and_shows_what_it_says(tmp_path: Path) -> None:
     folder, metrics, plant, power, helped, equal, shown = lines
     assert (metrics, equal, shown) == ("Series", "bool", "True")
     assert folder.endswith("Path")
-    assert plant == "Figure 180 180 180"
+    assert plant == "Figure" + " 180" * 7
     assert power == "Figure" + " 180" * 17
     assert int(helped.split()[1]) > 1
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
+from dataclasses import fields
 from datetime import date
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,7 @@ from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 
 import heliarch
 from bus_schemas.errors import InputError, InputWarning
+from scenarios.run_options import RunOptions
 from scenarios.scenario import load_scenario
 from scenarios.settings import with_settings
 from sim_plant.commitment import CommitmentSettings
@@ -47,6 +51,22 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> heliarch.Run:
     """A minute of a plant whose inverters help each other."""
     out = tmp_path_factory.mktemp("runs") / "run"
     return heliarch.simulate("oahu", start="12:20", duration="60s", out=out)
+
+
+def test_a_run_is_plotted_as_its_report_draws_it(run: heliarch.Run) -> None:
+    lines = {line.name: np.asarray(line.y, float) for line in run.plot().data}
+    assert lines["delivered"] == pytest.approx(run.plant["delivered_kw"])
+    assert lines["delivered without help"] == pytest.approx(run.plant["without_help_kw"])
+
+
+@pytest.mark.parametrize("function", [heliarch.simulate, heliarch.launch, heliarch.timing])
+def test_editors_and_notebooks_complete_all_options_of_a_run(
+    function: Callable[..., object],
+) -> None:
+    named = {name: one.default for name, one in signature(function).parameters.items()}
+    options = {one.name: one.default for one in fields(RunOptions)}
+    del options["cycle_s"]  # That of `timing` itself.
+    assert options.items() <= named.items()
 
 
 def test_metrics_and_power_are_those_of_the_recording(run: heliarch.Run) -> None:
