@@ -184,6 +184,8 @@ def export(
     start: str | float | None = None,
     end: str | float | None = None,
     clock: Clock | None = None,
+    at: str | float | None = None,
+    window_s: float | None = None,
 ) -> ExportSummary:
     """Make tables, or a file for viewers, from a recording, as `heliarch export` does."""
     check_names("form", (form,), get_args(Form))
@@ -191,7 +193,8 @@ def export(
         is_whole = start is None and end is None
         cycles = None if is_whole else reader.clock.span(start, end, ("start", "end"))
         path = None if out is None else Path(out)
-        return export_run(reader, form, path, find_signals(signals), nodes, cycles, clock)
+        parts = find_signals(signals), nodes, cycles, clock, at, window_s
+        return export_run(reader, form, path, *parts)
 
 
 @by_parameter

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from math import ceil
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
@@ -12,24 +13,33 @@ from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Port, Signal
 from bus_schemas.whole_file import check_new, new_path
+from recordings.export.comtrade import write_comtrade
 from recordings.export.mcap_copies import Clock, ViewerFile, WholeRecording
 from recordings.export.tables import TableFolder
 from recordings.read.reader import RunReader
 from recordings.record.writer import ClockAnchor
 
-Form: TypeAlias = Literal["mcap", "json-mcap", "parquet", "csv"]
-"""The recording itself as one whole file, a file for viewers of MCAP, or a folder of tables."""
+Form: TypeAlias = Literal["mcap", "json-mcap", "parquet", "csv", "comtrade"]
+"""The recording itself as one whole file, a file for viewers of MCAP, a folder of tables, or the
+two files of a COMTRADE record in a folder."""
+
+WINDOW_S: Final = 60.0
+"""Before and after its trigger a COMTRADE record shows as much [s]."""
 
 _ENDING: Final[dict[Form, str]] = {
     "mcap": ".recovered.mcap",
     "json-mcap": ".json.mcap",
     "parquet": "-parquet",
     "csv": "-csv",
+    "comtrade": "-comtrade",
 }
 
 
 class ExportSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of an export; `rows` are those of each table, or the messages of each signal."""
+    """The result of an export.
+
+    rows: Those of each table, the messages of each signal, or the samples of each channel.
+    """
 
     run_id: str
     form: Form
@@ -53,11 +63,18 @@ def export(
     nodes: str | Collection[str] = (),
     cycles: range | None = None,
     clock: Clock | None = None,
+    at: str | float | None = None,
+    window_s: float | None = None,
 ) -> ExportSummary:
     """Export some signals, nodes and cycles of a recording; omitted means all.
 
-    The new file, or folder of tables, is by default beside the recording.
+    The new file, or folder, is by default beside the recording. `at` and `window_s` are the
+    trigger of a COMTRADE record, and the time that it shows before and after it.
     """
+    if (form == "comtrade") != (at is not None) or (at is None and window_s is not None):
+        raise InputError.of("--at, --window", f"expected --format comtrade --at TIME, got {form}")
+    if at is not None and (signals or nodes or cycles):
+        raise InputError("--signals, --nodes, --from, --to: expected --window with comtrade")
     if clock is not None and form != "json-mcap":
         raise InputError.of("--clock", f"expected --format json-mcap with it, got {form}")
     if form == "mcap" and (signals or nodes or cycles):
@@ -65,6 +82,9 @@ def export(
         raise InputError(f"{options}: expected another --format, since mcap is the whole recording")
     path = path or default_path(reader.path, form)
     check_new(path)
+    if form == "comtrade":
+        assert at is not None
+        return _export_event(reader, path, at, WINDOW_S if window_s is None else window_s)
     signals = [one for one in SIGNALS if one.logged and (not signals or one in signals)]
     ports = reader.ports(*signals, nodes=nodes)
     with new_path(path) as beside:
@@ -88,6 +108,24 @@ def export(
         last_cycle=span.stop - 1 if span else None,
         messages=messages,
         rows={signal.name: 0 for signal in signals} | out.rows,
+    )
+
+
+def _export_event(reader: RunReader, path: Path, at: str | float, window_s: float) -> ExportSummary:
+    cycle = reader.clock.cycle(at, "--at")
+    around = ceil(window_s / reader.plan.timing.cycle_s)
+    window = range(max(cycle - around, 0), min(cycle + around, reader.last_cycle) + 1)
+    with new_path(path) as beside:
+        channels = write_comtrade(reader, beside, cycle, window)
+    return ExportSummary(
+        run_id=reader.plan.run_id,
+        form="comtrade",
+        path=str(path),
+        whole=reader.whole,
+        first_cycle=window.start,
+        last_cycle=window.stop - 1,
+        messages=0,
+        rows=dict.fromkeys(channels, len(window)),
     )
 
 
