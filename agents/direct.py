@@ -22,7 +22,7 @@ from agents.control.impp import (
     stale,
 )
 from agents.dispatch import own_report, own_share_kw
-from agents.plan import Control
+from agents.plan_parts import Control
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, SETPOINT, TELEMETRY

@@ -38,7 +38,7 @@ from agents.control.offers import (
 )
 from agents.control.share import usable_dispatch_kw
 from agents.dispatch import own_report, own_share_kw
-from agents.plan import Control
+from agents.plan_parts import Control
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     HelpGiven,

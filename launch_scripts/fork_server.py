@@ -27,7 +27,8 @@ from typing import Final, NoReturn
 import msgspec
 
 from agents.loop import Loop
-from agents.plan import RunPlan, load_plan
+from agents.plan import RunPlan
+from agents.plan_file import load_plan
 from agents.process.beats import BEAT_S, FORK_SERVER, BeatTable
 from agents.process.events import Event, Exited, Failed, Request, Signal, Start, Started
 from agents.process.launcher_link import LauncherLink

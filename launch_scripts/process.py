@@ -9,7 +9,8 @@ from math import inf
 from pathlib import Path
 
 from agents.cycle import kind_of
-from agents.plan import RunPlan, load_plan
+from agents.plan import RunPlan
+from agents.plan_file import load_plan
 from agents.process.agent_process import run_controller
 from agents.process.launcher_link import LauncherLink
 from bus_schemas.errors import InputError

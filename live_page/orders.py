@@ -16,7 +16,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from agents.plan import load_plan
+from agents.plan_file import load_plan
 from bus_schemas.codec import decode_json
 from bus_schemas.errors import FailureError, InputError
 from results.live_answer import LiveAnswer

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agents.control.clusters import geographic_clusters, random_clusters, search_clusters
 from agents.control.correlation import HourlyMatrices, group_correlation
-from agents.plan import Neighbourhood, NodeNeighbourhoods
+from agents.plan_parts import Neighbourhood, NodeNeighbourhoods
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
 from scenarios.scenario import ControlTable

@@ -16,17 +16,9 @@ from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_deviations
 from agents.device_profile import PLAIN
-from agents.plan import (
-    Access,
-    Control,
-    Faults,
-    RunPlan,
-    Site,
-    Supervision,
-    Timing,
-    check_plan,
-    check_size,
-)
+from agents.plan import RunPlan
+from agents.plan_file import check_plan, check_size
+from agents.plan_parts import Access, Control, Faults, Site, Supervision, Timing
 from agents.settings import OfferedCommitment, Revert
 from bus_schemas.errors import InputError
 from bus_schemas.tree import OPERATOR, ROOT, ControlTree

@@ -15,7 +15,7 @@ from msgspec import Meta
 
 from agents.cycle import KINDS, STAGES
 from agents.faults import Fault
-from agents.plan import PlannedOrder
+from agents.plan_parts import PlannedOrder
 from agents.settings import (
     Actuator,
     Delay,

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from agents.control.allocation import total
 from agents.control.share import usable_dispatch_kw
-from agents.plan import RunPlan, Site
+from agents.plan import RunPlan
+from agents.plan_parts import Site
 from bus_schemas.messages import Command, Dispatch, Memory
 from sim_plant import Floats
 

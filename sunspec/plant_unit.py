@@ -22,7 +22,8 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from agents.plan import RunPlan, load_plan
+from agents.plan import RunPlan
+from agents.plan_file import load_plan
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.tree import ROOT
 from sim_plant.order_desk import FromPlant, OrderLine, PlantStatus, Reply

@@ -15,7 +15,8 @@ import numpy as np
 from plans_by_hand import plan_of
 
 from agents.loop import Loop
-from agents.plan import PlannedOrder, RunPlan
+from agents.plan import RunPlan
+from agents.plan_parts import PlannedOrder
 from bus_schemas.messages import Dispatch, Order
 from bus_schemas.signals import DISPATCH, ORDER
 from bus_schemas.tree import ROOT

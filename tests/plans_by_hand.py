@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import msgspec
 from msgspec.structs import replace
 
-from agents.plan import Access, Control, RunPlan, Site, Supervision, Timing, changed
+from agents.plan import RunPlan, changed
+from agents.plan_parts import Access, Control, Site, Supervision, Timing
 
 CYCLE_NS = 1_000_000_000
 REAL_TIME = CYCLE_NS

@@ -7,7 +7,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from agents.plan import changed, load_plan
+from agents.plan import changed
+from agents.plan_file import load_plan
 from bus_schemas.errors import InputError
 from heliarch.cli.output import Output
 

@@ -38,7 +38,7 @@ def order(
     hold
         Time after which the schedule returns, such as 15m; default: the order holds until the next.
     """
-    from agents.plan import load_plan
+    from agents.plan_file import load_plan
     from bus_schemas.tree import ROOT
     from results.live_answer import LiveAnswer
     from scenarios.powers import parse_power_kw, parse_ramp_kw_per_min

@@ -7,7 +7,8 @@ from typing import Final
 
 import msgspec
 
-from agents.plan import RunPlan, check_plan
+from agents.plan import RunPlan
+from agents.plan_file import check_plan
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port, ports

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from math import isfinite
 
-from agents.plan import START_WITHIN_NS, RunPlan
+from agents.plan import RunPlan
+from agents.plan_parts import START_WITHIN_NS
 from bus_schemas.bounds import METER_TOLERANCE, Bound, bounds_of, is_within
 from bus_schemas.messages import Dispatch, Message, Production, Run, Telemetry
 from bus_schemas.signals import Port

@@ -20,7 +20,8 @@ from plants_by_hand import AtWork, at, dispatch, head, impp, setpoint, telemetry
 from agents.agent import Stage, Turn
 from agents.inputs import log_drop
 from agents.loop import Loop
-from agents.plan import START_WITHIN_NS, RunPlan
+from agents.plan import RunPlan
+from agents.plan_parts import START_WITHIN_NS
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Notice, Residual, parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, NOTICE, RESIDUAL, RUN, SETPOINT, Port

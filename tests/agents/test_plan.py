@@ -11,7 +11,7 @@ import pytest
 from complaints import complaint_of
 from plans_by_hand import plan_of
 
-from agents.plan import check_plan, load_plan
+from agents.plan_file import check_plan, load_plan
 from launch_scripts.process import main
 
 PLAN = plan_of({"c1/a": 470.5, "c1/b": 1 / 3, "c2/a": 1e6}, cycles=3600, period_cycles=(10, 1))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from run_trace import EXACT, FaultyRun, key
 
 from agents.faults import Trip
-from agents.plan import PlannedOrder
+from agents.plan_parts import PlannedOrder
 
 Breaches = Iterator[tuple[int, str]]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from agents.plan import load_plan
+from agents.plan_file import load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.tcp_ports import reserved_ports
 from launch_scripts.run_folder import RunFolder

@@ -9,7 +9,7 @@ import pytest
 from memory_runs import Sent, run_in_memory
 from plans_by_hand import CYCLE_NS, plan_of
 
-from agents.plan import Neighbourhood, NodeNeighbourhoods
+from agents.plan_parts import Neighbourhood, NodeNeighbourhoods
 from bus_schemas.errors import FailureError
 from bus_schemas.signals import (
     COMMAND,

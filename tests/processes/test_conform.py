@@ -16,7 +16,7 @@ from split_links import split_links
 from test_external import our_decisions
 from test_launch import decisions
 
-from agents.plan import load_plan
+from agents.plan_file import load_plan
 from studies.conformance.requirements import OF_PLANT, REQUIREMENTS
 
 pytestmark = pytest.mark.processes

@@ -17,7 +17,8 @@ from cut_network import Network, network_of_its_own, over_tcp
 from running import Heliarch, Start
 from test_launch import summary_of
 
-from agents.plan import RunPlan, load_plan
+from agents.plan import RunPlan
+from agents.plan_file import load_plan
 from bus_schemas.messages import Dispatch, Message, Production
 from bus_schemas.signals import Occurrence, Port
 from bus_schemas.tree import PLANT, RECORDER

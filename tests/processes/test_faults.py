@@ -18,7 +18,7 @@ from test_launch import summary_of
 from test_restarts import GROUPED
 from verifying import assert_equal_as_far_as_recorded
 
-from agents.plan import load_plan
+from agents.plan_file import load_plan
 from agents.process import events
 from bus_schemas.errors import InputError
 from bus_schemas.messages import GivenUp, parse_missing

@@ -16,7 +16,7 @@ from memory_runs import timeless
 from plans_by_hand import with_changes
 from running import Start, assert_none_left, small_plant
 
-from agents.plan import load_plan
+from agents.plan_file import load_plan
 from bus_schemas.messages import Dispatch, Message
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tcp_ports import reserved_ports
@@ -171,7 +171,7 @@ def test_two_plants_side_by_side_do_not_hear_each_other(
 PLANT_ALONE = """
 from pathlib import Path
 from agents.process.launcher_link import LauncherLink
-from agents.plan import load_plan
+from agents.plan_file import load_plan
 from launch_scripts.process import run_process
 plan, link = load_plan(Path("plan.json")), LauncherLink("plant")
 print(run_process("plant", plan, link, Path("."), patience_s=0.5))

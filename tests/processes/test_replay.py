@@ -18,7 +18,8 @@ from command_line import done
 from mcap.reader import make_reader
 from running import Start, small_plant
 
-from agents.plan import RunPlan, load_plan
+from agents.plan import RunPlan
+from agents.plan_file import load_plan
 
 pytestmark = pytest.mark.processes
 

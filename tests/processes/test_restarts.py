@@ -12,7 +12,7 @@ from running import Heliarch, Start, small_plant
 from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded
 
-from agents.plan import load_plan
+from agents.plan_file import load_plan
 from recordings.read.run_file import log_name
 from recordings.verify.verification import verify
 

@@ -19,7 +19,7 @@ from cut_network import Network, network_of_its_own, over_tcp
 from running import REPOSITORY, Heliarch, Start, commands_in, small_plant
 from verifying import assert_equal_as_far_as_recorded
 
-from agents.plan import load_plan
+from agents.plan_file import load_plan
 from bus_schemas.tree import PLANT, RECORDER
 from recordings.verify.verification import verify
 

@@ -12,7 +12,7 @@ from running import Device, Heliarch, Start
 from test_external import NODE, controller
 from test_launch import summary_of
 
-from agents.plan import load_plan
+from agents.plan_file import load_plan
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from order_desks import SCHEDULED_KW, Giver, PlantByHand, obeying_plant, plant_by_hand
 from plans_by_hand import plan_of
 
-from agents.plan import PlannedOrder
+from agents.plan_parts import PlannedOrder
 from bus_schemas.messages import Order
 from bus_schemas.tree import OPERATOR
 from sim_plant.order_desk import (

@@ -13,7 +13,9 @@ from msgspec.structs import replace
 from plans_by_hand import plan_of
 
 from agents.loop import Loop
-from agents.plan import PlannedOrder, RunPlan, check_plan
+from agents.plan import RunPlan
+from agents.plan_file import check_plan
+from agents.plan_parts import PlannedOrder
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Dispatch, Order
 from bus_schemas.signals import DISPATCH, ORDER

@@ -22,7 +22,8 @@ from recorded_runs import (
 from verifying import first_differences
 
 from agents.faults import Kill
-from agents.plan import PlannedOrder, RunPlan
+from agents.plan import RunPlan
+from agents.plan_parts import PlannedOrder
 from agents.settings import RestartPolicy
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import Blackout, Disturbance
