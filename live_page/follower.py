@@ -29,12 +29,11 @@ from recordings.read.reader import RunReader, stop_after
 from recordings.read.series import SeriesCollector, columns_of
 from results.figures import Figures, run_figures
 from results.report.decimation import extremes
-from results.run_document import failure_in
+from results.run_document import End, Outcome, failure_in
 from sim_plant.orders import order_event
 
-State: TypeAlias = Literal["waiting", "running", "stalled", "over", "interrupted", "failed"]
-"""Before the first cycle; going on; nothing new for a while; ended as planned, or before; given up
-by its launcher."""
+State: TypeAlias = Literal["waiting", "running", "stalled"] | End
+"""Before the first cycle; going on; nothing new for a while; or how the run ended."""
 
 _STALLED_S: Final = 5.0
 """Nothing new in the file for this long, or for three cycles, is worth saying."""
@@ -53,7 +52,7 @@ class RunFollower:
         self.events = RunEvents()
         self.states = AgentStates(self.plan)
         self._stops: set[int] = set()
-        self._failed = self._finished = False
+        self._failure, self._finished = "", False
         self._chunk_cycles: list[range] = []
         self._powers = SeriesCollector(self.plan, columns_of(self.plan))
 
@@ -72,23 +71,27 @@ class RunFollower:
             self._finished = True
             self.states.finish(self.states.end_cycle(stop_after(self._stops, self.states.newest)))
         self.events.replace(self._changes())
-        if not self._failed and (failure := failure_in(self.run.path.parent)):
-            self._failed = True
+        if not self._failure and (failure := failure_in(self.run.path.parent)):
+            self._failure = failure
             self.events.add("failure", self.cycles, "launcher", failure)
         return self._next_chunk() is None
 
     @property
     def state(self) -> State:
-        if self._failed:
-            return "failed"
-        stop = stop_after(self._stops, self.states.newest)
-        if self.run.outline.closed or stop is not None:
-            return "over" if (stop or 0) >= self.plan.timing.cycles else "interrupted"
+        outcome = self._outcome
+        if self.run.outline.closed or outcome.kind != "unfinished":
+            return outcome.kind
         if not self.cycles:
             return "waiting"
         longest_s = max(_STALLED_S, 3.0 * self.plan.timing.cycle_wall_ns / 1e9)
         age_s = time.time() - os.fstat(self.run.files[-1].fileno()).st_mtime
         return "stalled" if age_s > longest_s else "running"
+
+    @property
+    def _outcome(self) -> Outcome:
+        """How the run ended, as far as it has been read."""
+        stop_cycle = stop_after(self._stops, self.states.newest)
+        return Outcome(None, self._failure, stop_cycle, self.plan.timing.cycles)
 
     @property
     def read_share(self) -> float | None:
@@ -172,9 +175,9 @@ class RunFollower:
         for last, dispatch in pairwise([None, *dispatches]):
             if dispatch is not None and (event := order_event(dispatch, last)):
                 yield Change("order", dispatch.cycle, *event)
-        if (stop := stop_after(self._stops, self.states.newest)) is not None:
-            how = "over" if stop >= self.plan.timing.cycles else "interrupted"
-            yield Change("run", stop, PLANT, f"the run is {how}")
+        outcome = self._outcome._replace(failure="")
+        if outcome.stop_cycle is not None:
+            yield Change("run", outcome.stop_cycle, PLANT, f"the run is {outcome.kind}")
 
 
 _FOLLOWED: Final = frozenset({DISPATCH, METER, PRODUCTION, NOTICE, RUN})

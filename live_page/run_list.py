@@ -86,7 +86,7 @@ def _row(name: str, recording: Path, written: os.stat_result) -> dict[str, Any]:
 def _end(outcome: Outcome, *, is_growing: bool) -> str:
     if outcome.document is None and not outcome.failure:
         return "running" if is_growing else "unfinished"
-    return outcome.end(None, 0)
+    return outcome.text
 
 
 @lru_cache(1000)

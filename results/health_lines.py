@@ -40,7 +40,7 @@ def health_lines(health: Health, clock: RunClock, outcome: Outcome) -> Iterator[
     elif not health.states:
         yield "states", "no agent was absent, cut off or given up"
     yield from _lacks(launcher, clock) if launcher else ()
-    yield "run", outcome.end(health.stop_cycle, clock.plan.timing.cycles)
+    yield "run", outcome.text
 
 
 def _lacks(launcher: LauncherAccount, clock: RunClock) -> Iterator[tuple[str, str]]:

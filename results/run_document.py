@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
 from msgspec.structs import replace
@@ -20,6 +20,9 @@ from results.answers import Answer
 from results.figures import Figures
 from results.highlights import Highlights
 from sunspec.process import DeviceAccount
+
+End: TypeAlias = Literal["failed", "interrupted", "unfinished", "over"]
+"""Given up by its launcher; ended early; not shown to have ended; ended as planned."""
 
 _MOST_REFUSED: Final = 0.1
 """Share of its messages that may be refused of an external agent: more is a failure."""
@@ -249,26 +252,43 @@ def failure_in(folder: Path) -> str:
 
 
 class Outcome(NamedTuple):
-    """What is known of a run beside its recording: both are empty while it goes on."""
+    """How a run ended: every command, page and report asks here.
 
-    document: RunDocument | None
-    failure: str
+    The document and the failure are in the run's folder, `stop_cycle` is in its recording: none of
+    them is there while the run goes on.
+    """
 
-    def end(self, stop_cycle: int | None, planned: int) -> str:
-        """Return how a run ended, in words; `stop_cycle` is what its recording says of it."""
+    document: RunDocument | None = None
+    failure: str = ""
+    stop_cycle: int | None = None
+    planned_cycles: int = 0
+
+    @property
+    def kind(self) -> End:
+        if self.failure:
+            return "failed"
+        if self.document is not None and self.document.launcher.interrupted:
+            return "interrupted"
+        if self.stop_cycle is None:
+            return "unfinished"
+        return "interrupted" if self.stop_cycle < self.planned_cycles else "over"
+
+    @property
+    def text(self) -> str:
         if self.failure:
             return f"failed: {self.failure}"
         if self.document is not None:
             return self.document.end
-        if stop_cycle is None:
+        if self.stop_cycle is None:
             return "the recording stops before the run's end"
-        if stop_cycle < planned:
-            return f"interrupted after {stop_cycle:,} of {planned:,} cycles"
-        return "over"
+        covered = f" after {self.stop_cycle:,} of {self.planned_cycles:,} cycles"
+        return self.kind + covered * (self.kind == "interrupted")
 
 
 def outcome_of(run: RunReader) -> Outcome:
-    return Outcome(document_in(run.path.parent, run.plan.run_id), failure_in(run.path.parent))
+    folder, planned = run.path.parent, run.plan.timing.cycles
+    document = document_in(folder, run.plan.run_id)
+    return Outcome(document, failure_in(folder), run.stop_cycle, planned)
 
 
 def overview_of(run: RunReader, cycles: range | None = None) -> Overview:

@@ -33,7 +33,7 @@ def print_summary(summary: RunDocument, console: Console) -> None:
         print_table(console, table)
     with suppress(InputError), RunReader(Path(summary.run.folder)) as run:
         if summary.health and (summary.is_incomplete or run.plan.faults.rules):
-            outcome = Outcome(summary, failure="")
+            outcome = Outcome(summary)
             print_table(console, health_table(summary.health, run.clock, outcome))
 
 

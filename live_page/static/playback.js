@@ -3,7 +3,7 @@
 import {$} from "./dom.js";
 
 const RETRY_MS = 2000;
-const STATES = {waiting: "starting", stalled: "nothing new", over: "over", interrupted: "interrupted", failed: "failed", running: "running"};
+const STATES = {waiting: "starting", stalled: "nothing new"};
 
 // `onUpdate` gets each update of the server, and whether it is the first one of its stream.
 // `at`: the cycle shown, how many cycles there are, and whether the run is over.
@@ -41,8 +41,8 @@ export function playback(onUpdate, first, onSeek) {
 
   function showState(news) {
     at.cycles = news.cycles ?? 0;
-    at.over = ["over", "interrupted", "failed"].includes(news.state);
-    const state = news.reading != null ? `reading ${Math.round(100 * news.reading)} %` : STATES[news.state];
+    at.over = !["waiting", "running", "stalled"].includes(news.state);
+    const state = news.reading != null ? `reading ${Math.round(100 * news.reading)} %` : STATES[news.state] ?? news.state;
     $("state").textContent = live || at.over ? state : `${state}, ${playing ? "playing" : "paused"}`;
     $("play").textContent = playing || (live && !at.over) ? "❚❚" : "▶";
     $("state").className = `badge ${news.state}`;

@@ -49,7 +49,6 @@ class Overview(msgspec.Struct, frozen=True):
     last_cycle: int
     complete_cycles: int
     planned_cycles: int
-    interrupted: bool
     wall_s: float
     signals: tuple[SignalCount, ...]
     health: Health
@@ -108,7 +107,6 @@ def read_through(
         last_cycle=wanted.stop - 1,
         complete_cycles=gaps[PRODUCTION.of(ROOT)].cycles(run.plan.timing.cycles),
         planned_cycles=run.plan.timing.cycles,
-        interrupted=(run.stop_cycle or run.plan.timing.cycles) < run.plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
             _count(signal, gaps, wanted, end, wall_s) for signal in SIGNALS if signal in sent
@@ -201,9 +199,7 @@ def facts(run: RunReader, overview: Overview) -> Iterator[tuple[str, str]]:
     yield (
         "cycles",
         f"{shown} of {plan.timing.cycle_ns / 1e9:g} s, "
-        f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned"
-        + ", interrupted"
-        * overview.interrupted,
+        f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
     )
     versions = [
         f"{name.removeprefix('version ')} {text}"

@@ -113,9 +113,8 @@ def _notes(reader: RunReader) -> list[str]:
         notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
     outcome = outcome_of(reader)
     notes += outcome.document.run.remarks if outcome.document else ()
-    end = outcome.end(reader.stop_cycle, reader.plan.timing.cycles)
-    if end != "over":
-        notes.append(f"How the run ended: {end}.")
+    if outcome.text != "over":
+        notes.append(f"How the run ended: {outcome.text}.")
     if not reader.whole:
         notes.append("The recording is incomplete: the report shows the part that it holds.")
     return notes

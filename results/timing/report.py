@@ -23,7 +23,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT
 from recordings.read.reader import RunReader
-from results.run_document import RunDocument, document_in
+from results.run_document import RunDocument, outcome_of
 from results.timing.clocks import HostClock, clocks_of
 from results.timing.devices import MOST_MISSED_PERCENT, DeviceTiming, devices_of
 from results.timing.late_cycles import LateCycle, late_cycles
@@ -177,19 +177,18 @@ def report_on(
     """
     with RunReader(run) as reader:
         plan, budgets = reader.plan, _budgets_in(reader)
-        folder, metadata, stop_cycle = reader.path.parent, reader.metadata["run"], reader.stop_cycle
+        folder, metadata, outcome = reader.path.parent, reader.metadata["run"], outcome_of(reader)
         stops = stops_of(folder) if stops is None else stops
         stages = stage_table(reader, stops)
     table = prepared(stages, plan)
     late = late_cycles(table, plan)
-    summary = summary or document_in(folder, plan.run_id)
+    outcome = outcome._replace(document=summary or outcome.document)
+    summary = outcome.document
     cycles = int(stages.cycle.max()) + 1
     wall_s = cycles * plan.timing.cycle_wall_ns / 1e9
-    interrupted = stop_cycle is not None and stop_cycle < plan.timing.cycles
     lost, remarks = None, [_NO_SUMMARY]
     if summary is not None:
         wall_s, lost = summary.wall_s, summary.lost
-        interrupted |= summary.launcher.interrupted
         remarks = [*summary.run.remarks, *filter(None, [summary.launcher.recording_ended])]
     tiers = _tiers(counts(table), summary, wall_s, plan)
     external = devices_of(table, plan)
@@ -203,8 +202,8 @@ def report_on(
         late_cycles=len(late),
         late_stopped=sum(one.stopped_ms > 0.0 for one in late),
         wall_s=wall_s,
-        ended=stop_cycle is not None,
-        interrupted=interrupted,
+        ended=outcome.stop_cycle is not None,
+        interrupted=outcome.kind == "interrupted",
         lost_messages=lost,
     )
     return TimingReport(

@@ -58,7 +58,7 @@ def test_a_recording_is_followed_while_it_is_written(tmp_path: Path) -> None:
             follower.advance(1.0)
             assert follower.cycles == cycle + 1
     follower.advance(1.0)
-    assert follower.state == "interrupted"
+    assert follower.state == "unfinished"
     assert follower.powers(range(5), 100)["delivered"] == [239.0] * 5
 
 
