@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from math import isnan, nan
-from typing import NamedTuple, TypeAlias
+from math import ceil, isnan, nan
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec.structs import replace
@@ -54,6 +54,10 @@ from studies.arrays.compiled import compiled
 from studies.arrays.control_arrays import ControlArrays, control_arrays, is_corrected
 
 Floats: TypeAlias = NDArray[np.float64]
+
+
+KEPT_TURNS: Final = 32
+"""So many aims are kept, or a multiple: Numba compiles the loop for each length of a tuple anew."""
 
 
 class LoopSettings(NamedTuple):
@@ -161,10 +165,13 @@ def loop_inputs(
     record: Floats | None = None,
 ) -> LoopInputs:
     is_forecast, is_limited = scheme == "predictive", actuator == "limit"
+    law = plan.correction_law
+    kept_turns = ceil(law.kept_turns / KEPT_TURNS) * KEPT_TURNS
+    law = law._replace(is_on=is_corrected(plan, scheme), kept_turns=kept_turns)
     settings = LoopSettings(
         is_forecast=is_forecast,
         is_limited=is_limited,
-        correction=plan.correction_law._replace(is_on=is_corrected(plan, scheme)),
+        correction=law,
         alpha_min=HIDDEN_ALPHA_MIN if is_forecast and is_limited else plan.control.alpha_min,
         cycle_s=plan.timing.cycle_ns / 1e9,
         hold_cycles=plan.control.hold_cycles,

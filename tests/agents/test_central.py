@@ -48,7 +48,7 @@ def test_a_late_reading_counts_for_less() -> None:
     assert set_kw[0] > set_kw[1] > set_kw[2] > 50.0
 
 
-def test_it_begins_anew_after_a_cycle_in_which_every_inverter_is_free() -> None:
+def test_the_correction_begins_anew_after_all_inverters_were_free() -> None:
     central = AtWork(CORRECTING, "central")
     cycle_with_meter(central, 0, 50.0)
     cycle_with_meter(central, 1, 50.0)
@@ -57,7 +57,7 @@ def test_it_begins_anew_after_a_cycle_in_which_every_inverter_is_free() -> None:
     assert cycle_with_meter(central, 4, 40.0) == pytest.approx(50.0)
 
 
-def test_it_aims_above_the_dispatch_by_the_offset_and_by_its_mean_error() -> None:
+def test_the_aim_is_the_dispatch_plus_offset_and_mean_error() -> None:
     control = replace(CORRECTING.control, correction=False, offset_kw=3.0, offset_errors=2.0)
     central = AtWork(replace(CORRECTING, control=control), "central")
     assert cycle_with_meter(central, 0, 50.0) == pytest.approx(53.0)

@@ -26,7 +26,7 @@ def test_without_a_fault_it_is_the_message_itself() -> None:
     assert faults.sent(PORT, RIGHT) == [(0.0, encode(RIGHT))]
 
 
-def test_it_is_lost_repeated_held_back_or_changed() -> None:
+def test_a_message_is_lost_repeated_held_back_or_changed() -> None:
     assert sent() == []
     assert sent(Copy(), Copy(at=1.2)) == [(0.0, encode(RIGHT)), (1.2, encode(RIGHT))]
     ((_, payload),) = sent(Copy({"power_kw": "nan", "cycle": 9, "source": "nobody"}))
@@ -37,7 +37,7 @@ def test_it_is_lost_repeated_held_back_or_changed() -> None:
 @pytest.mark.parametrize(
     "damage", ["empty", "garbage", "cut", "longer", "list", "no cycle", "no power"]
 )
-def test_what_is_damaged_does_not_decode(damage: str) -> None:
+def test_damaged_messages_do_not_decode(damage: str) -> None:
     ((_, payload),) = sent(Copy(damage=damage))  # type: ignore[arg-type]
     with pytest.raises(msgspec.DecodeError):
         decode(METER, payload)

@@ -81,7 +81,7 @@ def linked(plan: RunPlan, agent: Controller | None = None) -> Iterator[Plant]:
         yield Plant(session, driver, own_thread.submit(list, driver.run()))
 
 
-def test_it_answers_and_ends_while_its_own_thread_sleeps() -> None:
+def test_an_eager_agent_answers_and_ends_while_its_thread_sleeps() -> None:
     with linked(PLAN) as plant:
         plant.arm()
         plant.say(telemetry("a", plant.loop.cycle, 80.0))
@@ -117,7 +117,7 @@ def test_a_fault_on_the_bus_s_thread_ends_the_run_of_its_agent(
             plant.ended.result()
 
 
-def test_who_sends_more_in_a_cycle_than_a_queue_takes_does_not_send_on_the_bus_s_thread() -> None:
+def test_an_agent_with_more_messages_than_a_queue_takes_sends_on_its_own_thread() -> None:
     for number, is_eager in ((100, True), (1_000, False)):
         plan = plan_of({f"i{leaf}": 1.0 for leaf in range(number)})
         bus = ZenohBus("central", plan.wiring, SessionSettings("many", [], []), patience_s=0.0)

@@ -166,7 +166,7 @@ EVENTS = st.lists(
 
 
 @given(EVENTS)
-def test_what_a_message_names_as_missing_is_exactly_what_was_not_used(
+def test_missing_names_exactly_the_unused_inputs(
     events: list[tuple[str, int] | None],
 ) -> None:
     loop = AtWork(ON_THE_CLOCK, Clerk()).loop
@@ -292,7 +292,7 @@ def test_the_plant_skips_only_after_a_long_stop_and_in_lockstep_nobody_does(
         (50, 50),  # the plant is far behind, and sends it only now.
     ],
 )
-def test_one_that_joins_by_a_dispatch_of_a_cycle_that_is_over_begins_with_the_cycle_under_way(
+def test_an_agent_that_joins_by_an_old_dispatch_begins_with_the_cycle_under_way(
     sent_cycle: int, under_way: int
 ) -> None:
     loop, start_ns, now_ns = Loop(Clerk(), ON_THE_CLOCK), 7, 7 + under_way * REAL_TIME

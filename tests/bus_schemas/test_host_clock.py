@@ -23,7 +23,7 @@ def test_a_drifting_clock_is_followed_to_the_shortest_time_on_the_way() -> None:
                 assert came - before < 25 * MS
 
 
-def test_it_shows_the_hosts_own_time_until_a_message_with_a_time_has_come() -> None:
+def test_the_clock_shows_the_hosts_time_until_a_timed_message_comes() -> None:
     clock = HostClock()
     clock.observe(0, AHEAD)
     assert clock.at(AHEAD) == AHEAD

@@ -32,7 +32,9 @@ LEAVES = ("c1/inv07", "c1/inv08", "c2/inv09")
         ("oahu/clock", "replayer", ()),
     ],
 )
-def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple[str, ...]) -> None:
+def test_publishers_and_listeners_of_a_key(
+    key: str, published_by: str, heard_by: tuple[str, ...]
+) -> None:
     port = WIRING.port(key)
     assert port is not None
     assert WIRING.key(port) == key

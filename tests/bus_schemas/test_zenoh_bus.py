@@ -50,7 +50,7 @@ def linked() -> Iterator[tuple[zenoh.Session, ZenohBus]]:
         yield session, bus
 
 
-def test_what_does_not_decode_is_counted_and_what_comes_after_it_is_heard(
+def test_undecodable_messages_are_counted_and_later_ones_heard(
     linked: tuple[zenoh.Session, ZenohBus],
 ) -> None:
     session, bus = linked
@@ -166,7 +166,7 @@ sys.stdin.read()
 """
 
 
-def test_what_the_recorder_answers_waits_for_a_plant_that_stands_still() -> None:
+def test_answers_of_the_recorder_wait_for_a_plant_that_stands_still() -> None:
     number, filler = 400, (("x" * 1000),) * 50  # Together more than the buffers between them.
     wiring = Wiring("pair", TREE)
     with reserved_ports([RECORDER]) as ports:

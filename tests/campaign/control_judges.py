@@ -23,23 +23,17 @@ MOST_CORRECTION: Final = 0.1
 GROWTH_PER_S: Final = 0.01
 """How fast a hidden maximum is taken to grow."""
 
-BEGINS_SHARE: Final = 0.01
-"""Of the plant's rating: a new process begins so near to no correction, or to the last one."""
-
 STEADY_SHARE: Final = 0.002
 """Of the plant's rating: an aim that moves less in a turn is steady."""
 
 MISSED_SHARE: Final = 0.005
 """Of the plant's rating: a steady error above this is corrected."""
 
-MOST_FIRST_GAIN: Final = 0.6
-"""Share of what lacks by which a new process changes a correction that it takes up, at most."""
-
 MOST_GAIN_PER_S: Final = 0.6
 """Share of an error that is taken for lasting in a second, or at once, at most."""
 
-WELL_TRIED_SHARE: Final = 0.05
-"""Of the plant's rating: where corrections of so much have been tried, what was learned counts."""
+FEW_TRIED_SHARE: Final = 0.015
+"""Of the plant's rating: beyond corrections of so much it counts by how much they have helped."""
 
 CORRECTS_WITHIN_S: Final = 10.0
 """Time in which a steady error changes the correction, besides that of the slowest inverter."""
@@ -323,7 +317,8 @@ def _wrong_command(run: FaultyRun, one: Decision, error_kw: float) -> Iterator[s
 class _Aim(NamedTuple):
     """What the central controller aims at in a turn, and by what it corrects [kW].
 
-    low_kw, high_kw: Its target less what it should aim at: the correction.
+    low_kw, high_kw: Its target less what its aim needs: the correction.
+    aim_kw: What it should aim at, at the meter.
     possible_kw: What all inverters can give, at the meter.
     readings_kw: What the meter sent since its last turn, up to the newest that was used.
     is_shown: Whether the target shows the correction: it does not at its bounds.
@@ -333,15 +328,11 @@ class _Aim(NamedTuple):
     one: Decision
     low_kw: float
     high_kw: float
-    target_kw: float
+    aim_kw: float
     possible_kw: float
     readings_kw: tuple[float, ...]
     is_shown: bool
     memory: Any
-
-    @property
-    def aim_kw(self) -> float:
-        return self.target_kw - self.low_kw
 
     @property
     def lacks_kw(self) -> float:
@@ -379,12 +370,13 @@ def _aims(run: FaultyRun) -> Iterator[_Aim | None]:
         target_kw = sum(setpoint.share_kw for setpoint in given if setpoint) + silent_kw
         possible_kw = sum(has_kw.values())
         low_kw, high_kw = (aim_kw(run, one, kw, possible_kw) for kw in reference)
+        needs_kw = [gross_kw(run, kw) for kw in (low_kw, high_kw)]
         stated_now = run.trace.of["memory"].get(one.cycle, ())
         memory = next((m for m in stated_now if m.incarnation == one.process), None)
         is_shown = silent_kw + near_kw < target_kw < run.rating_kw() - near_kw
         yield _Aim(
-            *(one, target_kw - high_kw, target_kw - low_kw, target_kw, net_kw(run, possible_kw)),
-            *(seen_kw, is_shown, memory),
+            *(one, target_kw - needs_kw[1], target_kw - needs_kw[0], high_kw),
+            *(net_kw(run, possible_kw), seen_kw, is_shown, memory),
         )
         seen_kw = ()
 
@@ -407,8 +399,7 @@ class _Corrections:
     """Follows the correction from turn to turn.
 
     Only a reading of the meter that shows an error changes it, soon if a steady aim is missed, and
-    not by far more than what lacks. It is 0 while nothing is curtailed. A new process begins at 0
-    or goes on.
+    not by far more than what lacks. It is 0 while nothing is curtailed. A new process goes on.
     """
 
     def __init__(self, run: FaultyRun) -> None:
@@ -427,8 +418,7 @@ class _Corrections:
         self._turns: list[_Aim] = []  # The last ones of this process, as many as a meter may show.
         self._metered_kw = nan
         self._aims_kw: list[float] = []  # Since they have been steady.
-        self._idle, self._kept = 0, 2 * control.hold_cycles
-        self._shown_kw: list[float] = []
+        self._idle = 0
         self._process = -1
 
     def forget(self) -> None:
@@ -445,14 +435,12 @@ class _Corrections:
         if is_new:
             self.forget()
         text = ""
-        if last is not None and now.is_shown:
+        if last is not None and now.is_shown and now.memory is not None:
             text = self._begins_wrong(now) if is_new else self._wrong_change(last, now)
         if not text and now.memory is not None:
             text = self._wrong_memory(now)
         self._last, self._process = now if now.is_shown else None, now.one.process
         self._turns = [*self._turns, now][-self._seen_turns :]
-        if now.is_shown:
-            self._shown_kw = [*self._shown_kw, now.low_kw][-self._kept :]
         if now.readings_kw:
             self._metered_kw = self._read_kw(now)
         return text
@@ -465,11 +453,17 @@ class _Corrections:
         return float(np.mean(readings_kw)) if len(readings_kw) == self._period else nan
 
     def _begins_wrong(self, now: _Aim) -> str:
-        # What the one before stated last may not have come through.
-        apart_kw = (abs(now.low_kw - kw) for kw in (0.0, *self._shown_kw))
-        lacks_kw = max((abs(now.aim_kw - kw) for kw in now.readings_kw), default=0.0)
-        if min(apart_kw) > MOST_FIRST_GAIN * lacks_kw + BEGINS_SHARE * self._rating_kw:
-            return f"begins with a correction of {now.low_kw:,.3f} kW"
+        """Check that a new process goes on from what the plant repeats to it."""
+        meter, kw = now.one.used["meter"], now.memory.lacking_kw
+        knows = meter is not None and meter.correction_kw is not None
+        before_kw, corrects_kw = (meter.lacking_kw, meter.correction_kw) if knows else (0.0, 0.0)
+        aims_kw = [one for one in (meter.expected_kw if knows else ()) if one is not None]
+        apart = (abs(aim_kw - read_kw) for aim_kw in aims_kw for read_kw in now.readings_kw)
+        most_kw = max(apart, default=0.0) + abs(corrects_kw - before_kw)
+        if kw != 0.0 and abs(kw - before_kw) > MOST_GAIN_PER_S * most_kw + self._near_kw:
+            return f"begins with {kw:,.3f} kW, not {before_kw:,.3f} kW"
+        if kw == 0.0 and abs(before_kw) > self._near_kw and now.aim_kw < now.possible_kw:
+            return f"begins anew, not with {before_kw:,.3f} kW"
         return ""
 
     def _wrong_change(self, last: _Aim, now: _Aim) -> str:
@@ -525,11 +519,12 @@ class _Corrections:
             return f"takes {lacking_kw:,.3f} kW for missing"
         if now.is_shown and not abs(correction_kw - now.low_kw) <= near_kw:
             return f"says that it corrects by {correction_kw:,.3f} kW, not {now.low_kw:,.3f} kW"
-        if said.tried_kw > WELL_TRIED_SHARE * rating_kw:
-            least, most = (min(max(said.helped_share, 0.0) + more, 1.0) for more in (0.0, 0.05))
-            parts_kw = sorted((least * lacking_kw, most * lacking_kw))
-            if not parts_kw[0] - near_kw <= correction_kw <= parts_kw[1] + near_kw:
-                return f"corrects {correction_kw:,.3f} of {lacking_kw:,.3f} kW, not {least:.3f}"
+        least = max(said.helped_share, 0.0)
+        trust = min((FEW_TRIED_SHARE * rating_kw / max(said.tried_kw, near_kw)) ** 2, 1.0)
+        most = min(least + (1.0 - said.helped_share) * trust, 1.0)
+        parts_kw = sorted((least * lacking_kw, most * lacking_kw))
+        if not parts_kw[0] - near_kw <= correction_kw <= parts_kw[1] + near_kw:
+            return f"corrects {correction_kw:,.3f} of {lacking_kw:,.3f} kW, not {least:.3f}"
         before = self._turns[-1].memory if len(self._turns) == self._seen_turns else None
         if before is None or not now.readings_kw or lacking_kw == 0.0:
             return ""
@@ -570,6 +565,17 @@ def aim_kw(run: FaultyRun, one: Decision, reference_kw: float, has_kw: float) ->
                 response_kw = droop.ddn * (error - droop.fdbd1) * rating_kw
     limited_kw = min(max(reference_kw + response_kw, grid.pmin * rating_kw), grid.pmax * rating_kw)
     return limited_kw + run.plan.control.offset_kw
+
+
+def gross_kw(run: FaultyRun, aim_kw: float) -> float:
+    """Return what inverters must give for a power at the meter, if losses are made up for [kW]."""
+    grid, rating_kw = run.plan.grid, run.rating_kw()
+    if not run.plan.control.correction:
+        return aim_kw
+    aim_kw += grid.loss_constant_percent / 100.0 * rating_kw
+    square = grid.loss_quadratic_percent / 100.0 / rating_kw
+    # Of a x^2 - x + aim = 0 the lower root.
+    return aim_kw if square == 0.0 else float(np.roots([square, -1.0, aim_kw]).real.min())
 
 
 def offers(run: FaultyRun) -> Breaches:

@@ -130,7 +130,8 @@ def _process_faults(
         case "kill":
             yield Kill(several, begin_s)
         case "storm":  # Killed again and again, as often as it is started again, or more often.
-            apart_s = max(2.0, 2.0 * plan.timing.cycle_s)
+            within_s = plan.supervision.restart.within_s
+            apart_s = max(draw.choice([2.0, 0.7 * min(within_s, 20.0)]), 2.0 * plan.timing.cycle_s)
             yield from (
                 Kill(agent, round(begin_s + n * apart_s, 3)) for n in range(draw.choice([2, 4]))
             )

@@ -29,7 +29,7 @@ SETTLED_SHARE: Final = 0.01
 USED_SHARE: Final = 0.9
 """Share of the cycle that is divided among its stages: three parts for the first, one for each."""
 
-RETURNS_WITHIN: Final = 2
+RETURNS_WITHIN: Final = 1
 """Cycles after its return in which a process must speak."""
 
 

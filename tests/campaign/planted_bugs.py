@@ -252,6 +252,18 @@ BUGS: Final[dict[str, Bug]] = {
             )
         ),
     ),
+    "all of an error is corrected, whether that has helped or not": Bug(
+        "agents.control.correction:corrected",
+        _then(lambda new, *_: new._replace(correction_kw=new.lacking_kw)),
+    ),
+    "a new central process begins anew": Bug(
+        "agents.parent:CentralController.step",
+        lambda right: (
+            lambda self, state, turn: right(
+                self, replace(state, meter_cycle=max(state.meter_cycle, 1)), turn
+            )
+        ),
+    ),
     "the correction only goes up": Bug(
         "agents.control.correction:corrected_kw",
         _then(lambda kw, known, *_: max(kw, min(known.aim_kw, kw + abs(known.correction_kw)))),
@@ -277,6 +289,10 @@ BUGS: Final[dict[str, Bug]] = {
     "stated power is not believed": Bug(
         "agents.control.forecast:forecast_impp",
         _with(reading=lambda v: v["reading"]._replace(available_kw=float("nan"))),
+    ),
+    "how stated power differs is never learned": Bug(
+        "agents.control.forecast:forecast_impp",
+        _then(lambda new, *_: new._replace(meter=new.meter._replace(stated_share=1.0))),
     ),
     "an inverter is held at its forecast without room": Bug(
         "agents.control.forecast:held_kw",
@@ -370,6 +386,16 @@ BUGS: Final[dict[str, Bug]] = {
     "a process is given up too early": Bug(
         "agents.settings:RestartPolicy.wait_s",
         lambda right: lambda self, earlier_s, now_s: right(replace(self, most=2), earlier_s, now_s),
+    ),
+    "restarts are never forgotten": Bug(
+        "agents.settings:RestartPolicy.wait_s",
+        lambda right: (
+            lambda self, earlier_s, now_s: right(replace(self, within_s=1e6), earlier_s, now_s)
+        ),
+    ),
+    "a new process joins two cycles late": Bug(
+        "agents.loop:Loop.begin",
+        _with(cycle=lambda v: v["cycle"] + 2 if v.get("cycle") else 0),
     ),
     "a replaced process is heard": Bug("agents.inputs:Inputs.admits", _hears_all),
     "inputs are held a cycle longer": Bug("agents.inputs:Inputs.__init__", _holds_longer(1)),

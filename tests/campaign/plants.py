@@ -87,6 +87,7 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
             "plant.meter_noise": 0.005,
             "commitment.share": 0.3,
             "grid.meter_error_percent": 3,
+            "restart": {"most": 2, "within_s": 15, "backoff_s": 3},
         },
         Worth(0.032, 0.0005, 0.0085, 0.0, 0.4),
         settles_s=40.0,
@@ -120,7 +121,7 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
         {
             "control.correction": False,
             "control.offset": 0.01,
-            "plant.available_bias": 0.0,
+            "plant.available_bias": 0.04,
             "grid": {
                 "ramp_up_kw_per_min": 1500,
                 "ramp_down_kw_per_min": 3000,
@@ -141,7 +142,7 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
             },
             "orders": [{"at": 20, "power_kw": 2600}, {"at": 90, "schedule": True}],
         },
-        Worth(0.018, 0.0005, 0.0095, 0.0, 0.82),
+        Worth(0.0195, 0.0005, 0.0105, 0.0, 0.82),
     ),
     "losses": CampaignPlant(
         _EIGHT,
@@ -154,16 +155,6 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
             "plant.meter_noise": 0.01,
         },
         Worth(0.0028, 0.0013, 0.0009, 0.0, 0.33),
-    ),
-    "lossy": CampaignPlant(  # It would have to correct by more than it may.
-        _EIGHT,
-        "150s",
-        {
-            "grid": {"loss_constant_percent": 4, "loss_quadratic_percent": 20},
-            "irradiance.clouds.cloud_cover": 0.0,
-            "commitment.share": 0.6,
-        },
-        Worth(0.046, 0.0, 0.024, 0.0, 0.76),
     ),
     "valley": CampaignPlant(
         "valley", "150s", {"commitment.share": 0.7}, Worth(0.0011, 0.0006, 0.0008, 0.0, 0.92)

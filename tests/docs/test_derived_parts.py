@@ -110,7 +110,7 @@ def help_for(count: int) -> bytes:
         (SETPOINT, help_for(MOST_CHILDREN + 1), False),
     ],
 )
-def test_what_it_says_of_payloads_is_what_the_codec_does(
+def test_the_wire_page_describes_payloads_as_the_codec_writes_them(
     signal: Signal[Message], payload: bytes, accepted: bool
 ) -> None:
     with nullcontext() if accepted else pytest.raises(msgspec.DecodeError):

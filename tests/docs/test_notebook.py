@@ -37,6 +37,6 @@ def test_every_cell_runs_and_shows_what_it_says(tmp_path: Path) -> None:
     assert int(helped.split()[1]) > 1
 
 
-def test_it_is_kept_without_outputs() -> None:
+def test_the_notebook_is_kept_without_outputs() -> None:
     cells = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
     assert not [cell for cell in cells if cell.get("outputs") or cell.get("execution_count")]

@@ -304,7 +304,7 @@ def test_a_live_process_that_no_listener_hears_is_started_again(watched: Make) -
     assert run.got(SIGKILL) == [NODE]
 
 
-def test_one_that_stays_away_is_given_up_and_the_run_goes_on(watched: Make) -> None:
+def test_a_process_that_stays_away_is_given_up_and_the_run_goes_on(watched: Make) -> None:
     run = watched(restart=RestartPolicy(most=2))
     for patience_s in (12.0, 24.0):
         run.pass_by(patience_s - 1.0, status=not_heard(NODE))
@@ -421,7 +421,7 @@ def test_a_run_fails_without_its_plant_and_in_lockstep_after_the_loss_of_any_dev
 # A run in lockstep that stalls --------------------------------------------------------------------
 
 
-def test_one_that_has_gone_on_since_it_waited_is_not_taken_for_a_cause(watched: Make) -> None:
+def test_a_process_that_has_gone_on_is_not_blamed(watched: Make) -> None:
     run = watched(cycle_wall_ns=0)
     run.tells("c1", Waiting(run.cycle, "report", [("c1/a/impp", "c1/a")]))
     assert run.processes.still_waiting() == [run["c1"]]

@@ -88,7 +88,7 @@ def test_each_cycle_is_as_worked_out_by_hand(
     assert missing_kw == pytest.approx({"a": 40.0, ROOT: 36.0} if cycle == 2 else {})
 
 
-def test_who_gives_more_than_its_share_says_for_whom(sent: Sent) -> None:
+def test_a_setpoint_above_the_share_names_the_needy_sibling(sent: Sent) -> None:
     of_a, of_b = (sent.of(SETPOINT.of(leaf))[2] for leaf in ("a", "b"))
     assert (of_a.share_kw, of_a.help_given) == (60.0, ())
     (line,) = of_b.help_given

@@ -102,7 +102,7 @@ def wrong(cause: str, count: int, publisher: str) -> WrongMessages:
         ((), (wrong("late", 9, "c1/inv01"), wrong("duplicate", 9, "c1/inv01")), None),
     ],
 )
-def test_what_makes_a_run_unreliable_is_a_failure_in_one_line(
+def test_an_unreliable_run_fails_in_one_line(
     messages: tuple[MessageCount, ...], found: tuple[WrongMessages, ...], failure: str | None
 ) -> None:
     launcher = LauncherAccount(wrong=found)

@@ -130,7 +130,7 @@ def test_an_impp_is_only_an_upper_bound_where_a_limit_hides_the_maximum(tmp_path
     assert state.powers("c1/a", 7)["bound"] == bounds["c1/a"]
 
 
-def test_what_is_missing_is_shown_as_missing(tmp_path: Path) -> None:
+def test_missing_messages_are_shown_as_missing(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
 
     def is_kept(delivery: Delivery) -> bool:

@@ -272,7 +272,7 @@ def test_faults_act_on_the_links_inside_a_group(heliarch: Start, plant: str) -> 
 # What a run takes of the machine ------------------------------------------------------------------
 
 
-def test_what_the_fork_server_imports_starts_no_thread() -> None:
+def test_imports_of_the_fork_server_start_no_thread() -> None:
     code = (
         "import launch_scripts.fork_server, psutil; own = psutil.Process(); "
         "print(own.num_threads(), len(own.net_connections()))"

@@ -67,7 +67,7 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -
     assert_none_left(folder)
 
 
-def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start, plant: str) -> None:
+def test_measurements_up_to_an_interruption_are_reported(heliarch: Start, plant: str) -> None:
     run = heliarch("timing", plant, "--rate", "10", "--duration", "10m")
     run.until_running()
     assert run.interrupt() == 130, run.error_text()

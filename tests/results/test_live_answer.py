@@ -71,7 +71,7 @@ def test_a_response_to_the_frequency_is_no_error_and_its_lack_is_named() -> None
     assert silent == "200 kW not reached within 1 %; the frequency is 59.864 Hz"
 
 
-def test_what_rounds_to_nothing_has_no_sign() -> None:
+def test_a_number_that_rounds_to_zero_has_no_sign() -> None:
     assert "overshoot 0.0 %" in text_of(GridSettings(), iter([TO_KW - 1e-9] * 20))
 
 

@@ -151,7 +151,7 @@ DISPATCH = ("commitment_kw", "regulation_kw")
 PRODUCTION = ("mpp_kw", "power_kw")
 
 
-def test_what_changes_while_cycles_are_unknown_is_no_mileage() -> None:
+def test_changes_across_unknown_cycles_are_no_mileage() -> None:
     run = run_of([100.0] * 6, 900.0, [90.0, 80.0, 80.0, 20.0, 20.0, 30.0], cycle_s=3600.0)
     assert run_figures(run)["mileage"] == pytest.approx((10.0 + 60.0 + 10.0) / 6)
     gap = without(run, slice(2, 3), *PRODUCTION)

@@ -99,7 +99,7 @@ def test_a_rule_that_does_not_fit_the_run_is_refused(rule: str, named: str) -> N
     assert named in place.removeprefix(f"--fault {rule}: ")
 
 
-def test_what_comes_in_at_devices_alone_and_processes_elsewhere_are_beyond_its_reach() -> None:
+def test_inputs_of_devices_and_processes_elsewhere_are_beyond_a_rule() -> None:
     scenario, devices = load_scenario("oahu"), ("c1/a", "c1/b")
     assert "c1/a, c1/b" in complaint("listener=c1/*,signal=telemetry,delay=5ms", devices)
     for rule in ("signal=telemetry,delay=5ms", "source=c1/*,delay=5ms"):

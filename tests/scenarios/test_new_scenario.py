@@ -90,7 +90,7 @@ def stamp_of(time: pd.Timestamp, zone: str) -> str:
     zone=st.sampled_from(ZONES),
     lacking=st.integers(0, 3),
 )
-def test_what_it_writes_runs_at_once(
+def test_the_new_scenario_runs_at_once(
     names: list[str], begin: str, step_s: int, zone: str, lacking: int
 ) -> None:
     with TemporaryDirectory() as folder:

@@ -27,7 +27,7 @@ def test_a_duration_has_units(text: str, seconds: float) -> None:
         assert parse_duration_s(length, "--duration") == pytest.approx(seconds)
 
 
-def test_what_is_no_length_of_a_run_or_no_range_is_refused() -> None:
+def test_wrong_durations_and_ranges_are_refused() -> None:
     for text in ("", "0", "-5", "soon", "5 s", "5d", "1e3", ".", "1..5", "1m1h", "745h", "9" * 99):
         assert complaint_of(parse_duration_s, text, "--duration").startswith("--duration: expected")
     assert split_range("30s..40s", "silent") == ("30s", "40s")

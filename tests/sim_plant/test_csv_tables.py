@@ -108,7 +108,7 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
         read_csv(tmp_path / "pipe.csv")
 
 
-def test_what_is_no_text_file_is_refused(tmp_path: Path) -> None:
+def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
     (tmp_path / "none.csv").write_bytes(bytes(range(32)) * 20)
     for path in (tmp_path, tmp_path / "nowhere.csv", tmp_path / "none.csv"):
         assert complaint_of(read_csv, path).startswith(f"{path}: expected")

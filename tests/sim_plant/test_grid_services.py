@@ -105,7 +105,7 @@ def test_the_meter_reads_net_of_losses_with_its_error_and_the_correction_makes_u
     assert wrong.delivered_kw[-1] == pytest.approx(200.0 / 1.02, abs=1e-3)
 
 
-def test_what_losses_wind_up_while_every_inverter_gives_all_it_has_is_gone_after_a_cycle() -> None:
+def test_a_correction_for_losses_in_saturation_is_gone_after_a_cycle() -> None:
     # For 100 cycles the sky gives 195 kW at the inverters, 191 kW at the meter, and 193 are asked
     # for. That may be meters that read low: the inverters are freed, for one cycle too many.
     sky_kw = stepped(195.0 / 4.0, 90.0)

@@ -132,7 +132,7 @@ def test_a_file_without_gaps_is_read_the_same_whether_gaps_are_filled_or_not(rea
         (GAPS.replace("00:04Z", "00:03.5Z"), ["all such lines: 3"]),
     ],
 )
-def test_what_cannot_be_filled_is_refused(read: Read, ghi: str, named: list[str]) -> None:
+def test_gaps_that_cannot_be_filled_are_refused(read: Read, ghi: str, named: list[str]) -> None:
     complaint = complaint_of(read, ghi, max_gap_s=2.0)
     assert [one for one in named if one not in complaint] == []
 

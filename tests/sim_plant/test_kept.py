@@ -56,7 +56,7 @@ def test_a_cut_or_a_wrong_byte_anywhere_in_an_answer_only_costs_time(cache: Path
         assert ask(1.0)[0] == 1.0 / 3.0, f"byte {at}"
 
 
-def test_what_was_used_last_has_room(cache: Path) -> None:
+def test_the_last_used_entry_is_kept(cache: Path) -> None:
     ask(1.0)
     (first,) = cache.iterdir()
     os.utime(first, (0, 0))

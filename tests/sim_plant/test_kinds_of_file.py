@@ -230,7 +230,7 @@ def read(folder: Path, kind: Kind, max_gap_s: float | None = 60.0) -> Irradiance
 
 
 @pytest.mark.parametrize("name", READ)
-def test_it_is_read_and_what_was_assumed_is_said(tmp_path: Path, name: str) -> None:
+def test_a_kind_of_file_is_read_and_its_assumptions_are_stated(tmp_path: Path, name: str) -> None:
     kind = READ[name]
     found = read(tmp_path, kind)
     assert list(found.times) == list(
@@ -308,7 +308,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_it_is_refused_with_the_line_and_the_option(tmp_path: Path, name: str) -> None:
+def test_a_wrong_file_is_refused_with_the_line_and_the_option(tmp_path: Path, name: str) -> None:
     kind, place = REFUSED[name]
     with pytest.raises(InputError) as caught:
         read(tmp_path, kind)
@@ -335,9 +335,7 @@ def test_midnight_may_be_written_as_24(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("stamps", ["begin", "middle", "end"])
-def test_which_end_of_its_interval_a_stamp_names_is_found_by_the_suns_path(
-    tmp_path: Path, stamps: str
-) -> None:
+def test_the_sun_tells_which_end_of_an_interval_a_stamp_names(tmp_path: Path, stamps: str) -> None:
     step = pd.Timedelta("15min")
     begins = pd.date_range("2024-06-15 12:00", periods=56, freq=step, tz="UTC")
     fine = pd.date_range(begins[0], periods=56 * 15, freq="1min")

@@ -165,7 +165,7 @@ SHORT = {"cycle_ns": 700_000_000}
         ({0: 0.5, 6: 0.5}, {"revert": IN_3_S, "delay_s": 2.0}, [50, 50, 50, 20, 20, 20, 20, 20]),
     ],
 )
-def test_what_an_inverter_makes_of_its_commands(
+def test_an_inverter_obeys_its_commands(
     commands: dict[int, float], changes: dict[str, Any], expected_kw: list[float], actuator: str
 ) -> None:
     plant = PlantAtWork(FLAT, actuator=actuator, cycle_wall_ns=CYCLE_NS, **changes)
@@ -226,7 +226,7 @@ def test_cycles_that_were_missed_count_for_delays_and_reverts() -> None:
 # Profiles ----------------------------------------------------------------------------------------
 
 
-def test_what_is_no_profile_is_refused(tmp_path: Path) -> None:
+def test_wrong_profiles_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "profile.npz"
     assert complaint_of(load_profile, path, 2, 1).startswith(f"{path}: ")
     path.write_bytes(b"nope")

@@ -64,7 +64,7 @@ def test_ratings_are_the_inverters_own_or_a_share_of_the_plants(path: Path) -> N
         (["inverter,lat,lon,rating_kw", "a,1,2,5", "b,1,2,0"], "line 3, column 'rating_kw': exp"),
     ],
 )
-def test_what_cannot_be_used_is_located(path: Path, lines: list[str], complaint: str) -> None:
+def test_unusable_lines_are_located(path: Path, lines: list[str], complaint: str) -> None:
     write(path, *lines)
     found = complaint_of(read_sites, path, plant_rating_kw=100.0)
     assert found.startswith(f"{path.name}: {complaint}")

@@ -139,7 +139,7 @@ def test_a_dropped_link_is_called_so_once_and_counted(tmp_path: Path) -> None:
     assert sum("connection closed by the inverter" in message for message in messages) == 1
 
 
-def test_one_that_dies_is_named_once_and_counted_as_gone(tmp_path: Path) -> None:
+def test_an_inverter_that_dies_is_named_once_and_counted_as_gone(tmp_path: Path) -> None:
     with quirky() as device, gateway(plan_with(device), tmp_path) as (devices, messages):
         assert newest(devices).power_kw == SUN_KW
         device.__exit__()
@@ -193,7 +193,7 @@ def test_the_map_is_found_where_it_is_or_where_the_profile_says(first: int) -> N
             assert connected(device).read().power_kw == SUN_KW
 
 
-def test_what_was_found_before_the_scan_failed_is_kept_whatever_the_order() -> None:
+def test_findings_before_a_failed_scan_are_kept_in_any_order() -> None:
     models = integers()
     with quirky(models={n: models[n] for n in (1, 123, 120, 103)}, ends=False) as device:
         assert connected(device).read().power_kw == SUN_KW

@@ -94,7 +94,7 @@ THREE = (100.0, 100.0, 100.0)
 THREE_IN_ORDER = ((1, 2), (0, 2), (0, 1))
 
 
-def test_what_all_together_lack_is_asked_of_each_by_what_it_lacks_to_its_rating() -> None:
+def test_missing_power_is_asked_of_each_child_by_its_distance_from_its_rating() -> None:
     # They have 10, 20 and 40 kW: 23 of 93 kW are missing, and they are 230 kW below their ratings.
     found = allocate(93.0, THREE, (10.0, 20.0, 40.0), THREE_IN_ORDER, adds_up=True)
     assert found.power_kw == pytest.approx([19.0, 28.0, 46.0])

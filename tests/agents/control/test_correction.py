@@ -60,7 +60,7 @@ def test_losses_that_are_known_need_no_correction() -> None:
     assert corrected_kw(known, law._replace(is_on=False), grid) == 500.0 < gross_kw(500.0, grid)
 
 
-def test_it_takes_the_same_time_whatever_the_cycle() -> None:
+def test_correcting_takes_the_same_time_in_every_cycle_length() -> None:
     fast, slow = settled(20.0, 0.1, 3.2), settled(20.0, 1.0, 5.0)
     assert fast[-1] == pytest.approx(slow[-1], abs=2.5)
 
@@ -76,7 +76,7 @@ def corrections_kw(
     return found
 
 
-def test_what_is_still_on_its_way_is_not_missing() -> None:
+def test_power_on_its_way_is_not_corrected() -> None:
     wanted_kw = [100.0] * 4 + [400.0] * 5
     metered_kw = [100.0] * 7 + [400.0] * 2
     assert not any(corrections_kw(law_of(1.0, 2.0), wanted_kw, metered_kw, [inf] * 9))
@@ -115,7 +115,7 @@ def test_errors_that_are_gone_before_they_are_corrected_are_soon_left_alone(cycl
     assert known.correction_kw == pytest.approx(20.0, rel=0.05)
 
 
-def test_it_never_exceeds_its_share_of_the_rating() -> None:
+def test_the_correction_never_exceeds_its_share_of_the_rating() -> None:
     most_kw = HIGHEST_CORRECTION * RATING_KW
     assert settled(300.0, 1.0, 100.0)[-1] == 200.0 + most_kw
     assert settled(-300.0, 1.0, 100.0)[-1] == 800.0 - most_kw

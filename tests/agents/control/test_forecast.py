@@ -176,7 +176,7 @@ def test_whatever_is_measured_the_forecast_lies_between_zero_and_the_rating(
     ],
     ids=["a hidden maximum grows", "a forecast error is forgotten", "a meter's bias is learned"],
 )
-def test_what_time_does_is_alike_whatever_the_cycle(
+def test_effects_of_time_do_not_depend_on_the_cycle(
     maxima_kw: tuple[float, ...],
     power_kw: float,
     limit_kw: float,
@@ -233,7 +233,7 @@ def test_an_inverter_shaded_to_just_below_its_limit_does_not_count_as_held_by_it
 
 
 @pytest.mark.parametrize("bias", [-0.02, 0.02])
-def test_what_a_free_inverter_gives_is_measured_by_how_its_meter_reads_a_limit(
+def test_a_free_inverter_is_measured_with_the_learned_meter_error(
     bias: float,
 ) -> None:
     known = readings(40.0, [bias] * 200, measured(80.0))[-1]

@@ -98,7 +98,7 @@ def test_two_runs_stand_side_by_side_with_their_differences(
     assert "delivered, B" in html
 
 
-def test_what_are_no_two_runs_of_one_plant_is_refused(run: Path, tmp_path: Path) -> None:
+def test_runs_of_two_plants_are_refused(run: Path, tmp_path: Path) -> None:
     renamed = tuple((f"{path}2", rating_kw) for path, rating_kw in PLAN.inverters)
     later_ns = PLAN.timing.start_time_ns + 10**9
     plans = {

@@ -176,7 +176,7 @@ def test_an_agent_whose_link_is_cut_is_named_and_nobody_else(
 
 
 @pytest.mark.parametrize("run_id", [PLAN.run_id, "another-run"])
-def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, run_id: str) -> None:
+def test_the_launchers_account_is_read_beside_the_recording(tmp_path: Path, run_id: str) -> None:
     launcher = LauncherAccount(
         dropped={"late": 3},
         restarts={"recorder": 2},

@@ -70,7 +70,7 @@ def test_rates_are_for_each_cycle_and_each_second_of_the_wall_clock(look: Look) 
     assert count_of(overview, "setpoint").per_cycle == 4 + 2 / 2
 
 
-def test_what_was_published_and_not_recorded_is_lost(look: Look) -> None:
+def test_published_messages_that_are_not_recorded_are_lost(look: Look) -> None:
     overview = look(
         is_kept=lambda pair: (
             (str(pair[0]), pair[1].cycle)
@@ -108,7 +108,7 @@ def test_a_recording_without_a_cycle_says_so(tmp_path: Path) -> None:
         assert dict(facts(run, read_overview(run)))["cycles"].startswith("none of 1 s, 0 complete")
 
 
-def test_what_is_missing_is_counted_up_to_where_the_plant_ended_the_run(look: Look) -> None:
+def test_missing_messages_are_counted_up_to_the_end_of_the_run(look: Look) -> None:
     overview = look(is_kept=lambda pair: pair[1].cycle < 50 or pair[0].signal.name == "run")
     assert (overview.last_cycle, overview.complete_cycles) == (END, 50)
     assert count_of(overview, "production").missing_cycles == 10

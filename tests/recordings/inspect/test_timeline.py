@@ -35,7 +35,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("timeline"), whole_run(30))
 
 
-def test_who_lacks_power_asks_for_help_and_is_told_who_gives_it(recording: Path) -> None:
+def test_an_inverter_without_enough_power_asks_for_help_and_hears_from_whom(
+    recording: Path,
+) -> None:
     (row,) = rows_of(recording, "c1/a", range(10, 11))
     assert row.document() == {
         "cycle": 10,

@@ -122,7 +122,7 @@ WAYS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_what_another_program_wrote_is_read(recording: Path, tmp_path: Path, way: str) -> None:
+def test_recordings_of_other_programs_are_read(recording: Path, tmp_path: Path, way: str) -> None:
     other = tmp_path / "other" / "run.mcap"
     other.parent.mkdir()
     rewrite(recording, other, **WAYS[way])
@@ -135,7 +135,7 @@ def test_what_another_program_wrote_is_read(recording: Path, tmp_path: Path, way
 
 
 @pytest.mark.parametrize("way", ["zstd", "no chunks", "by topic"])
-def test_what_another_program_wrote_is_verified_and_exported(
+def test_recordings_of_other_programs_are_verified_and_exported(
     plant: str, tmp_path: Path, way: str
 ) -> None:
     done("simulate", plant, "--duration", "20", "--out", tmp_path / "run")

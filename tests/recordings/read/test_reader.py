@@ -192,7 +192,7 @@ def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> No
         ([], [], "13:49", "start: .*2010-04-01 12:00:00 to 2010-04-01 12:04:59"),
     ],
 )
-def test_what_the_run_does_not_have_is_refused_with_what_it_has(
+def test_unknown_names_are_refused_with_the_known_ones(
     run: RunReader, signals: list[str], nodes: list[str], start: str | None, complaint: str
 ) -> None:
     with pytest.raises(InputError, match=complaint) as caught:

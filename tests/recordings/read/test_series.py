@@ -89,7 +89,7 @@ def test_in_a_large_plant_clusters_stand_for_their_inverters(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(("meter", "delivered_kw"), [("", 239.0), ("modbus://10.0.0.9", 230.0)])
-def test_what_the_plant_says_of_meter_and_lost_inverters_counts(
+def test_statements_of_the_plant_on_meter_and_lost_inverters_count(
     meter: str, delivered_kw: float
 ) -> None:
     collector = SeriesCollector(with_changes(PLAN, meter=meter))

@@ -45,7 +45,7 @@ def record(
 
 
 @pytest.mark.parametrize("bursts_s", [0.0, 0.1])
-def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
+def test_a_recording_is_flushed_every_half_second(bursts_s: float, tmp_path: Path) -> None:
     clock, link = ClockByHand(), LinkByHand()
     began_ns = clock.now_ns
     ends_ns, bursts_ns = began_ns + round(LASTS_S * 1e9), round(bursts_s * 1e9)
@@ -77,7 +77,7 @@ def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
     assert min(gaps_s[1:-1]) >= FLUSH_S - 0.01
 
 
-def test_who_answered_the_arming_round_is_not_unresponsive_when_cycle_0_begins(
+def test_an_agent_that_answered_the_arming_round_is_responsive_in_cycle_0(
     tmp_path: Path,
 ) -> None:
     """With 1,000 inverters the recorder is up half a minute before the last of them has joined."""

@@ -129,7 +129,7 @@ def test_the_order_in_which_messages_come_does_not_matter() -> None:
     assert run.not_heard == []
 
 
-def test_what_a_device_states_proves_nothing() -> None:
+def test_statements_of_a_device_prove_nothing() -> None:
     run = Heard(external=("c1",))
     run.hear(9, IMPP.of("c1"), f"{A}/impp", f"{A}/residual")
     assert run.not_heard == []

@@ -89,7 +89,7 @@ OTHERS = [(port, m) for port, m in SAID if port.publisher != DEVICE]
 OWN = [(port, m) for port, m in SAID if port.publisher == DEVICE]
 
 
-def test_what_a_device_has_sent_is_recorded_though_its_link_is_behind_the_others(
+def test_messages_of_a_device_with_a_slow_link_are_recorded(
     tmp_path: Path,
 ) -> None:
     flood = [(PORT, impp(0))] * 10_000
@@ -169,7 +169,7 @@ def test_a_message_with_an_impossible_body_does_not_end_the_recorder(
         assert len(list(reader.messages())) == len(SAID)
 
 
-def test_what_cannot_be_written_ends_the_recording_in_one_line_and_not_the_recorder(
+def test_a_failed_write_ends_the_recording_in_one_line_and_not_the_recorder(
     tmp_path: Path,
 ) -> None:
     told: list[str] = []
@@ -227,7 +227,7 @@ def test_a_second_message_of_a_key_in_a_cycle_is_named(
     assert found == [None, *causes]
 
 
-def test_what_comes_second_on_a_key_is_no_loss_and_a_false_stop_is_named(tmp_path: Path) -> None:
+def test_a_second_sender_is_no_loss_and_a_false_stop_is_named(tmp_path: Path) -> None:
     said = list(SAID)
     place = next(
         n for n, (port, m) in enumerate(said) if port is DISPATCH.of(ROOT) and m.cycle == 4

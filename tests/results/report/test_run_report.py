@@ -99,7 +99,7 @@ def test_the_page_has_every_figure_with_its_data_and_links_to_each() -> None:
     assert set(links) <= {element.attributes.get("id") for element in page.of("section")}
 
 
-def test_what_a_run_does_not_have_is_left_out() -> None:
+def test_absent_parts_of_a_run_are_left_out() -> None:
     run = cloudy_run()
     no_help = without_estimates(run, "no help")
     assert [*figures_of(no_help)] == ["power"]

@@ -110,7 +110,7 @@ def test_a_setting_that_the_scenario_does_not_accept_is_named(
         *((parse_days, text) for text in ("2010-02-30", "2010-04-02..2010-04-01")),
     ],
 )
-def test_what_is_no_list_is_refused(parse: Callable[[str], object], text: str) -> None:
+def test_wrong_lists_are_refused(parse: Callable[[str], object], text: str) -> None:
     with pytest.raises(InputError, match="--seeds" if parse is parse_seeds else "--days"):
         parse(text)
 
