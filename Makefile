@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test docs results figures pictures golden check check-scripts format bench bench-peers bench-study campaign soak clean
+.PHONY: help setup run test docs dist sbom results figures pictures golden check check-scripts format bench bench-peers bench-study campaign soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -31,6 +31,17 @@ test: $(READY) ## all tests; three workers, because many tests wait for processe
 
 docs: $(READY) ## the documents as a site in build/site; read them with `python -m http.server -d build/site`
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+dist: $(READY) ## wheel and sdist in dist/, and a run with page and report from that wheel in an empty environment, build/empty
+	rm -rf dist build/lib build/bdist.* build/empty *.egg-info
+	$(BIN)/python -c 'from setuptools import build_meta; build_meta.build_sdist("dist"); build_meta.build_wheel("dist")' >/dev/null
+	$(PYTHON) -m venv build/empty
+	build/empty/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt "$$(ls dist/*.whl)[report]"
+	cd build/empty && bin/heliarch init $(CURDIR)/examples/own_plant/positions.csv $(CURDIR)/examples/own_plant/ghi.csv --out own.toml
+	cd build/empty && bin/heliarch launch oahu --duration 10 --report --page
+
+sbom: $(READY) ## all dependencies with versions and licences: build/sbom.json and docs/licences.md
+	PYTHONPATH=$(CURDIR) $(BIN)/python docs/dependencies.py
 
 golden: $(READY) ## record the golden runs again with their own sky and clusters; one that was removed is simulated anew
 	$(call golden,oahu-fraction,oahu --actuator fraction --duration 24s)
@@ -92,4 +103,4 @@ soak: $(READY) ## long runs: a random kill or cut every 5 s for SOAK_S (1800) s;
 	$(BIN)/pytest --hypothesis-profile others tests/agents tests/bus_schemas tests/recordings tests/studies
 
 clean: ## remove what the tasks made, recordings of runs excepted
-	rm -rf $(VENV) $(PEERS) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

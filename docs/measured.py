@@ -960,6 +960,35 @@ def longer_cycles() -> Lines:
     return table(rows, {**FAULT, "time.cycle_s": ("cycle [s]", None), **NETWORK})
 
 
+def batteries(data: Path) -> Lines:
+    """Write the smallest battery that covers what is missed; of clouds, the mean of three skies."""
+    schemes = ["uniform-cap", "grouping", *HIERARCHICAL]
+    run = partial(compare, schemes=schemes, actuators=["limit"], workers=WORKERS)
+    shares = {"commitment.share": CELLS["commitment.share"]}
+    seeds = [1, 2, 3]
+    skies = {name: run(name, settings=shares, seeds=seeds) for name in ("oahu", UTILITY)}
+    for sky, (scenario, settings) in skies_of(data).items():
+        skies[sky] = run(scenario, settings=shares | settings)
+    names = ("battery-power", "battery-energy", "battery-cycles", "battery-mileage")
+    of_control = ("control-battery-power", "control-battery-energy")
+    units = ("kW", "kWh", "full cycles", "mileage kW/h", "control-caused kW", "control-caused kWh")
+    yield ["sky", "promise", "scheme", *units]
+    for sky, rows in skies.items():
+        for scheme in ("uniform-cap", "grouping median", *HIERARCHICAL):
+            of_scheme = rows[rows["scheme"] == scheme].groupby("commitment.share")
+            for share, means in of_scheme[[*names, *of_control]].mean().iterrows():
+                kw, kwh, cycles, mileage, caused_kw, caused_kwh = means
+                figures = (f"{kw:.0f}", f"{kwh:.2f}", f"{cycles:.1f}", f"{mileage:.0f}")
+                yield [
+                    sky,
+                    f"{share:.0%}",
+                    scheme,
+                    *figures,
+                    f"{caused_kw:.0f}",
+                    f"{caused_kwh:.2f}",
+                ]
+
+
 Tables = dict[str, Callable[[], Lines]]
 
 SYNTHETIC: Final[dict[str, Tables]] = {
@@ -1002,6 +1031,7 @@ def measured(data: Path) -> dict[str, Tables]:
             "stated": partial(stated, data),
             "other skies": partial(other_skies, data),
             "measured unavoidable": partial(measured_unavoidable, data),
+            "batteries": partial(batteries, data),
         },
         "offers.md": {"measured offers": partial(measured_offers, data)},
         "clusters.md": {

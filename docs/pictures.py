@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib import dates
 
-from docs.shown import keep
+from docs.shown import keep, read
 from heliarch import compare, load_scenario
 from recordings.read.series import RunSeries
 from scenarios.preparation import prepare
@@ -18,7 +18,8 @@ from scenarios.settings import with_settings
 from studies.arrays.schemes import run_scheme
 
 IMAGES: Final = Path(__file__).parent / "images"
-BLUE, ORANGE, GREY, DARK = "#0072b2", "#d55e00", "#d9dee3", "#37474f"
+BLUE, ORANGE, GREEN = "#0072b2", "#d55e00", "#009e73"
+GREY, DARK = "#d9dee3", "#37474f"
 
 
 def ten_minutes(path: Path) -> None:
@@ -97,6 +98,34 @@ def promise(path: Path) -> None:
     figure.savefig(path, dpi=160)
 
 
+def batteries(path: Path) -> None:
+    """Draw the battery that `oahu` needs against the promise, from the table of results.md."""
+    titles, *cells = read("results-batteries")
+    rows = pd.DataFrame(cells, columns=titles).query("sky == 'oahu'")
+    rows["promised"] = rows["promise"].str.rstrip("%").astype(float)
+    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    for of_what, title, shown in (
+        ("kWh", "for the whole shortfall", axes[0]),
+        ("control-caused kWh", "for the control-caused shortfall", axes[1]),
+    ):
+        for scheme, colour, mark in (
+            ("grouping median", DARK, "s-"),
+            ("uniform-cap", ORANGE, "o-"),
+            ("paper", GREEN, "^-"),
+            ("predictive", BLUE, "d-"),
+        ):
+            curve = rows[rows["scheme"] == scheme]
+            needed_kwh = curve[of_what].astype(float)
+            shown.plot(curve["promised"], needed_kwh, mark, color=colour, label=scheme)
+        shown.set_title(title, fontsize=11)
+        shown.set_xlabel("promise, % of the clear sky's power")
+        shown.set_ylim(0, None)
+        shown.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("capacity of the smallest battery [kWh]")
+    axes[0].legend(frameon=False, fontsize=9)
+    figure.savefig(path, dpi=160)
+
+
 def missed_percent(series: RunSeries) -> float:
     return float(100.0 * series.shortfall_kw.sum() / series.dispatch_kw.sum())
 
@@ -104,3 +133,4 @@ def missed_percent(series: RunSeries) -> float:
 if __name__ == "__main__":
     ten_minutes(IMAGES / "ten-minutes.png")
     promise(IMAGES / "promise.png")
+    batteries(IMAGES / "batteries.png")

@@ -1,5 +1,8 @@
 """Heliarch for Python: what scripts and notebooks need.
 
+Here belong the public names and the commands (`cli`); it may import every folder, and none imports
+it. Begin with `runs.py`, for a command with its file in `cli`.
+
 Examples
 --------
 >>> from heliarch import compare, diff, launch, open_run, simulate

@@ -1,4 +1,8 @@
-"""The world: irradiance, PV power, inverters, what the market wants, and the plant as an agent."""
+"""The world: irradiance, PV power, inverters, what the market wants, and the plant as an agent.
+
+Here belongs what a controller cannot know and what measured files say. It imports `agents` and
+`bus_schemas`. Begin with `plant.py`, then `sources.py` and `inverters.py`.
+"""
 
 import sys
 from importlib.util import LazyLoader, find_spec, module_from_spec

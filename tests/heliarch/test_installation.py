@@ -27,13 +27,18 @@ def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the wheel that the checkout builds."""
+    """A folder with the wheel that is built from the checkout's sdist."""
     folder = tmp_path_factory.mktemp("elsewhere") / "packages"
     # A build leaves files behind, and would take those of an earlier one.
     left_out = shutil.ignore_patterns(".*", "build", "runs", "tests", "docs", "*.egg-info")
     checkout = shutil.copytree(REPOSITORY, folder.with_name("checkout"), ignore=left_out)
     offline = ("--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check")
-    done = run(folder, "pip", "install", *offline, "--target", str(folder), str(checkout))
+    build = "from setuptools import build_meta; print(build_meta.build_sdist('.'))"
+    built = subprocess.run(
+        [sys.executable, "-c", build], cwd=checkout, capture_output=True, text=True, check=True
+    )
+    sdist = checkout / built.stdout.split()[-1]
+    done = run(folder, "pip", "install", *offline, "--target", str(folder), str(sdist))
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -56,6 +61,16 @@ def test_verify_says_that_other_code_made_a_recording(installed: Path) -> None:
     verified = run(installed, "heliarch", "verify", "simulated")
     assert verified.returncode == 0, verified.stdout
     assert "made by other code than this" in verified.stdout
+
+
+def test_the_wheel_makes_a_scenario_of_measured_files(installed: Path) -> None:
+    files = (str(REPOSITORY / "examples/own_plant" / name) for name in ("positions.csv", "ghi.csv"))
+    done = run(installed, "heliarch", "init", *files, "--out", "own.toml")
+    assert done.returncode == 0, done.stderr
+    simulated = run(
+        installed, "heliarch", "simulate", "own.toml", "--duration", "60", "--out", "own"
+    )
+    assert simulated.returncode == 0, simulated.stderr
 
 
 def test_a_module_of_another_package_is_named(installed: Path, tmp_path: Path) -> None:
