@@ -7,6 +7,7 @@ from typing import Final, Literal
 from zoneinfo import ZoneInfo, available_timezones
 
 import pandas as pd
+from pandas.tseries.api import guess_datetime_format
 
 from bus_schemas.errors import InputError
 from sim_plant.table_layout import Layout, is_time
@@ -123,7 +124,8 @@ def _parsed(text: pd.Series, dates: str | None, name: str, *, utc: bool) -> pd.S
             text = text.str.replace(first[4], "-", n=2, regex=False)
         return pd.to_datetime(text, format="ISO8601", utc=utc, errors="coerce")
     day_first = _is_day_first(known, first, dates, name)
-    found = pd.to_datetime(text, dayfirst=day_first, utc=utc, errors="coerce")
+    form = guess_datetime_format(first, dayfirst=day_first) or "mixed"
+    found = pd.to_datetime(text, dayfirst=day_first, utc=utc, errors="coerce", format=form)
     again = found.isna() & text.notna()
     if again.any():  # Of another form than the first one, such as without a fraction.
         other: pd.Series = text[again]
