@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache, partial
+from functools import lru_cache
 from itertools import chain
 from math import ceil
 from typing import Any, Final, TypeAlias
@@ -50,6 +50,8 @@ class PlantState:
         self._plan = plan
         self._tree = plan.tree
         self._number = {node: number for number, node in enumerate(plan.tree.nodes)}
+        self._telemetry = [TELEMETRY.of(leaf) for leaf in plan.tree.leaves]
+        self._ratings_kw = [plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves]
         self._leaves_below = {node: plan.tree.leaves_below(node) for node in plan.tree.nodes}
 
     def _messages(self, cycle: int, ports: Collection[Port[Message]] | None = None) -> Messages:
@@ -109,7 +111,7 @@ class PlantState:
     def powers(self, node: str, cycle: int) -> dict[str, float | None]:
         """Return the powers of one node in a cycle [kW]."""
         ports: set[Port[Any]] = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
-        ports |= {TELEMETRY.of(leaf) for leaf in self._leaves_of(node)}
+        ports |= {self._telemetry[leaf] for leaf in self._leaves_below[node]}
         if node != ROOT:
             ports.add(SETPOINT.of(node))
         return self._powers(self._messages(cycle, ports), node)
@@ -127,7 +129,7 @@ class PlantState:
         setpoint = messages.get(SETPOINT.of(node)) if node != ROOT else dispatch
         helped = setpoint.power_kw - setpoint.share_kw if isinstance(setpoint, Setpoint) else None
         below = self._leaves_below[node]
-        is_bound = any(map(partial(self._is_hidden, messages), self._leaves_of(node)))
+        is_bound = any(self._is_hidden(messages, leaf) for leaf in below)
         powers = {
             "bound": impp.power_kw if isinstance(impp, Impp) and is_bound else None,
             "impp": impp.power_kw if isinstance(impp, Impp) else None,
@@ -139,15 +141,12 @@ class PlantState:
         }
         return {name: None if kw is None else round(kw, 2) for name, kw in powers.items()}
 
-    def _leaves_of(self, node: str) -> list[str]:
-        return [self._tree.leaves[leaf] for leaf in self._leaves_below[node]]
-
-    def _is_hidden(self, messages: Messages, leaf: str) -> bool:
+    def _is_hidden(self, messages: Messages, leaf: int) -> bool:
         """Whether an inverter gives what its limit lets it, and does not state what it could."""
-        read = messages.get(TELEMETRY.of(leaf))
+        read = messages.get(self._telemetry[leaf])
         if not isinstance(read, Telemetry) or read.available_kw is not None:
             return False
-        is_limited = read.limit_kw < self._tree.rating_kw(leaf)
+        is_limited = read.limit_kw < self._ratings_kw[leaf]
         return is_limited and read.power_kw >= read.limit_kw * (1.0 - BOUND_TOLERANCE)
 
     def _help(self, messages: Messages) -> list[tuple[int, int, float]]:

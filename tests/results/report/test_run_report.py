@@ -119,7 +119,7 @@ def test_the_curves_are_those_of_the_run() -> None:
         "dispatch": run.dispatch_kw,
         "commitment": run.commitment_kw,
         "delivered without help": run.without_help_kw,
-        f"deviation, {run.label}": run.delivered_kw - run.dispatch_kw,
+        "deviation": run.delivered_kw - run.dispatch_kw,
         "deviation without help": run.without_help_kw - run.dispatch_kw,
         "denied by the sky": np.minimum(run.available_kw - run.dispatch_kw, 0.0),
     }
