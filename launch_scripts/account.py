@@ -15,7 +15,7 @@ from agents.process.events import ExternalAccount, Finished, Recorded
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
 from bus_schemas.tree import PLANT, ROOT
-from launch_scripts.processes import Process
+from launch_scripts.process_record import Process
 from launch_scripts.run_folder import RunFolder
 from recordings.inspect.overview import Reading, read_through
 from recordings.read.gaps import due_step

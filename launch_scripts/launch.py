@@ -33,7 +33,8 @@ from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.account import RunAccount
 from launch_scripts.fork_server_process import ForkServerProcess
-from launch_scripts.processes import Process, Processes, has_exited, is_through
+from launch_scripts.process_record import Process, has_exited, is_through
+from launch_scripts.processes import Processes
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.stall import stall
 from launch_scripts.view import View

@@ -1,4 +1,4 @@
-"""The processes of a run: a record for each, and their owner, which starts, watches and ends them.
+"""The owner of a run's processes: it starts, watches and ends them.
 
 A process lives if it beats. Time counts only while the launcher itself runs: a launcher or a
 machine that stood still proves nothing. External agents have no beat: the recorder sees their
@@ -13,17 +13,14 @@ import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Final, TypeAlias
 
-import psutil
-
-from agents.cycle import Kind, kind_of
+from agents.cycle import kind_of
 from agents.faults import incidents
 from agents.plan import RunPlan
-from agents.process.beats import BEAT_S, FORK_SERVER, NO_BEAT, Beat, BeatTable
+from agents.process.beats import BEAT_S, FORK_SERVER, BeatTable
 from agents.process.events import (
     Armed,
     Event,
@@ -44,6 +41,7 @@ from agents.process.session import link_times
 from bus_schemas.errors import FailureError, listed
 from bus_schemas.tree import OPERATOR, PLANT, RECORDER
 from launch_scripts.fork_server_process import ForkServerProcess
+from launch_scripts.process_record import Process, has_exited
 from launch_scripts.run_folder import RunFolder
 from recordings.read.run_file import log_name
 
@@ -83,109 +81,6 @@ _SIGNALS: Final = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP, "thaw": sig
 
 _Heard: TypeAlias = "Iterator[tuple[Process, Event]]"
 
-State: TypeAlias = Literal["starting", "armed", "running", "ended", "given up"]
-
-_NEXT: Final[dict[State, tuple[State, ...]]] = {
-    "starting": ("armed", "running", "ended"),
-    "armed": ("running", "ended"),
-    "running": ("ended",),
-    "ended": ("starting", "given up"),
-    "given up": (),
-}
-"""`armed` is a process on the bus before cycle 0, `running` one in the run."""
-
-
-@dataclass(eq=False)
-class Process:
-    """One process of a run, or an external agent. Times are by its owner's `ran_s`.
-
-    waiting, finished, recorded, failed, exited: The newest event of each kind.
-    begins_at_s: When it is to be started again, monotonic [s]; inf: it is not.
-    starts_s: When it was started again, monotonic [s].
-    stays_away: Whether it is not started again.
-    beat_at_s, moved_at_s: When its newest beat, and the cycle in it, were first seen.
-    gone_at_s: When an external agent disappeared without which the run cannot go on.
-    """
-
-    name: str
-    kind: Kind
-    log: Path
-    is_external: bool = False
-    state: State = "starting"
-    pid: int = 0
-    link: socket.socket | None = None
-    unread: bytes = b""
-    waiting: Waiting | None = None
-    finished: Finished | None = None
-    recorded: Recorded | None = None
-    failed: Failed | None = None
-    exited: Exited | None = None
-    asked_to_end: bool = False
-    was_killed: bool = False
-    stays_away: bool = False
-    begins_at_s: float = inf
-    starts_s: list[float] = field(default_factory=list)
-    beat: Beat = NO_BEAT
-    beat_at_s: float = 0.0
-    moved_at_s: float = 0.0
-    unheard_since_s: float | None = None
-    unheard_in_a_row: int = 0
-    gone_at_s: float = inf
-    cpu_before_s: float | None = None
-
-    def become(self, state: State) -> None:
-        if state not in _NEXT[self.state]:
-            raise ValueError(f"{self.name}: {self.state} and then {state}")
-        self.state = state
-
-    @property
-    def is_there(self) -> bool:
-        """Whether it is on the bus."""
-        return self.state in {"armed", "running"}
-
-    @property
-    def is_through(self) -> bool:
-        """Whether it has come to the end of the run, or of itself."""
-        return bool(self.finished or self.recorded or self.exited)
-
-    def begin_again(self) -> None:
-        """Forget all events of the process that has ended, but not its processor time."""
-        self.cpu_before_s = -(self.cpu_in_run_s() or 0.0)
-        self.pid = 0
-        self.waiting = self.finished = self.recorded = self.failed = self.exited = None
-        self.was_killed = False
-
-    def cpu_s(self) -> float | None:
-        """Return its processor time so far; None if it is not known."""
-        if self.exited is not None:
-            return self.exited.cpu_s
-        try:
-            times = psutil.Process(self.pid).cpu_times()
-        except psutil.Error:
-            return None
-        return float(times.user + times.system)
-
-    def cpu_in_run_s(self) -> float | None:
-        """Return its processor time from cycle 0 on, also of processes that it replaced."""
-        cpu_s = self.cpu_s()
-        if cpu_s is None or self.cpu_before_s is None:
-            return None
-        return cpu_s - self.cpu_before_s
-
-    def is_stopped(self) -> bool:
-        try:
-            return bool(psutil.Process(self.pid).status() == psutil.STATUS_STOPPED)
-        except psutil.Error:
-            return False
-
-
-def has_exited(process: Process) -> bool:
-    return process.exited is not None
-
-
-def is_through(process: Process) -> bool:
-    return process.is_through
-
 
 class Processes:
     """All processes of a run. Leaving the context ends those that still run.
@@ -222,7 +117,8 @@ class Processes:
             for name in names
         }
         for name in plan.elsewhere:
-            self._by_name.setdefault(name, _external(name, plan))
+            outsider = Process(name, kind_of(name, plan.tree), Path(), is_external=True)
+            self._by_name.setdefault(name, outsider)
         self._begun_at_s = inf  # Cycle 0, monotonic.
         self._is_over = False
         self._moved_at_s = 0.0
@@ -721,7 +617,3 @@ class Processes:
         if process.pid and process.exited is None:
             process.was_killed |= number == signal.SIGKILL
             self.server.ask(Signal(process.name, int(number)))
-
-
-def _external(name: str, plan: RunPlan) -> Process:
-    return Process(name, kind_of(name, plan.tree), Path(), is_external=True)

@@ -8,7 +8,7 @@ from agents.cycle import stage_place
 from agents.plan import RunPlan
 from agents.process.events import Waiting
 from bus_schemas.errors import listed
-from launch_scripts.processes import Process
+from launch_scripts.process_record import Process
 
 
 def who_waits(

@@ -10,7 +10,7 @@ from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from sys import maxsize
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypedDict, Unpack
 
 import msgspec
 
@@ -54,6 +54,19 @@ _LAST_CHUNKS: Final = 4
 
 _FURTHEST_CYCLES: Final = 1000
 """The same in lockstep over processes, where a link can fall behind: as the recorder allows."""
+
+
+class Part(TypedDict, total=False):
+    """A part of a recording, by default all of it.
+
+    nodes: Which nodes, see `find_nodes`.
+    start, end: The first cycle, and the one before which to end: local time (`13:49:00`), seconds
+        since cycle 0 (`90`, `"15m"`) or a cycle (`"c90"`).
+    """
+
+    nodes: str | Collection[str]
+    start: str | float | None
+    end: str | float | None
 
 
 class RecordedMessage(NamedTuple):
@@ -187,17 +200,11 @@ class RunReader:
     def messages(
         self,
         *signals: Signal[Message] | str,
-        nodes: str | Collection[str] = (),
-        start: str | float | None = None,
-        end: str | float | None = None,
+        **part: Unpack[Part],
     ) -> Iterator[Delivery]:
-        """Yield messages with their ports, in the order in which they were recorded.
-
-        signals, nodes: Which signals and which nodes, see `find_nodes`; by default all.
-        start, end: The first cycle, and the one before which to end: local time (`13:49:00`),
-            seconds since cycle 0 (`90`, `"15m"`) or a cycle (`"c90"`).
-        """
-        ports = self.ports(*signals, nodes=nodes)
+        """Yield messages with their ports, in the order in which they were recorded."""
+        start, end = part.get("start"), part.get("end")
+        ports = self.ports(*signals, nodes=part.get("nodes", ()))
         if start is None and end is None:
             return self.on(ports)
         return self.on(ports, self.clock.span(start, end, ("start", "end")))
@@ -264,29 +271,10 @@ class RunReader:
             self.wrong.setdefault(port, str(error))
             return None
 
-    def frame(
-        self,
-        signal: Signal[Message] | str,
-        *,
-        nodes: str | Collection[str] = (),
-        start: str | float | None = None,
-        end: str | float | None = None,
-    ) -> pd.DataFrame:
-        """Return the messages of one signal as a table, one row each; for the rest see `messages`.
-
-        It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
-        `node` and the signal's own fields, with units in their names. The lists inside messages
-        have tables too: `help_given`, `production_inverters`, `given_up_agents`, `missing_inputs`.
-        """
-        (table,) = self.frames(signal, nodes=nodes, start=start, end=end).values()
-        return table
-
     def frames(
         self,
         *tables: Signal[Message] | str,
-        nodes: str | Collection[str] = (),
-        start: str | float | None = None,
-        end: str | float | None = None,
+        **part: Unpack[Part],
     ) -> dict[str, pd.DataFrame]:
         """Return several tables by name, each as `frame` does: the recording is read once."""
         lists = [name for name in tables if isinstance(name, str) and name in LISTS]
@@ -294,7 +282,7 @@ class RunReader:
         about = {*signals, *(LISTS[name].signal for name in lists)}
         # Any message may have a list of no signal of its own.
         wanted = () if None in about else [one for one in about if one is not None]
-        messages = self.messages(*wanted, nodes=nodes, start=start, end=end)
+        messages = self.messages(*wanted, **part)
         names = [*(signal.name for signal in signals), *lists]
         return frames(self.plan, names, messages, self.wrong.setdefault)
 

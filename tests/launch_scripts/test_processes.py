@@ -33,7 +33,8 @@ from agents.settings import RestartPolicy
 from bus_schemas.errors import FailureError
 from bus_schemas.faults import Partition
 from bus_schemas.tree import PLANT, RECORDER
-from launch_scripts.processes import GONE_S, Process, Processes
+from launch_scripts.process_record import Process
+from launch_scripts.processes import GONE_S, Processes
 from launch_scripts.run_folder import RunFolder
 
 NODE = "c1/a"

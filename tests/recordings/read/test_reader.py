@@ -19,7 +19,7 @@ from bus_schemas.signals import PRODUCTION, RUN, SIGNALS, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings.inspect.overview import read_overview
 from recordings.read.mcap_file import Chunk, read_outline
-from recordings.read.reader import RunReader
+from recordings.read.reader import Part, RunReader
 
 CYCLES = 300
 
@@ -168,7 +168,8 @@ def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one
 
 
 def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> None:
-    frame = run.frame("setpoint", nodes=["c1/a", "c1/b"], start="12:00:10", end="12:00:13")
+    part = Part(nodes=["c1/a", "c1/b"], start="12:00:10", end="12:00:13")
+    frame = run.frames("setpoint", **part)["setpoint"]
     assert frame.index.name == "time"
     assert str(frame.index[0]) == "2010-04-01 12:00:10-10:00"
     assert list(frame.columns) == ["cycle", "node", "power_kw", "share_kw", "help_given"]
@@ -219,9 +220,9 @@ def test_a_damaged_chunk_is_skipped_and_named_where_it_would_have_been_read(
 def test_a_frame_takes_little_more_memory_than_its_columns(tmp_path: Path, table: str) -> None:
     write_run(tmp_path / "run.mcap", whole_run(1000))
     with RunReader(tmp_path) as run:
-        run.frame(table, end=10)  # What is imported and kept once.
+        run.frames(table, end=10)  # What is imported and kept once.
         with traced_memory() as memory:
-            frame = run.frame(table)
+            frame = run.frames(table)[table]
             _, peak = memory()
     assert peak < 2.0 * frame.memory_usage(index=True).sum() + 300_000
 
@@ -238,7 +239,8 @@ def test_a_device_that_states_later_cycles_moves_no_end(tmp_path: Path, ahead: i
     write_run(tmp_path / "run.mcap", deliveries, plan=plan, messages_per_chunk=7)
     with RunReader(tmp_path / "run.mcap") as run:
         assert (run.last_cycle, run.stop_cycle) == (59, 60)
-        assert list(run.frame("impp", nodes="c1/a", start=20, end=30).cycle) == [*range(20, 30)]
+        impps = run.frames("impp", nodes="c1/a", start=20, end=30)["impp"]
+        assert list(impps.cycle) == [*range(20, 30)]
         overview = read_overview(run)
     assert (overview.last_cycle, overview.complete_cycles) == (59, 60)
     assert {span.agent for span in overview.health.states} <= {"c2/c"}
