@@ -148,13 +148,17 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
         _EIGHT,
         "150s",
         {
-            "grid": {"loss_constant_percent": 0.5, "loss_quadratic_percent": 4},
+            "grid": {
+                "loss_constant_percent": 0.5,
+                "loss_quadratic_percent": 4,
+                "meter_error_percent": -2,
+            },
             "commitment.share": 0.15,
             "regulation": {"kind": "synthetic", "capacity_kw": 1500, "seed": 3},
             "plant.ramp_percent_per_s": 30,
             "plant.meter_noise": 0.01,
         },
-        Worth(0.0028, 0.0013, 0.0009, 0.0, 0.33),
+        Worth(0.0005, 0.024, 0.005, 0.0, 0.33),
     ),
     "valley": CampaignPlant(
         "valley", "150s", {"commitment.share": 0.7}, Worth(0.0011, 0.0006, 0.0008, 0.0, 0.92)
