@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test docs dist sbom results figures pictures golden check check-scripts format bench bench-peers bench-study campaign soak clean
+.PHONY: help setup run test docs dist sbom results terms figures pictures golden check check-scripts format bench bench-peers bench-study campaign soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -85,6 +85,9 @@ $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
 
 results: $(READY) ## every measured table of the documents; DATA=FOLDER for those of measurements, PAGES=delays.md for one page
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/measured.py $(abspath $(DATA)) $(PAGES)
+
+terms: $(READY) ## what each term of the control law gains; DATA=FOLDER holds the measurements
+	PYTHONPATH=$(CURDIR) $(BIN)/python docs/terms.py $(abspath $(DATA))
 
 figures: $(READY) $(PEERS_READY) ## every figure of the documents that depends on the machine: a quarter of an hour on a quiet one
 	PYTHONPATH=$(CURDIR) $(BIN)/python docs/machine.py

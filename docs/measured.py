@@ -394,9 +394,12 @@ STEPS_KW: Final = {
 STEPS_AT_S: Final = (0, 120, 240, 360, 480, 600, 604, 720)
 
 
-def steps() -> Lines:
-    """Write how every step is answered under a clear sky, the worst overshoot first."""
-    rows = []
+StepDays = list[tuple[str, int, RunPlan, Profile]]
+
+
+def step_days() -> StepDays:
+    """Return how inverters follow, the length of a cycle, and the plan and profile of the steps."""
+    days: StepDays = []
     for cycle_s in (1, 4):
         cycles = np.diff(STEPS_AT_S) // cycle_s
         commitment_kw = np.repeat([float(kw) for kw in STEPS_KW.values()], cycles)
@@ -405,15 +408,28 @@ def steps() -> Lines:
             scenario = with_settings(load_scenario("oahu"), [*clear.items()])
             day = prepare(scenario, RunOptions(duration="12m"), "steps")
             profile = replace(day.profile, commitment_kw=commitment_kw)
-            runs = [run_scheme(name, day.plan, profile, "limit")[0] for name in HIERARCHICAL]
-            start = [_start_of(run, int(cycles[0])) for run in runs]
-            for place, step in enumerate(STEPS_KW):
-                if step not in {"into saturation", "up, broken off"}:
-                    both = start if place == 0 else [answers(run)[place - 1] for run in runs]
-                    beyond = [one.overshoot_percent or 0.0 for one in both]
-                    rows.append((title, cycle_s, step, beyond, [one.settling_s for one in both]))
+            days.append((title, cycle_s, day.plan, profile))
+    return days
+
+
+def step_rows(days: StepDays) -> list[tuple[str, int, str, list[float], list[float | None]]]:
+    """Return overshoot and settling time of each step, by the paper's rule and by `predictive`."""
+    rows = []
+    for title, cycle_s, plan, profile in days:
+        runs = [run_scheme(name, plan, profile, "limit")[0] for name in HIERARCHICAL]
+        start = [_start_of(run, STEPS_AT_S[1] // cycle_s) for run in runs]
+        for place, step in enumerate(STEPS_KW):
+            if step not in {"into saturation", "up, broken off"}:
+                both = start if place == 0 else [answers(run)[place - 1] for run in runs]
+                beyond = [one.overshoot_percent or 0.0 for one in both]
+                rows.append((title, cycle_s, step, beyond, [one.settling_s for one in both]))
+    return rows
+
+
+def steps() -> Lines:
+    """Write how every step is answered under a clear sky, the worst overshoot first."""
     yield ["inverters follow", "cycle [s]", "step", *STEP_FIGURES]
-    for *words, beyond, settled in sorted(rows, key=lambda row: -row[3][1]):
+    for *words, beyond, settled in sorted(step_rows(step_days()), key=lambda row: -row[3][1]):
         figures = [f"{beyond[1]:.2f}", f"{beyond[0]:.2f}", f"{settled[1]:.0f}", f"{settled[0]:.0f}"]
         yield [*words, *figures]
 
