@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.control.allocation import total
+from agents.control.grid import Power
 from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.plan_parts import Site
@@ -122,13 +123,14 @@ class Inverters:
         ordered_alpha[:, is_over] = 1.0
         ordered_kw[:, is_over] = reverts_to_kw[is_over]
         every, step = np.arange(len(self.delay_cycles)), self.ramp_per_cycle * passed
+        wanted = ordered_alpha[self.delay_cycles, every]
         wanted_kw = ordered_kw[self.delay_cycles, every]
-        # A limit falls from the power that it holds back, not from above.
-        before_kw = np.minimum(state.limit_kw, np.maximum(state.power_kw, wanted_kw))
         return replace(
             state,
-            alpha=_towards(ordered_alpha[self.delay_cycles, every], state.alpha, step),
-            limit_kw=_towards(wanted_kw, before_kw, step * self.rating_kw),
+            alpha=towards(wanted, state.alpha, step),
+            limit_kw=limit_towards(
+                wanted_kw, state.limit_kw, state.power_kw, step * self.rating_kw
+            ),
             ordered_alpha=ordered_alpha,
             ordered_kw=ordered_kw,
             renewed=renewed_in,
@@ -178,6 +180,13 @@ def _ordered(now: list[float], before: Floats, passed: int) -> Floats:
     return np.vstack([[now], *meanwhile, before])[: len(before)]
 
 
-def _towards(wanted: Floats, now: Floats, step: Floats) -> Floats:
-    """Return what is wanted, as far as a step from now reaches."""
-    return np.clip(wanted, now - step, now + step)
+def limit_towards(wanted_kw: Power, now_kw: Power, power_kw: Power, step_kw: Power) -> Power:
+    """Return the limit in force; it falls from the power that it holds back, not from above."""
+    before_kw: Power = np.minimum(now_kw, np.maximum(power_kw, wanted_kw))
+    return towards(wanted_kw, before_kw, step_kw)
+
+
+def towards(wanted: Power, now: Power, step: Power) -> Power:
+    """Return what is wanted, as far as a step from now reaches. Also compiled, for one inverter."""
+    reached: Power = np.minimum(np.maximum(wanted, now - step), now + step)
+    return reached

@@ -47,7 +47,7 @@ from agents.control.share import share_kw, usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
-from sim_plant.inverters import Inverters, stated_kw
+from sim_plant.inverters import Inverters, limit_towards, stated_kw, towards
 from sim_plant.orders import planned
 from sim_plant.profile import Profile
 from studies.arrays.compiled import compiled
@@ -320,14 +320,10 @@ def obey(
         obedience.ordered_alpha[obeyed, inverter],
         obedience.ordered_kw[obeyed, inverter],
     )
-    before_kw = min(obedience.limit_kw[inverter], max(last_kw, wanted_kw))
     obedience.alpha[inverter] = towards(wanted, obedience.alpha[inverter], ramp)
-    obedience.limit_kw[inverter] = towards(wanted_kw, before_kw, ramp * rating_kw)
-
-
-def towards(wanted: float, now: float, step: float) -> float:
-    """Return what is wanted, as far as a step from now reaches."""
-    return min(max(wanted, now - step), now + step)
+    obedience.limit_kw[inverter] = limit_towards(
+        wanted_kw, obedience.limit_kw[inverter], last_kw, ramp * rating_kw
+    )
 
 
 def follow_offers(

@@ -11,12 +11,13 @@ from typing import Final, ParamSpec, TypeGuard, TypeVar, cast
 from numba import njit
 
 import agents.control
+import sim_plant.inverters
 import studies.arrays
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_PACKAGES: Final = ("agents.control.", "studies.arrays.")
+_MODULES: Final = ("agents.control.", "studies.arrays.", "sim_plant.inverters")
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
@@ -26,10 +27,10 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     sees plain ones. Numba keeps the compiled code on disk, under a name that changes with our
     sources.
     """
-    digest = sha256()
-    for package in (agents.control, studies.arrays):
-        for file in sorted(Path(package.__path__[0]).glob("*.py")):
-            digest.update(file.read_bytes())
+    digest, folders = sha256(), [Path(one.__path__[0]) for one in (agents.control, studies.arrays)]
+    files = [file for folder in folders for file in sorted(folder.glob("*.py"))]
+    for file in (*files, Path(sim_plant.inverters.__file__)):
+        digest.update(file.read_bytes())
     name = digest.hexdigest()[:16]
     copy = _copy(cast(FunctionType, function), name, {})
     try:
@@ -39,7 +40,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _is_ours(used: object) -> TypeGuard[FunctionType]:
-    return isinstance(used, FunctionType) and used.__module__.startswith(_PACKAGES)
+    return isinstance(used, FunctionType) and used.__module__.startswith(_MODULES)
 
 
 def _copy(function: FunctionType, name: str, known: dict[object, object]) -> FunctionType:

@@ -15,7 +15,7 @@ from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from recordings.read.series import RunSeries
-from sim_plant.inverters import Inverters
+from sim_plant.inverters import Inverters, towards
 from sim_plant.orders import planned
 from sim_plant.profile import Profile
 from sim_plant.without_help import powers_without_help_kw
@@ -145,8 +145,7 @@ def _obeyed(
     step = inverters.ramp_per_cycle * full
     if np.isfinite(step).any():
         for cycle in range(1, len(found)):
-            before = found[cycle - 1]
-            found[cycle] = np.clip(found[cycle], before - step, before + step)
+            found[cycle] = towards(found[cycle], found[cycle - 1], step)
     return found
 
 
