@@ -67,10 +67,14 @@ class Driver:
     def stop(self) -> None:
         """Act on nothing more that comes."""
 
-    def advance(self, loop: Loop[Any]) -> None:
-        """Close stages of an agent while their inputs are complete, and publish its outputs."""
-        while loop.is_complete:
-            self._close(loop)
+    def advance(self, loop: Loop[Any], *, is_overdue: bool = False) -> None:
+        """Close the open stage if it is overdue, and all that are complete; publish the outputs."""
+        bus, now_ns = self.bus, self.now_ns
+        while is_overdue or loop.is_complete:
+            is_overdue = False
+            self.closed += 1
+            for port, message in loop.close_stage(now_ns()):
+                bus.publish(port, message, now_ns())
         deadline_ns = loop.deadline_ns
         if deadline_ns is not None and deadline_ns != self._deadline_of[loop.name]:
             self._deadline_of[loop.name] = deadline_ns
@@ -104,12 +108,6 @@ class Driver:
             if not loop.waiting or port.signal in _LEADING:
                 self.advance(loop)
 
-    def _close(self, loop: Loop[Any]) -> None:
-        bus, now_ns = self.bus, self.now_ns
-        self.closed += 1
-        for port, message in loop.close_stage(now_ns()):
-            bus.publish(port, message, now_ns())
-
     def _next_deadline_ns(self) -> int | None:
         while self._deadlines:
             deadline_ns, _, name = self._deadlines[0]
@@ -131,6 +129,4 @@ class Driver:
         """Close the stage with the earliest deadline, if that is over."""
         deadline_ns = self._next_deadline_ns()
         if deadline_ns is not None and deadline_ns <= now_ns:
-            loop = self.loops[heappop(self._deadlines)[2]]
-            self._close(loop)
-            self.advance(loop)
+            self.advance(self.loops[heappop(self._deadlines)[2]], is_overdue=True)

@@ -74,7 +74,7 @@ class EagerDriver(Driver):
         """Act on what has come, until there is less than is wanted."""
         arrivals: list[Arrival] = []
         while True:
-            taken = self._zenoh.take()
+            taken = self._zenoh.arrivals(self._zenoh.inbox.take())
             self._act_on(taken)
             arrivals += taken
             if not self._zenoh.want(self._wanted):

@@ -82,12 +82,6 @@ class Wiring:
                 found[port] = (*found.get(port, ()), name)
         return found
 
-    def heard_from_others(self, process: str) -> list[Port[Message]]:
-        """Return the ports that a process hears and that not only its own agents publish on."""
-        return [
-            port for port in self.hearers_in(process) if self.process_of(port.publisher) != process
-        ]
-
     @cached_property
     def carried(self) -> dict[tuple[str, str], list[Port[Message]]]:
         """The ports on which a process publishes what another hears, by that pair.

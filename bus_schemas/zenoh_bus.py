@@ -59,10 +59,12 @@ class ZenohBus:
     ) -> None:
         self.now_ns = time.monotonic_ns if clock is None else clock.now_ns
         self.inbox, self.outbox = Inbox(), Outbox()
-        self.heard = wiring.heard_from_others(process)
         self._clock, self._sends = clock, sends
         self._wiring = wiring
         self._hearers = wiring.hearers_in(process)
+        self.heard = [
+            port for port in self._hearers if wiring.process_of(port.publisher) != process
+        ]
         # Messages among the agents of the process.
         self._own: deque[Arrival] = deque()
         self._patience_s = patience_s
@@ -175,7 +177,7 @@ class ZenohBus:
                     port = self._wiring.port(str(sample.key_expr))
                     if port in self.heard:
                         taken.append((port, sample.payload, time.monotonic_ns()))
-        return self._decoded(sorted(taken, key=lambda one: one[0].signal is not DISPATCH))
+        return self.arrivals(sorted(taken, key=lambda one: one[0].signal is not DISPATCH))
 
     def _answer(self, query: zenoh.Query) -> None:
         with query:
@@ -185,18 +187,13 @@ class ZenohBus:
     def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
         """Return what has arrived: once `wanted` messages are there, or when the time has come."""
         if self._own:
-            return self._own_arrivals()
+            return self.arrivals([])
         give_up_at = time.monotonic() + self.timeout_s(until_ns)
         while taken := self.inbox.take(wanted, give_up_at - time.monotonic()):
-            arrivals = self._decoded(taken)
+            arrivals = self.arrivals(taken)
             if arrivals:  # Otherwise nothing has come that could be read.
                 return arrivals
         return []
-
-    def take(self) -> list[Arrival]:
-        """Return what has arrived, without waiting; first that among the agents of the process."""
-        arrived = self._decoded(self.inbox.take())
-        return self._own_arrivals() + arrived if self._own else arrived
 
     def want(self, wanted: int) -> bool:
         """Ask for a call at this many messages; return whether they are there.
@@ -205,19 +202,16 @@ class ZenohBus:
         """
         return bool(self._own) or self.inbox.want(wanted)
 
-    def _own_arrivals(self) -> list[Arrival]:
-        arrivals = list(self._own)
-        self._own.clear()
-        return arrivals
-
     def timeout_s(self, until_ns: int | None) -> float:
         """How long to wait for a time of the run's clock, at most for the patience."""
         if until_ns is None:
             return self._patience_s
         return min(self._patience_s, (until_ns - self.now_ns()) / 1e9)
 
-    def _decoded(self, taken: list[tuple[Port[Message], zenoh.ZBytes, int]]) -> list[Arrival]:
-        arrivals: list[Arrival] = []
+    def arrivals(self, taken: list[tuple[Port[Message], zenoh.ZBytes, int]]) -> list[Arrival]:
+        """Return the messages among the agents of the process, then those taken from the inbox."""
+        arrivals = list(self._own)
+        self._own.clear()
         for port, payload, came_ns in taken:
             time_ns = came_ns
             try:
