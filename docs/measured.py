@@ -514,7 +514,7 @@ def paper_here() -> Lines:
     mileage = np.array([figures["mileage"] for figures in found.values()])
     stated = {title: (title, *cells) for title, cells in PAPER.items()}
     satisfied, unsatisfied, ratio, fulfilled, took, committed = stated.values()
-    yield ["figure", "paper: grouping", "paper: hierarchy", *(f"here: {title}" for title in runs)]
+    yield ["figure", "paper: grouping", "paper: hierarchy", *(f"here ({title})" for title in runs)]
     yield [*satisfied, *of_all("satisfied", 2)]
     yield [*unsatisfied, *of_all("shortfall-energy", 0)]
     yield ["of it unavoidable [kWh]", "-", "-", *of_all("unavoidable-energy", 0)]
