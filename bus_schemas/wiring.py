@@ -75,7 +75,7 @@ class Wiring:
         return tuple(self._members[process])
 
     def hearers_in(self, process: str) -> dict[Port[Message], tuple[str, ...]]:
-        """Return who hears each port in a process."""
+        """Return the agents of a process that hear each port."""
         found: dict[Port[Message], tuple[str, ...]] = {}
         for name in self.members_of(process):
             for port in self.heard.get(name, ()):
@@ -108,8 +108,8 @@ class Wiring:
     ) -> dict[str, list[Port[Message]]]:
         """Return key expressions that match these ports and no others, and what each matches.
 
-        At least so many ports of a signal have one in common: of all nodes at or below a node, of
-        its children, or of all below it.
+        From `least` ports of a signal on, they share one expression: for all nodes at or below a
+        node, for its children, or for all below it.
         """
         of_signal: dict[Signal[Message], list[Port[Message]]] = {}
         for port in ports:

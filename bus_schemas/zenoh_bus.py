@@ -161,9 +161,9 @@ class ZenohBus:
             puts[1:] = [change(port, put) for put in puts[1:]]
 
     def newest(self) -> list[Arrival]:
-        """Return the newest messages of those that are heard in lockstep, the dispatch first.
+        """Return the newest message of each publisher heard in lockstep, the dispatch first.
 
-        Of those that answer within the patience, of all sessions together: the caller asks again.
+        Publishers that do not answer within the patience are left out: the caller asks again.
         """
         taken, give_up_at = [], time.monotonic() + self._patience_s
         for session in self._sessions.all:

@@ -33,10 +33,10 @@ and `missing` names a few inputs of each child."""
 _LEASE_S = 8.0
 _OPEN_S = 3.0
 _PER_PROCESS_S = 0.05
-"""See `link_times`. A process that is frozen for less than a lease keeps its links, and what was
-cut off is heard 5 s after its link has healed. Among 1,000 inverters a short lease costs a
+"""See `link_times`. A process that is frozen for less than a lease keeps its links, and an agent
+that was cut off is heard 5 s after its link has healed. Among 1,000 inverters a short lease costs a
 processor, and plant and recorder open 1,000 links one after the other. In lockstep a link that
-closes loses what others wait for: both times are 60 s."""
+closes loses messages that others wait for: both times are 60 s."""
 
 _LONGEST_COMMON_NAME = 64
 """Characters, by RFC 5280."""
