@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from bus_schemas.errors import InputError, listed
 from sim_plant import Floats
 from sim_plant.table_layout import MISSING, Layout, find_layout, name_and_unit, named
-from sim_plant.time_stamps import parsed_stamps, stamp_columns, with_zone
+from sim_plant.time_stamps import parsed_stamps, stamp_columns, stamp_text, with_zone
 
 _NS: Final = 1_000_000_000
 _SENTINELS: Final = (
@@ -170,7 +170,9 @@ class CsvTable:
 
         `dates`: `day-first` or `month-first`, where the stamps leave it open.
         """
-        stamps, notes = parsed_stamps(self._stamp_text(), self._stamp_hint(), dates, self.name)
+        stamps, notes = parsed_stamps(
+            stamp_text(self.layout, self.fields), self._stamp_hint(), dates, self.name
+        )
         bad = stamps.isna().to_numpy()
         if bad.any():
             expected = "a time stamp such as 2013-09-08T09:15:00Z"
@@ -188,14 +190,16 @@ class CsvTable:
     @property
     def is_zoned(self) -> bool:
         """Whether the time stamps, or the header, say their zone."""
-        text = self._stamp_text().head(2000)
+        text = stamp_text(self.layout, self.fields).head(2000)
         stamps, _ = parsed_stamps(text, self._stamp_hint(), "day-first", self.name)
         return pd.DatetimeIndex(stamps).tz is not None
 
     @property
     def first_offset(self) -> timedelta:
         """The offset from UTC of the first time stamp; 0 where it says none."""
-        found = re.search(r"([+-])(\d\d):?(\d\d)?$", str(self._stamp_text().iloc[0]).strip())
+        found = re.search(
+            r"([+-])(\d\d):?(\d\d)?$", str(stamp_text(self.layout, self.fields).iloc[0]).strip()
+        )
         if found is None or not self.is_zoned:
             return timedelta(0)
         offset = timedelta(hours=int(found[2]), minutes=int(found[3] or 0))
@@ -205,16 +209,6 @@ class CsvTable:
         columns = stamp_columns(self.layout)
         units = (self.layout.units[at] for at in columns)
         return " ".join([*(self.header[at] for at in columns), *units])
-
-    def _stamp_text(self) -> pd.Series:
-        parts = [self.fields.iloc[:, at].astype(str) for at in stamp_columns(self.layout)]
-        if len(parts) < 3:
-            return parts[0] if len(parts) == 1 else parts[0] + " " + parts[1]
-        numbers = [part.str.zfill(2) for part in parts]
-        numbers += [pd.Series("00", numbers[0].index)] * (5 - len(numbers))
-        year, month, day, hour, minute = (part.to_numpy(object) for part in numbers)
-        text = year + "-" + month + "-" + day + " " + hour + ":" + minute
-        return pd.Series(text, numbers[0].index)
 
     def seconds_ns(self, column: str) -> NDArray[np.int64]:
         """Return a column of two or more seconds, or times of day H:MM:SS, in ns."""

@@ -10,7 +10,7 @@ import pandas as pd
 from pandas.tseries.api import guess_datetime_format
 
 from bus_schemas.errors import InputError
-from sim_plant.table_layout import Layout, is_time
+from sim_plant.table_layout import Layout, is_time, name_and_unit
 
 _ZONED: Final = r"(?:\d\d:\d\d(?::\d\d(?:\.\d+)?)?|T\d{4,6})\s*(?:Z|[+-]\d\d(?::?\d\d)?)$"
 _PLAIN: Final = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d)?(Z|[+-]\d\d:\d\d)")
@@ -20,7 +20,21 @@ _FIXED: Final = {
 }
 """Zones by the short names that archives write in a header, or after the time."""
 
-_PARTS: Final = ("year", "month", "day", "hour", "minute")
+_PARTS: Final = {
+    "year": ("year", "yr", "yyyy", "jahr", "année", "year_rtm"),
+    "month": ("month", "mo", "mm", "monat", "mois"),
+    "day": ("day", "dd", "tag", "jour", "doy", "day of year", "jday", "julian day", "day_rtm"),
+    "hour": ("hour", "hr", "hh", "stunde", "heure"),
+    "minute": ("minute", "min", "mi"),
+    "second": ("second", "sec", "ss", "sekunde", "seconde"),
+    "clock": (
+        *("time", "zeit", "uhrzeit", "hhmm", "hourmin", "hour_minute", "hour_minute_rtm"),
+        *("utc_time", "lst_time"),
+    ),
+}
+"""Names of columns that hold a part of the time stamp; a day without a month is of the year."""
+
+_CLOCK: Final = re.compile(r"\d{1,2}:\d{2}(:\d{2}.*)?( [AaPp][Mm])?")
 _EPOCH_UNITS: Final[dict[int, Literal["s", "ms", "us", "ns"]]] = {
     10: "s",
     13: "ms",
@@ -30,19 +44,67 @@ _EPOCH_UNITS: Final[dict[int, Literal["s", "ms", "us", "ns"]]] = {
 _EXCEL_DAYS: Final = (30_000.0, 80_000.0)
 
 
+def _parts(layout: Layout) -> dict[str, int]:
+    """Return the columns of the parts of a time stamp, by their names; none, if they lack some."""
+    names = [name_and_unit(name.strip())[0].lower() for name in layout.header]
+    found = {
+        part: next(at for at, name in enumerate(names) if name in known)
+        for part, known in _PARTS.items()
+        if not set(known).isdisjoint(names)
+    }
+    is_whole = {"year", "day"} <= found.keys() and not found.keys().isdisjoint({"hour", "clock"})
+    return found if is_whole else {}
+
+
 def stamp_columns(layout: Layout) -> tuple[int, ...]:
     """Return the columns that make up a time stamp."""
-    names = [name.strip().lower() for name in layout.header]
-    if set(_PARTS[:4]) <= set(names):
-        return tuple(names.index(part) for part in _PARTS if part in names)
+    if parts := _parts(layout):
+        return tuple(parts.values())
     row = layout.sample[0] if layout.sample else ()
     dated = [at for at, cell in enumerate(row) if _has_date(cell)]
-    clocks = [at for at, cell in enumerate(row) if re.fullmatch(r"\d{1,2}:\d{2}(:\d{2}.*)?", cell)]
+    clocks = [at for at, cell in enumerate(row) if _CLOCK.fullmatch(cell)]
     if not dated:
-        return (clocks[0] if clocks else 0,)
+        dated = [at for at, cell in enumerate(row) if re.fullmatch(r"(19|20)\d{6}", cell)]
+        names = [name.strip().lower() for name in layout.header]
+        of_digits = [at for at, name in enumerate(names[: len(row)]) if name in _PARTS["clock"]]
+        clocks = clocks or [at for at in of_digits if re.fullmatch(r"\d{1,6}", row[at])]
+        if not dated or not clocks:
+            return (clocks[0] if clocks else 0,)
     if ":" not in row[dated[0]] and clocks and not re.search(r"[T ]\d", row[dated[0]]):
         return dated[0], clocks[0]
     return (dated[0],)
+
+
+def stamp_text(layout: Layout, fields: pd.DataFrame) -> pd.Series:
+    """Return the time stamps of a table, put together where they stand in several columns."""
+    cells = [fields.iloc[:, at].astype(str).str.strip() for at in stamp_columns(layout)]
+    parts = dict(zip(_parts(layout), cells, strict=False))
+    if not parts:
+        return cells[0] if len(cells) == 1 else _digits_as_date(cells[0]) + " " + _clock(cells[1])
+    if "month" in parts:
+        date = parts["year"] + "-" + parts["month"].str.zfill(2) + "-" + parts["day"].str.zfill(2)
+    else:
+        days = pd.to_datetime(
+            parts["year"] + parts["day"].str.zfill(3), format="%Y%j", errors="coerce"
+        )
+        date = days.dt.strftime("%Y-%m-%d").fillna(parts["year"] + "-" + parts["day"])
+    if "clock" in parts:
+        return date + " " + _clock(parts["clock"])
+    nought = pd.Series("00", fields.index)
+    times = [parts.get(part, nought).str.zfill(2) for part in ("hour", "minute", "second")]
+    return date + " " + times[0] + ":" + times[1] + ":" + times[2]
+
+
+def _digits_as_date(text: pd.Series) -> pd.Series:
+    return text.str.replace(r"^(\d{4})(\d\d)(\d\d)$", r"\1-\2-\3", regex=True)
+
+
+def _clock(text: pd.Series) -> pd.Series:
+    """Write 930, which loggers mean as half past nine, as 09:30; leave times with marks alone."""
+    if text.str.contains(":", regex=False).all():
+        return text
+    digits = text.str.zfill(6 if text.str.len().max() > 4 else 4)
+    return digits.str.replace(r"^(\d\d)(\d\d)(\d\d)?$", r"\1:\2:\3", regex=True).str.rstrip(":")
 
 
 def _has_date(cell: str) -> bool:
@@ -119,13 +181,17 @@ def _of_numbers(text: pd.Series, first: str, hint: str) -> tuple[pd.Series, list
 def _parsed(text: pd.Series, dates: str | None, name: str, *, utc: bool) -> pd.Series:
     known = text.dropna()
     first = known.iloc[0] if len(known) else ""
-    if re.match(r"\d{4}[-/.]", first):
+    if re.match(r"\d{1,2}:\d\d", first):  # Without a date, for which pandas takes today.
+        return pd.Series(pd.NaT, index=text.index)
+    is_12_hours = re.search(r"[AaPp][Mm]$", first) is not None
+    if re.match(r"\d{4}[-/.]", first) and not is_12_hours:
         if first[4] != "-":
             text = text.str.replace(first[4], "-", n=2, regex=False)
         return pd.to_datetime(text, format="ISO8601", utc=utc, errors="coerce")
     day_first = _is_day_first(known, first, dates, name)
-    form = guess_datetime_format(first, dayfirst=day_first) or "mixed"
-    found = pd.to_datetime(text, dayfirst=day_first, utc=utc, errors="coerce", format=form)
+    form = _of_12_hours(first, day_first) if is_12_hours else None
+    form = form or guess_datetime_format(first, dayfirst=day_first) or "mixed"
+    found = pd.to_datetime(text, format=form, dayfirst=day_first, utc=utc, errors="coerce")
     again = found.isna() & text.notna()
     if again.any():  # Of another form than the first one, such as without a fraction.
         other: pd.Series = text[again]
@@ -133,6 +199,17 @@ def _parsed(text: pd.Series, dates: str | None, name: str, *, utc: bool) -> pd.S
             other, errors="coerce", dayfirst=day_first, utc=utc, format="mixed"
         )
     return found
+
+
+def _of_12_hours(first: str, day_first: bool) -> str | None:
+    """Return the form of time stamps with AM or PM, if their date is of numbers."""
+    found = re.fullmatch(r"(\d{1,4})([-/.])\d{1,2}\2(\d{1,4}) \d{1,2}:\d\d(:\d\d)?( ?)..", first)
+    if found is None:
+        return None
+    year = "%Y" if len(found[3]) == 4 else "%y"
+    order = ("%d", "%m", year) if day_first else ("%m", "%d", year)
+    date = found[2].join(("%Y", "%m", "%d") if len(found[1]) == 4 else order)
+    return f"{date} %I:%M{':%S' if found[4] else ''}{found[5]}%p"
 
 
 def _is_day_first(text: pd.Series, first: str, dates: str | None, name: str) -> bool:

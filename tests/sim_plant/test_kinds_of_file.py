@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,6 +57,11 @@ def comma_days(time: pd.Timestamp) -> str:
     return f"{since / pd.Timedelta('1D'):.9f}".replace(".", ",")
 
 
+def day_of_year(form: str) -> Callable[[pd.Timestamp], str]:
+    """Write no zeros before the day and the hour, as loggers with arrays of numbers do."""
+    return lambda time: f"{local('%Y,')(time)}{int(local('%j')(time))},{int(local(form)(time))}"
+
+
 def long_table(names: tuple[str, str] = ("p1", "p2")) -> str:
     rows = [
         f"{name},{VALUES[at, of]:g},{time:%Y-%m-%dT%H:%M:%S.000Z}"
@@ -62,6 +69,32 @@ def long_table(names: tuple[str, str] = ("p1", "p2")) -> str:
         for of, name in enumerate(names)
     ]
     return "\n".join(["entity_id,state,last_changed", *rows, ""])
+
+
+def long_table_of_series() -> str:
+    rows = [
+        f"{name};{time:%Y-%m-%dT%H:%M:%S.000Z};{VALUES[at, of]:g}"
+        for of, name in enumerate(("p1", "p2"))
+        for at, time in enumerate(TIMES)
+    ]
+    return "\n".join(["Series;Time;Value", *rows, ""])
+
+
+def annotated() -> str:
+    """Write the table as InfluxDB does, with the bounds of the query in each line."""
+    begin, end = (f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (TIMES[0], TIMES[-1]))
+    rows = [
+        f",,{of},{begin},{end},{time:%Y-%m-%dT%H:%M:%SZ},{VALUES[at, of]:g},ghi,{name}"
+        for of, name in enumerate(("p1", "p2"))
+        for at, time in enumerate(TIMES)
+    ]
+    head = [
+        "#group,false,false,true,true,false,false,true,true",
+        "#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,string,string",
+        "#default,_result,,,,,,,",
+        ",result,table,_start,_stop,_time,_value,_field,station",
+    ]
+    return "\n".join([*head, *rows, ""])
 
 
 @dataclass(frozen=True)
@@ -203,6 +236,65 @@ READ = {
         table(header="time,Global PSP [W/m^2],p2"),
         positions=POSITIONS.replace("p1", "Global PSP [W/m^2]"),
     ),
+    "date and time apart, ISO": Kind(table(local("%Y-%m-%d,%H:%M:%S"), header="date,time,p1,p2")),
+    "time before the date": Kind(table(local("%H:%M:%S,%Y-%m-%d"), header="time,date,p1,p2")),
+    "date and time apart, AM and PM": Kind(
+        table(local("%m/%d/%Y,%I:%M:%S %p"), header="Date,Time,p1,p2")
+    ),
+    "Excel in German, date and time apart": Kind(
+        table(local("%d.%m.%Y;%H:%M:%S"), header="Datum;Uhrzeit;p1;p2", number=comma, by=";"),
+        "the decimal mark is a comma",
+    ),
+    "Excel in French, date and time apart": Kind(
+        table(local("%d/%m/%Y;%H:%M:%S"), header="Date;Heure;p1;p2", number=comma, by=";"),
+        "the decimal mark is a comma",
+    ),
+    "digits, date and time apart": Kind(table(local("%Y%m%d,%H%M%S"), header="date,time,p1,p2")),
+    "year to second in columns": Kind(
+        table(local("%Y,%m,%d,%H,%M,%S"), header="Year,Month,Day,Hour,Minute,Second,p1,p2")
+    ),
+    "day of year and time": Kind(table(local("%Y,%j,%H:%M:%S"), header="Year,DOY,Time,p1,p2")),
+    "day of year and digits (Campbell)": Kind(
+        table(day_of_year("%H%M%S"), header="Year_RTM,Day_RTM,Hour_Minute_RTM,p1,p2")
+    ),
+    "UTC_DATE and UTC_TIME (pvlib#666, CRN)": Kind(
+        table(
+            lambda time: f"23803  {time:%Y%m%d  %H%M%S}",
+            header="WBANNO UTC_DATE UTC_TIME p1 p2",
+            by="  ",
+        ),
+        form=StatedForm(timezone="UTC"),
+    ),
+    "tabs and decimal commas (SBFspot#519)": Kind(
+        table(
+            lambda time: local("%d/%m/%Y %H:%M:%S")(time) + "\tSB3.6",
+            header="d/MM/yyyy HH:mm:ss\tDeviceName\tp1\tp2",
+            number=comma,
+            by="\t",
+        )
+    ),
+    "spaces after semicolons (SBFspot#538)": Kind(
+        table(local("%d/%m/%Y %H:%M:%S"), header="time; p1; p2", number=comma, by="; ")
+    ),
+    "a line sep=; (grafana#9412)": Kind(
+        "sep=;\n" + table(header="Time;p1;p2", by=";"), "header is line 2"
+    ),
+    "series as columns (grafana#4041)": Kind(
+        table(lambda time: f"{time:%Y-%m-%dT%H:%M:%S.000Z}", header="Time;p1;p2", by=";")
+    ),
+    "series as rows (grafana#2401)": Kind(long_table_of_series(), "names the station"),
+    "quoted states (home-assistant/frontend#20088)": Kind(
+        re.sub(r",([\d.]+),", r',"\1",', long_table()), "names the station"
+    ),
+    "quoted local times (GEN24_Ladesteuerung#191)": Kind(
+        table(local('"%Y-%m-%d %H:%M:%S"'), header="Zeitpunkt,p1,p2")
+    ),
+    "dashes, month first, no zero (influxdb-python#552)": Kind(
+        table(local("%m-%d-%Y %H:%M:%S"), header="Time;p1;p2", by=";").replace("06-15", "6-15")
+    ),
+    "years of two digits": Kind(
+        table(local("%d.%m.%y %H:%M:%S"), header="time;p1;p2", number=comma, by=";")
+    ),
     "a zone with summer time": Kind(
         table(lambda time: f"{time.tz_convert('America/Denver'):%Y-%m-%d %H:%M:%S}"),
         "taken as America/Denver",
@@ -232,7 +324,9 @@ def read(folder: Path, kind: Kind, max_gap_s: float | None = 60.0) -> Irradiance
 @pytest.mark.parametrize("name", READ)
 def test_a_kind_of_file_is_read_and_its_assumptions_are_stated(tmp_path: Path, name: str) -> None:
     kind = READ[name]
-    found = read(tmp_path, kind)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "Could not infer format")
+        found = read(tmp_path, kind)
     assert list(found.times) == list(
         TIMES if "stated" not in name or "day" not in name else TIMES - pd.Timedelta("10D")
     )
@@ -299,6 +393,28 @@ REFUSED = {
         ),
         "that the clocks of America/Denver show once",
     ),
+    "a day of the year without a year (NREL MIDC)": (
+        Kind(table(local("%j,%H:%M:%S"), header="DOY,MST,p1,p2")),
+        "line 2, column 'MST': expected a time stamp",
+    ),
+    "times of day alone": (
+        Kind(table(local("%H:%M:%S"))),
+        "line 2, column 'time': expected a time stamp",
+    ),
+    "no such day of the year": (
+        Kind(table(lambda time: f"2024,367,{time:%H:%M:%S}", header="Year,DOY,Time,p1,p2")),
+        "line 2, column 'Year': expected a time stamp",
+    ),
+    "points between date and time (borealis#332)": (
+        Kind(table(local("%Y%m%d.%H%M%S.000000"))),
+        "line 3, column 'time'",
+    ),
+    "month and day alone (naiveproxy#356)": (
+        Kind(table(local("%m%d/%H%M%S"))),
+        "line 1: expected a header",
+    ),
+    "an ordinal date (lnav#1321)": (Kind(table(local("%Y-%jT%H:%M:%S"))), "line 1: expected"),
+    "annotated (influxdata/docs-v2#417)": (Kind(annotated()), "irradiance.stations"),
     "a missing station": (Kind(table(header="time,p1,p3")), "for p2"),
     "irregular, without header (Rello/analytics#357)": (
         Kind("p1,2023-06-19 14:57:32.418625,0.619\np1,2023-06-19 14:57:34.951757,0.606\n"),
