@@ -824,12 +824,19 @@ def promise_figures(
 # docs/orders.md
 
 ANSWERS: Final = {
+    "reaction to a step, longest [s]": ("reaction_s", max, 1),
+    "rise, longest [s]": ("rise_s", max, 1),
     "90 % of a step, longest [s]": ("to_90_s", max, 1),
+    "settled within 2.5 % of a step, longest [s]": ("settling_of_change_s", max, 1),
+    "damping, least": ("damping", min, 2),
     "settled, longest [s]": ("settling_s", max, 1),
     "overshoot, largest [%]": ("overshoot_percent", max, 2),
     "error at rest, largest [%]": ("error_percent", max, 2),
     "off the ramp, largest [%]": ("ramp_deviation_percent", max, 2),
     "score of the AGC signal": ("score", min, 3),
+    "reaction to a step of the frequency, longest [s]": ("reaction_s", max, 1),
+    "rise after a step of the frequency, longest [s]": ("rise_s", max, 1),
+    "settled after a step of the frequency, longest [s]": ("settling_of_change_s", max, 1),
     "90 % of a frequency response, longest [s]": ("to_90_s", max, 1),
     "frequency response, least energy [%]": ("response_percent", min, 1),
 }

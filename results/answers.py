@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
-from math import ceil, inf
+from math import ceil, hypot, inf, log, pi
 from typing import Final, NamedTuple
 
 import msgspec
@@ -29,7 +29,11 @@ from sim_plant.orders import is_ordered, target_kw
 TOLERANCE_PERCENT: Final = 1.0
 """Of the plant's rating: within it a power has settled. A step of the schedule is larger."""
 
-_LEAST: Final = ("score", "response_percent")
+BAND_PERCENT: Final = 2.5
+LEAST_BAND_PERCENT: Final = 0.5
+"""Within the band of IEEE 2800 a step has settled: in % of it, and at least in % of the rating."""
+
+_LEAST: Final = ("score", "response_percent", "damping")
 """Of these more is better."""
 
 _SIGNAL_S: Final = 15.0
@@ -38,10 +42,25 @@ _SIGNAL_ORDERS: Final = 10
 """So many orders of one source are one AGC signal, if each comes within 15 s of the one before, or
 within the time, up to 60 s, in which its source promised to renew it."""
 
+_OF_STEPS: Final = ("reaction_s", "rise_s", "to_90_s", "settling_of_change_s", "damping")
+
 _REST_S: Final = 10.0
 """The error at rest is the mean over this time at the end, once the power has settled."""
 
 Values = NDArray[np.float64]
+
+
+class SignalScore(msgspec.Struct, frozen=True, kw_only=True):
+    """How well the plant followed an AGC signal, as PJM scores a regulation signal.
+
+    orders: How many orders the signal had.
+    accuracy, delay, score: None: it was shorter than the score needs.
+    """
+
+    orders: int
+    accuracy: float | None = None
+    delay: float | None = None
+    score: float | None = None
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,17 +71,20 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     from_kw, to_kw: What the plant gave before, and what it was asked for.
     duration_s: Time until the next one, or the end [s].
     ramp_s: Time that the dispatch took to get there [s]; 0: it was a step.
+    reaction_s, rise_s: Of a step: until the power had covered a tenth of it, and from there to nine
+        tenths [s].
     to_90_s: Of a step: until the power had covered nine tenths of it [s].
+    settling_of_change_s: Of a step: until the power stayed within the band of IEEE 2800 [s].
+    damping: Of a step: damping ratio of the second-order system that overshoots as far; 1: none.
     settling_s: From when the dispatch was there until the power stayed within 1 % [s].
     overshoot_percent: Largest power beyond `to_kw`, in % of the rating; after a step down also the
         largest power that is still above it once the inverters have had their time to follow.
     error_percent: Mean of power less dispatch at rest, in % of the rating.
     ramp_deviation_percent: Mean deviation from the ramp, in % of the rating.
-    accuracy, delay, score: Of an AGC signal, as PJM scores a regulation signal.
+    signal: Of an AGC signal: its score.
     response_percent: Of an event of the grid's frequency (asked by `frequency`): the energy of the
         response, in % of what the droop asks for; `to_90_s` is then until it came to nine tenths of
-        the largest response asked for.
-    orders: How many orders a signal had.
+        the largest response asked for. The figures of a step are those of a step of the frequency.
     unable_percent: Share of its cycles in which the sun gave less than the dispatch.
     missed: The figures that did not keep their budgets.
     """
@@ -74,16 +96,17 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     to_kw: float
     ramp_s: float
     duration_s: float
+    reaction_s: float | None = None
+    rise_s: float | None = None
     to_90_s: float | None = None
+    settling_of_change_s: float | None = None
+    damping: float | None = None
     settling_s: float | None = None
     overshoot_percent: float | None = None
     error_percent: float | None = None
     ramp_deviation_percent: float | None = None
-    accuracy: float | None = None
-    delay: float | None = None
-    score: float | None = None
+    signal: SignalScore | None = None
     response_percent: float | None = None
-    orders: int = 1
     unable_percent: float = 0.0
     missed: tuple[str, ...] = ()
     is_judged: bool = False
@@ -92,6 +115,10 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     def verdict(self) -> bool | None:
         """Whether all budgets were kept; None: there are none."""
         return not self.missed if self.is_judged else None
+
+    @property
+    def score(self) -> float | None:
+        return self.signal.score if self.signal else None
 
 
 class _Asked(NamedTuple):
@@ -133,10 +160,8 @@ def answers(series: RunSeries) -> tuple[Answer, ...]:
             None if len(group) > 1 else asked.power_kw,
             _follow_s(series.plan, before_kw - float(dispatch_kw[end - 1])),
         )
-        step = msgspec.structs.replace(
-            step, asked=asked.by, cycle=asked.cycle, end_cycle=end, orders=len(group)
-        )
-        found.append(_scored(step, series, cycles) if len(group) > 1 else step)
+        step = msgspec.structs.replace(step, asked=asked.by, cycle=asked.cycle, end_cycle=end)
+        found.append(_scored(step, series, cycles, len(group)) if len(group) > 1 else step)
     return tuple(sorted([*found, *_to_frequency(series)], key=lambda one: one.cycle))
 
 
@@ -162,7 +187,6 @@ def answer(
     there = int(moving[-1]) + 1 if len(moving) else 0
     able = available_kw >= dispatch_kw - tolerance_kw
     error_kw, ahead = delivered_kw - dispatch_kw, float(np.sign(to_kw - from_kw)) or 1.0
-    covered = ahead * (delivered_kw - from_kw) >= 0.9 * abs(to_kw - from_kw)
     outside = np.flatnonzero((np.abs(error_kw) > tolerance_kw) & able)
     outside = outside[outside >= there]
     settled = int(outside[-1]) + 1 if len(outside) else there
@@ -177,7 +201,7 @@ def answer(
     beyond = beyond_kw[there:][able[there:]]
     ramp = slice(0, there)
     deviations = np.abs(error_kw[ramp])[able[ramp]]
-    return Answer(
+    found = Answer(
         asked="",
         cycle=0,
         end_cycle=len(dispatch_kw),
@@ -185,13 +209,55 @@ def answer(
         to_kw=to_kw,
         ramp_s=there * cycle_s,
         duration_s=len(dispatch_kw) * cycle_s,
-        to_90_s=(int(covered.argmax()) + 1) * cycle_s if covered.any() and not there else None,
         settling_s=(settled - there + 1) * cycle_s if is_settled else None,
         overshoot_percent=max(float(beyond.max()), 0.0) * percent if len(beyond) else None,
         error_percent=float(at_rest.mean()) * percent if is_settled and len(at_rest) else None,
         ramp_deviation_percent=float(deviations.mean()) * percent if len(deviations) else None,
         unable_percent=100.0 * float((~able).mean()),
     )
+    if there:
+        return found
+    parts = delivered_kw - from_kw, error_kw, to_kw - from_kw, able, rating_kw, cycle_s
+    return msgspec.structs.replace(found, **_step_figures(*parts))
+
+
+def _step_figures(
+    covered_kw: Values,
+    error_kw: Values,
+    change_kw: float,
+    able: NDArray[np.bool_],
+    rating_kw: float,
+    cycle_s: float,
+) -> dict[str, float | None]:
+    """Return how a step was answered, in the terms of IEEE 2800 and of NERC's guideline.
+
+    `covered_kw` is the power less that before the step, `error_kw` the power less what was asked.
+    """
+    ahead, size_kw = float(np.sign(change_kw)) or 1.0, abs(change_kw)
+    began, came = ahead * covered_kw >= 0.1 * size_kw, ahead * covered_kw >= 0.9 * size_kw
+    has_begun, has_come = bool(began.any()), bool(came.any())
+    band_kw = max(BAND_PERCENT * size_kw, LEAST_BAND_PERCENT * rating_kw) / 100.0
+    outside = np.flatnonzero((np.abs(error_kw) > band_kw) & able)
+    settled = int(outside[-1]) + 1 if len(outside) else 0
+    return {
+        "reaction_s": (int(began.argmax()) + 1) * cycle_s if has_begun else None,
+        "rise_s": int(came.argmax() - began.argmax()) * cycle_s if has_come else None,
+        "to_90_s": (int(came.argmax()) + 1) * cycle_s if has_come else None,
+        "settling_of_change_s": (settled + 1) * cycle_s if able[settled:].any() else None,
+        "damping": _damping(ahead * error_kw[able], size_kw) if has_come else None,
+    }
+
+
+def _damping(beyond_kw: Values, size_kw: float) -> float | None:
+    """Return the damping ratio of the second-order system that goes as far beyond its step.
+
+    Such a system overshoots by the share exp(-pi z / sqrt(1 - z^2)) of a step.
+    """
+    share = float(beyond_kw.max()) / size_kw if len(beyond_kw) and size_kw else 0.0
+    if share <= 0.0:
+        return 1.0
+    decay = max(-log(share), 0.0)
+    return decay / hypot(pi, decay)
 
 
 def _follow_s(plan: RunPlan, change_kw: float) -> float:
@@ -220,12 +286,9 @@ def _missed(found: Answer, budgets: AnswerBudgets) -> Iterator[str]:
             continue
         if value is None:
             # A power that had the time and did not settle; without the sun it could not.
-            is_judged = (
-                name == "settling_s"
-                and found.asked != "frequency"
-                and found.orders == 1
-                and not found.unable_percent
-            )
+            of_power = name == "settling_s" and found.asked != "frequency"
+            of_step = name == "settling_of_change_s" and not found.ramp_s
+            is_judged = (of_power or of_step) and not (found.signal or found.unable_percent)
             if is_judged and found.duration_s - found.ramp_s > limit:
                 yield name
         elif (value < limit) if name in _LEAST else (abs(value) > limit):
@@ -249,14 +312,29 @@ def answers_tables(found: Iterable[Answer]) -> list[Table]:
         Column("response", "%", 1, name="response_percent"),
         Column("budgets", name="verdict"),
     )
+    found = tuple(found)
     rows = attributes(found, columns)
+    of_steps = (
+        *(key_column("by", "asked"), Column("cycle", name="cycle")),
+        *(Column("reaction", "s", 1, name="reaction_s"), Column("rise", "s", 1, name="rise_s")),
+        Column("settled", "s", 1, name="settling_of_change_s"),
+        Column("damping", "", 2, name="damping"),
+    )
+    steps = attributes((one for one in found if one.reaction_s is not None), of_steps)
+    notes_on_steps = (
+        "Reaction: to 10 % of the step. Rise: from there to 90 %. Settled: from the step until the "
+        f"power stayed within {BAND_PERCENT} % of it, or {LEAST_BAND_PERCENT} % of the rating.",
+    )
     notes = (
         "90 %: of a step. Settled: from when the dispatch was there until the power stayed within "
         "1 % of the rating. Percentages are of the rating.",
         "Response: to the frequency, its energy in % of what the droop asks for.",
         "Cycles in which the sun gave less than the dispatch do not count.",
     )
-    return [Table("How the plant answered", columns, rows, notes)] if rows else []
+    tables = [Table("How the plant answered", columns, rows, notes)] if rows else []
+    if steps:
+        tables.append(Table("Steps by IEEE 2800", of_steps, steps, notes_on_steps))
+    return tables
 
 
 def _groups(series: RunSeries, rating_kw: float) -> Iterator[list[_Asked]]:
@@ -289,7 +367,7 @@ def _is_scheduled(orders: tuple[Dispatch, ...], cycle: int) -> bool:
     return newest is None or not is_ordered(newest)
 
 
-def _scored(step: Answer, series: RunSeries, cycles: slice) -> Answer:
+def _scored(step: Answer, series: RunSeries, cycles: slice, orders: int) -> Answer:
     """Return the answer to an AGC signal: what a single step tells does not apply to it."""
     dispatch_kw = series.desired_kw
     middle_kw = float(dispatch_kw[cycles].max() + dispatch_kw[cycles].min()) / 2.0
@@ -304,14 +382,17 @@ def _scored(step: Answer, series: RunSeries, cycles: slice) -> Answer:
         series.cycle_s,
     )
     found = score or {}
-    nothing = dict.fromkeys(("to_90_s", "settling_s", "overshoot_percent", "error_percent"))
+    nothing = dict.fromkeys((*_OF_STEPS, "settling_s", "overshoot_percent", "error_percent"))
     return msgspec.structs.replace(
         step,
         **nothing,
         ramp_s=0.0,
-        accuracy=found.get("accuracy"),
-        delay=found.get("delay"),
-        score=found.get("score"),
+        signal=SignalScore(
+            orders=orders,
+            accuracy=found.get("accuracy"),
+            delay=found.get("delay"),
+            score=found.get("score"),
+        ),
     )
 
 
@@ -334,10 +415,16 @@ def _to_frequency(series: RunSeries) -> Iterator[Answer]:
         most_kw = float(ideal_kw[cycles][farthest])
         if abs(most_kw) <= tolerance_kw:
             continue
-        covered = np.sign(most_kw) * given_kw[cycles] >= 0.9 * abs(most_kw)
         asked_kw, judged = ideal_kw[cycles], able[cycles]
+        left = np.abs(asked_kw - most_kw) > tolerance_kw
+        held = slice(0, int(left.argmax()) if left.any() else None)
+        covered_kw = given_kw[cycles]
+        parts = covered_kw[held], (covered_kw - asked_kw)[held], most_kw, judged[held]
+        step = {} if farthest else _step_figures(*parts, rating_kw, series.cycle_s)
+        covered = np.sign(most_kw) * covered_kw >= 0.9 * abs(most_kw)
+        to_90_s = (int(covered.argmax()) + 1) * series.cycle_s if covered.any() else None
         asked, given = float(asked_kw[judged].sum()), float(given_kw[cycles][judged].sum())
-        yield Answer(
+        found = Answer(
             asked="frequency",
             cycle=cycle,
             end_cycle=end,
@@ -345,7 +432,7 @@ def _to_frequency(series: RunSeries) -> Iterator[Answer]:
             to_kw=float(reference_kw[cycle] + most_kw),
             ramp_s=farthest * series.cycle_s,
             duration_s=(end - cycle) * series.cycle_s,
-            to_90_s=(int(covered.argmax()) + 1) * series.cycle_s if covered.any() else None,
             response_percent=100.0 * given / asked if asked else None,
             unable_percent=100.0 * float((~judged).mean()),
         )
+        yield msgspec.structs.replace(found, **step | {"to_90_s": to_90_s})

@@ -291,7 +291,12 @@ class BudgetTable(_Table, frozen=True):
 class AnswerBudgets(_Table, frozen=True):
     """Limits by which the plant's answers to orders are judged: the run fails if one is not kept.
 
+    reaction_s: Of a step: time until a tenth of it is covered [s].
+    rise_s: Of a step: time from a tenth to nine tenths [s].
     to_90_s: Of a step: time until nine tenths of it are covered [s].
+    settling_of_change_s: Of a step: time until the power stays within 2.5 % of it, or 0.5 % of the
+        rating if that is more [s].
+    damping: Least damping ratio of a step, from its overshoot, 0 to 1.
     settling_s: Time until the power stays within 1 % of the rating [s].
     overshoot_percent: Largest power beyond the order, in % of the rating.
     error_percent: Mean error at rest, in % of the rating.
@@ -300,7 +305,11 @@ class AnswerBudgets(_Table, frozen=True):
     response_percent: Least energy of a response to the frequency, in % of the droop's.
     """
 
+    reaction_s: Limit | None = None
+    rise_s: Limit | None = None
     to_90_s: Limit | None = None
+    settling_of_change_s: Limit | None = None
+    damping: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     settling_s: Limit | None = None
     overshoot_percent: Amount | None = None
     error_percent: Amount | None = None

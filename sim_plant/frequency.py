@@ -36,15 +36,20 @@ class FrequencyEvent(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     depth_hz: How far it goes: below 0 for an under-frequency [Hz].
     rate_hz_per_s: How fast [Hz/s].
     duration_s: Time until the frequency begins to return [s].
+    step: It goes and returns at once, at no rate.
     """
 
     at: Second
     depth_hz: Annotated[float, Meta(ge=-5.0, le=5.0)]
     rate_hz_per_s: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1
     duration_s: Annotated[float, Meta(gt=0.0, le=1e6)] = 60.0
+    step: bool = False
 
     def deviation_hz(self, time_s: Floats) -> Floats:
         """Return the departure at some times [s since cycle 0], shape (T,)."""
+        if self.step:
+            since_s = time_s - self.at + 1e-9
+            return np.where((since_s >= 0.0) & (since_s < self.duration_s), self.depth_hz, 0.0)
         since_s = np.maximum(time_s - self.at, 0.0)
         gone_hz = self.rate_hz_per_s * np.minimum(since_s, self.duration_s)
         back_hz = self.rate_hz_per_s * np.maximum(since_s - self.duration_s, 0.0)

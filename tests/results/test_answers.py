@@ -36,6 +36,64 @@ def test_a_step_has_its_times_its_overshoot_and_its_error_at_rest() -> None:
     assert found.ramp_deviation_percent is None
 
 
+def test_a_step_has_the_figures_of_ieee_2800() -> None:
+    # 400 kW up: a tenth is at 140 kW, nine tenths at 460 kW; the band is 2.5 % of it, 10 kW.
+    found = answered([500.0] * 8, [130.0, 145.0, 300.0, 470.0, 511.0, 491.0, 500.0, 500.0])
+    assert (found.reaction_s, found.rise_s, found.to_90_s) == (4.0, 4.0, 8.0)
+    assert found.settling_of_change_s == 12.0
+    # 11 of 400 kW beyond it: exp(-pi z / sqrt(1 - z^2)) = 0.0275 for z = 0.7529.
+    assert found.damping == pytest.approx(0.7529, abs=1e-4)
+
+
+def test_a_band_of_the_change_is_wider_after_a_large_step_and_narrower_after_a_small_one() -> None:
+    # Of 800 kW it is 20 kW, of 80 kW half a per cent of the rating, 5 kW; of the rating 10 kW.
+    large = answered([900.0] * 4, [500.0, 885.0, 885.0, 895.0])
+    assert (large.settling_of_change_s, large.settling_s) == (4.0, 8.0)
+    small = answered([180.0] * 4, [150.0, 172.0, 176.0, 176.0])
+    assert (small.settling_of_change_s, small.settling_s) == (6.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("beyond_kw", "damping"),
+    # As far as a system of a damping ratio of 0.5 or 0.2 overshoots; at once twice as far: none.
+    [(-1.0, 1.0), (0.0, 1.0), (65.2, 0.5), (210.6, 0.2), (800.0, 0.0)],
+)
+def test_the_damping_follows_from_the_overshoot_upwards_and_downwards(
+    beyond_kw: float, damping: float
+) -> None:
+    up = answered([500.0] * 3, [500.0 + beyond_kw, 500.0, 500.0])
+    down = answered([-300.0] * 3, [-300.0 - beyond_kw, -300.0, -300.0])
+    assert (up.damping, down.damping) == pytest.approx((damping, damping), abs=1e-3)
+
+
+def test_a_step_that_does_not_come_has_no_rise_and_no_damping() -> None:
+    found = answered([500.0] * 3, [150.0, 200.0, 300.0])
+    assert (found.reaction_s, found.rise_s, found.to_90_s, found.damping) == (2.0, None, None, None)
+    assert found.settling_of_change_s is None
+    (judged_one,) = judged((found,), AnswerBudgets(settling_of_change_s=5.0))
+    assert judged_one.missed == ("settling_of_change_s",)
+    ramp = answered([300.0, 500.0, 500.0], [300.0, 500.0, 500.0])
+    assert (ramp.reaction_s, ramp.rise_s, ramp.damping) == (None, None, None)
+
+
+def test_a_step_of_the_frequency_is_answered_like_a_step_of_power() -> None:
+    # 100 kW less for cycles 10 to 19. Of them 20, 60, 95, 104 are gone, then all.
+    response = np.where((np.arange(30) >= 10) & (np.arange(30) < 20), -100.0, 0.0)
+    given = np.full(30, 300.0)
+    given[10:20] -= [20.0, 60.0, 95.0, 104.0, *[100.0] * 6]
+    run = run_of(np.full(30, 300.0), 1e4, given)
+    asked_kw = np.full(30, 300.0) + response
+    (found,) = answers(replace(run, response_kw=response, desired_kw=asked_kw))
+    assert (found.asked, found.ramp_s, found.duration_s) == ("frequency", 0.0, 10.0)
+    assert (found.reaction_s, found.rise_s, found.to_90_s) == (1.0, 2.0, 3.0)
+    assert found.settling_of_change_s == 3.0, "half a per cent of the rating are 5 kW"
+    # 4 % beyond it: exp(-pi z / sqrt(1 - z^2)) = 0.04 for z = 0.7156.
+    assert found.damping == pytest.approx(0.7156, abs=1e-4)
+    assert found.response_percent == pytest.approx(100.0 - 121.0 / 10.0)
+    limits = AnswerBudgets(reaction_s=1.0, rise_s=1.0, damping=0.8, settling_s=5.0)
+    assert judged((found,), limits)[0].missed == ("rise_s", "damping")
+
+
 def test_downwards_the_overshoot_is_below() -> None:
     found = answered([50.0] * 4, [40.0, 50.0, 70.0, 50.0])
     assert found.overshoot_percent == pytest.approx(1.0)
@@ -125,7 +183,8 @@ def test_orders_that_follow_each_other_are_one_signal_with_a_score() -> None:
     orders = tuple(order(int(cycle), kw) for cycle, kw in zip(at, powers, strict=True))
     run = run_of(np.full(600, 100.0), 1e4, dispatch)
     (found,) = answers(replace(run, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders))
-    assert found.orders == 150
+    assert found.signal is not None
+    assert found.signal.orders == 150
     assert found.score == pytest.approx(1.0)
     still = run_of(np.full(600, 100.0), 1e4, np.full(600, 500.0))
     (found,) = answers(replace(still, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders))
@@ -141,7 +200,7 @@ def test_a_program_that_promises_a_rhythm_gives_a_signal_at_that_rhythm() -> Non
     def counts(**more: Any) -> list[int]:
         orders = tuple(order(cycle, float(dispatch[cycle]), **more) for cycle in at)
         asked = replace(run, dispatch_kw=dispatch, desired_kw=dispatch, orders=orders)
-        return [one.orders for one in answers(asked)]
+        return [one.signal.orders if one.signal else 1 for one in answers(asked)]
 
     assert counts() == [1] * 15
     assert counts(order_renew_s=45.0) == [15]
