@@ -6,8 +6,11 @@ import random
 import re
 import resource
 import signal
+import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -122,3 +125,27 @@ def test_a_full_disk_ends_the_recording_and_not_the_plant(heliarch: Start, plant
         assert not reader.whole
         assert 0 < recorded == sum(1 for _ in reader.messages())
     assert 0 < run.recorded_cycles() < 900
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "none", str(disk)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("no small disk can be mounted here: only root may")
+    yield disk
+    subprocess.run(["umount", "--lazy", str(disk)], check=True)
+
+
+def test_a_full_disk_costs_neither_figures_nor_counts(
+    small_disk: Path, plant: str, tmp_path: Path
+) -> None:
+    words = ("simulate", plant, "--duration", "3h", "--out", str(small_disk / "run"))
+    command = [sys.executable, "-m", "heliarch", *words]
+    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert run.returncode == 1
+    assert "No space left on device" in run.stderr
+    assert "Traceback" not in run.stderr
+    for row in ("RMSE", "Messages"):
+        assert re.search(rf"{row}.*\d", run.stdout), f"{row}: {run.stdout}"
