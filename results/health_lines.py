@@ -25,7 +25,7 @@ def health_lines(health: Health, clock: RunClock, outcome: Outcome) -> Iterator[
     yield "faults", touched if health.fault_effects else "none injected"
     for effect in health.fault_effects:
         yield "fault", f"{fault_text(effect.fault)}: {_effect_text(effect, clock)}"
-    yield "missing", f"{health.messages_lost:,} messages not recorded{_named(health.lost)}"
+    yield "missing", _missing(health, outcome)
     if health.repeated:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", _dropped(launcher)
@@ -41,6 +41,14 @@ def health_lines(health: Health, clock: RunClock, outcome: Outcome) -> Iterator[
         yield "states", "no agent was absent, cut off or given up"
     yield from _lacks(launcher, clock) if launcher else ()
     yield "run", outcome.text
+
+
+def _missing(health: Health, outcome: Outcome) -> str:
+    """Say what was lost: sequence numbers do not show what the recording lacks at its end."""
+    seen, document = health.messages_lost, outcome.document
+    if document is None or document.lost <= seen:
+        return f"{seen:,} messages not recorded{_named(health.lost)}"
+    return f"{document.lost:,} messages not recorded, {seen:,} of them before the recording's end"
 
 
 def _lacks(launcher: LauncherAccount, clock: RunClock) -> Iterator[tuple[str, str]]:

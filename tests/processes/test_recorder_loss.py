@@ -149,3 +149,4 @@ def test_a_full_disk_costs_neither_figures_nor_counts(
     assert "Traceback" not in run.stderr
     for row in ("RMSE", "Messages"):
         assert re.search(rf"{row}.*\d", run.stdout), f"{row}: {run.stdout}"
+    assert re.search(r"Missing +[1-9][\d,]* messages not recorded", run.stdout)
