@@ -25,6 +25,7 @@ from results.figures import Shown, run_figures, shown_in
 from results.run_document import RunDocument, document_in
 from results.timing.stages import stage_table
 from scenarios.run_options import RunOptions
+from scenarios.times import When
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -132,8 +133,8 @@ class Run:
         self,
         *signals: Signal[Message] | str,
         nodes: str | Collection[str] = (),
-        start: str | float | None = None,
-        end: str | float | None = None,
+        start: When | None = None,
+        end: When | None = None,
     ) -> Iterator[Delivery]:
         """Yield messages with their ports, in the order in which they were recorded.
 
@@ -154,8 +155,8 @@ class Run:
         table: Signal[Message] | str,
         *,
         nodes: str | Collection[str] = (),
-        start: str | float | None = None,
-        end: str | float | None = None,
+        start: When | None = None,
+        end: When | None = None,
     ) -> pd.DataFrame:
         """Return the messages of one signal as a table, one row each; for the rest see `messages`.
 
@@ -171,8 +172,8 @@ class Run:
         self,
         *tables: Signal[Message] | str,
         nodes: str | Collection[str] = (),
-        start: str | float | None = None,
-        end: str | float | None = None,
+        start: When | None = None,
+        end: When | None = None,
     ) -> dict[str, pd.DataFrame]:
         """Return several tables by name, each as `frame` does: the recording is read once."""
         found = self._reader.frames(*tables, nodes=nodes, start=start, end=end)
@@ -235,8 +236,8 @@ class Run:
         table: str,
         *,
         nodes: str | Collection[str] = (),
-        start: str | float | None = None,
-        end: str | float | None = None,
+        start: When | None = None,
+        end: When | None = None,
         cycles: int = 3600,
     ) -> Iterator[pa.Table]:
         """Yield a table, as of `frame`, in Arrow parts of `cycles` cycles.

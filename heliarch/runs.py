@@ -39,6 +39,7 @@ from results.two_runs import figures_table, read_two_runs
 from scenarios.run_options import RunOptions, TimeOptions, check_names
 from scenarios.scenario import ScenarioFile, load_scenario
 from scenarios.settings import Setting, plain, with_settings
+from scenarios.times import When
 from studies.arrays.schemes import SCHEMES
 from studies.compare.cases import cases
 from studies.compare.study import run_case
@@ -51,9 +52,9 @@ T = TypeVar("T")
 class TimeKeywords(TypedDict, total=False):
     """Which part of a scenario is run, see `TimeOptions`."""
 
-    start: str | float | None
-    duration: str | float | None
-    end: str | float | None
+    start: When | None
+    duration: When | None
+    end: When | None
 
 
 class RunKeywords(TimeKeywords, total=False):
@@ -181,10 +182,10 @@ def export(
     out: str | Path | None = None,
     signals: str | Sequence[str] = (),
     nodes: str | Sequence[str] = (),
-    start: str | float | None = None,
-    end: str | float | None = None,
+    start: When | None = None,
+    end: When | None = None,
     clock: Clock | None = None,
-    at: str | float | None = None,
+    at: When | None = None,
     window_s: float | None = None,
 ) -> ExportSummary:
     """Make tables, or a file for viewers, from a recording, as `heliarch export` does."""

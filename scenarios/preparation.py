@@ -46,7 +46,7 @@ from scenarios.scenario import (
     ScenarioFile,
     local_start,
 )
-from scenarios.times import LONGEST_S, Cycle, on_day, parse_duration_s, parse_moment
+from scenarios.times import LONGEST_S, Cycle, When, on_day, parse_duration_s, parse_moment
 from sim_plant.commitment import commitment_kw, is_hindsight
 from sim_plant.frequency import frequency_hz
 from sim_plant.profile import Profile
@@ -412,7 +412,7 @@ def _times(
 
 
 def _moments(
-    given: str | float, where: str, day: datetime, own_start: datetime, cycle_s: float
+    given: When, where: str, day: datetime, own_start: datetime, cycle_s: float
 ) -> tuple[datetime, ...]:
     """Return the times that an option may mean; seconds and cycles count from `own_start`."""
     moment = parse_moment(given, where)

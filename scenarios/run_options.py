@@ -18,7 +18,7 @@ from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError, not_one_of
 from scenarios.elsewhere import read_address, split_devices
 from scenarios.real_time import machine_settings, parse_pace
-from scenarios.times import SHORTEST_CYCLE_S, parse_duration_s, parse_moment
+from scenarios.times import SHORTEST_CYCLE_S, When, parse_duration_s, parse_moment
 from sunspec.addresses import parse_address
 
 LARGEST_SEED = 2**32
@@ -44,7 +44,7 @@ Whole: TypeAlias = Annotated[int, Parameter(converter=_whole_number)]
 Seed: TypeAlias = Annotated[
     Whole | None, Parameter("--seed", group=PLANT, help="Seed of the synthetic clouds.")
 ]
-_Moment: TypeAlias = str | float | None
+_Moment: TypeAlias = When | None
 _Texts: TypeAlias = list[str] | None
 
 

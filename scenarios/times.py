@@ -9,8 +9,8 @@ range         A..B
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime, time
-from typing import Final, NamedTuple
+from datetime import UTC, datetime, time, timedelta
+from typing import Final, NamedTuple, TypeAlias
 
 from bus_schemas.errors import InputError
 
@@ -30,6 +30,10 @@ _UNITS_S: Final = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6}
 _NUMBER: Final = r"\d+(?:\.\d+)?"
 _DURATION: Final = re.compile("".join(f"(?:({_NUMBER}){unit})?" for unit in _UNITS_S))
 _CYCLE: Final = re.compile(r"(?:c|cycle )\s*(\d{1,12})")
+
+
+When: TypeAlias = str | float | timedelta | datetime | time
+"""A time or a duration as Python gives it; those of pandas are of these types."""
 
 
 class Cycle(NamedTuple):
@@ -57,9 +61,14 @@ def read_cycle(text: str) -> Cycle | None:
     return Cycle(int(found[1])) if found else None
 
 
-def parse_duration_s(given: str | float, where: str, cycle_s: float | None = None) -> float:
+def _text(given: When) -> str:
+    seconds = given.total_seconds() if isinstance(given, timedelta) else None
+    return str(given).strip() if seconds is None else f"{seconds:.9f}"
+
+
+def parse_duration_s(given: When, where: str, cycle_s: float | None = None) -> float:
     """Return the length of a run [s], which may be stated in cycles where their length is known."""
-    text = str(given).strip()
+    text = _text(given)
     cycles = None if cycle_s is None else read_cycle(text)
     found_s = read_seconds(text) if cycles is None or cycle_s is None else cycles.number * cycle_s
     if found_s is None or not 0.0 < found_s <= LONGEST_S:
@@ -81,9 +90,9 @@ def read_time(text: str) -> time | datetime | None:
         return None
 
 
-def parse_moment(given: str | float, where: str) -> float | Cycle | time | datetime:
+def parse_moment(given: When, where: str) -> float | Cycle | time | datetime:
     """Return seconds since cycle 0, a cycle, a local time, or a date with a time."""
-    text = str(given).strip()  # Python may give another type.
+    text = _text(given)
     moment = read_seconds(text)
     if moment is not None:
         return min(moment, 2 * LONGEST_S)

@@ -18,6 +18,7 @@ from recordings.export.mcap_copies import Clock, ViewerFile, WholeRecording
 from recordings.export.tables import TableFolder
 from recordings.read.reader import RunReader
 from recordings.record.writer import ClockAnchor
+from scenarios.times import When
 
 Form: TypeAlias = Literal["mcap", "json-mcap", "parquet", "csv", "comtrade"]
 """The recording itself as one whole file, a file for viewers of MCAP, a folder of tables, or the
@@ -63,7 +64,7 @@ def export(
     nodes: str | Collection[str] = (),
     cycles: range | None = None,
     clock: Clock | None = None,
-    at: str | float | None = None,
+    at: When | None = None,
     window_s: float | None = None,
 ) -> ExportSummary:
     """Export some signals, nodes and cycles of a recording; omitted means all.
@@ -111,7 +112,7 @@ def export(
     )
 
 
-def _export_event(reader: RunReader, path: Path, at: str | float, window_s: float) -> ExportSummary:
+def _export_event(reader: RunReader, path: Path, at: When, window_s: float) -> ExportSummary:
     cycle = reader.clock.cycle(at, "--at")
     around = ceil(window_s / reader.plan.timing.cycle_s)
     window = range(max(cycle - around, 0), min(cycle + around, reader.last_cycle) + 1)

@@ -40,6 +40,7 @@ from recordings.read.run_file import (
     read_origin,
     recorded_ports,
 )
+from scenarios.times import When
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,8 +66,8 @@ class Part(TypedDict, total=False):
     """
 
     nodes: str | Collection[str]
-    start: str | float | None
-    end: str | float | None
+    start: When | None
+    end: When | None
 
 
 class RecordedMessage(NamedTuple):

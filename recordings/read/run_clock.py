@@ -14,7 +14,7 @@ from zoneinfo import ZoneInfo
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from scenarios.times import Cycle, on_day, parse_moment
+from scenarios.times import Cycle, When, on_day, parse_moment
 
 _SECOND_NS: Final = 1_000_000_000
 
@@ -27,7 +27,7 @@ class RunClock:
         self._zone = ZoneInfo(plan.timing.timezone)
         self._end = last_cycle + 1
 
-    def cycle(self, when: str | float, where: str, *, is_end: bool = False) -> int:
+    def cycle(self, when: When, where: str, *, is_end: bool = False) -> int:
         """Return the cycle of a time: `13:49:00`, `2010-04-01T13:49:00`, seconds, or `c90`.
 
         The end of a span may be the end of the run. An error is about `where`, such as `--from`.
@@ -40,8 +40,8 @@ class RunClock:
 
     def span(
         self,
-        start: str | float | None,
-        end: str | float | None,
+        start: When | None,
+        end: When | None,
         names: tuple[str, str] = ("--from", "--to"),
     ) -> range:
         """Return the cycles from one time to before another; None: from or to the run's end."""
@@ -76,7 +76,7 @@ class RunClock:
         first, last = self.local(0), self.local(last_cycle)
         return f"which goes from {first:%F %T} to {last:%F %T %Z} (cycles 0 to {last_cycle})"
 
-    def _cycles_at(self, when: str | float, where: str) -> Iterator[int]:
+    def _cycles_at(self, when: When, where: str) -> Iterator[int]:
         """Yield the cycles that a time may mean: clocks that are put back show it twice."""
         moment = parse_moment(when, where)
         if isinstance(moment, Cycle):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import fields
-from datetime import date
+from datetime import date, timedelta
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,10 @@ def test_tables_read_together_or_in_parts_are_those_that_are_read_alone(run: hel
     for name, table in run.frames("setpoint", "help_given", "missing_inputs", **part).items():
         pd.testing.assert_frame_equal(table, run.frame(name, **part))
     assert set(run.frame("setpoint", start=5, end=9)["cycle"]) == {5, 6, 7, 8}
+    lengths: dict[str, Any] = {"start": timedelta(seconds=5), "end": pd.Timedelta("9s")}
+    times: dict[str, Any] = {"start": run.plant.index[5], "end": run.plant.index[9]}
+    for span in (lengths, times):
+        assert set(run.frame("setpoint", **span)["cycle"]) == {5, 6, 7, 8}
     parts = list(run.batches("help_given", cycles=7))
     assert len(parts) > 1
     whole, table = pa.concat_tables(parts).to_pandas(), run.frame("help_given")
