@@ -25,7 +25,7 @@ def clouds(run: RunReader, cycle: int) -> dict[str, Any]:
 
     `west_m`, `north_m` and `cell_m` say where they are, in the metres of the plan's positions.
 
-    Raises InputError: The run's sky is not synthetic, or nobody knows where its inverters stand.
+    Raises InputError: The run has no synthetic sky, or no positions of its inverters.
     """
     plan, table = run.plan, run.scenario_table().get("irradiance", {})
     if table.get("kind") != "clouds" or not plan.site.positions_m:

@@ -57,7 +57,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 
 KEPT_TURNS: Final = 32
-"""So many aims are kept, or a multiple: Numba compiles the loop for each length of a tuple anew."""
+"""The number of kept aims is a multiple of this: Numba compiles anew for each length of a tuple."""
 
 
 class LoopSettings(NamedTuple):
