@@ -535,6 +535,7 @@ class Processes:
         if not was_killed:
             self._say(f"{why}; it is started again")
         process.begins_at_s = now_s + wait_s
+        self._moved_at_s = self.ran_s  # A new process has its own time to come.
 
     def _why_ended_early(self, process: Process) -> str:
         """Say how a process ended before its time; empty if it was in time."""
