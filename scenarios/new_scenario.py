@@ -100,7 +100,7 @@ def measured_scenario(
     if not stations:
         raise InputError(
             f"{ghi_csv.name}: line 1: expected a column for stations of {positions_csv.name}, got "
-            f"{', '.join(table.header)}"
+            f"{', '.join(table.value_columns)}"
         )
     guess = (
         [] if table.is_zoned or form.timezone else [_guessed_zone(table, stations, positions, form)]

@@ -138,13 +138,13 @@ def _power_column(table: CsvTable) -> str:
     """Return the column with the power, whose name or unit says that it is in kW or MW."""
     columns = table.value_columns
     stated = [
-        name for name in columns if re.search("[km]w(?!h)", f"{name} {table.unit(name)}".lower())
+        name for name in columns if re.search("[km]w(?!h)", f"{name} {table.units[name]}".lower())
     ]
     found = _COLUMN if _COLUMN in columns else stated[0] if len(stated) == 1 else None
     if found is None:
         raise InputError(
             f"{table.name}: line 1: expected a column {_COLUMN}, or one whose name says kW or MW, "
-            f"got {', '.join(table.header)}"
+            f"got {', '.join(columns)}"
         )
     return found
 
@@ -156,12 +156,13 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex, timezone: str | None =
     """
     table = read_csv(path)
     column = _power_column(table)
-    factor = 1e3 if "mw" in f"{column} {table.unit(column)}".lower() else 1.0
+    factor = 1e3 if "mw" in f"{column} {table.units[column]}".lower() else 1.0
     expected = f"a power from 0 to {_LARGEST_KW / factor:g}"
     power_kw = factor * table.numbers((column,), expected, 0.0, _LARGEST_KW / factor)[:, 0]
     table.check_length()
     begins = table.times(timezone)
-    table.check_ascending(table.stamp, begins.asi8)
+    late = np.diff(begins.asi8) <= 0
+    table.refuse(late, table.stamp, "a time after that of the line before")
     last_ns = (begins[-1] - begins[-2]).value
     check_coverage(f"{path.name}: expected a schedule", begins, last_ns, times)
     held: Floats = power_kw[begins.searchsorted(times, side="right") - 1]

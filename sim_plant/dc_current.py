@@ -50,7 +50,7 @@ def read_currents(
     """
     table = read_csv(currents_csv, ("t_s",))
     combiners = _read_combiners(positions_csv)
-    columns = [name for name in table.header if name and name != "t_s"]
+    columns = [name for name in table.value_columns if name and name != "t_s"]
     if not columns:
         raise InputError(f"{table.name}: line 1: expected t_s and a column for each combiner")
     if unknown := [name for name in columns if name not in combiners.index]:
@@ -63,8 +63,7 @@ def read_currents(
     share = pd.DataFrame(np.maximum(current / full_power_current, 0.0), columns=columns)
     share = share.reindex(columns=combiners.index)
     means, report = _means(table.name, share, combiners["inverter"])
-    _, time_ns = table.steady(table.seconds_ns("t_s"))
-    table.check_steady("t_s", time_ns)
+    _, time_ns = table.steady("t_s", table.seconds_ns("t_s"))
     times = begins + pd.to_timedelta(time_ns, unit="ns")
     positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()
     x_m, y_m = positions.loc[means.columns].to_numpy().T

@@ -117,8 +117,7 @@ def read_measured_ghi(
     if not may_lack:
         expected += " (irradiance.max_gap_s fills gaps)"
     times = table.times(form.timezone, form.dates)
-    ordered, time_ns = table.steady(times.asi8)
-    ordered.check_steady(table.stamp, time_ns, may_lack=may_lack)
+    ordered, time_ns = table.steady(table.stamp, times.asi8, may_lack=may_lack)
     times = pd.DatetimeIndex(time_ns, tz="UTC")
     values = ordered.numbers(wanted, expected, empty_is_missing=True, sentinels=True)
     if not may_lack and np.isnan(values).any():
@@ -148,37 +147,30 @@ def wide(table: CsvTable, stations: Sequence[str]) -> CsvTable:
     if any(station_of(name, pd.Index(stations)) in stations for name in columns):
         return table
     named = [one for one in columns if set(table.text(one).head(2000)) & set(stations)]
-    values = [one for one in columns if one not in named and table.is_numeric([one])]
+    values = [one for one in columns if one not in named and table.is_numeric(one)]
     if len(named) != 1 or len(values) != 1:
         return table
-    at, of = table.place(values[0]), table.place(named[0])
-    stamps = [at for at in range(len(table.header)) if table.header[at] in {table.stamp}]
-    frame = pd.DataFrame(
-        {"time": table.fields[stamps[0]], "of": table.text(named[0]), "value": table.fields[at]}
-    )
+    of, value = named[0], values[0]
+    frame = pd.DataFrame({"time": table.stamps, "of": table.text(of), "value": table.column(value)})
     again = frame.duplicated(["time", "of"])
     if again.any():
-        raise table.error(int(again.argmax()), named[0], "one value of each station at a time")
-    lines = frame.groupby("time", sort=False).apply(lambda part: part.index[0])
-    spread = frame.pivot(index="time", columns="of", values="value").loc[lines.index]
-    header = (table.stamp, *map(str, spread.columns))
-    fields = spread.reset_index().set_axis(range(len(header)), axis=1).set_index(lines.to_numpy())
-    unit = table.layout.units[of] or name_and_unit(values[0])[1]
-    table.notes.append(f"a line for each value: {named[0]} names the station")
-    layout = replace(
-        table.layout,
-        header=header,
-        units=("", *[unit] * len(spread.columns)),
-        sample=((str(fields.iloc[0, 0]), *["0"] * len(spread.columns)),),
+        raise table.error(int(again.argmax()), of, "one value of each station at a time")
+    lines = frame.drop_duplicates("time")  # The first line of each time stands for it.
+    spread = frame.pivot(index="time", columns="of", values="value").loc[lines["time"]]
+    table.notes.append(f"a line for each value: {of} names the station")
+    return replace(
+        table,
+        fields=spread.set_axis(lines.index),
+        stamps=table.stamps[lines.index],
+        units=dict.fromkeys(spread.columns, table.units[value]),
     )
-    return replace(table, layout=layout, fields=fields)
 
 
 def _factors(table: CsvTable, columns: Sequence[str], stated: str | None) -> Floats:
     """Return by what the values of each column are multiplied, by their units."""
     factors = []
     for column in columns:
-        unit = stated or table.unit(column)
+        unit = stated or table.units[column]
         factor = irradiance_factor(unit) if unit else 1.0
         if factor is None:
             raise InputError(
@@ -289,7 +281,7 @@ def checked_ghi(
         when = " by night" if lowest[row] == GHI_NIGHT_MIN_WM2 else ""
         expected = f"{lowest[row]:g} to {GHI_MAX_WM2:g} W/m2{when}"
         raise table.error(int(row), columns[column], expected)
-    is_faint = 0.0 < largest < _KILOWATT_BELOW and unit is None and not table.unit(columns[0])
+    is_faint = 0.0 < largest < _KILOWATT_BELOW and unit is None and not table.units[columns[0]]
     if is_faint and clear_ghi(times[:: len(times) // 1000 + 1], coordinates).max() > 50.0:
         raise InputError(
             f"{table.name}: expected W/m2, with a maximum of at least {_KILOWATT_BELOW:g}, got at "

@@ -59,8 +59,6 @@ def read_day(
     coordinates = read_coordinates(positions_csv, wanted)
     path = folder / f"{day:%Y%m%d}.txt"
     table = read_csv(path, header=_FIELDS)
-    if table.fields.shape[1] != len(_FIELDS):
-        raise InputError(f"{path}: expected {len(_FIELDS)} fields, got {table.fields.shape[1]}")
     times = _times(table, day)
     ghi_wm2 = table.numbers(wanted, f"a number, {MISSING:g} where it is missing")
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
@@ -91,7 +89,7 @@ def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:
     second_of_day = hour * 3600.0 + minute * 60.0 + second
     midnight = pd.Timestamp(day).tz_localize(TIMEZONE).tz_convert("UTC")
     times = pd.DatetimeIndex(midnight + pd.to_timedelta(second_of_day, unit="s")).as_unit("ns")
-    table.check_steady("second", times.asi8)
+    table.steady("second", times.asi8)
     return times
 
 

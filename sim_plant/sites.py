@@ -77,7 +77,7 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
         raise InputError(f"{path.name}: expected 1 to {MOST_INVERTERS:,} lines, got {len(names):,}")
     for name in names:
         check_name(name, path.name)
-    if "rating_kw" in table.header:
+    if "rating_kw" in table.value_columns:
         smallest_kw = float(np.nextafter(0.0, 1.0))
         expected = "a number above 0, up to 1e7"
         rating_kw = table.numbers(("rating_kw",), expected, smallest_kw, 1e7)[:, 0]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from typing import Final, Literal
-from zoneinfo import ZoneInfo, available_timezones
+from zoneinfo import available_timezones
 
 import pandas as pd
 from pandas.tseries.api import guess_datetime_format
 
 from bus_schemas.errors import InputError
-from sim_plant.table_layout import Layout, is_time, name_and_unit
+from sim_plant.table_layout import Layout, is_clock, is_date, name_and_unit
 
 _ZONED: Final = r"(?:\d\d:\d\d(?::\d\d(?:\.\d+)?)?|T\d{4,6})\s*(?:Z|[+-]\d\d(?::?\d\d)?)$"
 _PLAIN: Final = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d)?(Z|[+-]\d\d:\d\d)")
@@ -21,12 +21,12 @@ _FIXED: Final = {
 """Zones by the short names that archives write in a header, or after the time."""
 
 _PARTS: Final = {
-    "year": ("year", "yr", "yyyy", "jahr", "année", "year_rtm"),
-    "month": ("month", "mo", "mm", "monat", "mois"),
-    "day": ("day", "dd", "tag", "jour", "doy", "day of year", "jday", "julian day", "day_rtm"),
-    "hour": ("hour", "hr", "hh", "stunde", "heure"),
+    "year": ("year", "yr", "yyyy", "jahr", "year_rtm"),
+    "month": ("month", "mo", "mm", "monat"),
+    "day": ("day", "dd", "tag", "doy", "day of year", "jday", "julian day", "day_rtm"),
+    "hour": ("hour", "hr", "hh", "stunde"),
     "minute": ("minute", "min", "mi"),
-    "second": ("second", "sec", "ss", "sekunde", "seconde"),
+    "second": ("second", "sec", "ss", "sekunde"),
     "clock": (
         *("time", "zeit", "uhrzeit", "hhmm", "hourmin", "hour_minute", "hour_minute_rtm"),
         *("utc_time", "lst_time"),
@@ -34,7 +34,6 @@ _PARTS: Final = {
 }
 """Names of columns that hold a part of the time stamp; a day without a month is of the year."""
 
-_CLOCK: Final = re.compile(r"\d{1,2}:\d{2}(:\d{2}.*)?( [AaPp][Mm])?")
 _EPOCH_UNITS: Final[dict[int, Literal["s", "ms", "us", "ns"]]] = {
     10: "s",
     13: "ms",
@@ -42,6 +41,14 @@ _EPOCH_UNITS: Final[dict[int, Literal["s", "ms", "us", "ns"]]] = {
     19: "ns",
 }
 _EXCEL_DAYS: Final = (30_000.0, 80_000.0)
+_AS_PANDAS_HAS_IT: Final = {
+    r"\s{2,}": " ",
+    r"(:\d\d),(\d)": r"\1.\2",
+    r"^(\d{4})[/.](\d{1,2})[/.]": r"\1-\2-",
+    r"^(\d{1,2}([-/.])\d{1,2}\2)(\d\d)(?!\d)": r"\g<1>20\3",
+}
+_MOST_FORMS: Final = 3
+"""Forms of time stamps in one file, such as with and without a fraction."""
 
 
 def _parts(layout: Layout) -> dict[str, int]:
@@ -60,19 +67,16 @@ def stamp_columns(layout: Layout) -> tuple[int, ...]:
     """Return the columns that make up a time stamp."""
     if parts := _parts(layout):
         return tuple(parts.values())
-    row = layout.sample[0] if layout.sample else ()
-    dated = [at for at, cell in enumerate(row) if _has_date(cell)]
-    clocks = [at for at, cell in enumerate(row) if _CLOCK.fullmatch(cell)]
-    if not dated:
-        dated = [at for at, cell in enumerate(row) if re.fullmatch(r"(19|20)\d{6}", cell)]
-        names = [name.strip().lower() for name in layout.header]
-        of_digits = [at for at, name in enumerate(names[: len(row)]) if name in _PARTS["clock"]]
-        clocks = clocks or [at for at in of_digits if re.fullmatch(r"\d{1,6}", row[at])]
-        if not dated or not clocks:
-            return (clocks[0] if clocks else 0,)
-    if ":" not in row[dated[0]] and clocks and not re.search(r"[T ]\d", row[dated[0]]):
+    row = list(enumerate(layout.first))
+    of_digits = [at for at, cell in row if re.fullmatch(r"(19|20)\d{6}", cell)]
+    dated = [at for at, cell in row if is_date(cell)] or of_digits
+    clocks = [at for at, cell in row if is_clock(cell)]
+    for at, cell in row:
+        if layout.header[at].strip().lower() in _PARTS["clock"] and cell.isdigit():
+            clocks.append(at)
+    if dated and clocks and not re.search(r":|\dT\d|^\d{8}[ .]\d", layout.first[dated[0]]):
         return dated[0], clocks[0]
-    return (dated[0],)
+    return ((dated or clocks or [0])[0],)
 
 
 def stamp_text(layout: Layout, fields: pd.DataFrame) -> pd.Series:
@@ -80,23 +84,19 @@ def stamp_text(layout: Layout, fields: pd.DataFrame) -> pd.Series:
     cells = [fields.iloc[:, at].astype(str).str.strip() for at in stamp_columns(layout)]
     parts = dict(zip(_parts(layout), cells, strict=False))
     if not parts:
-        return cells[0] if len(cells) == 1 else _digits_as_date(cells[0]) + " " + _clock(cells[1])
+        date = cells[0].str.replace(r"^(\d{4})(\d\d)(\d\d)$", r"\1-\2-\3", regex=True)
+        return cells[0] if len(cells) == 1 else date + " " + _clock(cells[1])
     if "month" in parts:
         date = parts["year"] + "-" + parts["month"].str.zfill(2) + "-" + parts["day"].str.zfill(2)
     else:
-        days = pd.to_datetime(
-            parts["year"] + parts["day"].str.zfill(3), format="%Y%j", errors="coerce"
-        )
-        date = days.dt.strftime("%Y-%m-%d").fillna(parts["year"] + "-" + parts["day"])
+        of_year = parts["year"] + parts["day"].str.zfill(3)
+        days = pd.to_datetime(of_year, format="%Y%j", errors="coerce")
+        date = days.dt.strftime("%Y-%m-%d").fillna(of_year)
     if "clock" in parts:
         return date + " " + _clock(parts["clock"])
     nought = pd.Series("00", fields.index)
     times = [parts.get(part, nought).str.zfill(2) for part in ("hour", "minute", "second")]
     return date + " " + times[0] + ":" + times[1] + ":" + times[2]
-
-
-def _digits_as_date(text: pd.Series) -> pd.Series:
-    return text.str.replace(r"^(\d{4})(\d\d)(\d\d)$", r"\1-\2-\3", regex=True)
 
 
 def _clock(text: pd.Series) -> pd.Series:
@@ -107,10 +107,6 @@ def _clock(text: pd.Series) -> pd.Series:
     return digits.str.replace(r"^(\d\d)(\d\d)(\d\d)?$", r"\1:\2:\3", regex=True).str.rstrip(":")
 
 
-def _has_date(cell: str) -> bool:
-    return is_time(cell) and re.match(r"\d{1,2}:\d{2}", cell) is None
-
-
 def parsed_stamps(
     text: pd.Series, hint: str, dates: str | None, name: str
 ) -> tuple[pd.Series, list[str]]:
@@ -118,98 +114,81 @@ def parsed_stamps(
 
     `hint` is their header. `dates`: `day-first` or `month-first`, where the stamps leave it open.
     """
-    if _PLAIN.fullmatch(str(text.iloc[0]) if len(text) else ""):
+    first = text.iloc[0] if len(text) else ""
+    if _PLAIN.fullmatch(first):  # Fast, for large files.
         plain = pd.to_datetime(text, utc=True, errors="coerce")  # All are as the first one.
         if not plain.isna().any():
             return plain, []
-    text = text.str.strip().str.replace(r"\s{2,}", " ", regex=True)
-    first = text.iloc[0] if len(text) else ""
-    if re.fullmatch(r"\d+([.,]\d+)?", first):
-        return _of_numbers(text.str.replace(",", ".", regex=False), first.replace(",", "."), hint)
+    if (of_numbers := _of_numbers(text, first)) is not None:
+        return of_numbers
     zone, notes = _named_zone(hint), list[str]()
-    if re.match(r"\d{4}-\S+/\d{4}-", first):  # An interval: begin and end.
-        text, first = text.str.partition("/")[0], first.partition("/")[0]
-        notes.append("time stamps are intervals, of which the begin was taken")
     if zone:
         notes.append(f"time stamps are in {zone}, as the header says")
-    if ending := re.search(r"\s([A-Z]{3,4})$", first):
-        zone = _FIXED.get(ending[1], "")
-        text = text.str.removesuffix(ending[0]) if zone else text
+    if re.match(r"\d{4}-\S+/\d{4}-", first):  # An interval: begin and end.
+        text = text.str.partition("/")[0]
+        notes.append("time stamps are intervals, of which the begin was taken")
+    if (ending := re.search(r" ([A-Z]{3,4})$", first)) and ending[1] in _FIXED:
+        zone, text = _FIXED[ending[1]], text.str.removesuffix(ending[0])
+    for old, new in _AS_PANDAS_HAS_IT.items():
+        if re.search(old, first):
+            text = text.str.replace(old, new, regex=True)
     midnight = text.str.contains(r"[T ]24:00", regex=True)
-    if midnight.any():
-        text = text.str.replace(r"([T ])24:00", r"\g<1>00:00", regex=True)
-    if "," in first:
-        text = text.str.replace(r"(:\d\d),(\d)", r"\1.\2", regex=True)
+    text = text.str.replace(r"([T ])24:00", r"\g<1>00:00", regex=True) if midnight.any() else text
     zoned = text.str.contains(_ZONED, regex=True)
     is_zoned = bool(zoned.any())
     found = _parsed(text.where(zoned) if is_zoned else text, dates, name, utc=is_zoned)
     found = found + pd.to_timedelta(midnight.astype(int), unit="D")
-    if zone and not is_zoned:
-        found = found.dt.tz_localize(zone)
-    return found, notes
+    return (found.dt.tz_localize(zone) if zone and not is_zoned else found), notes
 
 
 def _named_zone(hint: str) -> str:
+    """Return the zone that a header names: GMT-07:00, MST, Europe/Berlin."""
+    if offset := re.search(r"(?:UTC|GMT) ?([+-])(\d{1,2})(?::?(\d\d))?", hint):
+        return f"UTC{offset[1]}{offset[2]:0>2}:{offset[3] or '00'}"
     words = re.findall(r"[A-Za-z]+(?:/[A-Za-z_]+)*", hint)
     fixed = [_FIXED[word.upper()] for word in words if word.upper() in _FIXED]
-    return (
-        fixed[0]
-        if fixed
-        else next((one for one in words if "/" in one and one in available_timezones()), "")
-    )
+    named = [word for word in words if "/" in word and word in available_timezones()]
+    return next(iter(fixed + named), "")
 
 
-def _of_numbers(text: pd.Series, first: str, hint: str) -> tuple[pd.Series, list[str]]:
-    """Read seconds since 1970, days of a spreadsheet, or digits without marks."""
-    whole = first.partition(".")[0]
-    if len(whole) in {8, 12, 14} and whole[:2] in {"19", "20"}:
-        form = "%Y%m%d%H%M%S"[: {8: 6, 12: 10, 14: 12}[len(whole)]]
-        found = pd.to_datetime(text, format=form, errors="coerce")
-        zone = _named_zone(hint)
-        return (found.dt.tz_localize(zone) if zone else found), []
-    numbers = pd.to_numeric(text, errors="coerce")
-    unit = _EPOCH_UNITS.get(len(whole))
+def _of_numbers(text: pd.Series, first: str) -> tuple[pd.Series, list[str]] | None:
+    """Read seconds since 1970, or days of a spreadsheet; None: they are something else."""
+    if not re.fullmatch(r"\d+([.,]\d+)?", first):
+        return None
+    numbers = pd.to_numeric(text.str.replace(",", ".", regex=False), errors="coerce")
+    unit = _EPOCH_UNITS.get(len(re.split("[.,]", first)[0]))
     if unit:
-        note = f"time stamps are {unit} since 1970"
-        return pd.to_datetime(numbers, unit=unit, utc=True, errors="coerce").dt.round("us"), [note]
-    if "." in first and _EXCEL_DAYS[0] < numbers.iloc[0] < _EXCEL_DAYS[1]:
+        found = pd.to_datetime(numbers, unit=unit, utc=True, errors="coerce").dt.round("us")
+        return found, [f"time stamps are {unit} since 1970"]
+    if not first.isdigit() and _EXCEL_DAYS[0] < numbers.iloc[0] < _EXCEL_DAYS[1]:
         found = pd.Timestamp("1899-12-30") + pd.to_timedelta(numbers, unit="D")
         return found.dt.round("s"), ["time stamps are a spreadsheet's days since 1899-12-30"]
-    return pd.Series(pd.NaT, index=text.index), []
+    return None
 
 
 def _parsed(text: pd.Series, dates: str | None, name: str, *, utc: bool) -> pd.Series:
-    known = text.dropna()
-    first = known.iloc[0] if len(known) else ""
-    if re.match(r"\d{1,2}:\d\d", first):  # Without a date, for which pandas takes today.
-        return pd.Series(pd.NaT, index=text.index)
-    is_12_hours = re.search(r"[AaPp][Mm]$", first) is not None
-    if re.match(r"\d{4}[-/.]", first) and not is_12_hours:
-        if first[4] != "-":
-            text = text.str.replace(first[4], "-", n=2, regex=False)
-        return pd.to_datetime(text, format="ISO8601", utc=utc, errors="coerce")
-    day_first = _is_day_first(known, first, dates, name)
-    form = _of_12_hours(first, day_first) if is_12_hours else None
-    form = form or guess_datetime_format(first, dayfirst=day_first) or "mixed"
-    found = pd.to_datetime(text, format=form, dayfirst=day_first, utc=utc, errors="coerce")
-    again = found.isna() & text.notna()
-    if again.any():  # Of another form than the first one, such as without a fraction.
-        other: pd.Series = text[again]
-        found[again] = pd.to_datetime(
-            other, errors="coerce", dayfirst=day_first, utc=utc, format="mixed"
-        )
+    """Read time stamps of some forms strictly: a lenient reader finds a time in any text."""
+    found = pd.Series(pd.NaT, text.index, dtype="datetime64[us, UTC]" if utc else "datetime64[us]")
+    for _ in range(_MOST_FORMS):
+        left: pd.Series = text[found.isna() & text.notna()]
+        form = _form(left, dates, name) if len(left) else None
+        if form is None:
+            break
+        found[left.index] = pd.to_datetime(left, format=form, utc=utc, errors="coerce")
     return found
 
 
-def _of_12_hours(first: str, day_first: bool) -> str | None:
-    """Return the form of time stamps with AM or PM, if their date is of numbers."""
-    found = re.fullmatch(r"(\d{1,4})([-/.])\d{1,2}\2(\d{1,4}) \d{1,2}:\d\d(:\d\d)?( ?)..", first)
-    if found is None:
-        return None
-    year = "%Y" if len(found[3]) == 4 else "%y"
-    order = ("%d", "%m", year) if day_first else ("%m", "%d", year)
-    date = found[2].join(("%Y", "%m", "%d") if len(found[1]) == 4 else order)
-    return f"{date} %I:%M{':%S' if found[4] else ''}{found[5]}%p"
+def _form(text: pd.Series, dates: str | None, name: str) -> str | None:
+    """Return the form of the first time stamp as pandas knows it; None: it is none."""
+    first = text.iloc[0]
+    half = re.search(r" ?[AaPp][Mm]$", first)
+    if re.match(r"\d{4}-", first) and half is None:
+        return "ISO8601"
+    day_first = re.match(r"\d{4}", first) is None and _is_day_first(text, first, dates, name)
+    form = guess_datetime_format(first.removesuffix(half[0] if half else ""), dayfirst=day_first)
+    if half is None or form is None:
+        return form
+    return form.replace("%H", "%I") + half[0][:-2] + "%p"
 
 
 def _is_day_first(text: pd.Series, first: str, dates: str | None, name: str) -> bool:
@@ -240,10 +219,8 @@ def with_zone(times: pd.DatetimeIndex, timezone: str | None) -> tuple[pd.Datetim
             "expected time stamps with Z or an offset, such as 2013-09-08T09:15:00Z, or their zone "
             f"(irradiance.timezone, --timezone), got {times[0].isoformat()}"
         )
-    zone = ZoneInfo(timezone)
     try:
-        local = times.tz_localize(zone, ambiguous="infer", nonexistent="NaT")
+        local = times.tz_localize(timezone, ambiguous="infer", nonexistent="NaT")
     except ValueError:  # No time comes twice, so that none tells which one it is.
-        local = times.tz_localize(zone, ambiguous="NaT", nonexistent="NaT")
-    note = f"time stamps without an offset are taken as {timezone}"
-    return local.tz_convert("UTC"), [note]
+        local = times.tz_localize(timezone, ambiguous="NaT", nonexistent="NaT")
+    return local.tz_convert("UTC"), [f"time stamps without an offset are taken as {timezone}"]

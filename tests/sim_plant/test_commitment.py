@@ -112,7 +112,7 @@ def test_all_times_out_of_order_are_told_at_once(tmp_path: Path) -> None:
     [
         ("2000\n", "-2000\n", "bids.csv: line 3, column 'commitment_kw'"),
         ("22:00:02Z", "20:00:00Z", "bids.csv: line 3, column 'begins'"),
-        (SCHEDULE, SCHEDULE.splitlines()[0], "bids.csv: expected at least 2 rows"),
+        (SCHEDULE, SCHEDULE.splitlines()[0], "bids.csv: line 1: expected a header, then values"),
     ],
 )
 def test_one_wrong_field_is_located(tmp_path: Path, old: str, new: str, complaint: str) -> None:

@@ -407,7 +407,7 @@ REFUSED = {
     ),
     "points between date and time (borealis#332)": (
         Kind(table(local("%Y%m%d.%H%M%S.000000"))),
-        "line 3, column 'time'",
+        "line 2, column 'time': expected a time stamp",
     ),
     "month and day alone (naiveproxy#356)": (
         Kind(table(local("%m%d/%H%M%S"))),
