@@ -70,10 +70,10 @@ class Driver:
     def advance(self, loop: Loop[Any], *, is_overdue: bool = False) -> None:
         """Close the open stage if it is overdue, and all that are complete; publish the outputs."""
         bus, now_ns = self.bus, self.now_ns
-        while is_overdue or loop.is_complete:
+        while (sent := loop.close_stage(now_ns(), is_overdue=is_overdue)) is not None:
             is_overdue = False
             self.closed += 1
-            for port, message in loop.close_stage(now_ns()):
+            for port, message in sent:
                 bus.publish(port, message, now_ns())
         deadline_ns = loop.deadline_ns
         if deadline_ns is not None and deadline_ns != self._deadline_of[loop.name]:

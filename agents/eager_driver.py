@@ -29,11 +29,11 @@ class EagerDriver(Driver):
         self._error: Exception | None = None
 
     def run(self) -> Iterator[Sequence[Arrival]]:
-        self._zenoh.inbox.on_enough = self._act_at_once
+        self._zenoh.inbox.on_enough = self._act
         with self._lock:
             for loop in self.loops.values():
                 self.advance(loop)
-            self._act()
+        self._act(on_own_thread=True)
         while not self.finished:
             yield self.turn()
 
@@ -43,10 +43,7 @@ class EagerDriver(Driver):
             until_ns = self._until_ns(longest_ns)
             self._sleeps_to_ns = inf if until_ns is None else until_ns
         self._zenoh.inbox.sleep(self._zenoh.timeout_s(until_ns))
-        with self._lock:
-            arrivals = self._act()
-            self._close_overdue(self.now_ns())
-            arrivals += self._act()
+        arrivals = self._act(on_own_thread=True)
         if self._error is not None:
             raise self._error
         return arrivals
@@ -56,26 +53,30 @@ class EagerDriver(Driver):
         with self._lock:
             self._zenoh.inbox.on_enough = self._zenoh.inbox.wake
 
-    def _act_at_once(self) -> None:
-        """Act on the bus's thread, which must outlive a fault of ours."""
-        is_earlier = False
+    def _act(self, *, on_own_thread: bool = False) -> list[Arrival]:
+        """Act until less has come than is wanted; the agent's own thread closes what is overdue.
+
+        Zenoh's thread must outlive a fault of ours: the agent's own raises it.
+        """
+        arrivals: list[Arrival] = []
+        is_earlier, closes_overdue = False, on_own_thread
         try:
             with self._lock:
-                self._act()
+                while True:
+                    taken = self._zenoh.arrivals(self._zenoh.inbox.take())
+                    self._act_on(taken)
+                    arrivals += taken
+                    if self._zenoh.want(self._wanted):
+                        continue
+                    if not closes_overdue:
+                        break
+                    closes_overdue = False
+                    self._close_overdue(self.now_ns())
                 # The first deadline of a run: the agent's own thread sleeps without one.
                 deadline_ns = self._next_deadline_ns()
                 is_earlier = deadline_ns is not None and deadline_ns < self._sleeps_to_ns
         except Exception as error:
             self._error = error
-        if self._error is not None or is_earlier or self.finished:
+        if not on_own_thread and (self._error is not None or is_earlier or self.finished):
             self._zenoh.inbox.wake()
-
-    def _act(self) -> list[Arrival]:
-        """Act on what has come, until there is less than is wanted."""
-        arrivals: list[Arrival] = []
-        while True:
-            taken = self._zenoh.arrivals(self._zenoh.inbox.take())
-            self._act_on(taken)
-            arrivals += taken
-            if not self._zenoh.want(self._wanted):
-                return arrivals
+        return arrivals

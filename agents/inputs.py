@@ -165,42 +165,38 @@ class Inputs:
             one.forget()
             one.ahead = kept
 
-    def admits(self, one: Input, message: Message, cycle: int) -> bool:
-        """Return whether to accept it: newest process, cycle within the horizon."""
+    def take(self, one: Input, message: Message, cycle: int) -> bool:
+        """Take in a message, or refuse it and return False.
+
+        One of a cycle to come is kept: it may overtake the dispatch that lets an agent join. Before
+        that an agent does not know which cycle is under way, and keeps the newest message. One with
+        a bad number is not used, and keeps no agent waiting.
+        """
         of = message.cycle
-        if (
+        # Nearly all are of this cycle, and from the process that is known.
+        if not (
             one.newest_cycle < of == cycle < self._cycles
             and message.incarnation == one.incarnation
             and not one.ahead
             and not of % one.period
         ):
-            return True  # As nearly all are: in its cycle, from the process that is known.
-        place = Place(cycle, self._horizon, self._cycles)
-        for cause, is_refused, why in REFUSALS:
-            if is_refused(one, message, place):
-                self.drop(cause, one.port, message, why.format(one=one, m=message, at=place), cycle)
-                return False
-        return True
-
-    def keep(self, one: Input, message: Message, cycle: int) -> None:
-        """Keep a message of a cycle to come: it may overtake the dispatch that lets an agent join.
-
-        Before that an agent does not know which cycle is under way, and keeps the newest message.
-        """
-        if cycle < 0 and message.cycle > self._horizon:
-            one.ahead.clear()
-        one.ahead[message.cycle] = message
-
-    def take(self, one: Input, message: Message, cycle: int) -> None:
-        """Make a message the newest of its input; with a bad number it keeps no agent waiting."""
-        if message.cycle <= one.newest_cycle or message.incarnation < one.incarnation:
-            self.drop(Cause.LATE, one.port, message, "was overtaken", cycle)
-            return
-        one.newest_cycle = message.cycle
+            place = Place(cycle, self._horizon, self._cycles)
+            for cause, is_refused, why in REFUSALS:
+                if is_refused(one, message, place):
+                    words = why.format(one=one, m=message, at=place)
+                    self.drop(cause, one.port, message, words, cycle)
+                    return False
+        if of > cycle:
+            if cycle < 0 and of > self._horizon:
+                one.ahead.clear()
+            one.ahead[of] = message
+            return True
+        one.newest_cycle = of
         if is_within(message, one.bounds):
             one.newest, one.incarnation = message, message.incarnation
         else:
             self.drop(Cause.OUT_OF_RANGE, one.port, message, "contains a value out of range", cycle)
+        return True
 
     def take_order(self, port: Port[Message], order: Order, cycle: int) -> None:
         """Take in an order, which may come in any cycle, unless it has been long on its way."""

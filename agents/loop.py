@@ -82,12 +82,6 @@ class Loop(Generic[S]):
     def finished(self) -> bool:
         return self.cycle >= self.times.end_cycle
 
-    @property
-    def is_complete(self) -> bool:
-        if self.waiting or self._position >= len(self._stages):
-            return False
-        return self.deadline_ns is None or not self._stages[self._position].timed
-
     # What comes in --------------------------------------------------------------------------------
 
     def hear(self, port: Port[Message], message: Message, time_ns: int) -> None:
@@ -98,14 +92,10 @@ class Loop(Generic[S]):
             inputs.drop(Cause.WRONG_SENDER, port, message, f"is from {message.source!r}", cycle)
         elif one is None:
             self._hear_event(port, message, time_ns)
-        elif not message.cycle < 0 <= cycle and inputs.admits(one, message, cycle):
+        elif not message.cycle < 0 <= cycle and inputs.take(one, message, cycle):
             if port is _DISPATCH:
                 self._hear_dispatch(one, message, time_ns)
-            if message.cycle <= self.cycle:
-                inputs.take(one, message, self.cycle)
-            else:
-                inputs.keep(one, message, self.cycle)
-            if message.cycle == self.cycle and port in self.waiting:
+            if message.cycle == cycle and port in self.waiting:
                 self.waiting.discard(port)
                 if not self.waiting:
                     self._ready_ns = time_ns
@@ -168,6 +158,8 @@ class Loop(Generic[S]):
         cycle = times.goes_on_in(cycle, now_ns) or cycle
         log.info("joined the run in cycle %d", cycle)
         self.begin(start_ns, now_ns, cycle)
+        if dispatch.cycle < cycle:
+            self.inputs.take(self.inputs.of[_DISPATCH], dispatch, cycle)
 
     def end_before(self, cycle: int) -> None:
         """Let the run end before a cycle: those up to it are still completed."""
@@ -217,11 +209,17 @@ class Loop(Generic[S]):
             self.waiting = {port for port in stage.awaits if inputs[port].newest_cycle != cycle}
             self.waiting -= self.inputs.given_up
 
-    def close_stage(self, now_ns: int) -> list[Delivery]:
-        """Close the open stage with what there is; return what the agent sends."""
-        stage, cycle = self._stages[self._position], self.cycle
+    def close_stage(self, now_ns: int, *, is_overdue: bool = False) -> list[Delivery] | None:
+        """Close the open stage if it is complete or overdue; return what the agent sends.
+
+        None: the stage stays open, or there is none.
+        """
+        if self._position >= len(self._stages) or (self.waiting and not is_overdue):
+            return None
+        stage, cycle, deadline_ns = self._stages[self._position], self.cycle, self.deadline_ns
+        if stage.timed and deadline_ns is not None and not is_overdue:
+            return None
         if self.waiting or stage.timed:
-            deadline_ns = self.deadline_ns
             self._ready_ns = now_ns if deadline_ns is None else deadline_ns
             self.inputs.missing += len(self.waiting)
         inputs, missing = self.inputs.used(stage, cycle)

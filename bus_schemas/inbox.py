@@ -36,7 +36,7 @@ class Inbox:
 
     def __init__(self) -> None:
         self.dropped: Counter[tuple[str, str]] = Counter()
-        self.on_enough: Callable[[], None] = self.wake
+        self.on_enough: Callable[[], object] = self.wake
         self._waiting: Counter[Port[Message]] = Counter()
         self._items: deque[tuple[Port[Message], zenoh.ZBytes, int]] = deque()
         self._wanted = _NEVER

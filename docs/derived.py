@@ -369,7 +369,7 @@ def _cycles() -> list[list[tuple[Port[Message], Message]]]:
         for port, message in one:
             ours.hear(port, message, 0)
         for _ in ("estimate", "actuate"):
-            for port, message in ours.close_stage(0):
+            for port, message in ours.close_stage(0, is_overdue=True) or ():
                 message.ready_time_ns = message.publish_time_ns = 0
                 message.sequence = cycle
                 one.append((port, message))

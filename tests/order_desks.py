@@ -66,8 +66,8 @@ class PlantByHand:
 
     def go_on(self) -> Dispatch:
         """Go through a cycle; return its dispatch."""
-        dispatch = dict(self.loop.close_stage(0))[DISPATCH.of(ROOT)]
-        self.loop.close_stage(0)
+        dispatch = dict(self.loop.close_stage(0, is_overdue=True) or ())[DISPATCH.of(ROOT)]
+        self.loop.close_stage(0, is_overdue=True)
         assert isinstance(dispatch, Dispatch)
         return dispatch
 

@@ -57,8 +57,8 @@ class AtWork:
         for port, message in deliveries:
             self.loop.hear(port, message, self._now_ns)
         sent: dict[Port[Message], Message] = {}
-        while self.loop.is_complete:
-            sent.update(self.loop.close_stage(self._now_ns))
+        while (some := self.loop.close_stage(self._now_ns)) is not None:
+            sent.update(some)
         return sent
 
     def at_deadline(self, stage: str = "") -> dict[Port[Message], Message]:
@@ -66,7 +66,7 @@ class AtWork:
         assert stage in {"", self.loop.stage}
         assert self.loop.deadline_ns is not None
         self._now_ns = self.loop.deadline_ns
-        sent = dict(self.loop.close_stage(self._now_ns))
+        sent = dict(self.loop.close_stage(self._now_ns, is_overdue=True) or ())
         return sent | self.hear()
 
 

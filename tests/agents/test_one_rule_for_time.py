@@ -174,13 +174,13 @@ def test_missing_names_exactly_the_unused_inputs(
     newest: dict[str, int] = {}
     for event in events:
         if event is None:
-            sent += notices(loop.close_stage(0))
+            sent += notices(loop.close_stage(0, is_overdue=True))
         else:
             name, offset = event
             cycle = max(loop.cycle + offset, 0)
             loop.hear(*MAKE[name](cycle - cycle % (TURN if name == "s" else 1), 1.0), 0)
-        while loop.is_complete:
-            sent += notices(loop.close_stage(0))
+        while (some := loop.close_stage(0)) is not None:
+            sent += notices(some)
     assert [notice.cycle for notice in sent] == list(range(len(sent)))
     for notice in sent:
         entries = {entry.key: entry.cycle for entry in map(parse_missing, notice.missing)}
@@ -199,8 +199,8 @@ def test_missing_names_exactly_the_unused_inputs(
         assert entries == {}
 
 
-def notices(sent: list[Delivery]) -> list[Notice]:
-    return [message for _, message in sent if isinstance(message, Notice)]
+def notices(sent: list[Delivery] | None) -> list[Notice]:
+    return [message for _, message in sent or () if isinstance(message, Notice)]
 
 
 # Beginning and end --------------------------------------------------------------------------------
@@ -214,8 +214,7 @@ def armed(plan: RunPlan) -> Loop[int]:
     loop = Loop(Clerk(), plan)
     for port, message in (dispatch(ROUND, 1.0, 200.0), *both(ROUND), *both(ROUND)):
         loop.hear(port, message, 0)
-    assert loop.is_complete
-    loop.close_stage(0)
+    assert loop.close_stage(0) is not None
     return loop
 
 
@@ -227,9 +226,8 @@ def test_arming_rounds_leave_no_trace(run_plan: RunPlan) -> None:
     for round_ in (-2, -1, -1, -2):
         for port, message in both(round_):
             loop.hear(port, message, 0)
-    assert not loop.is_complete
-    (_, notice), *_ = loop.close_stage(0)
-    assert isinstance(notice, Notice)
+    assert loop.close_stage(0) is None
+    (notice,) = notices(loop.close_stage(0, is_overdue=True))
     assert (notice.cycle, notice.count) == (0, 1), "its state is the initial one"
     assert notice.missing == ("c1/a/impp", "c1/b/impp", "c1/setpoint", "dispatch")
     assert loop.inputs.dropped == {}
@@ -239,16 +237,18 @@ def test_messages_of_an_arming_round_may_overtake_its_dispatch() -> None:
     loop = Loop(Clerk(), LOCKSTEP)
     for delivery in (*both(ROUND), *both(ROUND + 1), dispatch(ROUND + 1, 1.0, 200.0)):
         loop.hear(*delivery, 0)
-    assert (loop.cycle, loop.is_complete) == (ROUND + 1, True)
+    assert loop.cycle == ROUND + 1
+    assert loop.close_stage(0) is not None
 
 
 def test_messages_of_cycle_0_may_overtake_the_beginning_of_the_run() -> None:
     loop = armed(LOCKSTEP)
     for delivery in both(0):
         loop.hear(*delivery, 0)
-    assert not loop.is_complete
+    assert loop.close_stage(0) is None
     loop.hear(*RUN_START, 0)
-    assert (loop.cycle, loop.is_complete) == (0, True)
+    assert loop.cycle == 0
+    assert loop.close_stage(0) is not None
 
 
 def test_messages_of_the_cycle_in_which_one_joins_may_overtake_its_dispatch() -> None:
@@ -257,7 +257,8 @@ def test_messages_of_the_cycle_in_which_one_joins_may_overtake_its_dispatch() ->
         for delivery in both(cycle):
             loop.hear(*delivery, 0)
     loop.hear(*dispatch(20, 1.0, 200.0), 0)
-    assert (loop.cycle, loop.is_complete, loop.inputs.dropped) == (20, True, {})
+    assert (loop.cycle, loop.inputs.dropped) == (20, {})
+    assert loop.close_stage(0) is not None
 
 
 def test_whoever_wakes_late_goes_to_the_cycle_under_way() -> None:
@@ -346,7 +347,7 @@ def test_a_stop_holds_until_the_plant_goes_on() -> None:
         stopped = [(RUN.of(ROOT), LOCKSTEP.run_message("stop", stop, 0)) for stop in stops]
         for port, message in (dispatch(cycle, 1.0, 200.0), *both(cycle), *stopped):
             loop.hear(port, message, 0)
-        return loop.is_complete and bool(loop.close_stage(0))
+        return bool(loop.close_stage(0))
 
     assert goes_on(0, 0), "a stop before a cycle that has begun"
     assert goes_on(1, 3)

@@ -141,13 +141,13 @@ def _without_settings(right: Function) -> Function:
 
 
 def _hears_all(right: Function) -> Function:
-    """Return an `admits` that does not know that a process has been replaced."""
+    """Return a `take` that does not know that a process has been replaced."""
 
-    def admits(self: Any, one: Any, message: Any, cycle: int) -> bool:
+    def take(self: Any, one: Any, message: Any, cycle: int) -> bool:
         one.incarnation = 0
         return bool(right(self, one, message, cycle))
 
-    return admits
+    return take
 
 
 def _holds_longer(more: int) -> Callable[[Function], Function]:
@@ -397,7 +397,7 @@ BUGS: Final[dict[str, Bug]] = {
         "agents.loop:Loop.begin",
         _with(cycle=lambda v: v["cycle"] + 2 if v.get("cycle") else 0),
     ),
-    "a replaced process is heard": Bug("agents.inputs:Inputs.admits", _hears_all),
+    "a replaced process is heard": Bug("agents.inputs:Inputs.take", _hears_all),
     "inputs are held a cycle longer": Bug("agents.inputs:Inputs.__init__", _holds_longer(1)),
     "inputs are forgotten a cycle early": Bug("agents.inputs:Inputs.__init__", _holds_longer(-1)),
     "deadlines are a tenth late": Bug(

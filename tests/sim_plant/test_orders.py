@@ -177,7 +177,7 @@ def dispatch_after(*given: Order, cycle: int = 20) -> Dispatch:
     loop.begin(0, 0, cycle)
     for one in given:
         loop.hear(ORDER.of(ROOT), one, 0)
-    found = dict(loop.close_stage(0))[DISPATCH.of(ROOT)]
+    found = dict(loop.close_stage(0) or ())[DISPATCH.of(ROOT)]
     assert isinstance(found, Dispatch)
     return found
 
