@@ -34,7 +34,6 @@ from results.run_document import (
     WrongMessages,
 )
 from results.timing.devices import devices_of
-from results.timing.measures import prepared
 from results.timing.stages import stage_table
 from scenarios.preparation import Preparation
 from sunspec.process import DeviceAccount
@@ -264,7 +263,7 @@ def _timed(account: ExternalAccount, recording: Path) -> ExternalAccount:
     """Return the account of an external controller with the times of its answers."""
     try:
         with RunReader(recording) as reader:
-            timings = devices_of(prepared(stage_table(reader, ()), reader.plan), reader.plan)
+            timings = devices_of(stage_table(reader, ()), reader.plan)
     except InputError:  # There is nothing to measure.
         return account
     found = {one.agent: one for one in timings}.get(account.agent)

@@ -256,36 +256,20 @@ class BudgetTable(_Table, frozen=True):
     """Upper limits by which a run in real time is judged.
 
     loop_p99_ms: From the plant's tick to its last command. Default: half the cycle.
-    loop_max_ms: The same, in the slowest cycle.
     decision_p99_ms: By tier. Default: each stage's slice, and the paper's upper bounds.
-    lateness_p99_ms: By tier. Default: for the plant's tick 2 % of the cycle, at least 1 ms.
-    age_p99_ms: By tier, for each stage.
     hop_p99_ms: By signal. Default: 10 ms.
     late_cycles_percent: Of the run's cycles; late is one in which any of our agents missed a
         deadline, overran or published nothing. Default: 1.
-    missed_deadlines: In the whole run, of all tiers. Default: any number.
-    overruns: In the whole run, of all tiers. Default: any number.
-    skipped_cycles: In the whole run, of all tiers. Default: any number.
     lost_messages: In the whole run, of all tiers.
-    dropped_messages: In the whole run. Default: any number.
     cpu_percent: By kind; of one core, per process. Default: 80.
-    resident_mb: By kind, per process.
     """
 
     loop_p99_ms: Limit | None = None
-    loop_max_ms: Limit | None = None
     decision_p99_ms: dict[Tier, Limit] = {}
-    lateness_p99_ms: dict[Tier, Limit] = {}
-    age_p99_ms: dict[Tier, Limit] = {}
     hop_p99_ms: dict[HopSignal, Limit] = {}
     late_cycles_percent: Amount = 1.0
-    missed_deadlines: NotNegative | None = None
-    overruns: NotNegative | None = None
-    skipped_cycles: NotNegative | None = None
     lost_messages: NotNegative = 0
-    dropped_messages: NotNegative | None = None
     cpu_percent: dict[AnyKind, Amount] = {}
-    resident_mb: dict[AnyKind, Amount] = {}
 
 
 class AnswerBudgets(_Table, frozen=True):

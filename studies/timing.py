@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -153,43 +153,42 @@ def sweep(lowest_hz: float, highest_hz: float, timed: Callable[[float], TimingRe
     must not end the search. If the very first rate is refused, so is the sweep.
     """
     rows: dict[float, RateRow] = {}
-    for rate_hz in _rates(lowest_hz, highest_hz, rows):
+    rate_hz: float | None = lowest_hz
+    while rate_hz is not None:
         row = _run_at(rate_hz, timed, is_first=not rows)
         if row.outcome == "not clean":
             row = _run_at(rate_hz, timed, is_first=False)
         rows[rate_hz] = row
-        if row.outcome == "interrupted":
-            break
+        rate_hz = _next_hz(Sweep.of(rows.values()), highest_hz)
     return Sweep.of(rows.values())
 
 
 def _run_at(rate_hz: float, timed: Callable[[float], TimingReport], *, is_first: bool) -> RateRow:
     try:
-        return rate_row(timed(rate_hz))
+        report = timed(rate_hz)
     except KeyboardInterrupt:
         return RateRow(rate_hz, "interrupted")
     except (FailureError, InputError) as failure:
         if is_first and isinstance(failure, InputError):
             raise
         return RateRow(rate_hz, "failed", str(failure).splitlines()[0])
+    return rate_row(report)
 
 
-def _rates(rate_hz: float, highest_hz: float, rows: dict[float, RateRow]) -> Iterator[float]:
-    """Yield rates to try; each is run, and has its row, before the next one is asked for."""
-    yield rate_hz
-    while rows[rate_hz].outcome == "clean" and rate_hz < highest_hz:
-        rate_hz = min(2.0 * rate_hz, highest_hz)
-        yield rate_hz
-    while (so_far := Sweep.of(rows.values())).highest_clean_hz and so_far.too_fast_hz:
-        if so_far.too_fast_hz <= so_far.highest_clean_hz * _CLOSE_ENOUGH:
-            return
-        yield float(f"{(so_far.highest_clean_hz * so_far.too_fast_hz) ** 0.5:.3g}")
+def _next_hz(so_far: Sweep, highest_hz: float) -> float | None:
+    clean_hz, too_fast_hz = so_far.highest_clean_hz, so_far.too_fast_hz
+    if so_far.interrupted or clean_hz is None:
+        return None
+    if too_fast_hz is None:
+        return min(2.0 * clean_hz, highest_hz) if clean_hz < highest_hz else None
+    if too_fast_hz <= clean_hz * _CLOSE_ENOUGH:
+        return None
+    return float(f"{(clean_hz * too_fast_hz) ** 0.5:.3g}")
 
 
 def rate_row(report: TimingReport) -> RateRow:
-    run = report.run
+    run, loop_ms = report.run, report.times[report.times["of"] == LOOP].iloc[0]
     failed = [budget.line for budget in report.budgets if not budget.passed]
-    loops = report.times[report.times["of"] == LOOP].to_dict("records")
     return RateRow(
         rate_hz=run.rate_hz,
         outcome="interrupted" if run.interrupted else "clean" if report.passed else "not clean",
@@ -197,22 +196,13 @@ def rate_row(report: TimingReport) -> RateRow:
         cycles=run.cycles,
         late_cycles=run.late_cycles,
         lost_messages=run.lost_messages,
+        **{f"loop_{name}_ms": float(loop_ms[f"{name}_ms"]) for name in ("p50", "p99", "max")},
         host=tuple(host_lines(report)),
-        **{
-            f"loop_{name}_ms": loop[f"{name}_ms"]
-            for loop in loops[:1]
-            for name in ("p50", "p99", "max")
-        },
     )
 
 
 def sweep_result(done: Sweep, scenario: str) -> Result:
     hosts = [row.host for row in done.rows if row.host]
-    reasons = [
-        f"{cycles_per_s(row.rate_hz)} {row.outcome}: {row.reason}"
-        for row in done.rows
-        if row.reason
-    ]
     columns = (
         key_column("rate", "rate_hz"),
         Column("cycles"),
@@ -220,21 +210,20 @@ def sweep_result(done: Sweep, scenario: str) -> Result:
         Column("late cycles", name="late_cycles"),
         Column("lost", name="lost_messages"),
         word_column("", "outcome"),
+        word_column("", "reason"),
     )
     rows = [(f"{row[0]:.4g}", *row[1:]) for row in attributes(done.rows, columns)]
+    verdict = f"FAIL: no rate was clean: {len(done.rows)} tried, try lower ones"
     if done.highest_clean_hz is not None:
         at_least = "at least " if done.too_fast_hz is None else ""
-        verdict = f"PASS: highest clean rate {at_least}{cycles_per_s(done.highest_clean_hz)} "
-        verdict += "(all budgets kept)"
+        highest = f"{at_least}{cycles_per_s(done.highest_clean_hz)}"
+        verdict = f"PASS: highest clean rate {highest} (all budgets kept)"
     elif done.interrupted:
         verdict = "FAIL: interrupted before a rate was found to be clean"
-    else:
-        verdict = f"FAIL: no rate was clean: {len(done.rows)} tried, try lower ones"
     return Result(
         f"{scenario}: loop time against rate",
         [Table("Rates [cycles/s]", columns, rows)],
         done,
         lines=hosts[-1] if hosts else (),
-        conclusions=reasons,
         verdict=(done.highest_clean_hz is not None, verdict),
     )

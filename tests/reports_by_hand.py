@@ -31,18 +31,10 @@ def missed(number: int) -> Iterable[Delivery]:
     return cycle(number, MISSED, {"production": ("c2/d/command",)})
 
 
-def summary_of(
-    folder: Path, plan: RunPlan = PLAN, *, lost: int = 0, dropped: int = 0
-) -> RunDocument:
+def summary_of(folder: Path, plan: RunPlan = PLAN, *, lost: int = 0) -> RunDocument:
     """The summary of a run in this folder that took 10 s: each process 1 s of processor time."""
     accounts = [
-        ProcessAccount(
-            agent,
-            kind_of(agent, plan.tree),
-            {"late": dropped} if dropped else {},
-            40.0,
-            cpu_s=1.0,
-        )
+        ProcessAccount(agent, kind_of(agent, plan.tree), {}, 40.0, cpu_s=1.0)
         for agent in plan.tree.agents()
         if agent not in plan.access.external
     ]
@@ -64,12 +56,11 @@ def reported(
     *cycles: Iterable[Delivery],
     budgets: str = "",
     lost: int = 0,
-    dropped: int = 0,
     plan: RunPlan = PLAN,
 ) -> TimingReport:
     """A report on these cycles (default: two good ones) against the budgets of a TOML table."""
     folder.mkdir(exist_ok=True)
     scenario = f"{SCENARIO}[timing.budgets]\n{budgets}\n"
     recorded(folder, *(cycles or (cycle(0), cycle(1))), plan=plan, scenario=scenario)
-    summary = summary_of(folder, plan, lost=lost, dropped=dropped)
+    summary = summary_of(folder, plan, lost=lost)
     return report_on(folder, summary, LOAD)

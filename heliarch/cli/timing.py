@@ -76,6 +76,8 @@ def timing(
     from studies.timing import measured_run, parse_rates, prepare_at, sweep, sweep_result
 
     check_junit(junit)
+    if stages is not None and stages.suffix not in {".csv", ".parquet"}:
+        raise InputError(f"--stages: expected a name with .csv or .parquet, got {stages}")
     output = Output(files.json)
     if is_run(path := Path(scenario)):
         known = {"--report", "--json", "--junit", "--by", "--stages"}
@@ -123,12 +125,12 @@ def _publish(
 ) -> int:
     from recordings.read.run_file import RECORDING_NAME
     from results.timing.results import timing_result
-    from results.timing.stages import write_stages
 
     recording = run / RECORDING_NAME if run.is_dir() else run
     page = recording.with_name("timing.html")
     if stages is not None:
-        write_stages(report.stages, stages)
+        write = report.stages.to_csv if stages.suffix == ".csv" else report.stages.to_parquet
+        write(stages, index=False)
     write_junit(junit, {f"timing of {report.run.run_id}": map(_case, report.budgets)})
     publish(timing_result(report, by), files, page, f"recording: {recording}")
     if report.run.interrupted:

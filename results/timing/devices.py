@@ -32,7 +32,7 @@ class DeviceTiming(msgspec.Struct, frozen=True, kw_only=True):
 
     stamps_off_ms: The largest disagreement of a stamp, of all but the few that may be chance: above
         0 the device stamped before it sent. hop_p99_ms: What a hop explains.
-    first: Key and cycle of the first late or missing answer. findings: In words.
+    findings: In words, each with the first key and cycle.
     """
 
     agent: str
@@ -41,7 +41,6 @@ class DeviceTiming(msgspec.Struct, frozen=True, kw_only=True):
     silent: int
     stamps_off_ms: float
     hop_p99_ms: float
-    first: str
     findings: tuple[str, ...]
 
     @property
@@ -57,10 +56,10 @@ class DeviceTiming(msgspec.Struct, frozen=True, kw_only=True):
 def devices_of(table: pd.DataFrame, plan: RunPlan) -> tuple[DeviceTiming, ...]:
     own = (table.arrived - table.published)[~table.device].dropna()
     hop_ms = float(np.quantile(own, 0.99, method="inverted_cdf")) if len(own) else nan
-    limit_ms = max(hop_ms, _LEAST_HOP_MS)
     keys = {place: key for key, place in sender_of(plan).items()}
+    table = table.sort_values(["cycle", "order"])
     return tuple(
-        _device(agent, table[table.agent == agent], keys, limit_ms)
+        _device(agent, table[table.agent == agent], keys, max(hop_ms, _LEAST_HOP_MS))
         for agent in plan.access.external
     )
 
@@ -68,28 +67,23 @@ def devices_of(table: pd.DataFrame, plan: RunPlan) -> tuple[DeviceTiming, ...]:
 def _device(
     agent: str, rows: pd.DataFrame, keys: dict[tuple[str, str], str], limit_ms: float
 ) -> DeviceTiming:
+    def first(of: pd.DataFrame) -> str:
+        return f"the first: {keys[agent, of.stage.iloc[0]]} of cycle {of.cycle.iloc[0]}"
+
     findings = []
-    wrong, first = rows[rows.late.isin([LATE, SILENT])], ""
     late, silent = (int((rows.late == cause).sum()) for cause in (LATE, SILENT))
-    if len(wrong):
-        one = wrong.sort_values(["cycle", "order"]).iloc[0]
-        first = f"{keys[agent, one.stage]} of cycle {one.cycle}"
-        findings.append(
-            f"{agent}: {late:,} of {len(rows):,} answers late, {silent:,} missing, "
-            f"the first: {first}"
-        )
+    if late or silent:
+        what = f"{late:,} of {len(rows):,} answers late, {silent:,} missing"
+        findings.append(f"{agent}: {what}, {first(rows[rows.late != ''])}")
     off = (rows.arrived - rows.published).dropna()
     odd = off[(off > limit_ms) | (off < 0.0)]
     off_ms = 0.0 if len(off) else nan
     if len(odd) > max(_ODD_SHARE * len(off), 1):
-        off_ms = float(odd.abs().max())
-        one = rows.loc[odd.index[0]]
-        typical = float(odd.median())
+        off_ms, typical = float(odd.abs().max()), float(odd.median())
         when = "before it sends" if typical > 0.0 else "after it has sent"
         findings.append(
             f"{agent} stamps {abs(typical):.0f} ms {when} ({len(odd):,} of {len(off):,} messages, "
-            f"the first: {keys[agent, one.stage]} of cycle {one.cycle}; a hop explains "
-            f"{limit_ms:.1f} ms)"
+            f"{first(rows.loc[odd.index])}; a hop explains {limit_ms:.1f} ms)"
         )
     return DeviceTiming(
         agent=agent,
@@ -98,6 +92,5 @@ def _device(
         silent=silent,
         stamps_off_ms=off_ms,
         hop_p99_ms=limit_ms,
-        first=first,
         findings=tuple(findings),
     )

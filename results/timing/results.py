@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Iterator, Sequence
+from typing import Final
 
+import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
 
@@ -13,17 +14,14 @@ from results.report import style
 from results.report.decimation import extremes
 from results.report.result import Result
 from results.report.tables import devices_tables
-from results.tables import Cell, Column, Table, counted, key_column, word_column
+from results.tables import Column, Table, counted, key_column, word_column
 from results.timing.late_cycles import LateCycle
-from results.timing.measures import BARS, LOOP, MEASURES, STATISTICS, bins
-from results.timing.report import FEW, Budget, TimingReport
+from results.timing.measures import FEW, LOOP, MEANINGS, STATISTICS, bins
+from results.timing.report import Budget, TimingReport
 
-_FEW_NOTE: Final = (
-    f"of fewer than {FEW} durations the p99 is the longest one, and a single one above the budget "
-    "does not decide"
-)
-_COUNTS: Final = ("missed_deadlines", "missing_inputs", "dropped", "overruns", "skipped_cycles")
-_DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
+_LEVELS: Final = ("tier", "agent", "link")
+_BARS: Final = " ▁▂▃▄▅▆▇█"
+_DECIMALS: Final = {"ms": 3, "%": 2, "": 0}
 """Decimals of a budget's figures, by unit."""
 
 _MOST_LATE: Final = 50
@@ -42,52 +40,49 @@ def timing_result(report: TimingReport, level: str = "tier") -> Result:
 
     The rows of `level` (tier, agent or link) are in the tables; the page has all of them.
     """
-    run = report.run
-    stopped = f" ({run.late_stopped:,} while the machine stood still)"
-    further = [one for one in ("tier", "agent", "link") if one != level]
+    run, late = report.run, report.late
+    stopped = sum(one.stopped_ms > 0.0 for one in late)
+    facts = f"{counted(run.cycles, 'cycle')} in {run.wall_s:.1f} s, {run.late_cycles:,} late"
+    facts += f" ({stopped:,} while the machine stood still)" if stopped else ""
+    facts += ", interrupted" if run.interrupted else ""
+    further = (table for one in _LEVELS if one != level for table in _times_tables(report, one))
     return Result(
         f"{run.scenario}: timing of run {run.run_id}",
         [
             *_times_tables(report, level),
             _counts_table(report.tiers),
             *devices_tables(report.devices),
-            _other_budgets(report),
-            *_late_tables(report.late[:_MOST_LATE], len(report.late)),
+            _budgets_table(report.budgets),
+            *_late_tables(late, _MOST_LATE),
         ],
         report.document(),
         lines=[
-            f"{run.scenario} at {cycles_per_s(run.rate_hz)} in real time: "
-            f"{counted(run.cycles, 'cycle')} in {run.wall_s:.1f} s, {run.late_cycles:,} late"
-            f"{stopped if run.late_stopped else ''}"
-            f"{', interrupted' if run.interrupted else ''}",
+            f"{run.scenario} at {cycles_per_s(run.rate_hz)} in real time: {facts}",
             *host_lines(report),
             *report.remarks,
         ],
-        conclusions=[*map(_not_kept, (one for one in report.budgets if not one.passed))],
+        conclusions=[_not_kept(one) for one in report.budgets if not one.passed],
         verdict=(report.passed, _verdict(report)),
-        figures=lambda: [_histograms(report), loop_figure(report)],
-        details=[
-            *(table for one in further for table in _times_tables(report, one)),
-            *(_late_tables(report.late, len(report.late)) if len(report.late) > _MOST_LATE else ()),
-        ],
+        figures=lambda: [_histograms(report), _loop_figure(report)],
+        details=[*further, *(_late_tables(late, len(late)) if len(late) > _MOST_LATE else ())],
     )
 
 
 def host_lines(report: TimingReport) -> Iterator[str]:
     """Say what ran, on what, and what was asked of the machine; remarks say what it refused."""
     host = report.host
-    asked = [f"SCHED_FIFO {host.priority}" if host.priority else "normal"]
-    asked += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in host.bound_to.items()]
-    loads = ""
-    if host.load_before is not None and host.load_after is not None:
-        loads = f"; load average {host.load_before:.2f} before, {host.load_after:.2f} after"
-    yield f"kernel {host.kernel}, {host.cpus} CPUs{loads}"
+    asked = [f"SCHED_FIFO {host['priority']}" if host["priority"] else "normal"]
+    asked += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in host["bound_to"].items()]
+    load = ""
+    if host["load_after"] is not None:
+        load = f"; load average {host['load_before']:.2f} before, {host['load_after']:.2f} after"
+    yield f"kernel {host['kernel']}, {host['cpu_count']} CPUs{load}"
     yield f"scheduling asked for: {', '.join(asked)}"
-    yield f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}"
-    if host.stops:  # A process that only sleeps was woken late.
+    yield f"Python {host['python']}, heliarch {host['heliarch']}, Zenoh {host['zenoh']}"
+    if host["stops"]:  # A process that only sleeps was woken late.
         yield (
-            f"the machine stood still for over {LATE_MS:g} ms {counted(host.stops, 'time')}, for "
-            f"{host.longest_stop_ms:.1f} ms at most"
+            f"the machine stood still for over {LATE_MS:g} ms {counted(host['stops'], 'time')}, "
+            f"for {host['longest_stop_ms']:.1f} ms at most"
         )
     for clock in report.clocks:
         yield (
@@ -97,17 +92,15 @@ def host_lines(report: TimingReport) -> Iterator[str]:
 
 
 def _verdict(report: TimingReport) -> str:
-    """Return the verdict on the whole run."""
     run, count = report.run, len(report.budgets)
     failed = sum(not budget.passed for budget in report.budgets)
-    if not run.whole:
-        why = "the run broke off or has not ended yet"
-        if run.ended:
-            why = f"the run was interrupted after {run.cycles:,} of {run.planned_cycles:,} cycles"
-        return f"FAIL: {why}; in the recorded part {failed} of {count} budgets not kept"
-    if failed:
-        return f"FAIL: {failed} of {count} budgets not kept"
-    return f"PASS: all {count} budgets were kept"
+    kept = f"{failed} of {count} budgets not kept" if failed else f"all {count} budgets were kept"
+    if run.ended and not run.interrupted:
+        return f"{'PASS' if report.passed else 'FAIL'}: {kept}"
+    why = "the run broke off or has not ended yet"
+    if run.ended:
+        why = f"the run was interrupted after {run.cycles:,} of {run.planned_cycles:,} cycles"
+    return f"FAIL: {why}; in the recorded part {kept}"
 
 
 def _not_kept(budget: Budget) -> str:
@@ -121,103 +114,86 @@ def _amount(value: float | None, unit: str) -> str:
     return "nothing" if value is None else f"{value:,.{_DECIMALS[unit]}f} {unit}".rstrip()
 
 
-def _other_budgets(report: TimingReport) -> Table:
+def _budgets_table(budgets: Sequence[Budget]) -> Table:
     columns = (key_column("budget"), Column("measured"), Column("at most"), word_column(""))
     rows = [
         (one.line, _amount(one.value, one.unit), _amount(one.limit, one.unit), one.passed)
-        for one in report.budgets
-        if not one.measure or one.value is None
+        for one in budgets
     ]
-    return Table("Other budgets", columns, rows)
+    note = (
+        "a p99 is kept if at most 1 % of the durations exceed it, or a single one of fewer than "
+        f"{FEW}: it is the longest of the others"
+    )
+    return Table("Budgets", columns, rows, [note])
 
 
 def _times_tables(report: TimingReport, level: str) -> list[Table]:
-    """Return a table of durations for each measure, with its budgets."""
-    columns = (
-        key_column(""),
-        Column("count"),
-        *(Column(name) for name in STATISTICS),
-        word_column("histogram"),
-        Column("p99 at most"),
-        word_column("budget"),
-    )
-    limits: dict[object, tuple[Cell, Cell]] = {
-        (one.measure, one.of): (one.limit, one.passed) for one in report.budgets
-    }
-    found = []
+    """Return a table of durations for each measure."""
+    names = [Column(name, name=f"{name}_ms") for name in STATISTICS]
+    columns = (key_column("", "of"), Column("count"), *names, word_column("histogram", "bars"))
     times = report.times[report.times.by == level]
+    times = times.assign(bars=times.histogram.map(_bars))
+    found = []
     for measure, own in times.groupby("measure", sort=False):
-        rows: list[list[Any]] = []
-        for row in own.to_dict("records"):
-            figures = [row["of"], row["count"], *(row[f"{name}_ms"] for name in STATISTICS)]
-            rows.append([*figures, row["histogram"], *limits.get((measure, row["of"]), (None, ""))])
-        edges = bins(own.min_ms.min(), own.max_ms.max())
-        notes = [
-            MEASURES[str(measure)][0],
-            f"histogram: {edges[0]:.3g} to {edges[-1]:.3g} ms, both axes logarithmic",
-        ]
-        if level == "tier" and (own["count"] < FEW).any():
-            notes.append(_FEW_NOTE)
-        by = "" if level == "tier" else f" by {level}"
+        rows = own[[column.name or column.title for column in columns]].to_dict("split")["data"]
+        edges, by = bins(own), "" if level == "tier" else f" by {level}"
+        scale = f"histogram: {edges[0]:.3g} to {edges[-1]:.3g} ms, both axes logarithmic"
         title = f"{str(measure).capitalize()}{by} [ms]"
-        kept = columns if level == "tier" else columns[:-2]
-        found.append(Table(title, kept, [row[: len(kept)] for row in rows], notes))
+        found.append(Table(title, columns, rows, [MEANINGS[str(measure)], scale]))
     return found
+
+
+def _bars(counts: list[int]) -> str:
+    """Return a bar for each bin, its height by the logarithm of the count: one duration is seen."""
+    heights = np.log1p(counts) / np.log1p(max(counts)) * (len(_BARS) - 1)
+    return "".join(_BARS[int(np.ceil(height))] for height in heights)
 
 
 def _counts_table(tiers: pd.DataFrame) -> Table:
     columns = (
         key_column("tier"),
-        Column("number", name="processes"),
-        *(Column(name.replace("_", " "), name=name, decimals=0) for name in _COUNTS),
+        *(Column(name.replace("_", " "), name=name, decimals=0) for name in tiers.columns[1:4]),
         Column("CPU", "% all", 1, name="cpu_percent"),
         Column("CPU", "% most", 1, name="cpu_highest_percent"),
-        Column("memory", "MB", 1, name="resident_mb"),
     )
     rows = tiers[[column.name or column.title for column in columns]].to_dict("split")["data"]
-    note = "CPU in % of one core, of all processes and of the busiest; memory of the largest one"
-    return Table("Counts", columns, rows, [note])
+    return Table(
+        "Counts", columns, rows, ["CPU in % of a core, of all processes and of the busiest"]
+    )
 
 
-def _late_tables(late: tuple[LateCycle, ...], count: int) -> list[Table]:
-    """Return the table of late cycles and that of their culprits."""
+def _late_tables(late: Sequence[LateCycle], most: int) -> list[Table]:
+    """Return the table of late cycles, so many of them, and that of their culprits."""
     if not late:
         return []
     columns = (key_column("cycle"), Column("loop", "ms", 1), word_column("cause"))
-    rows = [(f"{one.cycle:,}", one.loop_ms, one.text) for one in late]
-    notes = [f"and {count - len(late):,} more, see --json or --report"] if count > len(late) else []
+    rows = [(f"{one.cycle:,}", one.loop_ms, one.text) for one in late[:most]]
+    more = [f"and {len(late) - most:,} more, see --json or --report"] if len(late) > most else []
     by = pd.DataFrame(late).groupby(["culprit", "cause"], sort=False).ms
     summed = by.agg(["size", "max"]).sort_values("size", ascending=False).reset_index()
     culprits = summed.replace(float("inf"), None).to_dict("split")["data"]
-    titles = (
-        key_column("culprit"),
-        key_column("cause"),
-        Column("cycles"),
-        Column("longest", "ms", 1),
-    )
-    return [Table("Culprits", titles, culprits), Table("Late cycles", columns, rows, notes)]
+    heads = key_column("culprit"), key_column("cause"), Column("cycles"), Column("longest", "ms", 1)
+    return [Table("Culprits", heads, culprits), Table("Late cycles", columns, rows, more)]
 
 
 def _histograms(report: TimingReport) -> style.ReportFigure:
     """Draw how often each duration occurred, by tier: a line for each row."""
     figure = go.Figure()
-    colours = (style.BLUE, style.VERMILLION, style.BLACK)
-    for measure, colour in zip(("decision", "hop", "loop"), colours, strict=True):
-        times = report.times[(report.times.by == "tier") & (report.times.measure == measure)]
-        edges = bins(times.min_ms.min(), times.max_ms.max()) if len(times) else ()
-        for row in times.to_dict("records"):
-            heights = [BARS.index(bar) for bar in row["histogram"]]
-            line = {"color": colour, "width": 1.2, "shape": "hv"}
-            curve = style.curve(list(edges[:-1]), heights, f"{measure} {row['of']}", line)
-            figure.add_trace(curve)
+    colours = {"decision": style.BLUE, "hop": style.VERMILLION, "loop": style.BLACK}
+    times = report.times[(report.times.by == "tier") & report.times.measure.isin(colours)]
+    for measure, own in times.groupby("measure", sort=False):
+        line = {"color": colours[str(measure)], "width": 1.2, "shape": "hv"}
+        for row in own.itertuples():
+            name = f"{measure} {row.of}"
+            figure.add_trace(style.curve(bins(own)[:-1].tolist(), row.histogram, name, line))
     figure = style.dress(figure, _LOOP_PX)
     figure.update_xaxes(type="log", title_text="duration [ms]")
-    figure.update_yaxes(title_text="frequency, logarithmic", showticklabels=False)
+    figure.update_yaxes(type="log", title_text="count")
     caption = "How often each duration occurred, by tier; the tables have the numbers."
     return style.ReportFigure("histograms", "Histograms", caption, figure)
 
 
-def loop_figure(report: TimingReport) -> style.ReportFigure:
+def _loop_figure(report: TimingReport) -> style.ReportFigure:
     loop_ms = report.loop_ms
     drawn = loop_ms.iloc[extremes(loop_ms.to_numpy())]
     seconds = (drawn.index / report.run.rate_hz).tolist()
@@ -225,9 +201,9 @@ def loop_figure(report: TimingReport) -> style.ReportFigure:
     line = style.curve(seconds, drawn.tolist(), "loop time", blue, hovertemplate=hover)
     figure = style.dress(go.Figure(line), _LOOP_PX, legend=False)
     for one in report.budgets:
-        if one.line.startswith(f"loop {LOOP}"):
+        if one.of == LOOP:
             figure.add_hline(one.limit, line={"color": style.BLACK, "width": 1.3, "dash": "dash"})
     figure.update_xaxes(title_text="time since cycle 0 [s]")
     figure.update_yaxes(type="log", title_text="loop time [ms]")
-    caption = "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
+    caption = "From the plant's scheduled tick to its last command, cycle by cycle. Black: budget."
     return style.ReportFigure("loop", "Loop time over time", caption, figure)

@@ -8,7 +8,8 @@ counts is when its messages arrived there. docs/timing.md defines each column.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -38,8 +39,20 @@ all inputs and published after its deadline; and of a device, came too late for 
 _BLOCK_MESSAGES: Final = 150_000
 """A recording is read in blocks of cycles with about this many messages."""
 
-_TIMES: Final = ("first", "ready", "published", "arrived")
-_INPUT_TIMES: Final = ("awaited_sent", "awaited_arrived", "oldest")
+_COLUMNS: Final = [
+    *("cycle", "agent", "tier", "stage", "first", "ready", "published", "arrived"),
+    *(
+        "tick",
+        "deadline",
+        "awaited",
+        "awaited_sent",
+        "awaited_arrived",
+        "oldest",
+        "without",
+        "late",
+    ),
+    *("device", "across", "timed", "order"),
+]
 
 
 def tier_of(agent: str, tree: ControlTree) -> str:
@@ -52,8 +65,8 @@ def tier_of(agent: str, tree: ControlTree) -> str:
 def stage_table(reader: RunReader, stops: Sequence[MachineStop] | None = None) -> pd.DataFrame:
     """Return the tidy table of a run, up to the last cycle that the plant ended.
 
-    All times are in ms after the cycle's scheduled tick. `stops` are the times in which the machine
-    stood still; None: they are read from the run's folder.
+    All times but `tick` are in ms after the cycle's scheduled tick. `stops` are the times in which
+    the machine stood still; None: they are read from the run's folder.
     """
     graph, start_ns, end = _Graph(reader.plan), start_ns_of(reader), _end_cycle(reader)
     history = reader.plan.control.periods.longest + reader.plan.control.hold_cycles
@@ -68,28 +81,15 @@ def stage_table(reader: RunReader, stops: Sequence[MachineStop] | None = None) -
     if not parts:
         raise InputError(f"{reader.path}: expected a complete cycle, got none")
     table = pd.concat(parts, ignore_index=True)
-    found = stops_of(reader.path.parent) if stops is None else stops
-    stopped = _stopped_ms(found, start_ns, reader.plan.timing.cycle_wall_ns)
-    return table.assign(
-        stopped=table.cycle.map(stopped).fillna(0.0 if found is not None else np.nan)
-    )
+    stops = stops_of(reader.path.parent) if stops is None else stops
+    stopped = _stopped_ms(stops or (), start_ns, reader.plan.timing.cycle_wall_ns)
+    return table.assign(stopped=table.cycle.map(stopped).fillna(np.nan if stops is None else 0.0))
 
 
 def stops_of(folder: Path) -> list[MachineStop] | None:
     """Return when the machine stood still in a timed run; None: nobody watched."""
     path = folder / STOPS_NAME
     return msgspec.json.decode(path.read_bytes(), type=list[MachineStop]) if path.exists() else None
-
-
-def write_stages(table: pd.DataFrame, path: Path) -> None:
-    """Write the tidy table into a CSV or Parquet file."""
-    match path.suffix:
-        case ".csv":
-            table.to_csv(path, index=False)
-        case ".parquet":
-            table.to_parquet(path, index=False)
-        case _:
-            raise InputError(f"--stages: expected a name with .csv or .parquet, got {path}")
 
 
 def sender_of(plan: RunPlan) -> dict[str, tuple[str, str]]:
@@ -201,20 +201,23 @@ def _rows(
     of_stage = graph.stages.loc[rows.stage].set_index(rows.index)
     rows = pd.concat([rows.drop(columns=["stage", "message"]), of_stage], axis="columns")
     rows["without"] = rows.without.fillna("")
+    rows["tick"] = rows.cycle * graph.plan.timing.cycle_wall_ns / 1e6
     speaks = rows.published.notna() | rows.arrived.notna()
     is_silent = ~speaks.groupby([rows.cycle, rows.agent], observed=True).transform("any")
     overran = rows.published > rows.deadline + rows.grace
     causes = [is_silent, rows.device & rows.unheard, rows.device, rows.without != "", overran]
     rows["late"] = np.select(causes, [SILENT, LATE, "", WITHOUT, OVERRUN], "")
-    awaited = np.array(["", *map(str, graph.keys)])
-    rows["awaited"] = pd.Categorical(awaited[rows.awaited.fillna(-1).astype(int) + 1], awaited)
-    for name in ("agent", "tier", "stage", "late"):
-        known = (
-            [SILENT, WITHOUT, OVERRUN, LATE, ""] if name == "late" else graph.stages[name].unique()
-        )
-        rows[name] = pd.Categorical(rows[name], known)
-    order = ["cycle", "agent", "tier", "stage", *_TIMES, "deadline", "awaited", *_INPUT_TIMES]
-    return rows[[*order, "without", "late", "device", "timed", "order"]]
+    awaited, host = np.array(["", *map(str, graph.keys)]), graph.plan.access.addresses
+    sender = np.array([None, *(host.get(port.publisher, "") for port in graph.keys)])
+    number = rows.awaited.fillna(-1).to_numpy(dtype=int) + 1
+    rows["awaited"] = pd.Categorical(awaited[number], awaited)
+    rows["across"] = (number > 0) & (
+        sender[number] != rows.agent.map(lambda one: host.get(one, ""))
+    )
+    rows["late"] = pd.Categorical(rows.late, [SILENT, WITHOUT, OVERRUN, LATE, ""])
+    for name in ("agent", "tier", "stage"):
+        rows[name] = pd.Categorical(rows[name], graph.stages[name].unique())
+    return rows[_COLUMNS]
 
 
 def _published(graph: _Graph, messages: pd.DataFrame) -> pd.DataFrame:
@@ -283,18 +286,16 @@ def _of_inputs(graph: _Graph, inputs: pd.DataFrame, rows: pd.DataFrame) -> dict[
     }
 
 
-def _stopped_ms(
-    stops: Sequence[MachineStop] | None, start_ns: int, cycle_ns: int
-) -> dict[int, float]:
+def _stopped_ms(stops: Iterable[MachineStop], start_ns: int, cycle_ns: int) -> Mapping[int, float]:
     """Return for how long the machine stood still in each cycle in which it did [ms]."""
-    stopped_ms: dict[int, float] = {}
-    for began_ns, ended_ns in stops or ():
-        first, last = ((at_ns - start_ns) // cycle_ns for at_ns in (began_ns, ended_ns))
-        for cycle in range(first, last + 1):
+    found: Counter[int] = Counter()
+    for began_ns, ended_ns in stops:
+        for cycle in range(
+            (began_ns - start_ns) // cycle_ns, (ended_ns - start_ns) // cycle_ns + 1
+        ):
             begin_ns = start_ns + cycle * cycle_ns
-            part_ns = min(ended_ns, begin_ns + cycle_ns) - max(began_ns, begin_ns)
-            stopped_ms[cycle] = stopped_ms.get(cycle, 0.0) + part_ns / 1e6
-    return stopped_ms
+            found[cycle] += min(ended_ns, begin_ns + cycle_ns) - max(began_ns, begin_ns)
+    return {cycle: stopped_ns / 1e6 for cycle, stopped_ns in found.items()}
 
 
 def start_ns_of(reader: RunReader) -> int:

@@ -55,7 +55,6 @@ def test_each_measure_goes_from_where_to_where_it_is_defined(tmp_path: Path) -> 
     found = timed(tmp_path, cycle(0), cycle(1))
     assert len(found.loop_ms) == 2
     assert row(found, "loop", "all commands") == (2, 13.6, 13.6)
-    assert row(found, "command", "direct actuate") == (8, 13.0, 13.4)
     assert row(found, "decision", "plant sense") == (2, 1.3, 1.3)
     # c1/a says at 4.15 ms that it needs help: its last message counts.
     assert row(found, "decision", "direct estimate") == (8, 2.15, 6.9)
@@ -83,7 +82,7 @@ def test_a_missed_deadline_is_a_stage_that_names_an_input_it_awaited(tmp_path: P
     found = timed(tmp_path, cycle(0), cycle(1, late, gone))
     assert late_rows(found) == {(1, "plant", "apply", "without")}
     plant = found.tiers.set_index("tier").loc["plant"]
-    assert (plant.missed_deadlines, plant.missing_inputs, plant.overruns) == (1, 1, 0)
+    assert (plant.missed_deadlines, plant.overruns) == (1, 0)
     # The loop lasts up to the deadline, and the plant kept it to half a millisecond.
     assert row(found, "loop", "all commands")[2] == pytest.approx(deadline_ms, abs=1e-5)
     assert row(found, "lateness", "plant apply") == (1, 0.5, 0.5)
@@ -185,7 +184,7 @@ def test_percentiles_are_measured_durations(tmp_path: Path) -> None:
     (loop,) = times[(times.measure == "loop") & (times.by == "tier")].to_dict("records")
     found = [loop[f"{name}_ms"] for name in ("min", "p50", "p99", "p99.9", "max")]
     assert found == pytest.approx([13.51, 18.5, 23.4, 23.49, 23.5])
-    assert loop["histogram"].strip()
+    assert sum(loop["histogram"]) == 1000
 
 
 def test_a_hop_between_the_clocks_of_two_hosts_is_not_measured(tmp_path: Path) -> None:
@@ -385,6 +384,6 @@ def test_a_late_or_silent_device_is_named_with_key_and_cycle(
     (device,) = found.external
     assert (device.late, device.silent) == counts
     key = "c2/d/residual" if silent else "c2/d/command"
-    assert device.first == f"{key} of cycle 10"
+    assert f"{key} of cycle 10" in device.findings[0]
     assert "late or silent c2/d" in {one.line for one in found.budgets if not one.passed}
     assert {(one.cycle, one.culprit) for one in found.late} == {(k, "c2/d") for k in bad}
