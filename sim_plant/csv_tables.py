@@ -78,7 +78,7 @@ class CsvTable:
         return pd.api.types.is_numeric_dtype(self.column(name))
 
     def text(self, name: str) -> pd.Series:
-        return self.column(name).fillna("").astype(str).str.strip()
+        return self.column(name).astype(str).fillna("").str.strip()
 
     def unique_names(self, column: str) -> tuple[str, ...]:
         """Return the names in a column, none of which may come twice."""

@@ -37,7 +37,7 @@ _LOOKED_AT: Final = 65_536
 _NUMBER: Final = re.compile(r"[+-]?(\d[\d.,]*|[.,]\d+)([eE][+-]?\d+)?")
 _DATE: Final = re.compile(
     r"\d{4}[-/.]\d{1,2}[-/.]\d|\d{1,2}[-/.]\d{1,2}[-/.]\d\d|\d{8}[T .]\d{4}"
-    r"|\d{1,2}[- ]?[A-Za-z]{3,9}[- ,]*\d{2,4}"
+    r"|\d{1,2}[- ]?[A-Za-z]{3,9}[- ,]*\d{2,4}|[A-Z][a-z]{2} \d{1,2}, \d{4}"
 )
 _CLOCK: Final = re.compile(r"\d{1,2}:\d\d")
 _PROCESS: Final = {"", "avg", "smp", "max", "min", "tot", "ts", "rn", "utc", "gmt", "local", "-"}
@@ -46,8 +46,8 @@ _FACTORS: Final = {
     **{"mwcm2": 10.0, "mwcm-2": 10.0},
 }
 _OTHER_UNIT: Final = re.compile(
-    r"m?[AV]|[kM]?Wh?(/.*)?|k?V?A|[kM]?J/.*|°?[CFK]|deg.*|%|m/s|k?Pa|mbar|s|sec|min|h|ISO ?8601"
-    r"|[Yy]{4}.*|[Dd]{2}.*|[Hh]{2}:.*|[Mm]{2}/.*"
+    r"m?[AV]|[kM]?Wh?(/.*)?|k?V?A|[kM]?J/.*|k?lux|°?[CFK]|deg.*|%|m/s|k?Pa|mbar|s|sec|min|h"
+    r"|ISO ?8601|[Yy]{4}.*|[Dd]{2}.*|[Hh]{2}:.*|[Mm]{2}/.*"
 )
 _ALIASES: Final = {
     "station": ("name", "id", "sensor", "site", "station_id", "station name", "location"),
@@ -111,7 +111,8 @@ def find_layout(path: Path, needed: Collection[str] = ()) -> Layout:
         got = ", ".join(re.split(r"\s*[,;\t|]\s*", lines[0]))[:200]
         expected = f"the columns {', '.join(needed)}" if needed else "a header, then values"
         raise InputError(f"{path.name}: line 1: expected {expected}, got {got}")
-    _, separator, head, first = max(found, key=lambda one: one[0])
+    # The widest; spaces are in time stamps and names, too.
+    _, separator, head, first = max(found, key=lambda one: (one[1] != r"\s+", one[0]))
     rows = tables[separator]
     values = tuple(rows[first]) if first < len(rows) else ()
     notes = [] if separator == "," else [f"values are separated by {_NAMED[separator]}"]

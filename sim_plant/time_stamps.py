@@ -28,7 +28,7 @@ _PARTS: Final = {
     "minute": ("minute", "min", "mi"),
     "second": ("second", "sec", "ss", "sekunde"),
     "clock": (
-        *("time", "zeit", "uhrzeit", "hhmm", "hourmin", "hour_minute", "hour_minute_rtm"),
+        *("time", "zeit", "uhrzeit", "hhmm", "hrmn", "hourmin", "hour_minute", "hour_minute_rtm"),
         *("utc_time", "lst_time"),
     ),
 }

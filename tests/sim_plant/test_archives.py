@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -45,23 +46,70 @@ def srml(folder: Path) -> Path:
     return path
 
 
+def bsrn(folder: Path) -> Path:
+    """Write two minutes of June 15: two lines of fixed widths each, GHI first, below the place."""
+    lines = [
+        "*U0001",
+        " 99  6 2024  1",
+        "*U0004",
+        " 1  1 12 00",
+        "  3  4",
+        "roof",
+        f"{'phone':20}fax",
+    ]
+    lines += [
+        f"{'1.2.3.4':15}a@b.org",
+        " 130.000  75.000 1600 12345",
+        " 1  1 12 00",
+        " -1 -1",
+        "*U0100",
+    ]
+
+    def group(mean: int) -> str:
+        return f"{mean:6d}{1.5:6.1f}{mean - 2:5d}{mean + 2:5d}"
+
+    for minute, ghi in ((1080, 800), (1081, 801)):
+        lines += [f" 15 {minute:5d} {group(ghi)} {group(700)}", f"{group(100):>32} {group(350)}"]
+    path = folder / "roo0624.dat"
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return path
+
+
+def pvgis(folder: Path, slope: int = 0) -> Path:
+    """Write two hours on a plane, its irradiance in three parts."""
+    place = "Latitude (decimal degrees): 40.000\nLongitude (decimal degrees): -105.000\n"
+    base = "Elevation (m): 1600\nRadiation database: PVGIS-SARAH3\n\n"
+    plane = f"Slope: {slope} deg.\nAzimuth: 0 deg.\ntime,Gb(i),Gd(i),Gr(i),H_sun,T2m,WS10m,Int\n"
+    rows = [f"20230615:{hour}10,700.0,{80 + hour}.0,2.0,60.0,25.0,2.0,0.0\n" for hour in (18, 19)]
+    path = folder / "pvgis.csv"
+    path.write_text(f"{place}{base}{plane}{''.join(rows)}\nGb(i): beam\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("write", "kind", "begin", "first_wm2"),
+    [
+        (psm, "psm4", "2024-06-15T18:57:30", 800.0),
+        (solcast, "solcast", "2024-06-15T18:00", 800.0),
+        (srml, "srml", "2024-06-15T20:00", 800.0),
+        (bsrn, "bsrn", "2024-06-15T18:00", 800.0),
+        (pvgis, "pvgis", "2023-06-15T17:40", 800.0),
+    ],
+)
 def test_archives_are_recognised_by_content_and_read_by_the_begin_of_an_interval(
-    tmp_path: Path,
+    tmp_path: Path, write: Callable[[Path], Path], kind: str, begin: str, first_wm2: float
 ) -> None:
-    found = archive_of(str(psm(tmp_path)))
+    found = archive_of(str(write(tmp_path)))
     assert found is not None
-    assert found[0] == "psm4"
-    ghi = read_archive(*found)
-    assert ghi.index[0] == pd.Timestamp("2024-06-15T18:57:30Z")
-    assert list(ghi)[:2] == [800.0, 805.0]
-    found = archive_of(str(solcast(tmp_path)))
-    assert found is not None
-    assert found[0] == "solcast"
-    assert read_archive(*found).index[0] == pd.Timestamp("2024-06-15T18:00Z")
-    found = archive_of(str(srml(tmp_path)))
-    assert found is not None
-    assert found[0] == "srml"
-    assert read_archive(*found).index[0] == pd.Timestamp("2024-06-15T20:00Z")
+    assert found[0] == kind
+    ghi_wm2 = read_archive(*found)
+    assert ghi_wm2.index[0] == pd.Timestamp(begin, tz="UTC")
+    assert ghi_wm2.iloc[0] == first_wm2
+
+
+def test_irradiance_on_a_tilted_plane_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="tilted plane"):
+        read_archive("pvgis", pvgis(tmp_path, slope=35))
 
 
 def test_the_word_of_an_archive_counts_and_other_files_are_none(tmp_path: Path) -> None:

@@ -1,4 +1,7 @@
-"""What loggers, archives and spreadsheets write: each kind is read, or refused in one line."""
+"""What loggers, archives and spreadsheets write: each kind is read, or refused in one line.
+
+`owner/repository#number` is the public thread on GitHub that shows such a file.
+"""
 
 from __future__ import annotations
 
@@ -292,6 +295,79 @@ READ = {
     "dashes, month first, no zero (influxdb-python#552)": Kind(
         table(local("%m-%d-%Y %H:%M:%S"), header="Time;p1;p2", by=";").replace("06-15", "6-15")
     ),
+    "HOBOware (nationalparkservice/hobo-py#3)": Kind(
+        '"Plot Title: roof"\n'
+        + table(
+            lambda time: f"4,{time.tz_convert('Etc/GMT+7'):%m/%d/%y %I:%M:%S %p}",
+            header='"#","Date Time, GMT-07:00","p1","p2"',
+        ),
+        "in UTC-07:00, as the header says",
+    ),
+    "BoxCar (nationalparkservice/hobo-py#2)": Kind(
+        table(local("%m/%d/%y %H:%M:%S.0"), header="Date Time\tp1\tp2", by="\t"), "tabs"
+    ),
+    "12 hours, the date apart (submersion-app/submersion#63)": Kind(
+        table(local("7,%Y-%m-%d,%I:%M:%S %p"), header="Dive ,Date,Time,p1,p2")
+    ),
+    "microseconds (tsdat/tsdat#207)": Kind(table(local("%Y-%m-%d %H:%M:%S.%f"))),
+    "months without zeros, the time apart (ORNL-AMO/AMO-Tools-Desktop#7772)": Kind(
+        table(
+            local("6/%d/%Y,%H:%M:%S"),
+            header="Date (MM/DD/YYYY),Time (HH:MM),p1,p2",
+        )
+    ),
+    "spaces after commas (grafana/grafana-csv-datasource#298)": Kind(
+        table(
+            lambda time: f"{time.tz_convert('Etc/GMT-1'):%Y-%m-%dT%H:%M:%S}+01:00",
+            header="timestamp,           p1, p2",
+            by=", ",
+        )
+    ),
+    "a name before the time (veusz/veusz#653)": Kind(
+        table(lambda time: f"monitor,{time:%Y-%m-%dT%H:%M:%S.%fZ}", header="name,time,p1,p2")
+    ),
+    "seconds since 1970 beside the time (hosseinmoein/DataFrame#305)": Kind(
+        table(
+            lambda time: f"{time:%Y-%m-%d %H:%M:%S},{time.value // 10**9}",
+            header="INDEX::<DateTimeISO>,Timestamp::<int>,p1,p2",
+        ),
+        form=StatedForm(timezone="UTC"),
+    ),
+    "quoted milliseconds (sensebox/OER#11)": Kind(
+        table(lambda time: f'"{time:%Y-%m-%dT%H:%M:%S.000Z}"', header='"createdAt","p1","p2"')
+    ),
+    "two spaces, ISO (CODAIT/pardata#73)": Kind(table(local("%Y-%m-%d  %H:%M:%S"))),
+    "months first by name (mbakholdina/lib-tcpdump-processing#22)": Kind(
+        table(lambda time: f'"{time.tz_convert("Etc/GMT-1"):%b %d, %Y %H:%M:%S.%f} CET"')
+    ),
+    "begin and end apart (DarwinsBuddy/WienerNetzeSmartmeter#168)": Kind(
+        table(
+            lambda time: (
+                f"{local('%d.%m.%Y;%H:%M:%S')(time)};"
+                f"{local('%H:%M:%S')(time + pd.Timedelta('10s'))}"
+            ),
+            header="Datum;Zeit von;Zeit bis;p1;p2;",
+            number=comma,
+            by=";",
+            end=";",
+        )
+    ),
+    "a line above, date and hhmm (VOLTTRON/openeis#8)": Kind(
+        "Integrated surface data\n"
+        + table(lambda time: f"725650,{time:%Y%m%d},{time:%H%M%S}", header="USAF,Date,HrMn,p1,p2"),
+        form=StatedForm(timezone="UTC"),
+    ),
+    "points and milliseconds (stackblitz/bolt.new#7537)": Kind(
+        table(local("%d.%m.%Y %H:%M:%S.000"))
+    ),
+    "offset without a colon (tidyverse/readr#90)": Kind(
+        table(lambda time: f"{time.tz_convert('Etc/GMT+5'):%Y-%m-%dT%H:%M:%S}-0500")
+    ),
+    "lines of the tool above (SBFspot/SBFspot#76)": Kind(
+        "sep=;\nVersion CSV1|Tool SBFspot3.9.7|Linebreaks CR/LF|Delimiter semicolon\n\n"
+        + table(local("%d/%m/%Y %H:%M:%S"), header="Time;p1;p2", number=comma, by=";"),
+        "the header is line 4",
+    ),
     "years of two digits": Kind(
         table(local("%d.%m.%y %H:%M:%S"), header="time;p1;p2", number=comma, by=";")
     ),
@@ -415,6 +491,72 @@ REFUSED = {
     ),
     "an ordinal date (lnav#1321)": (Kind(table(local("%Y-%jT%H:%M:%S"))), "line 1: expected"),
     "annotated (influxdata/docs-v2#417)": (Kind(annotated()), "irradiance.stations"),
+    "a space behind the sign (gw-pem/kagra-pem#201)": (
+        Kind(
+            table(
+                local("1\t%Y/%m/%d\t%H:%M:%S\t0"),
+                header="NO.\tDate\tTime\tus\tp1\tp2",
+                number=lambda value: f"+ {value:g}",
+                by="\t",
+            )
+        ),
+        "line 1: expected a header",
+    ),
+    "no header (CapnBry/HeaterMeter#47)": (
+        Kind(table(lambda time: f"{time.value // 10**9},nan", header="").lstrip()),
+        "irradiance.stations",
+    ),
+    "a zone that no table has (elastic/kibana#79540)": (
+        Kind(table(local('"%d.%m.%Y %H:%M:%S MESZ"'))),
+        "line 2, column 'time': expected a time stamp",
+    ),
+    "a zone glued to the time (CorpGlory/csv2influx#8)": (
+        Kind(table(local("%Y-%m-%d %H:%M:%SGMT-04:00"))),
+        "line 2, column 'time': expected a time stamp",
+    ),
+    "offset and zone (astronomer/astronomer#938)": (
+        Kind(table(local("%Y-%m-%dT%H:%M:%S.000000000+-0500 US/Eastern"))),
+        "line 2, column 'time': expected a time stamp",
+    ),
+    "digits before the clock (panodata/dwdweather2#17)": (
+        Kind(
+            table(
+                lambda time: f"5856;{time:%Y%m%d%H:%M}",
+                header="STATIONS_ID;MESS_DATUM;p1;p2;eor",
+                by=";",
+                end=";eor",
+            )
+        ),
+        "line 1: expected a header",
+    ),
+    "a colon between date and time (NatLabRockies/SAM#2104)": (
+        Kind(table(lambda time: f"{time:%Y%m%d:%H%M}")),
+        "line 1: expected a header",
+    ),
+    "points in the clock (bskinn/excel-csvexporter#34)": (
+        Kind(table(local("%d.%m.%Y %H.%M.%S"), header="time;p1;p2", by=";")),
+        "line 2, column 'time': expected a time stamp",
+    ),
+    "more commas than the header (tomhollander/PowerwallCompanion#32)": (
+        Kind(table().replace(",650,", ",650,5,")),
+        "line 7: expected 3 values as in the header",
+    ),
+    "lux (gjr80/weewx-gw1000#33)": (
+        Kind(table(header="time,p1 [lux],p2 [lux]")),
+        "expected W/m2 or kW/m2, got lux",
+    ),
+    "an hour twice where no clock was put back (pvlib/pvanalytics#104)": (
+        Kind(table().replace("19:01:", "19:00:")),
+        "line 8, column 'time': expected times in one step",
+    ),
+    "times in the header (home-assistant/frontend#20578)": (
+        Kind("entity_id,type,unit,2024-06-15T19:00:00.000Z,2024-06-15T19:00:10.000Z\np1,x,W,6,7\n"),
+        "line 1: expected",
+    ),
+    "a year of three digits (OpenEnergyPlatform/open-MaStR#800)": (
+        Kind(table().replace("2024-06-15T19:00:50", "205-06-15T19:00:50")),
+        "line 7, column 'time': expected a time stamp",
+    ),
     "a missing station": (Kind(table(header="time,p1,p3")), "for p2"),
     "irregular, without header (Rello/analytics#357)": (
         Kind("p1,2023-06-19 14:57:32.418625,0.619\np1,2023-06-19 14:57:34.951757,0.606\n"),
