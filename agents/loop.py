@@ -86,6 +86,8 @@ class Loop(Generic[S]):
 
     def hear(self, port: Port[Message], message: Message, time_ns: int) -> None:
         """Take in a message that came at a time of the run's clock."""
+        if port is _DISPATCH and self.times.is_estimated and message.source == port.publisher:
+            self._follow_clock(message, time_ns)
         inputs, cycle = self.inputs, self.cycle
         one = inputs.of.get(port)
         if message.source != port.publisher:
@@ -99,6 +101,11 @@ class Loop(Generic[S]):
                 self.waiting.discard(port)
                 if not self.waiting:
                     self._ready_ns = time_ns
+
+    def _follow_clock(self, dispatch: Message, time_ns: int) -> None:
+        """Go to the cycle under way if the message that set the clock had been long on its way."""
+        if self.cycle >= 0 and self.times.begins_earlier(dispatch, time_ns):
+            self.catch_up(time_ns)
 
     def _hear_dispatch(self, one: Input, dispatch: Message, time_ns: int) -> None:
         """Go where the plant is: to another round, or into a run under way; or on after a stop."""
@@ -150,9 +157,7 @@ class Loop(Generic[S]):
     def _join(self, dispatch: Message, now_ns: int) -> None:
         """Join a run that is under way: the dispatch says in which cycle it is, and since when."""
         cycle, times = dispatch.cycle, self.times
-        # A plant may be far behind: when it sent the dispatch tells whose clock it has.
-        began_ns = times.on_this_clock(dispatch.ready_time_ns, now_ns, dispatch.publish_time_ns)
-        start_ns = began_ns - cycle * times.timing.cycle_wall_ns
+        start_ns = times.start_by(dispatch, now_ns)
         times.start(start_ns)
         # A dispatch that was long on its way is of a cycle that is over: no stage of it is left.
         cycle = times.goes_on_in(cycle, now_ns) or cycle

@@ -20,7 +20,7 @@ from plants_by_hand import AtWork, at, dispatch, head, impp, setpoint, telemetry
 from agents.agent import Stage, Turn
 from agents.inputs import log_drop
 from agents.loop import Loop
-from agents.plan import RunPlan
+from agents.plan import RunPlan, changed
 from agents.plan_parts import START_WITHIN_NS
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Notice, Residual, parse_missing
@@ -335,6 +335,27 @@ def test_a_start_by_another_hosts_clock_is_now(off_ns: int) -> None:
     loop.hear(port, run, now_ns)
     deadline_ns = ON_THE_CLOCK.deadlines.deadline_ns("c1", "report")
     assert (loop.cycle, loop.deadline_ns) == (0, now_ns + deadline_ns)
+
+
+@pytest.mark.parametrize("is_external", [False, True])
+def test_one_that_joined_by_a_dispatch_held_back_is_where_the_plant_is(is_external: bool) -> None:
+    """An external plant may have another clock: there the dispatch that came fastest counts."""
+    run_plan = changed(ON_THE_CLOCK, access={"external": ("plant",) if is_external else ()})
+    loop, cycle_ns, late = armed(run_plan), REAL_TIME, 2 * START_WITHIN_NS // REAL_TIME
+    start_ns = 10**12
+
+    def hear(cycle: int, heard_in: int) -> int:
+        said_ns = start_ns + cycle * cycle_ns
+        port, message = dispatch(cycle, 1.0, 200.0)
+        stamped = replace(message, ready_time_ns=said_ns, publish_time_ns=said_ns)
+        loop.hear(port, stamped, start_ns + heard_in * cycle_ns)
+        return loop.cycle
+
+    assert hear(10, 10 + late) == (10 if is_external else 10 + late)
+    assert hear(11 + late, 11 + late) == 11 + late or not is_external
+    assert loop.times.time_ns(0) == start_ns
+    hear(12 + late, 12 + 2 * late)
+    assert loop.times.time_ns(0) == start_ns
 
 
 def test_a_stop_holds_until_the_plant_goes_on() -> None:
