@@ -14,7 +14,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, depth
 
-Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "recorder"]
+Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "storage", "recorder"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 
 STAGES: Final[dict[Kind, tuple[str, ...]]] = {
@@ -22,6 +22,7 @@ STAGES: Final[dict[Kind, tuple[str, ...]]] = {
     "central": ("solve",),
     "supervisor": ("report", "solve"),
     "direct": ("estimate", "actuate"),
+    "storage": ("estimate", "actuate"),
 }
 """Stages of each kind of agent, in their order."""
 
@@ -39,6 +40,8 @@ _LATER: Final = {"setpoint": "solve", "command": "actuate", "production": "apply
 
 
 def kind_of(agent: str, tree: ControlTree) -> Kind:
+    if tree.is_storage(agent):
+        return "storage"
     return _ALONE.get(agent) or ("direct" if tree.is_leaf(agent) else "supervisor")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from agents.agent import Turn
 from agents.control.share import share_kw, usable_dispatch_kw
+from agents.control.storage import Ability
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Help, Impp, Residual
 from bus_schemas.signals import HELP, IMPP, RESIDUAL
@@ -19,11 +20,22 @@ def own_share_kw(dispatch: Dispatch | None, rating_kw: float) -> float | None:
 
 
 def own_report(
-    node: str, turn: Turn, impp_kw: float, stale_cycles: int, residual_kw: float
+    node: str,
+    turn: Turn,
+    impp_kw: float,
+    stale_cycles: int,
+    residual_kw: float,
+    able: Ability | None = None,
 ) -> list[Delivery]:
-    """Report upwards: IMPP, and residual (eq. 4). If that is negative, it is a call for help."""
+    """Report upwards: IMPP, and residual (eq. 4). If that is negative, it is a call for help.
+
+    `able` is what the storages below a parent can do.
+    """
+    impp = Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)
+    if able is not None:
+        impp.discharge_kw, impp.absorb_kw, impp.charge_kw = able
     outputs: list[Delivery] = [
-        (IMPP.of(node), Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)),
+        (IMPP.of(node), impp),
         (RESIDUAL.of(node), Residual(*turn.stamp, power_kw=residual_kw)),
     ]
     if residual_kw < 0.0:

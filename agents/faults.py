@@ -83,10 +83,10 @@ def incidents(faults: Sequence[Fault], tree: ControlTree, wiring: Wiring) -> lis
     return sorted(due)
 
 
-def trips(faults: Sequence[Fault], tree: ControlTree, time_s: float) -> list[bool]:
-    """Return whether each inverter is tripped at a simulated time since cycle 0 [s]."""
+def trips(faults: Sequence[Fault], devices: Sequence[str], time_s: float) -> list[bool]:
+    """Return whether each device is tripped at a simulated time since cycle 0 [s]."""
     active = [one for one in faults if isinstance(one, Trip) and one.at[0] <= time_s < one.at[1]]
-    return [any(fnmatchcase(leaf, one.agents) for one in active) for leaf in tree.leaves]
+    return [any(fnmatchcase(leaf, one.agents) for one in active) for leaf in devices]
 
 
 def check_fault(

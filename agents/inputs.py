@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 
 from agents.agent import Stage
 from agents.plan import RunPlan
-from bus_schemas.bounds import bounds_of, is_within
+from bus_schemas.bounds import Bound, bounds_at, bounds_of, is_within
 from bus_schemas.bus import Cause
 from bus_schemas.errors import printable
 from bus_schemas.messages import Message, Missing, Order
@@ -45,10 +45,10 @@ class Input:
 
     __slots__ = ("ahead", "bounds", "incarnation", "newest", "newest_cycle", "period", "port")
 
-    def __init__(self, port: Port[Message], period: int, rating_kw: float) -> None:
+    def __init__(self, port: Port[Message], period: int, bounds: tuple[Bound, ...]) -> None:
         self.port = port
         self.period = period
-        self.bounds = bounds_of(port.signal.type, rating_kw)
+        self.bounds = bounds
         self.forget()
 
     def forget(self) -> None:
@@ -143,7 +143,11 @@ class Inputs:
         self, plan: RunPlan, agent: str, horizon: int, on_drop: Callable[[int, str], None]
     ) -> None:
         self.of = {
-            port: Input(port, plan.control.period(port), plan.tree.rating_kw(port.node))
+            port: Input(
+                port,
+                plan.control.period(port),
+                bounds_at(port.signal.type, plan.tree, port.node),
+            )
             for port in plan.wiring.heard.get(agent, ())
             if port.signal.occurrence is not Occurrence.EVENT
         }

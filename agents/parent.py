@@ -9,6 +9,7 @@ The central controller does both in its one stage, and has its target from the d
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isnan, nan, sqrt
 from operator import itemgetter
@@ -16,6 +17,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from agents.agent import Stage, Turn
@@ -37,6 +39,17 @@ from agents.control.offers import (
     observe,
 )
 from agents.control.share import usable_dispatch_kw
+from agents.control.storage import (
+    AT_ONCE,
+    NO_ABILITY,
+    Ability,
+    Course,
+    Pursuit,
+    asked_kw,
+    next_course,
+    parts_kw,
+    storage_kw,
+)
 from agents.dispatch import own_report, own_share_kw
 from agents.plan_parts import Control
 from bus_schemas.bus import Delivery
@@ -92,15 +105,17 @@ class Parent:
 
     def __init__(self, node: str, tree: ControlTree, control: Control) -> None:
         self.name = agent_name(node)
-        self._children = tuple(
+        below = tuple(
             _Child(path, tree.rating_kw(path), IMPP.of(path), RESIDUAL.of(path), SETPOINT.of(path))
             for path in tree.children(node)
         )
+        self._children = tuple(child for child in below if not tree.is_storage(child.path))
+        self._stores = tuple(child for child in below if tree.storage_kw(child.path))
         self._ratings_kw = tuple(child.rating_kw for child in self._children)
         self._rating_kw = tree.rating_kw(node)
         self._node = node
         self._inputs: tuple[Port[Message], ...] = (
-            *(port for child in self._children for port in (child.impp, child.residual)),
+            *(port for child in below for port in (child.impp, child.residual)),
             _DISPATCH,
         )
         self._control = control
@@ -135,15 +150,26 @@ class Parent:
             reports.append(Report(impp.power_kw, left_kw, stale_cycles))
         return reports
 
+    def abilities(self, turn: Turn) -> tuple[Ability, ...]:
+        """Return what the storages at or below each child that has some can do."""
+        return tuple(map(_ability, (turn.get(child.impp) for child in self._stores)))
+
     def report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
         """State the sums over the children (eq. 2)."""
         impp_kw = total([report.impp_kw for report in reports])
         left_kw = total([report.residual_kw for report in reports])
         stale_cycles = max(report.stale_cycles for report in reports)
-        return own_report(self._node, turn, impp_kw, stale_cycles, left_kw)
+        able = together(self.abilities(turn)) if self._stores else None
+        return own_report(self._node, turn, impp_kw, stale_cycles, left_kw, able)
 
-    def setpoints(self, turn: Turn, target_kw: float, reports: list[Report]) -> list[Delivery]:
-        """Divide a target (step 4): return a setpoint for each child."""
+    def setpoints(
+        self, turn: Turn, target_kw: float, reports: list[Report], of_stores: Sequence[float] = ()
+    ) -> list[Delivery]:
+        """Divide a target (step 4): return a setpoint for each child.
+
+        `target_kw` is what the inverters are to give, `of_stores` the storages of each child that
+        has some.
+        """
         expired_kw = total([report.impp_kw for report in reports if report.is_expired])
         later = bisect_right(self._orders, turn.sim_time_ns, key=itemgetter(0))
         _, order = self._orders[max(later - 1, 0)]
@@ -158,20 +184,42 @@ class Parent:
         help_given: list[tuple[HelpGiven, ...]] = [()] * len(self._children)
         for donor, asking, kw in zip(donors, needy, given_kw, strict=True):
             help_given[donor] += (HelpGiven(self._children[asking].path, kw),)
-        return [
-            (
-                child.setpoint,
-                Setpoint(
-                    *turn.stamp,
-                    power_kw=report.impp_kw if report.is_expired else power,
-                    share_kw=share,
-                    help_given=given,
-                ),
+        found = {
+            child: Setpoint(
+                *turn.stamp,
+                power_kw=report.impp_kw if report.is_expired else power,
+                share_kw=share,
+                help_given=given,
             )
             for child, report, power, share, given in zip(
                 self._children, reports, power_kw, share_kw, help_given, strict=True
             )
-        ]
+        }
+        for child, kw in zip(self._stores, of_stores, strict=True):
+            if child in found:
+                found[child].power_kw += kw
+                found[child].storage_kw = kw
+            else:
+                found[child] = Setpoint(*turn.stamp, power_kw=kw, share_kw=0.0, help_given=())
+        return [(child.setpoint, setpoint) for child, setpoint in found.items()]
+
+
+def _ability(impp: Impp | None) -> Ability:
+    """Return what storages can do whose own report, or whose cluster's, is this."""
+    if impp is None:
+        return NO_ABILITY
+    stated_kw = impp.discharge_kw, impp.absorb_kw, impp.charge_kw
+    powers_kw = [kw for kw in stated_kw if kw is not UNSET]
+    return Ability(*powers_kw) if len(powers_kw) == len(stated_kw) else NO_ABILITY
+
+
+def together(abilities: Sequence[Ability]) -> Ability:
+    return Ability(*(total(kws) for kws in zip(*abilities, strict=True)))
+
+
+def _parts_kw(power_kw: float, abilities: Sequence[Ability]) -> list[float]:
+    discharge_kw = [able.discharge_kw for able in abilities]
+    return parts_kw(power_kw, discharge_kw, [able.absorb_kw for able in abilities])
 
 
 class Supervisor(Parent):
@@ -202,7 +250,25 @@ class Supervisor(Parent):
         target_kw = share_kw if setpoint is None else setpoint.power_kw
         if target_kw is None:
             return None, []
-        return None, self.setpoints(turn, target_kw, self.reports(turn, target_kw))
+        reports = self.reports(turn, target_kw)
+        if not self._stores:
+            return None, self.setpoints(turn, target_kw, reports)
+        of_stores = self._of_stores(turn, setpoint, target_kw, reports)
+        return None, self.setpoints(
+            turn, max(target_kw - total(of_stores), 0.0), reports, of_stores
+        )
+
+    def _of_stores(
+        self, turn: Turn, setpoint: Setpoint | None, target_kw: float, reports: list[Report]
+    ) -> list[float]:
+        """Return what each storage is to give: without a setpoint, what the inverters lack."""
+        abilities = self.abilities(turn)
+        if setpoint is not None:
+            wanted_kw = 0.0 if setpoint.storage_kw is UNSET else setpoint.storage_kw
+        else:
+            impp_kw = total([report.impp_kw for report in reports])
+            wanted_kw = storage_kw(target_kw, impp_kw, impp_kw, together(abilities), False)
+        return _parts_kw(wanted_kw, abilities)
 
 
 class CentralState(msgspec.Struct, frozen=True, gc=False):
@@ -213,6 +279,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     clamped: How many dispatches were beyond what the plant can give.
     offers: What its offers rest on, see `agents.control.offers`.
     reference_kw: The dispatch within the ramp limits; NaN: there was none yet.
+    course: What the inverters were asked for, in a plant with storages.
     """
 
     correction: Correction
@@ -220,6 +287,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     clamped: int = 0
     offers: tuple[float, ...] = ()
     reference_kw: float = nan
+    course: Course = Course((), nan)
 
 
 class CentralController(Parent):
@@ -232,8 +300,10 @@ class CentralController(Parent):
         correction: CorrectionLaw,
         grid: GridLaw,
         offers: OfferSettings | None = None,
+        pursuit: Pursuit = AT_ONCE,
     ) -> None:
         super().__init__(ROOT, tree, control)
+        self._pursuit = pursuit
         self._correction = correction
         self._offers = offers
         self._grid = grid
@@ -242,18 +312,23 @@ class CentralController(Parent):
 
     def initial_state(self) -> CentralState:
         first = nothing_metered(self._correction)
+        course = Course((nan,) * (self._pursuit.delay + 1), nan)
         if self._offers is None:
-            return CentralState(first)
-        return CentralState(first, offers=tuple(nothing_offered(self._offers).tolist()))
+            return CentralState(first, course=course)
+        offers = tuple(nothing_offered(self._offers).tolist())
+        return CentralState(first, offers=offers, course=course)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         return self._stages
 
     def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
         reports = self.reports(turn)
-        possible_kw = net_kw(total([report.impp_kw for report in reports]), self._grid)
+        impp_kw = total([report.impp_kw for report in reports])
+        possible_kw = net_kw(impp_kw, self._grid)
         state = self._recall(state, turn.get(self._meter))
         state, offered = self._offer(state, turn, possible_kw)
+        able = together(self.abilities(turn)) if self._stores else NO_ABILITY
+        possible_kw = net_kw(impp_kw + able.discharge_kw, self._grid)
         state = self._read_meter(state, turn.get(self._meter))
         state, notices = self._follow_dispatch(state, turn)
         outputs = [*self.report_up(turn, reports), *offered, *notices]
@@ -263,10 +338,33 @@ class CentralController(Parent):
             wanted_kw = self._wanted_kw(state, turn, possible_kw)
             delay_s, law = delay * self._correction.cycle_s, self._correction
             correction = corrected(state.correction, wanted_kw, possible_kw, delay_s, law)
-            outputs += self.setpoints(turn, corrected_kw(correction, law, self._grid), reports)
+            target_kw = corrected_kw(correction, law, self._grid)
             state = replace(state, correction=correction)
+            if self._stores:
+                state, found = self._with_stores(state, turn, target_kw, impp_kw, reports)
+                outputs += found
+            else:
+                outputs += self.setpoints(turn, target_kw, reports)
         outputs.append(self._memory(state, turn, has_offered=bool(offered)))
         return state, outputs
+
+    def _with_stores(
+        self,
+        state: CentralState,
+        turn: Turn,
+        target_kw: float,
+        impp_kw: float,
+        reports: list[Report],
+    ) -> tuple[CentralState, list[Delivery]]:
+        """Divide a target among inverters and storages."""
+        abilities = self.abilities(turn)
+        able, is_first = together(abilities), self._control.storage == "first"
+        inverters_kw = asked_kw(target_kw, impp_kw, able)
+        course = next_course(state.course, inverters_kw, impp_kw, self._pursuit)
+        power_kw = storage_kw(target_kw, impp_kw, course.coming_kw, able, is_first)
+        of_stores = _parts_kw(power_kw, abilities)
+        outputs = self.setpoints(turn, inverters_kw, reports, of_stores)
+        return replace(state, course=course), outputs
 
     def _recall(self, state: CentralState, meter: Meter | None) -> CentralState:
         """Go on, in a new process, from what the one before it stated last."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from math import ceil
 from typing import Any, Literal
 
 import msgspec
@@ -12,10 +13,11 @@ from msgspec.structs import replace
 from agents.control.correction import CorrectionLaw, shown_turns
 from agents.control.grid import GridLaw
 from agents.control.offers import OfferSettings
+from agents.control.storage import Pursuit, StorageLaw
 from agents.cycle import Deadlines
 from agents.faults import ProcessFault
 from agents.plan_parts import Access, Control, Faults, PlannedOrder, Site, Supervision, Timing
-from agents.settings import GridSettings
+from agents.settings import GridSettings, StorageSettings
 from bus_schemas.messages import PROTOCOL, Run
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.tree import (
@@ -33,6 +35,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     """What the agents of a run share: see the table in docs/wire.md.
 
     inverters: Path and AC rating [kW] of each inverter.
+    storages: The storages beside them.
     grid: What the grid asks of the plant; by default nothing.
     orders: Orders of the scenario, in the order of time.
     """
@@ -49,10 +52,27 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     supervision: Supervision = Supervision()
     grid: GridSettings = GridSettings()
     orders: tuple[PlannedOrder, ...] = ()
+    storages: tuple[StorageSettings, ...] = ()
 
     @cached_property
     def tree(self) -> ControlTree:
-        return ControlTree(self.inverters)
+        return ControlTree(
+            self.inverters, tuple((one.path, one.rating_kw) for one in self.storages)
+        )
+
+    @cached_property
+    def storage_laws(self) -> dict[str, StorageLaw]:
+        return {one.path: one.law(self.timing.cycle_s) for one in self.storages}
+
+    @cached_property
+    def pursuit(self) -> Pursuit:
+        """How the inverters together follow what they are asked for, in turns."""
+        law, tree, ramp_kw = self.correction_law, self.tree, 0.0
+        for leaf in tree.leaves:
+            percent = self.site.settings_of(leaf).ramp_percent_per_s
+            share = 1.0 if percent is None else min(percent / 100.0 * law.turn_s, 1.0)
+            ramp_kw += share * tree.rating_kw(leaf)
+        return Pursuit(ceil(round(law.delay_s / law.turn_s, 6)), ramp_kw)
 
     @cached_property
     def grid_law(self) -> GridLaw:

@@ -24,6 +24,7 @@ from agents.settings import (
     RestartPolicy,
     Revert,
     Scheme,
+    StorageHelp,
 )
 from bus_schemas.errors import InputError
 from bus_schemas.faults import Second
@@ -95,6 +96,7 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     offset_kw, offset_errors: How much more than the dispatch the plant aims at: a power, and so
         many times its own mean error.
     offers: How the commitment is offered; None: it is given.
+    storage: Whether storages help after the inverters, or at once, until these follow.
     """
 
     period_cycles: tuple[int, ...]
@@ -107,6 +109,7 @@ class Control(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     offset_kw: float = 0.0
     offset_errors: float = 0.0
     offers: OfferedCommitment | None = None
+    storage: StorageHelp = "last"
 
     @cached_property
     def periods(self) -> Periods:

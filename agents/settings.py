@@ -11,6 +11,7 @@ from msgspec import Meta
 
 from agents.control.grid import GridLaw
 from agents.control.offers import SAMPLE_S, WINDOW_S, OfferSettings
+from agents.control.storage import StorageLaw
 from bus_schemas.errors import InputError
 
 Scheme: TypeAlias = Literal["paper", "predictive"]
@@ -18,6 +19,9 @@ Scheme: TypeAlias = Literal["paper", "predictive"]
 
 Actuator: TypeAlias = Literal["fraction", "limit"]
 """`fraction`: P = alpha x MPP, as in the paper. `limit`: P = min(limit, MPP), as real inverters."""
+
+StorageHelp: TypeAlias = Literal["last", "first"]
+"""`last`: what inverters cannot give. `first`: also what they could give, until they do."""
 
 
 _MOST_DOUBLINGS = 60
@@ -56,6 +60,8 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 Share: TypeAlias = Annotated[float, Meta(gt=0.0, le=1.2)]
 Ramp: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e6)]
 Delay: TypeAlias = Annotated[float, Meta(ge=0.0, le=600.0)]
+State: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
+Efficiency: TypeAlias = Annotated[float, Meta(gt=0.0, le=1.0)]
 
 
 class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -83,6 +89,66 @@ class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     revert: Revert | None = None
     ramp_percent_per_s: Ramp | None = None
     delay_s: Delay | None = None
+
+
+class StorageSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A storage: a battery behind its own inverter, at a bus bar of the plant.
+
+    name: Its name in the control tree.
+    cluster: The cluster that it helps first, such as `c1`. Default: it is the whole plant's.
+    rating_kw: Largest power, given or taken [kW].
+    capacity_kwh: Energy that it can hold [kWh].
+    state: Energy in it when the run begins, as a share of its capacity.
+    target: What it is charged to from headroom, as a share of its capacity.
+    lowest_state: It gives nothing from here on down, as a share of its capacity.
+    highest_state: It takes nothing from here on up, as a share of its capacity.
+    charge_efficiency: Share of the energy taken that is stored.
+    discharge_efficiency: Share of the stored energy that is given.
+    standing_loss_kw: What the stored energy loses all the time [kW].
+    delay_s: Time until a command takes effect [s].
+    ramp_percent_per_s: Largest change of power, in % of the rating per second. Default: any.
+    """
+
+    name: str
+    cluster: str = ""
+    rating_kw: Annotated[float, Meta(gt=0.0, le=1e7)]
+    capacity_kwh: Annotated[float, Meta(gt=0.0, le=1e9)]
+    state: State = 0.8
+    target: State = 0.8
+    lowest_state: State = 0.1
+    highest_state: State = 1.0
+    charge_efficiency: Efficiency = 0.92
+    discharge_efficiency: Efficiency = 0.92
+    standing_loss_kw: Annotated[float, Meta(ge=0.0, le=1e7)] = 0.0
+    delay_s: Delay = 0.0
+    ramp_percent_per_s: Ramp | None = None
+
+    def __post_init__(self) -> None:
+        if not self.lowest_state < self.highest_state:
+            expected = f"more than lowest_state, {self.lowest_state:g}"
+            raise InputError.of("highest_state", f"expected {expected}, got {self.highest_state:g}")
+        for field, value in (("state", self.state), ("target", self.target)):
+            if not self.lowest_state <= value <= self.highest_state:
+                expected = f"{self.lowest_state:g} to {self.highest_state:g}, its limits"
+                raise InputError.of(field, f"expected {expected}, got {value:g}")
+
+    @property
+    def path(self) -> str:
+        return f"{self.cluster}/{self.name}" if self.cluster else self.name
+
+    def law(self, cycle_s: float) -> StorageLaw:
+        """Return the same in cycles of a length."""
+        return StorageLaw(
+            rating_kw=self.rating_kw,
+            ramp_kw=(self.ramp_percent_per_s or inf) / 100.0 * self.rating_kw * cycle_s,
+            lowest_kwh=self.lowest_state * self.capacity_kwh,
+            highest_kwh=self.highest_state * self.capacity_kwh,
+            target_kwh=self.target * self.capacity_kwh,
+            charge_efficiency=self.charge_efficiency,
+            discharge_efficiency=self.discharge_efficiency,
+            loss_kw=self.standing_loss_kw,
+            cycle_h=cycle_s / 3600.0,
+        )
 
 
 class OfferedCommitment(

@@ -9,6 +9,7 @@ from agents.cycle import kind_of
 from agents.direct import DirectController
 from agents.parent import CentralController, Supervisor
 from agents.plan import RunPlan
+from agents.storage import StorageController
 from bus_schemas.signals import COMMAND, MEMORY
 from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name
 
@@ -20,10 +21,12 @@ def controller(plan: RunPlan, name: str) -> Controller:
     """Return the controller of a name: `central`, or the path of a cluster or an inverter."""
     tree, control = plan.tree, plan.control
     if name == CENTRAL:
-        laws = plan.correction_law, plan.grid_law, plan.offer_law
+        laws = plan.correction_law, plan.grid_law, plan.offer_law, plan.pursuit
         return CentralController(tree, control, *laws)
     if kind_of(name, tree) == "supervisor":
         return Supervisor(name, tree, control)
+    if tree.is_storage(name):
+        return StorageController(name, plan.storage_laws[name], control)
     return direct_controller(plan, name)
 
 
@@ -39,7 +42,7 @@ def controllers(plan: RunPlan) -> list[Controller]:
 
 def stages_of_agents(plan: RunPlan) -> dict[str, list[tuple[Stage, ...]]]:
     """Return the stages of each agent, the plant first, in the cycles until they repeat."""
-    awaited = (*(COMMAND.of(leaf) for leaf in plan.tree.leaves), MEMORY.of(ROOT))
+    awaited = (*(COMMAND.of(device) for device in plan.tree.devices), MEMORY.of(ROOT))
     cycles = range(plan.control.periods.longest)
     found: dict[str, list[tuple[Stage, ...]]] = {}
     found[PLANT] = [(Stage("sense", (), timed=True), Stage("apply", awaited)) for _ in cycles]

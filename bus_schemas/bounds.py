@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from typing import Final, NamedTuple
 
+from msgspec import UNSET
+
 from bus_schemas.messages import (
     Command,
     Dispatch,
@@ -18,6 +20,7 @@ from bus_schemas.messages import (
     Residual,
     Setpoint,
 )
+from bus_schemas.tree import ControlTree
 
 METER_TOLERANCE: Final = 0.05
 """Share of the rating by which a meter may read more than the rating."""
@@ -65,11 +68,24 @@ _OF_MEMORY: Final = (
     Bound("helped_share", -_ROUNDING, _ROUNDING),
 )
 
+_ABILITY: Final = ("discharge_kw", "absorb_kw", "charge_kw")
+_OF_STORAGE: Final = (*_ABILITY, "storage_kw")
+"""Powers that the rating of the storages at or below a node bounds."""
+
+_SIGNED: Final = (Setpoint, Command, Meter)
+"""Messages whose power is negative where storages take it, and more by what they give."""
+
 BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
-    Impp: (Bound("power_kw", 0.0, _ROUNDING),),
+    Impp: (
+        Bound("power_kw", 0.0, _ROUNDING),
+        *(Bound(field, 0.0, _ROUNDING) for field in _ABILITY),
+    ),
     Residual: (Bound("power_kw", -_ROUNDING, _ROUNDING),),
     Help: (Bound("missing_kw", 0.0, _ROUNDING),),
-    Setpoint: (Bound("power_kw", 0.0, _ROUNDING),),
+    Setpoint: (
+        Bound("power_kw", 0.0, _ROUNDING),
+        Bound("storage_kw", -_ROUNDING, _ROUNDING),
+    ),
     Meter: (
         Bound("power_kw", -METER_TOLERANCE, 1.0 + METER_TOLERANCE),
         Bound("frequency_hz", 10.0, 110.0),
@@ -101,11 +117,31 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
 The estimate judges telemetry: it knows the limits of its inverter's measurements."""
 
 
-def bounds_of(message_type: type[Message], rating_kw: float) -> tuple[Bound, ...]:
+def bounds_at(message_type: type[Message], tree: ControlTree, node: str) -> tuple[Bound, ...]:
+    """Return the bounds of messages about a node of a tree."""
+    storage_kw = tree.storage_kw(node)
+    above_kw = 0.0 if tree.is_storage(node) else storage_kw
+    return bounds_of(message_type, tree.rating_kw(node), storage_kw, above_kw)
+
+
+def bounds_of(
+    message_type: type[Message], rating_kw: float, storage_kw: float = 0.0, above_kw: float = 0.0
+) -> tuple[Bound, ...]:
+    """Return the bounds of messages about a node of a rating.
+
+    `storage_kw` is the rating of the storages at or below it, which the power may be below 0, and
+    `above_kw` what it may be above the rating.
+    """
     found = []
     for field, low, high in BOUNDS.get(message_type, ()):
+        if field in _OF_STORAGE:
+            if storage_kw:
+                found.append(Bound(field, low * storage_kw, high * storage_kw))
+            continue
         unit = rating_kw if field.endswith("_kw") else 1.0
-        found.append(Bound(field, low * unit, high * unit))
+        is_signed = storage_kw and field == "power_kw" and message_type in _SIGNED
+        below, above = (storage_kw, above_kw) if is_signed else (0.0, 0.0)
+        found.append(Bound(field, low * unit - below * _ROUNDING, high * unit + above * _ROUNDING))
     return tuple(found)
 
 
@@ -116,6 +152,6 @@ def is_within(message: Message, bounds: tuple[Bound, ...]) -> bool:
         if type(value) is tuple:
             if not all(one is None or low <= one <= high for one in value):
                 return False
-        elif value is not None and not low <= value <= high:
+        elif value is not None and value is not UNSET and not low <= value <= high:
             return False
     return True

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
+from msgspec import UNSET, UnsetType
 
 from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 
@@ -43,6 +44,8 @@ Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_PATH)]
 Entry: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_MISSING)]
 Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
 Powers: TypeAlias = Annotated[tuple[float, ...], msgspec.Meta(max_length=MOST_INVERTERS)]
+OfStorage: TypeAlias = float | UnsetType
+"""A field that only messages of storages, and of parents of storages, have."""
 Expected: TypeAlias = Annotated[tuple[float | None, ...], msgspec.Meta(max_length=10_000)]
 OrderState: TypeAlias = Literal["none", "holds", "silent", "over"]
 Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_MISSING)]
@@ -98,12 +101,14 @@ class Telemetry(Message, kw_only=True):
     `alpha` is the curtailment level it was told. `limit_kw` is the power it did not exceed: its
     rating, or less where the actuator of the run is `limit` and it is curtailed. `available_kw` is
     the power that it could have given, where the inverter states it (SunSpec 122 `WAval`).
+    A storage takes power where that is negative; `energy_kwh` is what is stored in it now.
     """
 
     power_kw: float
     alpha: float
     limit_kw: float
     available_kw: float | None = None
+    energy_kwh: OfStorage = UNSET
 
 
 class Dispatch(Message, kw_only=True):
@@ -203,10 +208,17 @@ class Impp(Message, kw_only=True):
 
     `stale_cycles` counts the cycles since the last usable measurement; at a parent it is the
     largest of its children's.
+
+    `discharge_kw` is what a storage can give through the coming cycle, which is its IMPP,
+    `absorb_kw` what it can take, and `charge_kw` what of that would bring it back to its target. A
+    parent adds them up over the storages below it, apart from the IMPP of its inverters.
     """
 
     power_kw: float
     stale_cycles: Count
+    discharge_kw: OfStorage = UNSET
+    absorb_kw: OfStorage = UNSET
+    charge_kw: OfStorage = UNSET
 
 
 class Residual(Message, kw_only=True):
@@ -232,12 +244,15 @@ class Setpoint(Message, kw_only=True):
     """The power that a child must produce (step 4).
 
     `share_kw` is the child's share of its parent's target by capacity. The setpoint is below it
-    where the child cannot meet it, and above it by the sum of `help_given`.
+    where the child cannot meet it, and above it by the sum of `help_given`. A storage has no share,
+    and takes power where its setpoint is negative. `storage_kw` is the part of `power_kw` that the
+    storages below a child are to give.
     """
 
     power_kw: float
     share_kw: float
     help_given: Annotated[tuple[HelpGiven, ...], msgspec.Meta(max_length=MOST_CHILDREN)]
+    storage_kw: OfStorage = UNSET
 
 
 class Command(Message, kw_only=True):
@@ -271,6 +286,8 @@ class Production(Message, kw_only=True):
 
     `inverter_mpp_kw` and `inverter_power_kw` list the inverters in the order of the control tree.
     `unknown_kw` is what lost real inverters may give beside `delivered_kw`; it is not measured.
+    `storage_power_kw` and `storage_energy_kwh` list the storages: what they gave, negative if they
+    took it, and what is stored in them at its end.
     """
 
     dispatch_kw: float
@@ -279,6 +296,8 @@ class Production(Message, kw_only=True):
     inverter_mpp_kw: Powers
     inverter_power_kw: Powers
     unknown_kw: float = 0.0
+    storage_power_kw: Powers | UnsetType = UNSET
+    storage_energy_kwh: Powers | UnsetType = UNSET
 
 
 class Run(Message, kw_only=True):

@@ -32,7 +32,7 @@ M_co = TypeVar("M_co", bound=Message, covariant=True)
 class About(Enum):
     """The nodes that a signal exists for."""
 
-    LEAVES = "each inverter"
+    DEVICES = "each inverter and storage"
     CHILDREN = "each node but the root"
     NODES = "each node"
     PLANT = "the plant as a whole"
@@ -100,8 +100,8 @@ class Signal(Generic[M_co]):
 
     def nodes(self, tree: ControlTree) -> tuple[str, ...]:
         match self.about:
-            case About.LEAVES:
-                return tree.leaves
+            case About.DEVICES:
+                return tree.devices
             case About.CHILDREN:
                 return tuple(node for node in tree.nodes if node != ROOT)
             case About.NODES:
@@ -126,14 +126,14 @@ class Port(Generic[M_co]):
 
 
 # fmt: off
-TELEMETRY: Final  = Signal("telemetry",  messages.Telemetry,  About.LEAVES,   Role.PLANT,    (Role.NODE,),    Occurrence.CYCLE, hop_p99_ms=10.0)
+TELEMETRY: Final  = Signal("telemetry",  messages.Telemetry,  About.DEVICES,  Role.PLANT,    (Role.NODE,),    Occurrence.CYCLE, hop_p99_ms=10.0)
 DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CONTROLLERS, Role.OPERATOR), Occurrence.CYCLE)
 METER: Final      = Signal("meter",      messages.Meter,      About.PLANT,    Role.PLANT,    (Role.CENTRAL, Role.OPERATOR), Occurrence.CYCLE)
 IMPP: Final       = Signal("impp",       messages.Impp,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE)
 RESIDUAL: Final   = Signal("residual",   messages.Residual,   About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE, hop_p99_ms=10.0)
 HELP: Final       = Signal("help",       messages.Help,       About.NODES,    Role.NODE,     (),              Occurrence.NEED)
 SETPOINT: Final   = Signal("setpoint",   messages.Setpoint,   About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN,  hop_p99_ms=10.0)
-COMMAND: Final    = Signal("command",    messages.Command,    About.LEAVES,   Role.NODE,     (Role.PLANT,),   Occurrence.CYCLE, hop_p99_ms=10.0)
+COMMAND: Final    = Signal("command",    messages.Command,    About.DEVICES,  Role.NODE,     (Role.PLANT,),   Occurrence.CYCLE, hop_p99_ms=10.0)
 PRODUCTION: Final = Signal("production", messages.Production, About.PLANT,    Role.PLANT,    (),              Occurrence.CYCLE)
 NOTICE: Final     = Signal("notice",     messages.Notice,     About.NODES,    Role.NODE,     (),              Occurrence.EVENT)
 RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.CONTROLLERS, Role.OPERATOR), Occurrence.EVENT, decided=False)

@@ -40,11 +40,14 @@ class ControlTree:
     """Inverters as leaves, clusters above them, the central controller at the root.
 
     Nothing here knows how many tiers there are: `c2/inv07` has two above it, `z1/c2/inv07` three.
+    Storages stand beside inverters or clusters. Their ratings do not count in those of parents.
 
     inverters: Path and AC rating [kW] of each inverter, in the plant's order.
+    storages: The same of each storage.
     """
 
     inverters: tuple[tuple[str, float], ...]
+    storages: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         for objection in self._objections():
@@ -55,7 +58,7 @@ class ControlTree:
         if not 0 < count <= MOST_INVERTERS:
             yield f"expected 1 to {MOST_INVERTERS:,} inverters, got {count:,}"
         seen: set[str] = set()
-        for path, rating_kw in self.inverters:
+        for path, rating_kw in (*self.inverters, *self.storages):
             for part in path.split("/"):
                 check_name(part, f"control tree, node {path!r}")
             if len(path) > LONGEST_PATH:
@@ -64,9 +67,11 @@ class ControlTree:
                 expected = f"a number above 0 and up to {LARGEST_RATING_KW:g}"
                 yield f"{path}: rating_kw: expected {expected}, got {rating_kw:g}"
             if path in seen or path in self._children_of:
-                yield f"{path}: expected one inverter or cluster of this name, got several"
+                yield f"{path}: expected one node of this name, got several"
             seen.add(path)
         for path, children in self._children_of.items():
+            if not self.leaves_below(path):
+                yield f"{agent_name(path)}: expected inverters below it, got storages alone"
             if len(children) > MOST_CHILDREN:
                 expected = f"up to {MOST_CHILDREN:,} children, or a tier between"
                 yield f"{agent_name(path)}: expected {expected}, got {len(children):,}"
@@ -74,7 +79,7 @@ class ControlTree:
     @cached_property
     def _children_of(self) -> dict[str, tuple[str, ...]]:
         children: dict[str, dict[str, None]] = {ROOT: {}}
-        for leaf, _ in self.inverters:
+        for leaf, _ in (*self.inverters, *self.storages):
             for child, parent in pairwise((leaf, *ancestors(leaf))):
                 children.setdefault(parent, {})[child] = None
         return {path: tuple(kids) for path, kids in children.items()}
@@ -85,11 +90,21 @@ class ControlTree:
         for leaf, rating_kw in self.inverters:
             for path in (leaf, *ancestors(leaf)):
                 parts.setdefault(path, []).append(rating_kw)
-        return {path: fsum(ratings_kw) for path, ratings_kw in parts.items()}
+        return {path: fsum(ratings_kw) for path, ratings_kw in parts.items()} | dict(self.storages)
 
     @cached_property
     def leaves(self) -> tuple[str, ...]:
+        """Paths of the inverters."""
         return tuple(path for path, _ in self.inverters)
+
+    @cached_property
+    def storage_paths(self) -> tuple[str, ...]:
+        return tuple(path for path, _ in self.storages)
+
+    @property
+    def devices(self) -> tuple[str, ...]:
+        """Paths of the inverters and the storages: the nodes that have a direct controller."""
+        return self.leaves + self.storage_paths
 
     @cached_property
     def parents(self) -> tuple[str, ...]:
@@ -98,7 +113,7 @@ class ControlTree:
 
     @cached_property
     def nodes(self) -> tuple[str, ...]:
-        return self.parents + self.leaves
+        return self.parents + self.devices
 
     @cached_property
     def height(self) -> int:
@@ -110,8 +125,25 @@ class ControlTree:
     def is_leaf(self, path: str) -> bool:
         return path not in self._children_of
 
+    def is_storage(self, path: str) -> bool:
+        return path in self.storage_paths
+
     def rating_kw(self, path: str) -> float:
+        """Rating of a device; of a parent, that of the inverters below it."""
         return self._ratings_kw[path]
+
+    def sharing_kw(self, path: str) -> float:
+        """Rating by which a node shares the dispatch: 0 of a storage."""
+        return 0.0 if self.is_storage(path) else self.rating_kw(path)
+
+    def storage_kw(self, path: str) -> float:
+        """Rating of the storages at or below a node."""
+        below = f"{path}/" if path else ""
+        return fsum(
+            rating_kw
+            for storage, rating_kw in self.storages
+            if storage == path or storage.startswith(below)
+        )
 
     def leaves_below(self, path: str) -> tuple[int, ...]:
         """Positions, in the plant's order, of the inverters at or below a node."""

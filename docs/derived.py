@@ -240,9 +240,15 @@ def _field(field: inspect.Field) -> str:
     """Name a field with its type and default; a float without a default has no remark."""
     remarks = [_type_name(field.type)]
     if not field.required:
-        remarks.append(f"default {'nil' if field.default is None else json.dumps(field.default)}")
+        remarks.append(_unless_given(field.default))
     said = ", ".join(filter(None, remarks))
     return f"`{field.name}` ({said})" if said else f"`{field.name}`"
+
+
+def _unless_given(value: object) -> str:
+    if value is NODEFAULT:
+        return "absent without storages"
+    return f"default {'nil' if value is None else json.dumps(value)}"
 
 
 def _type_name(kind: inspect.Type) -> str:

@@ -133,7 +133,7 @@ class PlantState:
         powers = {
             "bound": impp.power_kw if isinstance(impp, Impp) and is_bound else None,
             "impp": impp.power_kw if isinstance(impp, Impp) else None,
-            "share": own_share_kw(dispatch, self._tree.rating_kw(node)),
+            "share": own_share_kw(dispatch, self._tree.sharing_kw(node)),
             "setpoint": setpoint.power_kw if isinstance(setpoint, Setpoint | Dispatch) else None,
             "help": helped,
             "power": _total(made, "inverter_power_kw", below),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Final
 
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 from agents.control.clusters import geographic_clusters, random_clusters, search_clusters
 from agents.control.correlation import HourlyMatrices, group_correlation
 from agents.plan_parts import Neighbourhood, NodeNeighbourhoods
-from bus_schemas.errors import InputError
-from bus_schemas.tree import ControlTree
+from agents.settings import StorageSettings
+from bus_schemas.errors import InputError, not_one_of
+from bus_schemas.tree import ControlTree, check_name
 from scenarios.scenario import ControlTable
 from sim_plant.sites import Sites, east_north_m
 
@@ -48,6 +50,22 @@ def control_tree(
     return ControlTree(tuple((paths[leaf], float(sites.rating_kw[leaf])) for leaf in order))
 
 
+def with_storages(tree: ControlTree, storages: Sequence[StorageSettings]) -> ControlTree:
+    """Return the tree with storages at their places."""
+    clusters, taken = [path for path in tree.parents if path], {*tree.nodes}
+    for number, one in enumerate(storages):
+        where = f"storage[{number}]"
+        check_name(one.name, f"{where}.name")
+        if one.cluster and one.cluster not in clusters:
+            known = not_one_of(clusters, one.cluster, "no cluster, or ")
+            raise InputError.of(f"{where}.cluster", known)
+        if one.path in taken:
+            expected = "a name that no other node has"
+            raise InputError.of(f"{where}.name", f"expected {expected}, got {one.name}")
+        taken.add(one.path)
+    return replace(tree, storages=tuple((one.path, one.rating_kw) for one in storages))
+
+
 def neighbourhoods(
     tree: ControlTree, deviations: HourlyMatrices, order: Sequence[int], began_ns: dict[int, int]
 ) -> tuple[NodeNeighbourhoods, ...]:
@@ -58,7 +76,9 @@ def neighbourhoods(
     found = []
     for parent in tree.parents:
         groups = [
-            [order[leaf] for leaf in tree.leaves_below(child)] for child in tree.children(parent)
+            [order[leaf] for leaf in tree.leaves_below(child)]
+            for child in tree.children(parent)
+            if not tree.is_storage(child)
         ]
         hours = []
         for hour, time_ns in sorted(began_ns.items()):

@@ -22,7 +22,7 @@ from agents.plan_parts import Access, Control, Faults, Site, Supervision, Timing
 from agents.settings import OfferedCommitment, Revert
 from bus_schemas.errors import InputError
 from bus_schemas.tree import OPERATOR, ROOT, ControlTree
-from scenarios.clustering import control_tree, neighbourhoods
+from scenarios.clustering import control_tree, neighbourhoods, with_storages
 from scenarios.elsewhere import (
     METER,
     addresses_of,
@@ -205,6 +205,7 @@ def _day(
     # Hours without a past cannot decide on clusters, unless there are no others.
     hours = sorted(set(of_scenario.tolist()).intersection(deviations))
     tree = control_tree(scenario.control, source.sites, deviations, hours or list(deviations))
+    tree = with_storages(tree, scenario.storage)
     return _Day(times, source, available_kw, commitment, deviations, tree)
 
 
@@ -290,6 +291,7 @@ def _plan(
         ),
         grid=scenario.grid,
         orders=scenario.orders,
+        storages=scenario.storage,
     )
     with scenario_file.named():
         check_plan(plan)
@@ -324,6 +326,7 @@ def _control(scenario: Scenario, options: RunOptions, day: _Day) -> Control:
         correction=scheme == "predictive" if control.correction is None else control.correction,
         offset_kw=control.offset * day.tree.rating_kw(ROOT),
         offset_errors=control.offset_errors,
+        storage=control.storage,
         offers=offered if isinstance(offered, OfferedCommitment) else None,
     )
 

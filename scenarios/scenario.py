@@ -25,6 +25,8 @@ from agents.settings import (
     RestartPolicy,
     Revert,
     Scheme,
+    StorageHelp,
+    StorageSettings,
 )
 from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.signals import SIGNALS
@@ -227,6 +229,8 @@ class ControlTable(_Table, frozen=True):
     correction: Correct the central target by the plant's meter. Default: by `scheme`.
     offset: How much more than the dispatch the plant aims at, as a share of its rating.
     offset_errors: So many times its own mean error (20 s) the plant aims higher.
+    storage: Storages give what inverters cannot (`last`), or also what inverters could, until these
+        do (`first`).
     """
 
     cluster_sizes: tuple[tuple[Positive, ...], ...] | None = None
@@ -241,6 +245,7 @@ class ControlTable(_Table, frozen=True):
     correction: bool | None = None
     offset: Annotated[float, Meta(ge=-1.0, le=1.0)] = 0.0
     offset_errors: Annotated[float, Meta(ge=-10.0, le=10.0)] = 0.0
+    storage: StorageHelp = "last"
 
 
 class NeighboursTable(_Table, frozen=True):
@@ -313,6 +318,7 @@ class Scenario(_Table, frozen=True):
 
     name: First part of every key on the bus.
     title: Description: the heading of tables and reports.
+    storage: Storages beside the inverters.
     regulation: Default: no regulation is offered.
     grid: What the grid asks of the plant. Default: nothing.
     frequency: The grid's frequency. Default: the nominal one.
@@ -335,6 +341,7 @@ class Scenario(_Table, frozen=True):
     control: ControlTable
     neighbours: NeighboursTable
     commitment: CommitmentSettings
+    storage: tuple[StorageSettings, ...] = ()
     regulation: RegulationSettings | None = None
     grid: GridSettings = GridSettings()
     frequency: FrequencySettings | None = None

@@ -16,6 +16,8 @@ from agents.plan import RunPlan
 from agents.plan_parts import Site
 from bus_schemas.messages import Command, Dispatch, Memory
 from sim_plant import Floats
+from sim_plant.storage import Store
+from sim_plant.time_steps import whole_cycles
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +41,8 @@ class PlantState:
     (1 + longest delay, n). `renewed` is the cycle of the last command, `revert_kw` the limit that
     it goes to when its revert time is over. `cycle` is that of the interval. `dispatch` is what the
     operator wants in it, and `promise` what was offered for it. `memory` is what the central
-    controller stated last, `record` its newest one with a record of its offers.
+    controller stated last, `record` its newest one with a record of its offers. `stores` are the
+    storages.
     """
 
     alpha: Floats
@@ -54,6 +57,7 @@ class PlantState:
     memory: Memory | None = None
     record: Memory | None = None
     cycle: int = -1
+    stores: tuple[Store, ...] = ()
 
 
 class Inverters:
@@ -67,10 +71,12 @@ class Inverters:
         ramps = [entry.ramp_percent_per_s or inf for entry in settings]
         self.rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in leaves])
         self._limits = plan.control.actuator == "limit"
-        self._revert_cycles = np.array([_cycles(revert.after_s, cycle_s) for revert in reverts])
+        self._revert_cycles = np.array(
+            [whole_cycles(revert.after_s, cycle_s) for revert in reverts]
+        )
         self._revert_is_commanded = [revert.to == "share" for revert in reverts]
         self._revert_kw = self.rating_kw * shares
-        delays = [_cycles(entry.delay_s or 0.0, cycle_s) for entry in settings]
+        delays = [whole_cycles(entry.delay_s or 0.0, cycle_s) for entry in settings]
         self.delay_cycles = np.array(delays, dtype=np.int64)
         self.ramp_per_cycle = np.array(ramps) / 100.0 * cycle_s
 
@@ -167,11 +173,6 @@ def stated_kw(mpp_kw: Floats, rating_kw: Floats, site: Site) -> Floats:
     is_stated = np.diff(stating) > 0.0
     power_kw = np.minimum(mpp_kw * (1.0 + site.available_bias), rating_kw)
     return np.where(is_stated, power_kw, np.nan)
-
-
-def _cycles(time_s: float, cycle_s: float) -> float:
-    """Return how many cycles a time takes; a part of one is one, but no rounding error is."""
-    return float(np.ceil(round(time_s / cycle_s, 9)))
 
 
 def _ordered(now: list[float], before: Floats, passed: int) -> Floats:

@@ -35,6 +35,7 @@ from sim_plant import Floats
 from sim_plant.inverters import Inverters, PlantState, Promise, stated_kw
 from sim_plant.orders import BEFORE_RUN, Orders
 from sim_plant.profile import Profile
+from sim_plant.storage import Storages, Store
 
 STANDBY_SHARE: Final = 0.001
 """Share of its rating that a tripped inverter draws."""
@@ -56,14 +57,16 @@ class Plant:
         self._site = plan.site
         self._trips = [fault for fault in plan.faults.rules if isinstance(fault, Trip)]
         self._tree, self._cycle_s = plan.tree, plan.timing.cycle_s
+        self._storages = Storages(plan)
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in plan.tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
+        self._storage_commands = tuple(map(COMMAND.of, plan.tree.storage_paths))
         self._grid = plan.grid_law
         self._meter_error = plan.grid.meter_error_percent / 100.0
         self._orders = Orders(plan)
         self._offers = plan.offer_law
         sense = Stage("sense", (), (ORDER.of(ROOT),), timed=True)
-        apply = Stage("apply", (*self._commands, MEMORY.of(ROOT)))
+        apply = Stage("apply", (*self._commands, *self._storage_commands, MEMORY.of(ROOT)))
         self._stages = (sense, apply)
         self._with_offer = (sense, Stage("apply", (*apply.awaits, OFFER.of(ROOT))))
 
@@ -72,6 +75,7 @@ class Plant:
         schedule_kw = float(profile.commitment_kw[0]), float(profile.regulation_kw[0])
         dispatch = self._orders.scheduled(BEFORE_RUN, *schedule_kw)
         state = self._inverters.uncurtailed(profile.mpp_kw[0], dispatch)
+        state = replace(state, stores=self._storages.at_rest())
         if self._offers is None:
             return state
         first_share = self._offers.first_share
@@ -98,7 +102,8 @@ class Plant:
         schedule_kw = commitment_kw, regulation_kw, clear_sky_kw
         scheduled = self._orders.scheduled(turn.stamp, *schedule_kw)
         dispatch = self._orders.next(state.dispatch, turn.inputs[ORDER.of(ROOT)], scheduled)
-        fed_in_kw = net_kw(total(state.power_kw.tolist()), self._grid)
+        of_storages_kw = total([store.power_kw for store in state.stores])
+        fed_in_kw = net_kw(total(state.power_kw.tolist()) + of_storages_kw, self._grid)
         meter = Meter(
             *turn.stamp,
             power_kw=fed_in_kw * (1.0 + self._meter_error),
@@ -124,6 +129,15 @@ class Plant:
                 available_kw=available_kw[position],
             )
             outputs.append((port, telemetry))
+        for node, store in zip(self._tree.storage_paths, state.stores, strict=True):
+            telemetry = Telemetry(
+                *turn.stamp,
+                power_kw=store.power_kw,
+                alpha=1.0,
+                limit_kw=self._tree.rating_kw(node),
+                energy_kwh=store.energy_kwh,
+            )
+            outputs.append((TELEMETRY.of(node), telemetry))
         return replace(state, dispatch=dispatch, promise=promise), outputs
 
     def _available_kw(self, cycle: int) -> list[float | None]:
@@ -136,13 +150,14 @@ class Plant:
         """Return the power that each inverter could give; a tripped one draws standby power."""
         mpp_kw: Floats = self._profile.mpp_kw[cycle]
         if self._trips:
-            tripped = trips(self._trips, self._tree, cycle * self._cycle_s)
+            tripped = trips(self._trips, self._tree.leaves, cycle * self._cycle_s)
             mpp_kw = np.where(tripped, -STANDBY_SHARE * self._inverters.rating_kw, mpp_kw)
         return mpp_kw
 
     def _apply(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         cycle = max(turn.cycle, 0)
         mpp_kw = self._mpp_kw(cycle)
+        stores = self._stores(state, turn)
         state = self._inverters.obey(state, map(turn.get, self._commands), turn.cycle)
         power_kw = self._inverters.power_kw(state, mpp_kw)
         if turn.cycle >= 0 and self._offers is not None and is_due(self._offers, turn.cycle):
@@ -153,11 +168,23 @@ class Plant:
             *turn.stamp,
             dispatch_kw=state.dispatch.power_kw,
             available_kw=net_kw(float(mpp_kw.sum()), self._grid),
-            delivered_kw=net_kw(float(power_kw.sum()), self._grid),
+            delivered_kw=net_kw(
+                float(power_kw.sum()) + total([store.power_kw for store in stores]), self._grid
+            ),
             inverter_mpp_kw=tuple(mpp_kw.tolist()),
             inverter_power_kw=tuple(power_kw.tolist()),
         )
+        if stores:
+            production.storage_power_kw = tuple(store.power_kw for store in stores)
+            production.storage_energy_kwh = tuple(store.energy_kwh for store in stores)
         memory = turn.get(MEMORY.of(ROOT)) or state.memory
         record = state.record if memory is None or memory.record is None else memory
-        state = replace(state, power_kw=power_kw, memory=memory, record=record)
+        state = replace(state, power_kw=power_kw, memory=memory, record=record, stores=stores)
         return state, [(PRODUCTION.of(ROOT), production)]
+
+    def _stores(self, state: PlantState, turn: Turn) -> tuple[Store, ...]:
+        commands = [turn.get(port) for port in self._storage_commands]
+        time_s = max(turn.cycle, 0) * self._cycle_s
+        is_tripped = trips(self._trips, self._tree.storage_paths, time_s)
+        passed = max(turn.cycle - state.cycle, 1)
+        return self._storages.obey(state.stores, commands, is_tripped, turn.cycle, passed)

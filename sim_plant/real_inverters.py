@@ -150,7 +150,8 @@ class PlantWithDevices(Plant):
         production.inverter_mpp_kw = tuple(mpp_kw.tolist())
         production.inverter_power_kw = tuple(power_kw.tolist())
         production.available_kw = net_kw(float(mpp_kw.sum()), self._grid)
-        production.delivered_kw = net_kw(float(power_kw.sum()), self._grid)
+        of_storages_kw = sum(kw for kw in production.storage_power_kw or ())
+        production.delivered_kw = net_kw(float(power_kw.sum()) + of_storages_kw, self._grid)
         production.unknown_kw = assumed_kw
         if METER in fresh:  # It also counts what the lost ones give.
             production.delivered_kw, production.unknown_kw = fresh[METER].power_kw, 0.0

@@ -146,7 +146,7 @@ def _object(value: msgspec.Struct) -> JsonObject:
     for name, entry in msgspec.structs.asdict(value).items():
         if isinstance(entry, tuple) and entry and isinstance(entry[0], msgspec.Struct):
             fields[name] = [_object(item) for item in entry]
-        elif entry is not None and _is_finite(entry):
+        elif entry not in (None, msgspec.UNSET) and _is_finite(entry):
             fields[name] = entry
     return fields
 

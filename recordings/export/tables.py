@@ -14,6 +14,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 import pyarrow as pa
 import pyarrow.compute as pc
+from msgspec import UNSET
 from pyarrow.csv import CSVWriter
 from pyarrow.parquet import ParquetWriter
 
@@ -107,7 +108,7 @@ class TableFolder:
         batch_rows: int = BATCH_ROWS,
     ) -> None:
         folder.mkdir()
-        self._leaves = plan.tree.leaves
+        self._tree = plan.tree
         self._monotonic_less_wall_ns = anchor.monotonic_ns - anchor.wall_ns
         tables: dict[str, Columns] = {}
         self._cells = {}
@@ -131,8 +132,9 @@ class TableFolder:
         name, files = record.port.signal.name, self.files
         node, when = agent_name(record.port.node), (message.sim_time_ns, message.cycle)
         logged_ns = record.log_time_ns + self._monotonic_less_wall_ns
-        rows = list(list_rows(record.port, message, self._leaves))
-        files[name].add((*when, node, *self._cells[name](message), logged_ns))
+        rows = list(list_rows(record.port, message, self._tree))
+        cells = (None if cell is UNSET else cell for cell in self._cells[name](message))
+        files[name].add((*when, node, *cells, logged_ns))
         for table, row in rows:
             files[table].add((*when, *row))
 

@@ -120,7 +120,7 @@ def _add(
     match message:
         case Dispatch():
             for path, node in cycle.items():
-                node.values["share_kw"] = own_share_kw(message, tree.rating_kw(path))
+                node.values["share_kw"] = own_share_kw(message, tree.sharing_kw(path))
         case Help() if parent is not None:
             parent.needy.append(port.node)
         case Notice() if own is not None:

@@ -12,14 +12,14 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
-from msgspec import inspect
+from msgspec import UNSET, UnsetType, inspect
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from bus_schemas.messages import GivenUp, Message, Production, Setpoint, parse_missing
 from bus_schemas.signals import GIVEN_UP, PRODUCTION, SETPOINT, SIGNALS, Port, Signal
-from bus_schemas.tree import agent_name
+from bus_schemas.tree import ControlTree, agent_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,14 +27,16 @@ if TYPE_CHECKING:
 HEAD_FIELDS: Final = frozenset(Message.__struct_fields__)
 """Fields of every message. The others are a signal's own."""
 
-Cell: TypeAlias = int | float | str | None
+Cell: TypeAlias = int | float | str | UnsetType | None
 Columns: TypeAlias = tuple[tuple[str, type], ...]
 """Names, with the unit in them, and types: `int`, `float`, `str`, or `tuple` for a list."""
 
 _TYPES: Final = {inspect.FloatType: float, inspect.IntType: int, inspect.VarTupleType: tuple}
 _SIGNALS: Final = {signal.name: signal for signal in SIGNALS}
 _CODES: Final = {float: "d", int: "q"}
-_NAMES: Final = frozenset({"node", "inverter", "donor", "needy", "signal", "input", "agent"})
+_NAMES: Final = frozenset(
+    {"node", "inverter", "storage", "donor", "needy", "signal", "input", "agent"}
+)
 """Columns of text in which few values repeat."""
 
 
@@ -51,6 +53,10 @@ LISTS: Final = {
     ),
     "production_inverters": ListTable(
         PRODUCTION, (("inverter", str), ("mpp_kw", float), ("power_kw", float), ("sequence", int))
+    ),
+    "production_storages": ListTable(
+        PRODUCTION,
+        (("storage", str), ("power_kw", float), ("energy_kwh", float), ("sequence", int)),
     ),
     "given_up_agents": ListTable(GIVEN_UP, (("agent", str), ("sequence", int))),
     # `used_cycle` is that of the older message that the sender used; empty if it used none.
@@ -77,7 +83,7 @@ def _column_type(kind: inspect.Type) -> type:
 
 
 def list_rows(
-    port: Port[Message], message: Message, leaves: Sequence[str]
+    port: Port[Message], message: Message, tree: ControlTree
 ) -> Iterator[tuple[str, tuple[Cell, ...]]]:
     """Yield the rows of the lists in a message, each with the name of its table."""
     node, sequence = agent_name(port.node), message.sequence
@@ -86,13 +92,16 @@ def list_rows(
             yield "help_given", (node, agent_name(line.needy), line.power_kw, sequence)
     elif isinstance(message, Production):
         mpp_kw, power_kw = message.inverter_mpp_kw, message.inverter_power_kw
-        if not len(mpp_kw) == len(power_kw) == len(leaves):
+        if not len(mpp_kw) == len(power_kw) == len(tree.leaves):
             raise InputError(
-                f"production of cycle {message.cycle}: expected {len(leaves)} inverters, got "
+                f"production of cycle {message.cycle}: expected {len(tree.leaves)} inverters, got "
                 f"{len(mpp_kw)} maxima and {len(power_kw)} powers"
             )
-        for row in zip(leaves, mpp_kw, power_kw, strict=True):
+        for row in zip(tree.leaves, mpp_kw, power_kw, strict=True):
             yield "production_inverters", (*row, sequence)
+        stored = message.storage_power_kw or (), message.storage_energy_kwh or ()
+        for row in zip(tree.storage_paths, *stored, strict=False):
+            yield "production_storages", (*row, sequence)
     elif isinstance(message, GivenUp):
         for agent in message.agents:
             yield "given_up_agents", (agent, sequence)
@@ -123,7 +132,7 @@ def frames(
         if len(cells) == len(tables):
             continue
         try:
-            listed = list(list_rows(port, message, plan.tree.leaves))
+            listed = list(list_rows(port, message, plan.tree))
         except InputError as error:
             on_wrong(port, str(error))
             continue
@@ -146,7 +155,7 @@ class _Rows:
         self._times.append(message.sim_time_ns)
         self._cycles.append(message.cycle)
         for column, cell in zip(self._columns.values(), row, strict=True):
-            column.append(nan if cell is None else cell)
+            column.append(nan if cell is None or cell is UNSET else cell)
 
     def frame(self, plan: RunPlan) -> pd.DataFrame:
         import pandas as pd  # noqa: PLC0415 - it loads slowly

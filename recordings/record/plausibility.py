@@ -9,7 +9,7 @@ from math import isfinite
 
 from agents.plan import RunPlan
 from agents.plan_parts import START_WITHIN_NS
-from bus_schemas.bounds import METER_TOLERANCE, Bound, bounds_of, is_within
+from bus_schemas.bounds import METER_TOLERANCE, Bound, bounds_at, is_within
 from bus_schemas.messages import Dispatch, Message, Production, Run, Telemetry
 from bus_schemas.signals import Port
 
@@ -24,11 +24,11 @@ def out_of_range(plan: RunPlan, port: Port[Message], message: Message, heard_ns:
         return _wrong_start(plan, message, heard_ns)
     if isinstance(message, Dispatch | Production):
         return _not_finite(plan, message)
-    rating_kw = plan.tree.rating_kw(port.node)
-    bounds = bounds_of(type(message), rating_kw)
+    bounds = bounds_at(type(message), plan.tree, port.node)
     if isinstance(message, Telemetry):  # The bounds that the IMPP estimate applies.
-        most_kw = rating_kw * (1.0 + METER_TOLERANCE)
-        bounds = Bound("power_kw", 0.0, most_kw), Bound("alpha", 0.0, 1.0)
+        most_kw = plan.tree.rating_kw(port.node) * (1.0 + METER_TOLERANCE)
+        least_kw = -most_kw if plan.tree.is_storage(port.node) else 0.0
+        bounds = Bound("power_kw", least_kw, most_kw), Bound("alpha", 0.0, 1.0)
     for bound in bounds:
         if not is_within(message, (bound,)):
             return f"{bound.field}: expected {bound}, got {getattr(message, bound.field):.10g}"

@@ -56,16 +56,13 @@ class Equality:
         if payload == encode(recorded):
             return ()
         # Compare what a listener would get: on the wire an int may stand for a float.
-        received = decode(port.signal, payload)
+        received = msgspec.to_builtins(decode(port.signal, payload))
+        known = msgspec.to_builtins(recorded)
         return tuple(
             difference
             for name in recorded.__struct_fields__
             if name not in self.ignored
-            for difference in self._differing(
-                name,
-                msgspec.to_builtins(getattr(recorded, name)),
-                msgspec.to_builtins(getattr(received, name)),
-            )
+            for difference in self._differing(name, known.get(name), received.get(name))
         )
 
     def _differing(self, name: str, old: Value, now: Value) -> Iterator[FieldDifference]:

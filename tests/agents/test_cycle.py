@@ -13,6 +13,7 @@ from plans_by_hand import plan_of
 
 from agents.agent import Agent
 from agents.cycle import KINDS, STAGES, USED_SHARE, Deadlines, kind_of, stage_of
+from agents.settings import StorageSettings
 from agents.team import controllers
 from bus_schemas.signals import COMMAND, PRODUCTION, SETPOINT
 from bus_schemas.tree import ROOT, ControlTree
@@ -21,14 +22,22 @@ from sim_plant.profile import Profile
 
 FLAT = ControlTree((("a", 1.0), ("b", 1.0)))
 THREE_TIERS = ControlTree((("c1/a", 100.0), ("c1/b", 100.0), ("c2/a", 100.0)))
-RAGGED = ControlTree((("a", 1.0), ("c1/b", 1.0), ("z1/c1/d", 1.0), ("z1/y1/x1/e", 1.0)))
+RAGGED = ControlTree(
+    (("a", 1.0), ("c1/b", 1.0), ("z1/c1/d", 1.0), ("z1/y1/x1/e", 1.0)),
+    (("battery", 1.0), ("z1/battery", 1.0)),
+)
 MS = 1_000_000
 EXAMPLE = Path(__file__).parents[2] / "examples" / "direct_controller.py"
 
 
 def team(tree: ControlTree) -> list[Agent[Any]]:
     """All agents of a plant but the recorder."""
-    plan = plan_of(dict(tree.inverters))
+    storages = [
+        StorageSettings(name=parts[2], cluster=parts[0], rating_kw=kw, capacity_kwh=1.0)
+        for path, kw in tree.storages
+        for parts in [path.rpartition("/")]
+    ]
+    plan = plan_of(dict(tree.inverters), storages=tuple(storages))
     count = len(tree.leaves)
     return [Plant(plan, Profile(np.ones((1, count)), np.ones(1))), *controllers(plan)]
 

@@ -43,6 +43,7 @@ def one(signal: Signal[Message]) -> Message:
         **{"stage": "solve", "readings": 1, "meter_cycle": 1, "clamped": 1, "agents": ("c1/a",)},
         **{"offers": (0.5, 0.25), "expected_kw": (0.5, 0.25), "order_replaced": ("page",)},
         **{"intervals": 1, "record": (0.5,)},
+        **{"storage_power_kw": (-1.0,), "storage_energy_kwh": (2.0,)},
     }
     names = signal.type.__struct_fields__
     return msgspec.convert({name: plain.get(name, 1.5) for name in names}, signal.type)

@@ -172,7 +172,8 @@ def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> No
     frame = run.frames("setpoint", **part)["setpoint"]
     assert frame.index.name == "time"
     assert str(frame.index[0]) == "2010-04-01 12:00:10-10:00"
-    assert list(frame.columns) == ["cycle", "node", "power_kw", "share_kw", "help_given"]
+    own = ["power_kw", "share_kw", "help_given", "storage_kw"]
+    assert list(frame.columns) == ["cycle", "node", *own]
     assert list(frame["cycle"]) == [10, 10, 11, 11, 12, 12]
     assert dict(frame.groupby("node")["power_kw"].mean()) == {"c1/a": 40.0, "c1/b": 80.0}
     given = frame[["node", "help_given"]].explode("help_given").dropna()

@@ -11,7 +11,6 @@ from typing import cast
 import msgspec
 import pytest
 from buses_by_hand import LinkByHand, SubscriberByHand
-from msgspec import structs
 from msgspec.structs import replace
 from recorded_runs import cloudy_profile, plan_of, published
 
@@ -143,7 +142,7 @@ def test_messages_of_a_device_that_are_lost_are_counted_by_their_numbers(
 def test_a_message_with_an_impossible_head_is_named_and_the_recording_goes_on(
     node: str, head: dict[str, int], tmp_path: Path
 ) -> None:
-    forged = msgspec.msgpack.encode(structs.asdict(replace(impp(4), source=node)) | head)
+    forged = msgspec.msgpack.encode(msgspec.to_builtins(replace(impp(4), source=node)) | head)
     place = next(n for n, (_, message) in enumerate(SAID) if message.cycle == 5)
     kept, account = recorded([*SAID[:place], (IMPP.of(node), forged), *SAID[place:]], tmp_path)
     assert {entry.key for entry in account.complaints} == {f"oahu/{node}/impp"}
@@ -159,7 +158,7 @@ def test_a_message_with_an_impossible_head_is_named_and_the_recording_goes_on(
 def test_a_message_with_an_impossible_body_does_not_end_the_recorder(
     missing: object, tmp_path: Path
 ) -> None:
-    fields = structs.asdict(replace(impp(4), source="c1/a")) | {"missing": missing}
+    fields = msgspec.to_builtins(replace(impp(4), source="c1/a")) | {"missing": missing}
     forged = msgspec.msgpack.encode(fields)
     place = next(n for n, (_, message) in enumerate(SAID) if message.cycle == 5)
     said: list[Spoken] = [*SAID[:place], (IMPP.of("c1/a"), forged), *SAID[place:]]
