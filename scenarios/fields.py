@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
-from typing import Any, Final, TypeVar, cast
+from collections.abc import Iterable, Iterator, Mapping
+from types import UnionType
+from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import inspect
@@ -19,20 +20,20 @@ _NO_BOUND: Final = 1e12
 
 _HEADING: Final = re.compile(r"\s*(\[\[?)\s*([\w.-]+)\s*\]+\s*(#.*)?$")
 _ENTRY: Final = re.compile(r"\s*([\w.-]+)\s*=")
-_PATH: Final = re.compile(r"`\$([^`]*?)(?:\[\.\.\.\].*)?`$")
-_PART: Final = re.compile(r"\.[^.\[]+|\[\d+\]")
 
 
 def checked(document: object, kind: type[_T], where: str = "", text: str = "") -> _T:
-    """Return a document as a struct, or refuse it with the first field that is wrong.
+    """Return a document as a struct, or refuse it with all fields that are wrong.
 
-    `text` is the TOML that the document was read from, which says in which line the field stands.
+    `text` is the TOML that the document was read from, which says in which line a field stands.
     """
     try:
         return msgspec.convert(document, kind, str_keys=True)
-    except msgspec.ValidationError as error:
-        wrong = _refusal(error, kind, document)
-        raise wrong.within(line_of(wrong.field, text)).within(where) from None
+    except msgspec.ValidationError:
+        wrong = [one.within(line_of(one.field, text)) for one in _refusals(document, kind, "")]
+    first, *others = wrong
+    complaint = "; ".join([first.complaint, *map(str, others)])
+    raise InputError(complaint, field=first.field, place=first.place).within(where)
 
 
 def line_of(field: str, text: str) -> str:
@@ -60,74 +61,75 @@ def _field_lines(text: str) -> dict[str, int]:
     return found
 
 
-def _refusal(error: msgspec.ValidationError, kind: type, document: object) -> InputError:
-    """Name the field that msgspec's path leads to, what it takes and what stands there."""
-    path = _PATH.search(str(error))
-    types, field, value = members(inspect.type_info(kind)), "", cast(Any, document)
-    for part in _PART.findall(path[1] if path else ""):
-        step = int(part[1:-1]) if part[0] == "[" else part.lstrip(".")
-        if any(getattr(one, "tag_field", None) == step for one in types):
-            break  # The kind of the table is not known.
-        types = _types_inside(_of_tag(types, value), step)
-        value, field = value[step], (field + part).lstrip(".")
-    types = _of_tag(types, value)
+def _refusals(value: object, kind: object, path: str) -> Iterator[InputError]:
+    """Yield what is wrong in a value, if anything is; `kind` is its type, as annotations say it."""
+    try:
+        msgspec.convert(value, kind, str_keys=True)
+    except msgspec.ValidationError as error:
+        inside = list(_refusals_inside(value, kind, path))
+        cause = error.__cause__  # From a `__post_init__`, about the table or one of its fields.
+        if inside:
+            yield from inside
+        elif isinstance(cause, InputError):
+            yield cause.renamed(_join(path, cause.field) if cause.field else path)
+        else:
+            expected = takes(members(inspect.type_info(kind)))
+            yield InputError.of(path, f"expected {expected}, got {value!r:.60}")
+
+
+def _refusals_inside(value: object, kind: object, path: str) -> Iterator[InputError]:
+    types = members(inspect.type_info(kind))
     tables = [one for one in types if isinstance(one, inspect.StructType)]
-    if isinstance(value, Mapping) and len(tables) == 1:
-        return _table_refusal(error, tables[0], value, field)
+    alternatives = {get_origin(one): get_args(one) for one in _alternatives(kind)}
     if isinstance(value, Mapping) and tables:
-        tag = str(tables[0].tag_field)
-        expected = " or ".join(f'"{table.tag}"' for table in tables)
-        got = value.get(tag, "nothing")
-        return InputError.of(_join(field, tag), f"expected {expected}, got {got!r:.60}")
-    return InputError.of(field, f"expected {takes(types)}, got {value!r:.60}")
+        if len(tables) > 1:
+            tag = str(tables[0].tag_field)
+            of_tag = [one for one in tables if one.tag == value.get(tag)]
+            if not of_tag:
+                expected = " or ".join(f'"{table.tag}"' for table in tables)
+                got = value.get(tag, "nothing")
+                yield InputError.of(_join(path, tag), f"expected {expected}, got {got!r:.60}")
+            tables = of_tag
+        for table in tables:
+            yield from _table_refusals(value, table, path)
+    elif isinstance(value, Mapping) and dict in alternatives:
+        for name, one in value.items():
+            yield from _refusals(one, alternatives[dict][1], _join(path, name))
+    elif isinstance(value, list) and tuple in alternatives:
+        for at, one in enumerate(value):
+            yield from _refusals(one, alternatives[tuple][0], f"{path}[{at}]")
 
 
-def _table_refusal(
-    error: msgspec.ValidationError,
-    table: inspect.StructType,
-    value: Mapping[str, object],
-    path: str,
-) -> InputError:
+def _table_refusals(
+    value: Mapping[str, Any], table: inspect.StructType, path: str
+) -> Iterator[InputError]:
+    kinds = get_type_hints(table.cls, include_extras=True)
     fields = {field.encode_name: field for field in table.fields}
     known = [*([table.tag_field] if table.tag_field else []), *fields]
-    for name in value:
+    for name, one in value.items():
         if name not in known:
-            return InputError.of(_join(path, name), not_one_of(known, name, "the fields "))
+            yield InputError.of(_join(path, name), not_one_of(known, name, "the fields "))
+        elif name in fields:
+            yield from _refusals(one, kinds[fields[name].name], _join(path, name))
     for name, field in fields.items():
         if field.required and name not in value:
             expected = takes(members(field.type))
-            return InputError.of(_join(path, name), f"expected {expected}, got nothing")
-    cause = error.__cause__  # From a `__post_init__`, about the table or one of its fields.
-    if isinstance(cause, InputError):
-        return cause.renamed(_join(path, cause.field) if cause.field else path)
-    return InputError.of(path, str(cause or error))
+            yield InputError.of(_join(path, name), f"expected {expected}, got nothing")
 
 
 def _join(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
 
-def _types_inside(types: tuple[inspect.Type, ...], step: str | int) -> tuple[inspect.Type, ...]:
-    """Return what a field or an item of a value of these types takes."""
-    for one in types:
-        match one:
-            case inspect.StructType(fields=fields) if step in {each.encode_name for each in fields}:
-                return next(members(each.type) for each in fields if each.encode_name == step)
-            case inspect.DictType(value_type=value) if isinstance(step, str):
-                return members(value)
-            case inspect.VarTupleType(item_type=item) if isinstance(step, int):
-                return members(item)
-            case inspect.TupleType(item_types=items) if isinstance(step, int):
-                return members(items[step])
-    return ()
-
-
-def _of_tag(types: tuple[inspect.Type, ...], value: object) -> tuple[inspect.Type, ...]:
-    """Return those types whose tag the document names; all, where it names none."""
-    if not isinstance(value, Mapping):
-        return types
-    tables = [one for one in types if isinstance(one, inspect.StructType) and one.tag_field]
-    return tuple(one for one in tables if value.get(str(one.tag_field)) == one.tag) or types
+def _alternatives(kind: object) -> Iterator[object]:
+    """Yield the types of a union, or the type itself, without descriptions."""
+    if get_origin(kind) is Annotated:
+        yield from _alternatives(get_args(kind)[0])
+    elif get_origin(kind) in {Union, UnionType}:
+        for one in get_args(kind):
+            yield from _alternatives(one)
+    else:
+        yield kind
 
 
 def members(kind: inspect.Type) -> tuple[inspect.Type, ...]:

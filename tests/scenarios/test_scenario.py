@@ -232,13 +232,30 @@ def test_a_bad_scenario_is_refused_with_file_and_field(
         ),
         (
             "[timing.budgets]\nhop_p99_ms.setpoint = 0.0",
-            "timing.budgets.hop_p99_ms: expected table",
+            "timing.budgets.hop_p99_ms.setpoint: expected number above 0",
         ),
     ],
 )
 def test_a_bad_table_is_refused_with_its_field(folder: Folder, table: str, complaint: str) -> None:
     folder.change("[control]", f"{table}\n[control]")
     assert f": {complaint}" in folder.complaint()
+
+
+def test_all_wrong_fields_of_a_file_are_named_at_once_with_their_lines(folder: Folder) -> None:
+    orders = "[[orders]]\nat = 1\npower_kw = -1\n[[orders]]\nat = 2\npower_kw = 'full'\n"
+    folder.change("[control]", f"{orders}[control]")
+    folder.change("duration_s = 30", "duration_s = 0")
+    folder.change('[neighbours]\nhistory = "earlier-day"\n', "")
+    lines = folder.scenario.read_text(encoding="utf-8").splitlines()
+    found = folder.complaint()
+    assert len(found.splitlines()) == 1
+    for field, entry in (
+        ("time.duration_s", "duration_s = 0"),
+        ("orders[0].power_kw", "power_kw = -1"),
+        ("orders[1].power_kw", "power_kw = 'full'"),
+    ):
+        assert f"line {lines.index(entry) + 1}: {field}: expected" in found
+    assert "neighbours: expected table, got nothing" in found
 
 
 @pytest.mark.parametrize(
