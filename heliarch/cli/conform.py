@@ -49,7 +49,7 @@ def conform(
     Parameters
     ----------
     agent
-        The agent that the device replaces: c2/inv07, c2, central or plant.
+        The controller that the device replaces: c2/inv07, c2 or central.
     scenario
         The plant around it, as for launch.
     command
@@ -72,10 +72,12 @@ def conform(
     from launch_scripts.run_folder import RunRequest, prepare_run
     from recordings.verify.comparison import Equality
     from scenarios.scenario import load_scenario
-    from studies.conformance.conform import CYCLES, FROZEN, Conformance
+    from studies.conformance.conform import CYCLES, Conformance
     from studies.conformance.device import Device
 
     check_junit(junit)
+    if agent == PLANT:
+        raise InputError.of("AGENT", "expected a controller such as c2/inv07, got plant")
     output, device, file = Output(json), Device(command, agent), load_scenario(scenario)
     options = RunOptions(
         duration=f"{CYCLES * file.scenario.time.cycle_s:g}",
@@ -85,7 +87,6 @@ def conform(
         external=[agent],
         external_timeout_s=wait_s,
         base_port=base_port,
-        faults=[FROZEN] if agent == PLANT else None,
     )
     try:
         preparation, folder = prepare_run(RunRequest(file, options, out))
@@ -97,14 +98,10 @@ def conform(
     table = findings.table(agent)
     output.show(table)
     output.say(f"trials: {folder.path}")
-    failures = [failure._asdict() for failure in findings.failures]
-    document: dict[str, Any] = {
-        "agent": agent,
-        "passed": findings.passed,
-        "requirements": json_rows(table),
-    }
+    requirements, failures = json_rows(table), [one._asdict() for one in findings.failures]
+    document = {"agent": agent, "passed": findings.passed, "requirements": requirements}
     output.write({**document, "failures": failures})
-    write_junit(junit, {f"conform {agent}": _cases(document["requirements"])})
+    write_junit(junit, {f"conform {agent}": _cases(requirements)})
     return OK if findings.passed else FAILED
 
 

@@ -8,35 +8,29 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 
-from agents.plan import RunPlan, changed
+from agents.plan import changed
 from agents.process.events import Status
 from bus_schemas.errors import FailureError, listed
-from bus_schemas.tree import PLANT
 from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.launch import run_as_processes
 from launch_scripts.run_folder import RunFolder
-from recordings.record.complaints import OUT_OF_RANGE, UNDECODABLE, UNKNOWN, WRONG_SENDER
-from recordings.verify.comparison import LOSSES, Equality
-from recordings.verify.verification import verify
+from recordings.record.complaints import UNDECODABLE, UNKNOWN, WRONG_SENDER
+from recordings.verify.comparison import Equality
 from results.run_document import RunDocument
 from scenarios.preparation import Preparation
-from sim_plant import Floats
 from sim_plant.profile import Profile
 from studies.conformance.device import Device
 from studies.conformance.judge import DeviceRun, WrongAnswer, judge
-from studies.conformance.requirements import OF_PLANT, REQUIREMENTS, Findings
+from studies.conformance.requirements import Findings
 from studies.conformance.situations import AWAY, Script, in_lockstep, in_real_time, restart
 
 CYCLES: Final = 60
 """Cycles of the weather that all launches have; longer ones repeat it."""
-
-FROZEN: Final = "freeze=c*,at=20s..23s"
-"""What happens to a plant under test in real time: commands come late, or not at all."""
 
 _STALL_S: Final = 5.0
 """How long a launch in lockstep waits for an answer."""
@@ -90,46 +84,37 @@ class Conformance:
     say: Callable[[str], None]
 
     def __post_init__(self) -> None:
-        plan = self.preparation.plan
-        (self._agent,) = plan.access.external
-        self.findings = Findings(OF_PLANT if self._agent == PLANT else REQUIREMENTS)
+        (self._agent,) = self.preparation.plan.access.external
+        self.findings = Findings()
         self._known: set[tuple[str, str]] = set()
-        plan = changed(
-            plan,
-            timing={"stall_timeout_s": _STALL_S},
-            access={"keys_folder": ""},
-            faults={"rules": plan.faults.rules if self._agent == PLANT else ()},
-        )
-        self.preparation = dataclasses.replace(self.preparation, plan=plan)
 
     def run(self, seed: int) -> Findings:
         """Take the device through all situations; stop if it never arms."""
-        plan = self.preparation.plan
-        plans = {"lockstep": changed(plan, timing={"cycle_wall_ns": 0}, faults={"rules": ()})}
-        if not plan.timing.lockstep:
-            plans["real-time"] = plan
+        plan = changed(
+            self.preparation.plan,
+            timing={"stall_timeout_s": _STALL_S},
+            access={"keys_folder": ""},
+            faults={"rules": ()},
+        )
         try:
-            for name, one in plans.items():
-                if self._agent == PLANT:
-                    self._try_plant(name, one)
-                else:
-                    self._try_controller(name, Script(one, self._agent, seed))
+            script = Script(changed(plan, timing={"cycle_wall_ns": 0}), self._agent, seed)
+            in_lockstep(script)
+            self._try("lockstep", script)
+            if not plan.timing.lockstep:
+                script = Script(plan, self._agent, seed)
+                in_real_time(script)
+                self._try("real-time", script, restarts=self.device.can_restart)
         except FailureError as failure:
             self.say(str(failure))
         return self.findings
 
-    def _try_controller(self, name: str, script: Script) -> None:
-        away = range(0)
-        if script.plan.timing.lockstep:
-            in_lockstep(script)
-        else:
-            in_real_time(script)
-            away = restart(script) if self.device.can_restart else away
+    def _try(self, name: str, script: Script, *, restarts: bool = False) -> None:
+        away = restart(script) if restarts else range(0)
         self._judge(script, *self._launch(name, script, away), away)
         self.device.end()
 
     def _launch(
-        self, name: str, script: Script, away: range = range(0)
+        self, name: str, script: Script, away: range
     ) -> tuple[RunFolder, RunDocument | Exception]:
         """Launch the plant around the device; return the folder, and how it ended."""
         cycles, folder = script.cycle, RunFolder(self.folder.path / name)
@@ -201,47 +186,12 @@ class Conformance:
         inputs = recorded.inputs_of(cycle)
         self.findings.fail(requirement, finding.text, trial, cycle, finding.key, inputs)
 
-    def _try_plant(self, name: str, plan: RunPlan) -> None:
-        """Let a device conduct a run, and judge the recording."""
-        script, findings = Script(plan, PLANT, 0), self.findings
-        for _ in range(CYCLES):
-            script.play("cycles")
-        folder, ended = self._launch(name, script)
-        self.device.end()
-        if not isinstance(ended, RunDocument):
-            findings.fail("token" if "no sign of" in str(ended) else "stop", str(ended))
-            raise ended
-        kind = "missing" if ended.launcher.skipped_cycles or ended.missing_inputs else "cycles"
-        for shown in ("arming", "cycles", "head", "bounds", "links", "stop", kind):
-            findings.note(shown, "PASS")
-        (account,) = ended.external
-        if account.answered < account.expected:
-            findings.fail(kind, f"{account.answered:,} of {account.expected:,} messages came")
-        if account.lost:
-            findings.fail("head", f"sequence: {account.lost:,} numbers are missing")
-        for wrong in ended.launcher.wrong:
-            of = "bounds" if wrong.cause in (UNDECODABLE, OUT_OF_RANGE) else "cycles"
-            if wrong.publisher in {PLANT, ""}:  # A controller that stood still may be replaced.
-                findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
-        agent, difference = verify(folder.path).first or ("", None)
-        if difference is not None and difference.kind in LOSSES:
-            text = f"not all was recorded, from cycle {difference.cycle} on: lower --pace"
-            findings.note("links", "too slow", text)
-        elif difference is not None:
-            text = f"cycle {difference.cycle}: {agent} decides otherwise on what was recorded"
-            findings.fail("links", text)
-
 
 def _of_cycles(profile: Profile, cycles: int) -> Profile:
     """Return a profile of this length [cycles]; a shorter one is repeated."""
-
-    def longer(values: Floats) -> Floats:
-        return np.resize(values, (cycles, *values.shape[1:]))
-
-    return dataclasses.replace(
-        profile,
-        mpp_kw=longer(profile.mpp_kw),
-        commitment_kw=longer(profile.commitment_kw),
-        regulation_kw=longer(profile.regulation_kw),
-        meter_error=longer(profile.meter_error),
-    )
+    series: dict[str, Any] = {}
+    for one in dataclasses.fields(profile):
+        values = getattr(profile, one.name)
+        if isinstance(values, np.ndarray) and values.size:
+            series[one.name] = np.resize(values, (cycles, *values.shape[1:]))
+    return dataclasses.replace(profile, **series)

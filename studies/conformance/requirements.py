@@ -24,17 +24,7 @@ REQUIREMENTS: Final[dict[str, str]] = {
     "restart": "a new process joins the run in the cycle under way, and counts from 0",
     "stop": "publishes nothing after the last cycle",
 }
-"""Requirements of a controller by name, in the order of the report."""
-
-OF_PLANT: Final[dict[str, str]] = {
-    **{name: REQUIREMENTS[name] for name in ("token", "head", "bounds")},
-    "arming": "conducts arming rounds, and begins the run once one is closed",
-    "cycles": "publishes each of its signals in each cycle, once, and on no other keys",
-    "links": "each listener decides on what was recorded",
-    "missing": "completes its cycles in real time also without a command",
-    "stop": "completes all cycles, and says that the run is over",
-}
-"""Requirements of a plant."""
+"""Requirements by name, in the order of the report."""
 
 _RESULTS: Final = ("not tried", "PASS", "not judged", "too slow", "FAIL")
 
@@ -56,9 +46,9 @@ class Findings:
     failures: All of them, in the order of trials and cycles.
     """
 
-    def __init__(self, requirements: dict[str, str]) -> None:
+    def __init__(self) -> None:
         self.failures: list[Failure] = []
-        self._found = {name: ("not tried", text) for name, text in requirements.items()}
+        self._found = {name: ("not tried", text) for name, text in REQUIREMENTS.items()}
 
     def note(self, requirement: str, result: str, text: str = "") -> None:
         before, its_text = self._found[requirement]
