@@ -29,7 +29,6 @@ from scenarios.times import When
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
-    import pyarrow as pa
 
 
 P = ParamSpec("P")
@@ -230,31 +229,6 @@ class Run:
         table = stage_table(self._reader)
         self._reader.warn_of_damage()
         return table
-
-    def batches(
-        self,
-        table: str,
-        *,
-        nodes: str | Collection[str] = (),
-        start: When | None = None,
-        end: When | None = None,
-        cycles: int = 3600,
-    ) -> Iterator[pa.Table]:
-        """Yield a table, as of `frame`, in Arrow parts of `cycles` cycles.
-
-        In this way the table of a long run need not fit into memory.
-        """
-        import pyarrow as pa  # noqa: PLC0415 - it loads slowly
-
-        if cycles < 1:
-            raise InputError.of("cycles", f"expected 1 or more, got {cycles}")
-        span = self._reader.clock.span(start, end, ("start", "end"))
-        for first in range(span.start, span.stop, cycles):
-            until = min(first + cycles, span.stop)
-            part = self.frame(table, nodes=nodes, start=f"c{first}", end=f"c{until}")
-            if not part.empty:
-                names = part.select_dtypes("category").columns
-                yield pa.Table.from_pandas(part.astype(dict.fromkeys(names, "str")))
 
     def close(self) -> None:
         self._reader.close()

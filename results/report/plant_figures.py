@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
@@ -16,10 +17,7 @@ from results.report import style
 _DASHED = {"color": style.BLACK, "width": 1.2, "dash": "dash"}
 _DOTTED = {"color": style.BLACK, "width": 1.0, "dash": "dot"}
 _ALONE = {"color": style.ORANGE, "width": 1.2}
-_UNLISTED = {"showlegend": False, "legendgroup": None}
-"""A group of its own would put the other entries of the legend below each other."""
-
-_CLOSE_LOOK_S = 600.0
+_UNLISTED = {"showlegend": False}
 
 
 def plant_power(series: Sequence[RunSeries]) -> style.ReportFigure:
@@ -76,61 +74,35 @@ def _of(what: str, one: RunSeries, series: Sequence[RunSeries]) -> str:
 
 
 def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
-    """Draw regulation asked and given, in the whole run and in its worst ten minutes, if any."""
+    """Draw regulation asked and given, if any."""
     first = series[0]
     if not _asks_regulation(first):
         return None
-    # One that never curtails follows nothing: it would hide the others, and choose the minutes.
+    # One that never curtails follows nothing: it would hide the others.
     curtailing = {at: one for at, one in enumerate(series) if np.any(one.power_kw < one.mpp_kw)}
-    following = curtailing or dict(enumerate(series))
-    worst = farthest_from_asked(list(following.values()))
-    figure = make_subplots(
-        rows=2,
-        cols=1,
-        vertical_spacing=0.16,
-        subplot_titles=["whole run", f"from {style.clock_text(first, worst.start)}"],
-    )
-    for row, cycles in enumerate((range(first.cycles), worst), start=1):
-        once = {"showlegend": row == 1}
-        for position, one in following.items():
-            given_kw, name = one.delivered_kw - one.commitment_kw, _of("given", one, series)
-            look = style.scheme_line(position)
-            given = style.time_line(one, given_kw, name, look, cycles, **once)
-            figure.add_trace(given, row, 1)
-        asked = style.time_line(first, first.regulation_kw, "asked", _DASHED, cycles, **once)
-        figure.add_trace(asked, row, 1)
-    style.dress(figure, 580)
-    figure.update_layout(legend_y=1.05, margin_t=70)
+    lines = [
+        style.time_line(
+            one,
+            one.delivered_kw - one.commitment_kw,
+            _of("given", one, series),
+            style.scheme_line(position),
+        )
+        for position, one in (curtailing or dict(enumerate(series))).items()
+    ]
+    lines.append(style.time_line(first, first.regulation_kw, "asked", _DASHED))
+    figure = style.dress(go.Figure(lines), 320)
     capacity_kw = first.plan.site.regulation_capacity_kw
     # A plant that lacks power falls far below: the signal would be a thin line above that.
     figure.update_yaxes(title_text="regulation [kW]", range=[-3.0 * capacity_kw, 2.0 * capacity_kw])
-    style.label_time_axis(figure, first, rows=2)
-    figure.update_xaxes(range=style.clock_range_ms(first, worst), row=2, col=1)
+    style.label_time_axis(figure, first)
     return style.ReportFigure(
         "regulation",
         "Regulation asked and given",
         "Regulation that the signal asked for, and the regulation given: delivered power less the "
-        f"commitment [kW]. A signal of 1 asks for {capacity_kw:,.0f} kW. Below are the "
-        f"{len(worst) * first.cycle_s / 60.0:.3g} minutes with the largest mean distance between "
-        "the two; cycles in which the plant could not have given the regulation do not count. The "
-        "axis ends at three times the capacity below the commitment and twice above it.",
+        f"commitment [kW]. A signal of 1 asks for {capacity_kw:,.0f} kW. The axis ends at three "
+        "times the capacity below the commitment and twice above it.",
         figure,
     )
-
-
-def farthest_from_asked(series: Sequence[RunSeries]) -> range:
-    """Find the ten minutes in which regulation given was farthest from regulation asked.
-
-    That is where the mean of |delivered - dispatch|, over the runs, is largest. Cycles in which
-    nothing was asked, or in which the plant could not have given it, do not count.
-    """
-    first = series[0]
-    length = min(max(1, round(_CLOSE_LOOK_S / first.cycle_s)), first.cycles)
-    error_kw = np.mean([np.abs(one.delivered_kw - one.desired_kw) for one in series], axis=0)
-    could = first.known & (first.regulation_kw != 0.0) & (first.available_kw >= first.desired_kw)
-    asked = np.where(could, error_kw, 0.0)
-    begin = int(np.convolve(asked, np.ones(length), mode="valid").argmax())
-    return range(begin, begin + length)
 
 
 def _asks_regulation(one: RunSeries) -> bool:

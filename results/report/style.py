@@ -84,14 +84,8 @@ def plain(text: str) -> str:
 def curve(
     x: object, y: object, name: str, line: Mapping[str, object], **look: object
 ) -> go.Scatter:
-    """Return a line; `look` are further properties of a Plotly scatter trace.
-
-    Where that says `showlegend`, one entry in the legend stands for the lines of several panels.
-    """
-    own: dict[str, object] = {"mode": "lines", "name": plain(name), "line": line}
-    if "showlegend" in look:
-        own["legendgroup"] = name
-    return go.Scatter(x=x, y=y, **{**own, **look})
+    """Return a line; `look` are further properties of a Plotly scatter trace."""
+    return go.Scatter(x=x, y=y, mode="lines", name=plain(name), line=line, **look)
 
 
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:
@@ -117,13 +111,10 @@ def time_line(
     values: NDArray[np.float64],
     name: str,
     line: Mapping[str, object],
-    cycles: range | None = None,
-    /,
     **look: object,
 ) -> go.Scatter:
-    """Return a line of one value a cycle, in all cycles or some, thinned out for a screen."""
-    shown = cycles or range(series.cycles)
-    rows = shown.start + extremes(values[shown.start : shown.stop])
+    """Return a line of one value a cycle, thinned out for a screen."""
+    rows = extremes(values)
     times_ms, kw = clock_ms(series)[rows], values[rows].astype(np.float32)
     return curve(times_ms, kw, name, line, **{"hovertemplate": "%{y:,.1f}", **look})
 
@@ -158,12 +149,8 @@ def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None
     The lowest one says which clock it is, and what all lines show at a time is named together.
     """
     figure.update_layout(hovermode="x")
-    figure.update_xaxes(type="date", range=clock_range_ms(series, range(series.cycles)))
+    begin_ms = clock_ms(series)[0]
+    end_ms = begin_ms + series.cycles * series.cycle_s * 1e3
+    figure.update_xaxes(type="date", range=[begin_ms, end_ms])
     last = {} if rows == 1 else {"row": rows, "col": 1}
     figure.update_xaxes(title_text=plain(f"local time ({series.times[0]:%Z})"), **last)
-
-
-def clock_range_ms(series: RunSeries, cycles: range) -> list[float]:
-    """Return the beginning of the first of some cycles and the end of the last one."""
-    begin_ms = clock_ms(series)[0]
-    return [begin_ms + cycle * series.cycle_s * 1e3 for cycle in (cycles.start, cycles.stop)]

@@ -13,7 +13,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
 from command_line import python
 from msgspec.structs import replace
@@ -106,12 +105,6 @@ def test_tables_read_together_or_in_parts_are_those_that_are_read_alone(run: hel
     times: dict[str, Any] = {"start": run.plant.index[5], "end": run.plant.index[9]}
     for span in (lengths, times):
         assert set(run.frame("setpoint", **span)["cycle"]) == {5, 6, 7, 8}
-    parts = list(run.batches("help_given", cycles=7))
-    assert len(parts) > 1
-    whole, table = pa.concat_tables(parts).to_pandas(), run.frame("help_given")
-    assert whole.shape == table.shape
-    assert (whole["power_kw"].to_numpy() == table["power_kw"].to_numpy()).all()
-    assert (whole.index == table.index).all()
 
 
 def test_a_recording_is_verified_and_a_part_of_it_exported(
@@ -176,8 +169,6 @@ def test_a_comparison_names_the_parameter_that_is_wrong(plant: str, bad: dict[st
 
 
 def test_reading_names_the_parameter_that_is_wrong(run: heliarch.Run) -> None:
-    with pytest.raises(InputError, match=r"^cycles: expected 1 or more"):
-        list(run.batches("impp", cycles=0))
     with pytest.raises(InputError, match=r"^nodes: expected"):
         run.frame("impp", nodes="zz")
 
