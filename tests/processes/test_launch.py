@@ -11,10 +11,10 @@ from pathlib import Path
 import command_line
 import msgspec
 import pytest
-from command_line import Result, done, python
+from command_line import Result, python
 from memory_runs import timeless
 from plans_by_hand import with_changes
-from running import Start, assert_none_left, small_plant
+from running import assert_none_left, small_plant
 
 from agents.plan_file import load_plan
 from bus_schemas.messages import Dispatch, Message
@@ -153,19 +153,6 @@ def test_so_do_they_by_the_clock_if_they_have_the_time(plant: str, tmp_path: Pat
             break
     assert (summary.missing_inputs, summary.launcher.skipped_cycles, summary.lost) == (0, 0, 0)
     assert ours == decided(tmp_path / "simulated", "simulate", *words)
-
-
-def test_two_plants_side_by_side_do_not_hear_each_other(
-    plant: str, heliarch: Start, tmp_path: Path
-) -> None:
-    words = ("launch", plant, "--duration", str(CYCLES))
-    other = heliarch(*words, "--seed", "2")
-    done(*words, "--seed", "3", "--out", tmp_path / "run")
-    assert other.wait() == 0, other.error_text()
-    for folder in (other.folder, tmp_path / "run"):
-        summary = summary_of(folder)
-        assert (summary.cycles, summary.lost, summary.launcher.dropped) == (CYCLES, 0, {})
-    assert decisions(other.folder) != decisions(tmp_path / "run")
 
 
 PLANT_ALONE = """

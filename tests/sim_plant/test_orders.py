@@ -79,24 +79,12 @@ def test_the_dispatch_ramps_to_an_order_and_back_and_then_follows_the_schedule_a
     assert orders.next(found[-1], (), scheduled).power_kw == 180.0
 
 
-def test_a_ramp_is_in_simulated_time_whatever_the_cycle() -> None:
-    found = dispatched({0: order(0.0, ramp_kw_per_min=600.0)}, cycle_s=0.1, cycles=3)
-    assert powers_kw(found) == pytest.approx([99.0, 98.0, 97.0])
-
-
 def test_the_newest_order_wins_whatever_its_source() -> None:
     at_three = PlannedOrder(at=3.0, power_kw=30.0)
     found = dispatched({1: order(10.0), 2: order(20.0, "modbus"), 5: order(40.0, "page")}, at_three)
     assert powers_kw(found) == [100.0, 10.0, 20.0, 30.0, 30.0, 40.0, 40.0, 40.0]
     sources = [one.order_source for one in found]
     assert sources == ["", "command", "modbus", "scenario", "scenario", "page", "page", "page"]
-
-
-def test_a_given_order_counts_before_the_scenarios_in_its_cycle_and_the_others_are_named() -> None:
-    at_three = PlannedOrder(at=3.0, power_kw=30.0)
-    found = dispatched({3: [order(10.0, "page"), order(20.0, "modbus"), order(40.0)]}, at_three)
-    assert powers_kw(found) == [100.0] * 3 + [40.0] * 5
-    assert [one.order_replaced for one in found[2:5]] == [(), ("scenario", "page", "modbus"), ()]
 
 
 def test_the_orders_that_a_dispatch_names_make_the_same_dispatch_again() -> None:

@@ -11,7 +11,7 @@ from complaints import complaint_of
 from plans_by_hand import CYCLE_NS, plan_of, with_changes
 from plants_by_hand import AtWork, at, command, memory
 
-from agents.settings import InverterSettings, Revert
+from agents.settings import Revert
 from bus_schemas.messages import Message
 from bus_schemas.signals import DISPATCH, METER, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT
@@ -63,19 +63,6 @@ def test_a_cycle_begins_with_the_operators_wish_and_the_rating_that_it_is_shared
     assert found.plant_rating_kw == 200.0
 
 
-def test_telemetry_and_meter_are_of_the_interval_that_just_ended() -> None:
-    plant = PlantAtWork()
-    plant.begin()
-    sent = plant.command(0.5, 1.0)
-    # In cycle 0: 0.5 x 80 and 1.0 x 60 kW.
-    assert measured(sent, 1) == [(40.0, 0.5), (60.0, 1.0)]
-    assert sent[METER.of(ROOT)].power_kw == 100.0
-    sent = plant.command(0.9, 0.25)
-    # In cycle 1: 0.9 x 100 and 0.25 x 40 kW.
-    assert measured(sent, 2) == [(90.0, 0.9), (10.0, 0.25)]
-    assert sent[METER.of(ROOT)].power_kw == 100.0
-
-
 def test_without_a_command_an_inverter_keeps_its_last_alpha() -> None:
     plant = PlantAtWork(cycle_wall_ns=CYCLE_NS)
     assert plant.begin() == {}, "in real time the plant waits for the tick"
@@ -96,14 +83,6 @@ def test_an_arming_round_stands_under_the_first_sample_and_moves_nothing() -> No
     assert measured(plant.command(), -5) == [(80.0, 1.0), (60.0, 1.0)]
     assert powers_kw(plant.command(0.5, 0.5)) == (40.0, 30.0)
     assert measured(plant.begin(), 0) == [(80.0, 1.0), (60.0, 1.0)]
-
-
-def test_inverters_of_the_limit_kind_obey_the_power_and_not_the_alpha() -> None:
-    plant = PlantAtWork(actuator="limit")
-    plant.begin()
-    sent = plant.command(0.3, 0.9)
-    assert powers_kw(sent) == (30.0, 60.0)
-    assert [sent[TELEMETRY.of(leaf)].limit_kw for leaf in LEAVES] == [30.0, 90.0]
 
 
 def test_an_inverters_meter_reads_what_was_delivered_with_its_error_and_the_plants_is_exact() -> (
@@ -177,50 +156,6 @@ def test_an_inverter_obeys_its_commands(
         sent = plant.at_deadline() if level is None else plant.command(level, level)
         found.append(powers_kw(sent)[0])
     assert found == pytest.approx(expected_kw)
-
-
-@pytest.mark.parametrize("cycle_s", [0.2, 1.0, 4.0])
-def test_a_ramp_goes_on_through_cycles_that_were_missed(cycle_s: float) -> None:
-    cycle_ns, long = round(cycle_s * 1e9), Profile(np.full((60, 2), 100.0), np.full(60, 100.0))
-    changes = {"ramp_percent_per_s": 0.2, "actuator": "limit", "revert": Revert(after_s=900.0)}
-    plant = PlantAtWork(long, cycle_ns=cycle_ns, cycle_wall_ns=cycle_ns, **changes)
-    plant.begin()
-    plant.at_deadline()
-    assert powers_kw(plant.command(0.9, 0.9))[0] == pytest.approx(50.0 + 0.2 * cycle_s)
-    assert plant.loop.catch_up(40 * cycle_ns)
-    plant.at_deadline()
-    assert powers_kw(plant.at_deadline())[0] == pytest.approx(50.0 + 41 * 0.2 * cycle_s)
-
-
-def test_a_limit_falls_from_the_power_that_it_holds_back() -> None:
-    dark = Profile(np.full((4, 2), 60.0), np.full(4, 200.0))
-    plant = PlantAtWork(dark, ramp_percent_per_s=10.0, actuator="limit")
-    plant.begin()
-    # Its share is 100 kW, the sun allows 60.
-    found = [powers_kw(plant.command(level, level))[0] for level in (1.0, 0.3, 0.3, 0.3)]
-    assert found == pytest.approx([60.0, 50.0, 40.0, 30.0])
-
-
-def test_inverters_may_be_set_otherwise_and_the_last_entry_counts() -> None:
-    settings = (
-        InverterSettings(nodes="c1/*", delay_s=9.0, revert=Revert(2.0, 0.3)),
-        InverterSettings(nodes="c1/a", delay_s=0.0),
-    )
-    plant = PlantAtWork(FLAT, settings=settings, revert=Revert(4.0))
-    plant.begin()
-    assert [powers_kw(plant.command(0.4, 0.4)) for _ in range(3)] == [(40.0, 50.0)] * 3
-
-
-def test_cycles_that_were_missed_count_for_delays_and_reverts() -> None:
-    changes = {"delay_s": 3.0, "revert": Revert(after_s=8.0, to=0.1)}
-    plant = PlantAtWork(FLAT, cycle_wall_ns=CYCLE_NS, **changes)
-    plant.begin()
-    plant.at_deadline()
-    plant.command(0.4, 0.4)
-    for under_way, expected_kw in ((6, 40.0), (11, 10.0)):
-        plant.loop.catch_up(under_way * CYCLE_NS)
-        plant.at_deadline()
-        assert powers_kw(plant.at_deadline()) == (expected_kw, expected_kw)
 
 
 # Profiles ----------------------------------------------------------------------------------------

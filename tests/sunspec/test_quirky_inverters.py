@@ -121,13 +121,6 @@ def test_one_wrong_or_missing_answer_before_the_run_does_not_refuse_it(
         assert set(powers) <= {SUN_KW, 30.0}
 
 
-def test_a_gateway_that_never_repeats_the_numbers_of_requests_works() -> None:
-    with quirky(echoes=False) as device:
-        found = connected(device)
-        found.limit(50.0, 60.0)
-        assert [found.read().power_kw for _ in range(5)] == [50.0] * 5
-
-
 # Links ----------------------------------------------------------------------------------------
 
 

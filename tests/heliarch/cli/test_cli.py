@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import io
 import json
-import shlex
 from pathlib import Path
 
 import pytest
-from command_line import done, heliarch, python, refusal
+from command_line import done, heliarch, python
 from plans_by_hand import plan_at_noon
 from rich.console import Console
 
@@ -19,7 +18,6 @@ from results.tables import Table, key_column, print_table
 from scenarios.scenario import shipped_scenarios
 from studies.arrays.schemes import SCHEMES
 
-REPOSITORY = Path(__file__).parents[3]
 NAMES = [name for names in COMMANDS.values() for name in names]
 MAIN = "from heliarch.cli.main import main; main()"
 HOSTILE = "power[/kw] \x1b[2J\x1b]0;owned\x07 \x9b31m [/red] [bold]"
@@ -118,12 +116,6 @@ def test_version_and_shipped_scenarios_are_listed() -> None:
     assert {entry["name"] for entry in found} == set(shipped_scenarios())
 
 
-def test_a_terminal_without_the_lines_of_a_tree_gets_the_rest() -> None:
-    run = REPOSITORY / "recordings" / "golden" / "oahu-limit"
-    words = ("inspect", run, "--cycle", "3")
-    assert "central" in python(MAIN, *words, variables={"PYTHONIOENCODING": "ascii"}).stdout
-
-
 def test_too_little_memory_is_said_in_one_line() -> None:
     limit = "resource.setrlimit(resource.RLIMIT_AS, (400_000_000,) * 2)"
     found = python(f"import resource; {limit}; {MAIN}", "scenarios", status=1)
@@ -155,19 +147,3 @@ def test_a_run_ends_with_the_commands_that_look_at_it(plant: str, tmp_path: Path
     text = done("simulate", plant, "--duration", "5", "--out", tmp_path / "run")
     for command in ("view", "report", "inspect"):
         assert f"{command} {tmp_path / 'run'}" in text
-
-
-def test_the_commands_for_what_comes_next_can_be_typed(plant: str, tmp_path: Path) -> None:
-    run = tmp_path / "of today; and more"
-    said = done("simulate", plant, "--duration", "5", "--out", str(run))
-    after = said.partition("next:")[2].splitlines()
-    (words,) = [words for words in map(shlex.split, after) if "inspect" in words]
-    assert words[words.index("inspect") + 1] == str(run)
-
-
-def test_a_link_to_nothing_is_no_folder_for_a_run(plant: str, tmp_path: Path) -> None:
-    (tmp_path / "run").symlink_to(tmp_path / "nowhere")
-    line = refusal("simulate", plant, "--duration", "5", "--out", str(tmp_path / "run"))
-    assert "--out" in line
-    assert "nowhere" in line
-    assert not (tmp_path / "nowhere").exists()

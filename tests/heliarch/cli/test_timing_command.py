@@ -13,32 +13,6 @@ from plans_by_hand import with_changes
 from reports_by_hand import missed, summary_of
 from timed_recordings import PLAN, cycle, recorded
 
-from launch_scripts.run_folder import RunRequest
-from scenarios.preparation import RunOptions, prepare
-from scenarios.scenario import load_scenario
-from studies.timing import prepare_at
-
-
-@pytest.mark.parametrize(
-    ("rate_hz", "length", "cycles"),
-    [
-        (10.0, {"duration": "4s"}, 40),
-        (7.0, {"duration": "0.5"}, 4),
-        (28.3, {"end": "12:00:10"}, 283),
-        (10.0, {}, 120),
-        (50.0, {}, 150),
-    ],
-)
-def test_a_run_is_a_whole_number_of_cycles_long(
-    rate_hz: float, length: dict[str, str], cycles: int, tmp_path: Path
-) -> None:
-    options = RunOptions(start="12:00", **length)  # type: ignore[arg-type]
-    request = RunRequest(load_scenario("oahu"), options)
-    preparation, _ = prepare_at(rate_hz, 3.0, request, tmp_path)
-    assert preparation.plan.timing.cycles == cycles
-    usual = prepare(request.scenario, RunOptions(start="12:00", duration="2s"), "usual").plan
-    assert preparation.plan.inverters == usual.inverters, "the rate does not change the clusters"
-
 
 def test_a_run_that_was_recorded_earlier_is_timed_without_running_anything(tmp_path: Path) -> None:
     folder = recorded(tmp_path, cycle(0), missed(1))

@@ -14,7 +14,7 @@ from reports_by_hand import summary_of
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
-from bus_schemas.signals import HELP, TELEMETRY
+from bus_schemas.signals import HELP
 from recordings.inspect.agent_states import AgentSpan, states_at
 from recordings.inspect.health import Health
 from recordings.inspect.overview import read_overview
@@ -53,41 +53,6 @@ def test_a_sound_run_has_nothing_to_report(tmp_path: Path) -> None:
     assert "not recorded" in text, "how many messages were dropped, only the launcher knows"
 
 
-def test_a_process_that_died_is_absent_to_the_end(tmp_path: Path) -> None:
-    health, text = written(tmp_path, lambda pair: pair[1].source != DEVICE or pair[1].cycle < 40)
-    assert health.states == (AgentSpan(DEVICE, "absent", 40, CYCLES - 40),)
-    assert health.messages_lost == 0
-    assert "12:00:40" in text
-
-
-def test_a_device_that_left_and_came_back_is_named_and_repeats_nothing(tmp_path: Path) -> None:
-    run = (
-        pair
-        for pair in whole_run(CYCLES)
-        if pair[1].source != DEVICE or not 20 <= pair[1].cycle < 30
-    )
-    anew = list(numbered(run, lambda pair: pair[1].source == DEVICE and pair[1].cycle >= 30))
-    for _, message in anew:
-        message.incarnation = 30 * (message.source == DEVICE and message.cycle >= 30)
-    write_messages(tmp_path / "run.mcap", anew)
-    health, text = health_of(tmp_path)
-    assert health.states == (AgentSpan(DEVICE, "absent", 20, 10, is_restarted=True, back_in=30),)
-    assert (health.messages_lost, health.repeated) == (0, 0)
-    assert f"{DEVICE}: absent in cycles 20 to 29 (12:00:20 to 12:00:29)" in text
-
-
-def test_a_real_inverter_that_was_gone_is_named(tmp_path: Path) -> None:
-    plan = with_changes(PLAN, devices=((DEVICE, "modbus://10.0.0.7:502/1"),))
-    telemetry, gone = TELEMETRY.of(DEVICE), range(20, 30)
-    run = (
-        pair for pair in whole_run(CYCLES) if pair[0] is not telemetry or pair[1].cycle not in gone
-    )
-    write_run(tmp_path / "run.mcap", run, plan=plan)
-    health, text = health_of(tmp_path)
-    assert health.states == (AgentSpan(f"device {DEVICE}", "absent", 20, 10, back_in=30),)
-    assert "12:00:20 to 12:00:29" in text
-
-
 def joined_in_cycle_20(agent: str, is_kept: Callable[[Delivery], bool]) -> Iterator[Delivery]:
     """A run in which an agent is another process from cycle 20 on."""
 
@@ -108,15 +73,6 @@ def test_a_restart_is_told_once_whenever_a_rare_message_follows(tmp_path: Path) 
     health, text = health_of(tmp_path)
     assert health.states == (AgentSpan("c1/a", "absent", 20, 0, is_restarted=True, back_in=20),)
     assert "c1/a: restarted in cycle 20" in text
-
-
-@pytest.mark.parametrize(("cycles", "text"), [(CYCLES, "over"), (1000, "60 of 1,000")])
-def test_a_run_that_ended_before_its_last_cycle_was_interrupted(
-    tmp_path: Path, cycles: int, text: str
-) -> None:
-    plan = with_changes(PLAN, cycles=cycles)
-    write_run(tmp_path / "run.mcap", whole_run(CYCLES), plan=plan)
-    assert text in health_of(tmp_path)[1].splitlines()[-1]
 
 
 def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(

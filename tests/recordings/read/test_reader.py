@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from memory_use import traced_memory
 from plans_by_hand import with_changes
 from recordings_by_hand import PLAN, cut, cycle_of_the_plant, whole_run, write_run, zero_chunk
 
@@ -19,7 +18,7 @@ from bus_schemas.signals import PRODUCTION, RUN, SIGNALS, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings.inspect.overview import read_overview
 from recordings.read.mcap_file import Chunk, read_outline
-from recordings.read.reader import Part, RunReader
+from recordings.read.reader import RunReader
 
 CYCLES = 300
 
@@ -167,19 +166,6 @@ def test_the_empty_file_of_a_recorder_that_was_killed_at_once_hides_no_later_one
         assert not run.whole
 
 
-def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> None:
-    part = Part(nodes=["c1/a", "c1/b"], start="12:00:10", end="12:00:13")
-    frame = run.frames("setpoint", **part)["setpoint"]
-    assert frame.index.name == "time"
-    assert str(frame.index[0]) == "2010-04-01 12:00:10-10:00"
-    own = ["power_kw", "share_kw", "help_given", "storage_kw"]
-    assert list(frame.columns) == ["cycle", "node", *own]
-    assert list(frame["cycle"]) == [10, 10, 11, 11, 12, 12]
-    assert dict(frame.groupby("node")["power_kw"].mean()) == {"c1/a": 40.0, "c1/b": 80.0}
-    given = frame[["node", "help_given"]].explode("help_given").dropna()
-    assert [(row.needy, row.power_kw) for row in given["help_given"]] == [("c1/a", 20.0)] * 3
-
-
 # Bad input ----------------------------------------------------------------------------------------
 
 
@@ -215,17 +201,6 @@ def test_a_damaged_chunk_is_skipped_and_named_where_it_would_have_been_read(
         assert list(run.messages()) == written[:4000] + written[4200:]
     with warnings.catch_warnings(action="error"), RunReader(path) as run:
         assert list(run.messages(end=50)) == [pair for pair in written if pair[1].cycle < 50]
-
-
-@pytest.mark.parametrize("table", ["impp", "production_inverters"])
-def test_a_frame_takes_little_more_memory_than_its_columns(tmp_path: Path, table: str) -> None:
-    write_run(tmp_path / "run.mcap", whole_run(1000))
-    with RunReader(tmp_path) as run:
-        run.frames(table, end=10)  # What is imported and kept once.
-        with traced_memory() as memory:
-            frame = run.frames(table)[table]
-            _, peak = memory()
-    assert peak < 2.0 * frame.memory_usage(index=True).sum() + 300_000
 
 
 @pytest.mark.parametrize("ahead", [5, 700])

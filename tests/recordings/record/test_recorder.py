@@ -19,14 +19,13 @@ from agents.process.launcher_link import LauncherLink
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputWarning
 from bus_schemas.messages import Impp, Message, Setpoint
-from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Occurrence, Port, ports
-from bus_schemas.tree import CENTRAL, PLANT, ROOT
+from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Port
+from bus_schemas.tree import CENTRAL, ROOT
 from bus_schemas.zenoh_session import RunSubscriber
 from launch_scripts.account import external_account
 from recordings.inspect.overview import read_through
 from recordings.read.reader import RunReader
 from recordings.record.complaints import Complaints, SecondSenders
-from recordings.record.phases import ArmingRound
 from recordings.record.recorder import Recorder
 from recordings.record.writer import RunWriter
 
@@ -85,30 +84,12 @@ def test_a_device_that_answers_ahead_is_recorded_and_named(tmp_path: Path) -> No
 
 
 OTHERS = [(port, m) for port, m in SAID if port.publisher != DEVICE]
-OWN = [(port, m) for port, m in SAID if port.publisher == DEVICE]
-
-
-def test_messages_of_a_device_with_a_slow_link_are_recorded(
-    tmp_path: Path,
-) -> None:
-    flood = [(PORT, impp(0))] * 10_000
-    kept, account = recorded([*OTHERS, *flood, *OWN], tmp_path, len(OTHERS))
-    (device,) = account.external
-    assert len(kept) == len(flood) + CYCLES
-    assert device.answered == device.expected
 
 
 def test_a_flood_without_end_does_not_hold_up_the_end_of_a_recording(tmp_path: Path) -> None:
     _, account = recorded(chain(OTHERS, repeat((PORT, b""))), tmp_path, len(OTHERS))
     assert account.cycles == CYCLES
     assert account.external[0].answered == 0
-
-
-def test_a_payload_that_is_nested_very_deep_is_set_aside(tmp_path: Path) -> None:
-    payload = b"\x82\xa5cycle\x01\xa4more" + b"\x91" * 300_000 + b"\xc0"
-    kept, account = recorded([*SAID, (PORT, payload)], tmp_path)
-    assert len(kept) == CYCLES
-    assert "undecodable" in {entry.cause for entry in account.complaints}
 
 
 @pytest.mark.parametrize(
@@ -166,21 +147,6 @@ def test_a_message_with_an_impossible_body_does_not_end_the_recorder(
     assert (account.cycles, account.ended_early) == (CYCLES, "")
     with pytest.warns(InputWarning, match="c1/a/impp"), RunReader(tmp_path) as reader:
         assert len(list(reader.messages())) == len(SAID)
-
-
-def test_a_failed_write_ends_the_recording_in_one_line_and_not_the_recorder(
-    tmp_path: Path,
-) -> None:
-    told: list[str] = []
-    writer = RunWriter(tmp_path / "run.mcap", IN_LOCKSTEP, "", "launch", on_end=told.append)
-    for port, message in SAID[:50]:
-        writer.add(port, message, encode(message), 1)
-    writer.add(PORT, impp(3, sequence=-1), b"", 1)
-    writer.add(PORT, impp(3), b"", 1)
-    writer.close()
-    (line,) = told
-    assert "the recording ended in cycle 3" in line
-    assert "\n" not in line
 
 
 SETPOINT_OF_C1 = SETPOINT.of("c1")
@@ -249,41 +215,3 @@ def test_keys_without_end_are_named_up_to_a_number_and_shown_without_control_cha
     assert len(found) == len(told) < 1000
     assert sum(entry.count for entry in found) == 3000
     assert all(entry.key.isprintable() and len(entry.example) < 1000 for entry in found)
-
-
-# Arming rounds ------------------------------------------------------------------------------------
-
-STEADY = [
-    port
-    for port in ports(IN_LOCKSTEP.tree)
-    if port.signal.occurrence in {Occurrence.CYCLE, Occurrence.TURN}
-]
-OF_PLANT = [port for port in STEADY if port.publisher == PLANT]
-OF_OTHERS = [port for port in STEADY if port.publisher != PLANT]
-
-
-def test_a_device_that_speaks_of_another_round_does_not_end_the_one_under_way() -> None:
-    under_way = ArmingRound(IN_LOCKSTEP)
-    under_way.hear(DISPATCH.of(ROOT), -7)
-    for early in (-5, -9, -6):
-        assert not under_way.hear(IMPP.of("c2/d"), early)
-    seen = [under_way.hear(port, -7) for port in (*OF_PLANT, *OF_OTHERS)]
-    assert seen == [False] * (len(STEADY) - 1) + [True]
-    assert under_way.answered
-
-
-def test_answers_that_overtake_the_plants_messages_are_counted() -> None:
-    under_way = ArmingRound(IN_LOCKSTEP)
-    assert not any(under_way.hear(port, -7) for port in OF_OTHERS)
-    assert under_way.unheard(["c2/d"]) == []
-    seen = [under_way.hear(port, -7) for port in OF_PLANT]
-    assert seen == [False] * (len(OF_PLANT) - 1) + [True]
-
-
-def test_keys_without_a_message_in_the_round_under_way_are_named() -> None:
-    under_way = ArmingRound(IN_LOCKSTEP)
-    under_way.hear(DISPATCH.of(ROOT), -7)
-    under_way.hear(IMPP.of("c2/d"), -5)
-    assert under_way.unheard(["c2/d"]) == [
-        f"c2/d/{signal}" for signal in ("command", "impp", "residual")
-    ]

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from recorded_runs import AGENTS, cloudy_profile, of_publisher, plan_of, published, record
+from recorded_runs import AGENTS, cloudy_profile, plan_of, published, record
 
 from agents.direct import DirectController
 from agents.parent import Supervisor
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Command, Help, Impp, Message
+from bus_schemas.messages import Command, Help, Message
 from bus_schemas.signals import (
     COMMAND,
     HELP,
@@ -30,7 +30,6 @@ from bus_schemas.signals import (
     Signal,
 )
 from recordings.verify.comparison import Difference, FieldDifference
-from recordings.verify.recorded_cycles import RecordedCycles
 from recordings.verify.verification import Verification, verify
 
 PLAN = plan_of(cycles=30)
@@ -60,15 +59,6 @@ def place_of(port: Port[Message], cycle: int) -> int:
     """Place of the message of a port in a cycle."""
     found = [(other, message.cycle) for other, message in PUBLISHED]
     return found.index((port, cycle))
-
-
-def test_a_recording_of_the_same_code_is_equal(verified: Verify) -> None:
-    found = verified(PUBLISHED)
-    assert found.equal
-    assert tuple(found.agents) == AGENTS
-    assert found.total("compared") == len(PUBLISHED) - 2, "all but the plant's start and stop"
-    for name, result in found.agents.items():
-        assert result.compared == len(of_publisher(PUBLISHED, name)) > PLAN.timing.cycles
 
 
 # In the recording ---------------------------------------------------------------------------------
@@ -162,24 +152,6 @@ def test_each_planted_difference_is_found_in_its_cycle_and_no_other(
     assert not found.equal
 
 
-@pytest.mark.parametrize(
-    ("lost", "agent"), [(TELEMETRY.of("c2/c"), "c2/c"), (COMMAND.of("c2/d"), "plant")]
-)
-def test_an_agent_is_compared_up_to_its_first_input_that_is_not_recorded(
-    lost: Port[Message], agent: str, verified: Verify
-) -> None:
-    place = place_of(lost, 11)
-    found = verified([*PUBLISHED[:place], *PUBLISHED[place + 1 :]])
-    result = found.agents[agent]
-    assert result.differences == {"input not recorded": 1}
-    (gap,) = result.gaps
-    assert (gap.since, gap.until) == (11, None)
-    assert str(lost) in gap.why
-    own = of_publisher(PUBLISHED, agent)
-    assert result.compared >= len([1 for _, message in own if message.cycle < 11])
-    assert result.compared + result.not_compared == result.recorded
-
-
 # In the code --------------------------------------------------------------------------------------
 
 
@@ -228,14 +200,3 @@ def test_an_agent_that_fails_anywhere_is_a_difference_and_the_others_go_on(
         assert first.text == f"{error.__name__}: by hand"
         assert result.not_compared == result.recorded > PLAN.timing.cycles
     assert found.first is not None
-
-
-def test_a_long_recording_is_not_kept_in_memory() -> None:
-    plan = plan_of(cycles=100_000)
-    port = IMPP.of("c1/a")
-    messages = (
-        (port, Impp(cycle, 0, "c1/a", (), power_kw=1.0, stale_cycles=0)) for cycle in range(100_000)
-    )
-    recorded = RecordedCycles(messages, plan, plan.timing.cycles)
-    assert next(iter(recorded))[0] == 0
-    assert recorded.counts.recorded < 60_000
