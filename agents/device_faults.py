@@ -14,7 +14,7 @@ from typing import Final, Literal, TypeAlias
 import msgspec
 from msgspec.structs import replace
 
-from bus_schemas.codec import decode, encode
+from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 
@@ -81,7 +81,7 @@ class DeviceFaults:
         """Return how messages are put on a device's link; a cycle begins at `cycle_time_ns`."""
 
         def put_copies(payload: bytes) -> None:
-            message = decode(port.signal, payload)
+            message = port.signal.decode(payload)
             for at, copy in self.sent(port, message):
                 if not at:
                     put(copy)

@@ -10,6 +10,7 @@ import msgspec
 
 from agents.faults import check_fault
 from agents.plan import RunPlan
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.errors import InputError, listed
 from bus_schemas.messages import PROTOCOL
 from bus_schemas.tree import ROOT, agent_name, check_name
@@ -34,7 +35,7 @@ def load_plan(path: Path) -> RunPlan:
             raise InputError.of("protocol", f"expected {PROTOCOL}, got {protocol}")
         plan = msgspec.json.decode(data, type=RunPlan)
         check_plan(plan)
-    except (OSError, InputError, msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (OSError, InputError, *UNREADABLE) as error:
         raise InputError(f"{path}: expected the plan.json of a run, got: {error}") from None
     return plan
 

@@ -3,60 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, TypeVar
+from typing import Final
 
 import msgspec
 
-from bus_schemas.messages import LARGEST_PAYLOAD, Head, Message
-from bus_schemas.signals import SIGNALS, Signal
-
-M = TypeVar("M", bound=Message)
-T = TypeVar("T")
+from bus_schemas.messages import Head, Message
+from bus_schemas.signals import Signal
 
 encode: Final[Callable[[Message], bytes]] = msgspec.msgpack.Encoder().encode
 """Returns a message as a msgpack map."""
 
-_decoders: dict[type[Message], msgspec.msgpack.Decoder[Any]] = {
-    signal.type: msgspec.msgpack.Decoder(signal.type) for signal in SIGNALS
-}
+decode_head: Final[Callable[[bytes], Head]] = msgspec.msgpack.Decoder(Head).decode
+"""Returns the head of a message of any signal, or raises one of `UNREADABLE`."""
 
-
-_heads = msgspec.msgpack.Decoder(Head)
-
-
-def decode(signal: Signal[M], payload: bytes) -> M:
-    """Return the message that a payload of a signal holds, or raise msgspec.DecodeError."""
-    if len(payload) > LARGEST_PAYLOAD:
-        raise msgspec.DecodeError(f"{len(payload)} bytes are more than {LARGEST_PAYLOAD}")
-    decoder: msgspec.msgpack.Decoder[M] = _decoders[signal.type]
-    try:
-        return decoder.decode(payload)
-    except (UnicodeDecodeError, RecursionError) as error:
-        raise _undecodable(error) from None
-
-
-def decode_head(payload: bytes) -> Head:
-    """Return the head of a message of any signal, or raise msgspec.DecodeError."""
-    return _decoded(_heads, payload)
-
-
-def decode_json(data: bytes, type_: type[T]) -> T:
-    """Return what JSON from outside holds, or raise msgspec.DecodeError."""
-    return _decoded(msgspec.json.Decoder(type_), data)
-
-
-def _decoded(decoder: msgspec.msgpack.Decoder[T] | msgspec.json.Decoder[T], payload: bytes) -> T:
-    try:
-        return decoder.decode(payload)
-    except (UnicodeDecodeError, RecursionError) as error:
-        raise _undecodable(error) from None
-
-
-def _undecodable(error: UnicodeDecodeError | RecursionError) -> msgspec.DecodeError:
-    """Return what an error of a decoder means that is no DecodeError."""
-    if isinstance(error, UnicodeDecodeError):
-        return msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}")
-    return msgspec.DecodeError("lists or maps are nested too deep")
+UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+"""What a decoder raises for bytes or text that are not what it expects."""
 
 
 def json_schema(signal: Signal[Message]) -> dict[str, object]:

@@ -24,7 +24,6 @@ PROTOCOL: Final = 4
 """Version of all that docs/wire.md says. Plan and `run` state it."""
 
 # The largest plant needs less of each.
-LARGEST_PAYLOAD: Final = 1 << 20
 LONGEST_TEXT: Final = 1_000
 MOST_MISSING: Final = 16_384
 LONGEST_MISSING: Final = 256

@@ -8,9 +8,13 @@ who publishes it and who listens, both as seen from that node.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from typing import Final, Generic, TypeVar
+
+import msgspec
 
 from bus_schemas import messages
 from bus_schemas.messages import Message
@@ -85,6 +89,11 @@ class Signal(Generic[M_co]):
     decided: bool = True
     hop_p99_ms: float | None = None
     _ports: dict[str, Port[M_co]] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def decode(self) -> Callable[[bytes], M_co]:
+        """Returns the message of a payload, or raises one of `bus_schemas.codec.UNREADABLE`."""
+        return msgspec.msgpack.Decoder(self.type).decode
 
     @property
     def is_cyclic(self) -> bool:

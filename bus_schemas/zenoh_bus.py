@@ -14,11 +14,10 @@ from heapq import heappop, heappush
 from itertools import count
 from typing import Any, Final, Self, TypeAlias
 
-import msgspec
 import zenoh
 
 from bus_schemas.bus import Arrival, Cause, Outbox
-from bus_schemas.codec import decode, encode
+from bus_schemas.codec import UNREADABLE, encode
 from bus_schemas.host_clock import HostClock
 from bus_schemas.inbox import Inbox
 from bus_schemas.messages import Message
@@ -215,8 +214,8 @@ class ZenohBus:
         for port, payload, came_ns in taken:
             time_ns = came_ns
             try:
-                message = decode(port.signal, payload.to_bytes())
-            except msgspec.DecodeError:
+                message = port.signal.decode(payload.to_bytes())
+            except UNREADABLE:
                 self.inbox.dropped[str(port), Cause.UNDECODABLE] += 1
             else:
                 if self._clock is not None:

@@ -19,7 +19,7 @@ import zenoh
 
 from bus_schemas.bus import Outbox
 from bus_schemas.codec import encode
-from bus_schemas.messages import LARGEST_PAYLOAD, Message
+from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.wiring import Wiring
 
@@ -42,6 +42,7 @@ queue takes 512 MB. With Zenoh's own 64 kB it was 48 kB. The 16 batches of a lin
 what a plant of 1,000 inverters sends at once."""
 
 _MOST_LINKS: Final = 10_000
+_LARGEST_BYTES: Final = 1 << 20
 
 LONGEST_LEASE_S: Final = 60.0
 
@@ -144,7 +145,7 @@ class SessionSettings:
             # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
             "transport/link/tx/queue/size/data": 16,
             "transport/link/tx/lease": lease_ms,
-            "transport/link/rx/max_message_size": LARGEST_PAYLOAD,
+            "transport/link/rx/max_message_size": _LARGEST_BYTES,
             "transport/link/protocols": sorted({end.partition("/")[0] for end in ends}) or ["tcp"],
         }
         if self.lockstep:

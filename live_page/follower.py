@@ -15,10 +15,9 @@ from pathlib import Path
 from sys import maxsize
 from typing import Final, Literal, TypeAlias
 
-import msgspec
 import numpy as np
 
-from bus_schemas.codec import decode
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.messages import Dispatch, Message, Meter, Notice, Production, Run
 from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER
@@ -146,14 +145,14 @@ class RunFollower:
             first, last = min(first, cycle), max(last, cycle)
             self.states.see(record)
             if record.port.signal in _FOLLOWED:
-                with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
+                with suppress(*UNREADABLE):  # A device of the user's may send anything.
                     self._see(record.port, record.payload)
         if chunk in self.run.damage:
             self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
         self._chunk_cycles.append(range(first, last + 1))
 
     def _see(self, port: Port[Message], payload: bytes) -> None:
-        message = decode(port.signal, payload)
+        message = port.signal.decode(payload)
         cycle = message.cycle
         match message:
             case Dispatch() | Meter():

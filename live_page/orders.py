@@ -17,7 +17,7 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from agents.plan_file import load_plan
-from bus_schemas.codec import decode_json
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.errors import FailureError, InputError
 from results.live_answer import LiveAnswer
 from sim_plant.order_desk import OrderLine
@@ -41,10 +41,10 @@ def order_route(folder: Path) -> Route:
         if not _is_same_origin(request):
             return PlainTextResponse("expected a request of the page itself\n", 403)
         try:
-            asked = decode_json(await _body(request), _Asked)
+            asked = msgspec.json.decode(await _body(request), type=_Asked)
             lines = _lines(folder, asked)
             reply, is_in_force = await asyncio.to_thread(next, lines)
-        except (msgspec.DecodeError, InputError, FailureError) as error:
+        except (*UNREADABLE, InputError, FailureError) as error:
             return PlainTextResponse(f"{error}\n", 422)
         if not is_in_force:
             return PlainTextResponse(f"{reply}\n", 422)

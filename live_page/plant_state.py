@@ -9,11 +9,9 @@ from itertools import chain
 from math import ceil
 from typing import Any, Final, TypeAlias
 
-import msgspec
-
 from agents.control.forecast import BOUND_TOLERANCE
 from agents.dispatch import own_share_kw
-from bus_schemas.codec import decode
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.messages import (
     Dispatch,
     Impp,
@@ -67,8 +65,8 @@ class PlantState:
                 period = control.period(port)
                 is_due = cycle // period * period == turn or turn == cycle
                 if is_due and port not in messages and (ports is None or port in ports):
-                    with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
-                        messages[port] = decode(port.signal, payload)
+                    with suppress(*UNREADABLE):  # A device of the user's may send anything.
+                        messages[port] = port.signal.decode(payload)
         return messages
 
     def _read_chunk(self, chunk: Chunk) -> dict[int, list[tuple[Port[Message], bytes]]]:

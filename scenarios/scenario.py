@@ -28,6 +28,7 @@ from agents.settings import (
     StorageHelp,
     StorageSettings,
 )
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.errors import InputError, not_one_of
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import check_name
@@ -420,7 +421,7 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         # An editor may have put a byte order mark first.
         text = path.read_text(encoding="utf-8-sig")
         document = msgspec.toml.decode(text)
-    except (UnicodeDecodeError, msgspec.DecodeError, RecursionError) as error:
+    except UNREADABLE as error:
         raise InputError(f"{path}: expected TOML in UTF-8: {error}") from None
     scenario = checked(document, Scenario, str(path), text)
     return ScenarioFile(scenario, text, path, data_folder or path.parent, source=text)

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.errors import InputError
 from scenarios.fields import checked
 from scenarios.scenario import Scenario, ScenarioFile
@@ -43,7 +44,7 @@ def _toml(text: str) -> object:
     """Return the value of a TOML expression, or the text if it is none."""
     try:
         return msgspec.toml.decode(f"value = {text}")["value"]
-    except (msgspec.DecodeError, RecursionError):
+    except UNREADABLE:
         return text
 
 

@@ -23,7 +23,7 @@ import msgspec
 from agents.agent import Turn
 from bus_schemas.bounds import bounds_of
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import decode_json
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.errors import FailureError, InputError, printable
 from bus_schemas.messages import Dispatch, Meter, Order, Production
 from bus_schemas.signals import ORDER
@@ -254,7 +254,7 @@ class OrderDesk:
             for packet in client.packets():
                 try:
                     self._queue.append(_Queued(self._read(packet), client))
-                except (msgspec.DecodeError, InputError) as error:
+                except (*UNREADABLE, InputError) as error:
                     client.reply(f"refused: {printable(str(error))}")
                 if not packet:
                     client.send()
@@ -265,8 +265,8 @@ class OrderDesk:
                 client.send()
 
     def _read(self, packet: bytes) -> Order:
-        """Read an order of a program. Raises DecodeError or InputError: It is none."""
-        order = decode_json(packet, Order)
+        """Read an order of a program. Raises UNREADABLE or InputError: It is none."""
+        order = msgspec.json.decode(packet, type=Order)
         if order.source not in {COMMAND, PAGE, MODBUS}:
             expected = f"{COMMAND}, {PAGE} or {MODBUS}"
             raise InputError(f"source: expected {expected}, got {order.source!r}")

@@ -12,11 +12,9 @@ from pathlib import Path
 from sys import maxsize
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypedDict, Unpack
 
-import msgspec
-
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import decode, decode_head
+from bus_schemas.codec import UNREADABLE, decode_head
 from bus_schemas.errors import InputError, InputWarning, listed, printable
 from bus_schemas.messages import Message, Run
 from bus_schemas.selection import find_nodes, find_signals
@@ -88,8 +86,8 @@ class RecordedMessage(NamedTuple):
 
 def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
     try:
-        return decode(port.signal, payload)
-    except msgspec.DecodeError as error:
+        return port.signal.decode(payload)
+    except UNREADABLE as error:
         raise InputError(_wrong(port, sequence, error)) from None
 
 
@@ -255,7 +253,7 @@ class RunReader:
             port = port_of[channel]
             try:
                 head = decode_head(payload)
-            except msgspec.DecodeError as error:
+            except UNREADABLE as error:
                 self.wrong.setdefault(port, _wrong(port, sequence, error))
                 continue
             times_ns = logged_ns, published_ns

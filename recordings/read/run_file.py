@@ -9,6 +9,7 @@ import msgspec
 
 from agents.plan import RunPlan
 from agents.plan_file import check_plan
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.errors import FailureError, InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port, ports
@@ -77,7 +78,7 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
     try:
         plan = msgspec.json.decode(document, type=RunPlan)
         check_plan(plan)
-    except (InputError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (InputError, *UNREADABLE) as error:
         raise InputError(f"{path}: plan.json: {error}") from None
     # The scenario may be damaged: nothing depends on it, since the plan describes the run.
     return attachments.get("scenario.toml", b"").decode(errors="replace"), plan

@@ -13,13 +13,12 @@ from collections.abc import Callable
 from dataclasses import astuple
 from typing import Final
 
-import msgspec
 from msgspec.structs import replace
 
 from agents.inputs import log_drop
 from agents.plan import RunPlan
 from agents.process.events import Complaint
-from bus_schemas.codec import decode
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.errors import printable
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
@@ -138,8 +137,8 @@ class SecondSenders:
 def _compare(port: Port[Message], first: bytes, second: bytes) -> tuple[str, str]:
     """Say in what two messages of one key and cycle differ."""
     try:
-        one, other = decode(port.signal, first), decode(port.signal, second)
-    except msgspec.DecodeError as error:
+        one, other = port.signal.decode(first), port.signal.decode(second)
+    except UNREADABLE as error:
         return CONFLICTING, f"two messages in one cycle, of which one does not decode: {error}"
     cycle, numbers = one.cycle, FieldDifference("sequence", one.sequence, other.sequence)
     has_just_joined = 0 < cycle == one.incarnation

@@ -9,6 +9,7 @@ from typing import Final
 import msgspec
 
 from agents.plan import RunPlan
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.messages import Head, Message, parse_missing
 from bus_schemas.signals import PRODUCTION, Port
 from bus_schemas.tree import PLANT
@@ -59,7 +60,7 @@ class DeviceWatch:
     def _lacked(self, head: Head, payload: bytes) -> Iterator[str]:
         try:
             missing = _decode_lacks(payload).missing
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        except UNREADABLE:
             return  # Its body is not decoded here: readers skip and name it.
         for key, _ in map(parse_missing, missing):
             if (agent := self._publisher.get(key)) is None:

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from math import inf
 from typing import Final, NamedTuple
 
-import msgspec
 from msgspec.structs import replace
 
 from agents.plan import RunPlan
 from agents.process.events import Armed, Event, Remark, Status
-from bus_schemas.codec import decode, decode_head
+from bus_schemas.codec import UNREADABLE, decode_head
 from bus_schemas.messages import Head, Message, Ready, Run
 from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT
@@ -103,8 +102,8 @@ class RunListener:
         port = known.port
         try:
             head = decode_head(payload)
-            message = decode(port.signal, payload) if known.is_read else None
-        except msgspec.DecodeError as error:
+            message = port.signal.decode(payload) if known.is_read else None
+        except UNREADABLE as error:
             self.complaints.add(key, UNDECODABLE, str(error))
             return None
         if head.source != port.publisher:

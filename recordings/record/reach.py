@@ -10,6 +10,7 @@ import msgspec
 from agents.cycle import stage_of
 from agents.plan import RunPlan
 from agents.team import stages_of_agents
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.messages import Head, Message, parse_missing
 from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT, agent_name
@@ -78,7 +79,7 @@ class Reach:
     def _lacked(self, stage: _StageKey, cycle: int, payload: bytes) -> frozenset[str] | None:
         try:
             missing = _decode_lacks(payload).missing
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        except UNREADABLE:
             return None  # Its body is not decoded here: readers skip and name it.
         late = set()
         for key, used in map(parse_missing, missing):

@@ -17,14 +17,13 @@ from itertools import count
 from pathlib import Path
 from typing import Final, Literal, TextIO
 
-import msgspec
 import zenoh
 from msgspec.structs import replace
 
 from agents.plan import RunPlan, changed
 from agents.process.interruption import Interruption
 from agents.process.machine import MachineSettings
-from bus_schemas.codec import decode, encode
+from bus_schemas.codec import UNREADABLE, encode
 from bus_schemas.errors import InputError, listed
 from bus_schemas.inbox import Inbox
 from bus_schemas.messages import Message
@@ -98,7 +97,7 @@ class ReplayBeside(ReplayBus):
         """Publish a recorded message; return whether it was sent. The run begins and ends today."""
         if port.signal is not RUN:
             return super().put(port, payload)
-        run = decode(RUN, payload)
+        run = RUN.decode(payload)
         if run.state == "start":
             lead_ns = run.start_time_ns - run.publish_time_ns
             self._put_run("start", time.monotonic_ns() + lead_ns)
@@ -162,8 +161,8 @@ class ReplayBeside(ReplayBus):
         """Take in what the processes publish, within a moment."""
         for port, received, _ in self._inbox.take(wanted, _LOOK_S):
             try:
-                message = decode(port.signal, received.to_bytes())
-            except msgspec.DecodeError as error:
+                message = port.signal.decode(received.to_bytes())
+            except UNREADABLE as error:
                 self._line.show(f"{port}: expected a {port.signal.type.__name__}, got: {error}")
                 continue
             self._newest[port] = message.cycle

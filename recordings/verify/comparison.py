@@ -12,7 +12,7 @@ from typing import Any, Final, TypeAlias
 
 import msgspec
 
-from bus_schemas.codec import decode, encode
+from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 
@@ -56,7 +56,7 @@ class Equality:
         if payload == encode(recorded):
             return ()
         # Compare what a listener would get: on the wire an int may stand for a float.
-        received = msgspec.to_builtins(decode(port.signal, payload))
+        received = msgspec.to_builtins(port.signal.decode(payload))
         known = msgspec.to_builtins(recorded)
         return tuple(
             difference

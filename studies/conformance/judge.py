@@ -22,7 +22,7 @@ from agents.loop import Loop
 from agents.plan import RunPlan
 from agents.team import controller
 from bus_schemas.bus import Arrival
-from bus_schemas.codec import decode
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import Port
 from recordings.read.reader import RunReader
@@ -137,8 +137,8 @@ class DeviceRun:
         cycle, sent_ns = message.cycle, message.publish_time_ns
         for at, payload in faults.sent(port, message):
             time_ns = max(sent_ns, self.time_ns(cycle + at)) if at else sent_ns
-            with suppress(msgspec.DecodeError):
-                copy = decode(port.signal, payload)
+            with suppress(*UNREADABLE):
+                copy = port.signal.decode(payload)
                 self.inputs.append(Arrival(self.agent, port, copy, time_ns))
         is_late = sent_ns > sum(self.times_ns(port, cycle)) / 2
         if is_late and not self.plan.timing.lockstep and self.slow_cycle is None:

@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from agents.device_faults import Copy, DeviceFault, DeviceFaults
-from bus_schemas.codec import decode, encode
+from bus_schemas.codec import encode
 from bus_schemas.messages import Meter
 from bus_schemas.signals import METER
 from bus_schemas.tree import ROOT
@@ -30,7 +30,7 @@ def test_a_message_is_lost_repeated_held_back_or_changed() -> None:
     assert sent() == []
     assert sent(Copy(), Copy(at=1.2)) == [(0.0, encode(RIGHT)), (1.2, encode(RIGHT))]
     ((_, payload),) = sent(Copy({"power_kw": "nan", "cycle": 9, "source": "nobody"}))
-    message = decode(METER, payload)
+    message = METER.decode(payload)
     assert (message.cycle, message.source, isnan(message.power_kw)) == (9, "nobody", True)
 
 
@@ -40,7 +40,7 @@ def test_a_message_is_lost_repeated_held_back_or_changed() -> None:
 def test_damaged_messages_do_not_decode(damage: str) -> None:
     ((_, payload),) = sent(Copy(damage=damage))  # type: ignore[arg-type]
     with pytest.raises(msgspec.DecodeError):
-        decode(METER, payload)
+        METER.decode(payload)
 
 
 def test_a_disturbed_link_sends_late_copies_later() -> None:

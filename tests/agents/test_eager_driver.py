@@ -19,7 +19,7 @@ from agents.plan import RunPlan
 from agents.process.agent_process import make_driver
 from agents.team import Controller, controller
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import decode, encode
+from bus_schemas.codec import encode
 from bus_schemas.signals import RESIDUAL, RUN
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, ROOT
@@ -63,7 +63,7 @@ class Plant:
 
     def hear_residual(self) -> int:
         """Wait for the controller's residual; return its cycle."""
-        return decode(RESIDUAL, next(iter(self._residuals)).payload.to_bytes()).cycle
+        return RESIDUAL.decode(next(iter(self._residuals)).payload.to_bytes()).cycle
 
 
 @contextmanager

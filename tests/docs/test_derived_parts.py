@@ -13,8 +13,7 @@ import msgspec
 import pytest
 
 from agents.plan import RunPlan
-from bus_schemas.codec import decode
-from bus_schemas.messages import LARGEST_PAYLOAD, Message
+from bus_schemas.messages import Message
 from bus_schemas.signals import RESIDUAL, SETPOINT, SIGNALS, Signal
 from bus_schemas.tree import MOST_CHILDREN
 from docs.derived import (
@@ -87,7 +86,7 @@ def test_the_bytes_of_an_example_are_its_message_to_any_msgpack_reader(
     payload = bytes.fromhex(vector["bytes"])
     assert msgpack.unpackb(payload) == vector["message"]
     assert vector["key"].startswith("oahu/c2/inv07/")
-    decode(next(signal for signal in SIGNALS if signal.name == name), payload)
+    next(signal for signal in SIGNALS if signal.name == name).decode(payload)
 
 
 HEAD = {"cycle": 1, "sim_time_ns": 2, "source": "c1", "missing": []}
@@ -105,7 +104,6 @@ def help_for(count: int) -> bytes:
         (RESIDUAL, msgpack.packb(HEAD | {"power_kw": 3}), True),
         (RESIDUAL, msgpack.packb(IMPP, use_single_float=True), True),
         (RESIDUAL, msgpack.packb(IMPP) + b"\x00", False),
-        (RESIDUAL, msgpack.packb(IMPP) + b"\xc0" * LARGEST_PAYLOAD, False),
         (SETPOINT, help_for(MOST_CHILDREN), True),
         (SETPOINT, help_for(MOST_CHILDREN + 1), False),
     ],
@@ -114,7 +112,7 @@ def test_the_wire_page_describes_payloads_as_the_codec_writes_them(
     signal: Signal[Message], payload: bytes, accepted: bool
 ) -> None:
     with nullcontext() if accepted else pytest.raises(msgspec.DecodeError):
-        decode(signal, payload)
+        signal.decode(payload)
 
 
 def test_every_field_of_the_plan_is_in_the_document() -> None:

@@ -64,7 +64,7 @@ def test_its_socket_is_for_the_owner_alone_and_goes_with_the_run(tmp_path: Path)
             HEAD + b'"source": "command", "power_kw": 0.0, "hold_s": 0}',
             "hold_s: expected above 0 to 1e+30, got 0",
         ),
-        (HEAD + b'"source": "\xff", "power_kw": 0.0}', "UTF-8"),
+        (HEAD + b'"source": "\xff", "power_kw": 0.0}', "utf-8"),
         (HEAD + b'"source": "a\\u001b[31m", "power_kw": 0.0}', "source"),
         (HEAD + b'"source": "command", "other": ' + b"[" * 4_000, "other"),
         (b"[" * 8_000, "JSON"),
