@@ -24,7 +24,6 @@ from heliarch.cli.options import is_run
 from heliarch.cli.run import carry_out
 from heliarch.recorded import Run, by_parameter, open_run
 from launch_scripts.fork_server_process import ForkServerProcess
-from launch_scripts.run_folder import RunRequest
 from recordings.export.exporting import ExportSummary, Form
 from recordings.export.exporting import export as export_run
 from recordings.export.mcap_copies import Clock
@@ -112,7 +111,7 @@ def simulate(
         `"c90"`; `end` is no part of the run), `duration` (`"15m"`, or 900 for seconds), `seed`,
         `scheme`, `actuator`, `faults` (`["source=c1/*,delay=50ms"]`), `pace`.
     """
-    return _run(_request(scenario, settings, data, out, options))
+    return _run(_file(scenario, settings, data), options, out)
 
 
 @by_parameter
@@ -130,7 +129,7 @@ def launch(
     last lines.
     """
     with ForkServerProcess() as server:
-        return _run(_request(scenario, settings, data, out, options), server)
+        return _run(_file(scenario, settings, data), options, out, server)
 
 
 @by_parameter
@@ -150,11 +149,12 @@ def timing(
     """
     if isinstance(scenario, Run) or (isinstance(scenario, str) and is_run(Path(scenario))):
         return report_on(_path(scenario))
-    request = _request(scenario, settings, data, out, options)
     rate_hz, highest_hz = parse_rates(str(rate))
     if rate_hz != highest_hz:
         raise InputError.of("rate", f"expected one number, got {rate}")
-    preparation, folder = prepare_at(rate_hz, 60.0, request, request.out)
+    preparation, folder = prepare_at(
+        rate_hz, 60.0, _file(scenario, settings, data), _options(options), _folder(out)
+    )
     with _nowhere() as console:
         return measured_run(preparation, folder, partial(PlainView, console))
 
@@ -295,27 +295,35 @@ def diff(first: Recording, second: Recording) -> Diff:
     return Diff(figures, differences, (*notes, found.verdict), found.equal)
 
 
-def _run(request: RunRequest, server: ForkServerProcess | None = None) -> Run:
+def _run(
+    file: ScenarioFile,
+    options: Mapping[str, Any],
+    out: str | Path | None,
+    server: ForkServerProcess | None = None,
+) -> Run:
+    asked, began_at = _options(options), time.monotonic()
     with _nowhere() as console:
-        summary, folder = carry_out(request, console, time.monotonic(), server)
+        summary, folder = carry_out(file, asked, _folder(out), console, began_at, server)
     folder.write_summary(summary.as_json())
     for failure in summary.failures():
         warnings.warn(failure, InputWarning, stacklevel=3)
     return open_run(folder.path)
 
 
-def _request(
-    scenario: str | ScenarioFile,
-    settings: Mapping[str, object] | None,
-    data: str | Path | None,
-    out: str | Path | None,
-    options: Mapping[str, Any],
-) -> RunRequest:
+def _options(options: Mapping[str, Any]) -> RunOptions:
     check_names("options", options, [field.name for field in fields(RunOptions)])
     several = {name: list(_several(options[name])) for name in _SEVERAL if options.get(name)}
-    asked = RunOptions(**{**options, **several})
-    scenario_file = with_settings(_loaded(scenario, data), [*(settings or {}).items()])
-    return RunRequest(scenario_file, asked, None if out is None else Path(out))
+    return RunOptions(**{**options, **several})
+
+
+def _file(
+    scenario: str | ScenarioFile, settings: Mapping[str, object] | None, data: str | Path | None
+) -> ScenarioFile:
+    return with_settings(_loaded(scenario, data), [*(settings or {}).items()])
+
+
+def _folder(out: str | Path | None) -> Path | None:
+    return None if out is None else Path(out)
 
 
 @contextmanager

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-import msgspec
+from msgspec.structs import replace
 
 from agents.cycle import kind_of
 from agents.plan import RunPlan
@@ -31,10 +32,10 @@ from agents.process.machine import refusals, take_files
 from bus_schemas.errors import FailureError, InputError, listed
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER
-from launch_scripts.account import RunAccount
 from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.process_record import Process, has_exited, is_through
 from launch_scripts.processes import Processes
+from launch_scripts.run_end import Dropped, begun, ended, process_account
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.stall import stall
 from launch_scripts.view import View
@@ -66,14 +67,21 @@ class _Launch:
 
     def __init__(
         self,
-        account: RunAccount,
+        preparation: Preparation,
+        folder: RunFolder,
+        began_at: float,
         view: View,
         processes: Processes,
         gateway: GatewayProcess | None,
         unit: PlantUnitProcess | None,
         interruption: Interruption,
     ) -> None:
-        self._account = account
+        self._preparation = preparation
+        self._plan = preparation.plan
+        self._folder = folder
+        self._began_at = self._armed_at = began_at
+        self._published: Counter[str] = Counter()
+        self._given_up: dict[str, int] = {}
         self._view = view
         self._processes = processes
         self._gateway = gateway
@@ -86,16 +94,12 @@ class _Launch:
         self._stop_asked_at: float | None = None
         self._over: Over | None = None
 
-    @property
-    def _plan(self) -> RunPlan:
-        return self._account.preparation.plan
-
     def run(self) -> RunDocument:
         """Start the processes, see them through the run, compare what they say at its end."""
-        processes, account, plan = self._processes, self._account, self._plan
-        self._view.say(f"starting {len(processes.own)} processes, logs in {account.folder.logs}")
-        external_s = account.preparation.options.external_timeout_s
-        for line in _directions(plan, account.folder.plan, external_s):
+        processes, plan, folder = self._processes, self._plan, self._folder
+        self._view.say(f"starting {len(processes.own)} processes, logs in {folder.logs}")
+        external_s = self._preparation.options.external_timeout_s
+        for line in _directions(plan, folder.plan, external_s):
             self._view.say(line)
         processes.start()
         try:
@@ -113,22 +117,34 @@ class _Launch:
         restarts = processes.restarts()
         processes.ask_to_end(processes[name] for name in restarts if name != RECORDER)
         recorded = self._finish()
+        dropped: Dropped = []
         for process in processes.own:
-            account.add_process(process)
-        for name, count in restarts.items():
-            account.restarts.update(dict.fromkeys(plan.wiring.members_of(name), count))
-        for name, cycle in processes.given_up.items():
-            account.given_up |= dict.fromkeys(plan.wiring.members_of(name), cycle)
+            dropped += process.finished.dropped if process.finished else ()
+        members = plan.wiring.members_of
         if PLANT in processes:  # The recorder may not have heard of all cycles.
             cycles = processes.table.read(PLANT).cycle
-            recorded = msgspec.structs.replace(recorded, cycles=cycles)
+            recorded = replace(recorded, cycles=cycles)
         # In real time the last cycle lasts to its end, though all have done their part before.
         cycles_s = recorded.cycles * plan.timing.cycle_wall_ns / 1e9
-        return account.document(
-            recorded,
-            max(ended_at - account.armed_at, cycles_s),
+        for name, cycle in processes.given_up.items():
+            self._given_up |= dict.fromkeys(members(name), cycle)
+        document = replace(
+            begun(self._preparation, folder, "launch"),
+            wall_s=max(ended_at - self._armed_at, cycles_s),
+            startup_s=self._armed_at - self._began_at,
             interrupted=bool(self._interruption),
+            restarts={one: count for name, count in restarts.items() for one in members(name)},
+            given_up=self._given_up,
+            processes=tuple(map(process_account, processes.own)),
             devices=self._gateway.end() if self._gateway is not None else (),
+        )
+        return ended(
+            document,
+            self._preparation,
+            recorded,
+            self._published,
+            dropped,
+            is_complete=not processes.lost_any,
         )
 
     def _arm(self, external_s: float) -> None:
@@ -144,11 +160,11 @@ class _Launch:
                     raise FailureError(
                         f"no sign of {', '.join(processes.awaited)} after {external_s:g} s: no "
                         "liveliness token was seen; the lines above and "
-                        f"{self._account.folder.plan} say where a device finds the bus"
+                        f"{self._folder.plan} say where a device finds the bus"
                     )
             elif (failure := processes.stuck_start()) is not None:
                 raise failure
-        took_s = self._account.armed_at - began_at
+        took_s = self._armed_at - began_at
         self._view.say(f"armed: cycle 0 began {took_s:.2f} s after the processes were started")
 
     def _follow(self) -> None:
@@ -180,14 +196,14 @@ class _Launch:
         if self._unit is not None and (status := self._unit.process.poll()) is not None:
             name = f"the plant's Modbus unit (process {self._unit.process.pid})"
             self._view.say(f"{name} ended with status {status}; the run goes on without it")
-            self._account.given_up["Modbus unit"] = self._processes.newest_cycle
+            self._given_up["Modbus unit"] = self._processes.newest_cycle
             self._unit = None
         return heard
 
     def _hear(self, process: Process, event: Event) -> None:
         match event:
             case Armed():
-                self._account.armed_at = time.monotonic()
+                self._armed_at = time.monotonic()
             case Status():
                 self._unheard = event.unheard
                 self._view.show(event)
@@ -203,26 +219,21 @@ class _Launch:
                 self._view.say(f"{event.text}; the run goes on without it")
 
     def _note_gap(self, status: Status) -> None:
-        """Note the cycles that are not recorded while the recorder does not hear the plant."""
-        gaps, newest = self._account.recording_gaps, self._processes[PLANT].beat.cycle
-        self._recorded = max(self._recorded, status.cycle)
-        first = self._recorded + 1
-        if PLANT not in status.not_recorded:
-            if self._is_cut_off:
-                gaps[-1] = gaps[-1][0], first - 2
-                self._view.say(f"recorder hears the plant again, in cycle {first - 1:,}")
-            self._is_cut_off = False
-        elif newest > first and self._processes[PLANT].is_there:
-            if not self._is_cut_off:
-                self._is_cut_off = True
-                gaps.append((first, newest))
-                others = {process.name for process in self._processes.controllers()}
-                process_of = self._plan.wiring.process_of
-                hears_none = others <= {process_of(name) for name in status.not_recorded}
-                whom = "any agent" if hears_none else "the plant"
-                text = f"since cycle {first:,} it does not hear {whom}; the run goes on"
-                self._view.say(f"recorder is cut off: {text}")
-            gaps[-1] = gaps[-1][0], newest
+        """Say when the recorder loses the plant, which goes on, and when it hears it again."""
+        self._recorded = cycle = max(self._recorded, status.cycle)
+        plant = self._processes[PLANT]
+        is_cut_off = PLANT in status.not_recorded and plant.is_there
+        if is_cut_off == self._is_cut_off or (is_cut_off and plant.beat.cycle <= cycle + 1):
+            return
+        self._is_cut_off = is_cut_off
+        if not is_cut_off:
+            self._view.say(f"recorder hears the plant again, in cycle {cycle:,}")
+            return
+        others = {process.name for process in self._processes.controllers()}
+        lost = set(map(self._plan.wiring.process_of, status.not_recorded))
+        whom = "any agent" if others <= lost else "the plant"
+        text = f"since cycle {cycle + 1:,} it does not hear {whom}; the run goes on"
+        self._view.say(f"recorder is cut off: {text}")
 
     def _check_stall(self) -> None:
         """In lockstep: find who stalls the run."""
@@ -257,7 +268,7 @@ class _Launch:
 
     def _finish(self) -> Recorded:
         """Wait until all agents have ended; then let the recorder close its file."""
-        processes, account, recorder = self._processes, self._account, self._processes[RECORDER]
+        processes, recorder = self._processes, self._processes[RECORDER]
         is_early = self._over is not None and self._over.cycle < self._plan.timing.cycles
         if self._interruption or is_early:
             # After an early end, a controller waits in case the plant goes on after all.
@@ -265,10 +276,9 @@ class _Launch:
         self._await(processes.controllers(), is_through)
         for process in processes.controllers():
             if process.finished:
-                account.published.update(process.finished.published)
-        account.is_complete = not processes.lost_any
+                self._published.update(process.finished.published)
         # It is unknown what a process that died had published: wait until nothing more comes.
-        processes.end_recorder(account.published.total() if account.is_complete else _UNKNOWN)
+        processes.end_recorder(_UNKNOWN if processes.lost_any else self._published.total())
         self._await([recorder])
         processes.table.close_recording()
         self._await(processes.controllers())
@@ -287,11 +297,11 @@ class _Launch:
 
     def _leave(self, some: Sequence[Process]) -> None:
         """Leave processes to the end of the fork server, which does not say that they ended."""
-        if "fork server" in self._account.given_up:
+        if "fork server" in self._given_up:
             return
         server = f"fork server (process {self._processes.server.process.pid})"
         self._view.say(f"the {server} did not end {len(some)} processes: it is killed")
-        self._account.given_up["fork server"] = self._processes.newest_cycle
+        self._given_up["fork server"] = self._processes.newest_cycle
 
 
 def _directions(plan: RunPlan, plan_path: Path, timeout_s: float) -> Iterator[str]:
@@ -374,9 +384,7 @@ def run_as_processes(
     ):
         plan = folder.fill(preparation, tcp_ports, "" if plan.access.keys_folder else sockets)
         remarks = (*preparation.remarks, *refused)
-        account = RunAccount(
-            replace(preparation, plan=plan, remarks=remarks), folder, "launch", began_at
-        )
+        preparation = dataclasses.replace(preparation, plan=plan, remarks=remarks)
         if gateway is not None:
             gateway.join(folder.path)
         own = tuple(agent for agent in plan.processes if agent not in plan.elsewhere)
@@ -386,7 +394,9 @@ def run_as_processes(
                 Processes(server, plan, own, folder, view.say) as processes,
                 PlantUnitProcess(address, folder.path) if address else nullcontext() as unit,
             ):
-                return _Launch(account, view, processes, gateway, unit, interruption).run()
+                return _Launch(
+                    preparation, folder, began_at, view, processes, gateway, unit, interruption
+                ).run()
         except FailureError as failure:
             with suppress(OSError):  # The disk may be full: that must not hide the failure.
                 folder.failure.write_text(f"{failure}\n", encoding="utf-8")

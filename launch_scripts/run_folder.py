@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import secrets
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -88,17 +87,10 @@ def run_folder(run_id: str, out: Path | None) -> RunFolder:
     return RunFolder(path)
 
 
-@dataclass(frozen=True, slots=True)
-class RunRequest:
-    """A scenario, what is different from it, and the folder of the run."""
-
-    scenario: ScenarioFile
-    options: RunOptions
-    out: Path | None = None
-
-
-def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
-    """Work out the run and the path of its folder; write nothing yet."""
-    run_id = new_run_id(request.scenario.scenario.name)
-    folder = run_folder(run_id, request.out)
-    return prepare(request.scenario, request.options, run_id, keeps=True), folder
+def prepare_run(
+    file: ScenarioFile, options: RunOptions, out: Path | None = None
+) -> tuple[Preparation, RunFolder]:
+    """Work out a run and the path of its folder; write nothing yet."""
+    run_id = new_run_id(file.scenario.name)
+    folder = run_folder(run_id, out)
+    return prepare(file, options, run_id, keeps=True), folder

@@ -14,6 +14,8 @@ from itertools import count
 from resource import RUSAGE_SELF, getrusage
 from typing import Any, Final
 
+from msgspec.structs import replace
+
 from agents.agent import Agent
 from agents.driver import Driver
 from agents.faults import Incident, incidents
@@ -30,7 +32,7 @@ from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name
-from launch_scripts.account import RunAccount
+from launch_scripts.run_end import begun, ended
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.stall import who_waits
 from launch_scripts.view import View
@@ -202,7 +204,6 @@ def run_in_one_process(
         preparation, plan=on_the_clock(plan) if plan.faults.rules else plan
     )
     plan = folder.fill(preparation, tcp_ports={})
-    account = RunAccount(preparation, folder, "simulate", began_at)
     progress = RunProgress(plan)
     # A virtual clock stands at 0 when the run begins.
     anchor = ClockAnchor(0, time.time_ns()) if plan.faults.rules else ClockAnchor.now()
@@ -221,22 +222,34 @@ def run_in_one_process(
             progress.hear(port, message)
 
     run = MemoryRun(plan, preparation.profile, record)
-    account.armed_at = time.monotonic()
+    armed_at = time.monotonic()
     try:
         interrupted = _follow(run, plan, progress, writer, view)
         run.close()
     finally:
         writer.close()
-    wall_s = time.monotonic() - account.armed_at
-    account.published.update(run.bus.outbox.published)
-    account.restarts.update(run.restarts)
-    account.given_up = run.given_up
-    memory_mb = getrusage(RUSAGE_SELF).ru_maxrss * 1.024e-3, own_memory_mb()
-    account.processes.append(ProcessAccount("simulation", "simulation", {}, *memory_mb))
-    for loop in run.loops.values():
-        account.dropped += [(*of, number) for of, number in loop.inputs.dropped.items()]
+    document = replace(
+        begun(preparation, folder, "simulate"),
+        wall_s=time.monotonic() - armed_at,
+        startup_s=armed_at - began_at,
+        interrupted=interrupted,
+        restarts=run.restarts,
+        given_up=run.given_up,
+        processes=(
+            ProcessAccount(
+                "simulation",
+                "simulation",
+                {},
+                getrusage(RUSAGE_SELF).ru_maxrss * 1.024e-3,
+                own_memory_mb(),
+            ),
+        ),
+    )
+    dropped = [
+        (*of, number) for loop in run.loops.values() for of, number in loop.inputs.dropped.items()
+    ]
     recorded = Recorded(dict(writer.recorded), 0, progress.completed, writer.ended_early)
-    return account.document(recorded, wall_s, interrupted=interrupted)
+    return ended(document, preparation, recorded, run.bus.outbox.published, dropped)
 
 
 def _follow(

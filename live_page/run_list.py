@@ -73,8 +73,8 @@ def _row(name: str, recording: Path, written: os.stat_result) -> dict[str, Any]:
         "state": _end(Outcome(found, failure_in(folder)), is_growing=is_growing),
         "recorded_ms": written.st_mtime * 1e3,
         "size_mb": written.st_size / 1e6,
-        "start": found.run.sim_start if found else "",
-        "simulated_s": found.cycles * found.run.cycle_s if found else 0.0,
+        "start": found.sim_start if found else "",
+        "simulated_s": found.cycles * found.cycle_s if found else 0.0,
         "figures": {
             figure: found.figures.get(figure) if found and found.figures else None
             for figure in _FIGURES

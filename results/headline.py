@@ -29,11 +29,11 @@ def print_headline(summary: RunDocument, console: Console) -> None:
     if summary.figures is None or summary.highlights is None:
         return
     curve, hard_minutes = summary.highlights.curve, summary.highlights.hard_minutes
-    start = pd.Timestamp(summary.run.sim_start.rsplit(" ", 1)[0])
+    start = pd.Timestamp(summary.sim_start.rsplit(" ", 1)[0])
     can_draw = (console.encoding or "").lower().startswith("utf")
     lines = ["", headline(summary.figures), *curve_lines(curve, can_draw, console.width)]
     if hard_minutes:
-        lines.append(f"hardest at {minute_line(hard_minutes[0], start, summary.run.cycle_s)}")
+        lines.append(f"hardest at {minute_line(hard_minutes[0], start, summary.cycle_s)}")
     for line in lines:
         console.print(printable(line), markup=False, highlight=False, soft_wrap=True)
 

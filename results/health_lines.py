@@ -9,53 +9,49 @@ from agents.faults import ProcessFault
 from bus_schemas.errors import listed
 from bus_schemas.faults import UNHEARD, Blackout, Disturbance
 from bus_schemas.tree import RECORDER
-from recordings.inspect.health import FaultEffect, Health
+from recordings.inspect.overview import FaultEffect, Overview
 from recordings.read.run_clock import RunClock
 from recordings.read.run_file import SUMMARY_NAME
-from results.run_document import LauncherAccount, Outcome
+from results.run_document import Outcome, RunDocument
 from scenarios.fault_rules import fault_text
 
 _NAMED: Final = 5
 """How many of each kind the text names; the others are counted."""
 
 
-def health_lines(health: Health, clock: RunClock, outcome: Outcome) -> Iterator[tuple[str, str]]:
-    launcher = outcome.document.launcher if outcome.document else None
-    touched = f"messages: {counts_text(health.faults) or 'none touched'}"
-    yield "faults", touched if health.fault_effects else "none injected"
-    for effect in health.fault_effects:
+def health_lines(
+    overview: Overview, clock: RunClock, outcome: Outcome
+) -> Iterator[tuple[str, str]]:
+    document = outcome.document
+    touched = f"messages: {counts_text(overview.faults) or 'none touched'}"
+    yield "faults", touched if overview.fault_effects else "none injected"
+    for effect in overview.fault_effects:
         yield "fault", f"{fault_text(effect.fault)}: {_effect_text(effect, clock)}"
-    yield "missing", _missing(health, outcome)
-    if health.repeated:
-        yield "repeated", f"{health.repeated:,} messages came again"
-    yield "dropped", _dropped(launcher)
-    yield "inputs", _missed_text(health, clock)
-    for span in health.states[:_NAMED]:
+    yield "missing", _missing(overview, outcome)
+    if overview.repeated:
+        yield "repeated", f"{overview.repeated:,} messages came again"
+    yield "dropped", _dropped(document)
+    yield "inputs", _missed_text(overview, clock)
+    for span in overview.states[:_NAMED]:
         yield "states", span.text(clock)
-    if others := len(health.states[_NAMED:]) + health.more_states:
+    if others := len(overview.states[_NAMED:]) + overview.more_states:
         yield "states", f"and {others:,} more"
     # Messages show which agents restarted; the recorder publishes none.
-    if recorder := launcher.restarts.get(RECORDER) if launcher else None:
+    if recorder := document.restarts.get(RECORDER) if document else None:
         yield "states", f"{RECORDER}: restarted ({recorder:,})"
-    elif not health.states:
+    elif not overview.states:
         yield "states", "no agent was absent, cut off or given up"
-    yield from _lacks(launcher, clock) if launcher else ()
+    for name, cycle in document.given_up.items() if document else ():
+        yield "given up", f"{name} {clock.span_text(cycle, cycle)}"
     yield "run", outcome.text
 
 
-def _missing(health: Health, outcome: Outcome) -> str:
+def _missing(overview: Overview, outcome: Outcome) -> str:
     """Say what was lost: sequence numbers do not show what the recording lacks at its end."""
-    seen, document = health.messages_lost, outcome.document
+    seen, document = overview.messages_lost, outcome.document
     if document is None or document.lost <= seen:
-        return f"{seen:,} messages not recorded{_named(health.lost)}"
+        return f"{seen:,} messages not recorded{_named(overview.lost)}"
     return f"{document.lost:,} messages not recorded, {seen:,} of them before the recording's end"
-
-
-def _lacks(launcher: LauncherAccount, clock: RunClock) -> Iterator[tuple[str, str]]:
-    for name, cycle in launcher.given_up.items():
-        yield "given up", f"{name} {clock.span_text(cycle, cycle)}"
-    for first, last in launcher.recording_gaps:
-        yield "gap", f"not recorded {clock.span_text(first, last)}: the recorder was cut off"
 
 
 def _effect_text(effect: FaultEffect, clock: RunClock) -> str:
@@ -68,11 +64,11 @@ def _effect_text(effect: FaultEffect, clock: RunClock) -> str:
     return f"acted {on}{clock.span_text(effect.first_cycle, effect.last_cycle)}"
 
 
-def _dropped(launcher: LauncherAccount | None) -> str:
-    if launcher is None:
+def _dropped(document: RunDocument | None) -> str:
+    if document is None:
         return f"not recorded: there is no {SUMMARY_NAME} beside the recording"
-    dropped, skipped = launcher.dropped, launcher.skipped_cycles
-    wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in launcher.wrong]
+    dropped, skipped = document.dropped, document.skipped_cycles
+    wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in document.wrong]
     parts = [f"{sum(dropped.values()):,} messages that agents could not use{_named(dropped)}"]
     parts += [f"{skipped:,} cycles skipped"] if skipped else []
     parts += [f"wrong: {listed(wrong, _NAMED)}"] if wrong else []
@@ -89,12 +85,12 @@ def _named(counts: Mapping[str, int]) -> str:
     return f": {named}" if named else ""
 
 
-def _missed_text(health: Health, clock: RunClock) -> str:
-    misses = health.misses
+def _missed_text(overview: Overview, clock: RunClock) -> str:
+    misses = overview.misses
     if not misses:
         return "none missed at a deadline"
     first = min(one.first_cycle for one in misses)
     last = max(one.last_cycle for one in misses)
     worst = _named({one.agent: one.inputs for one in misses})
-    used = f"{health.missing_inputs:,} missed and {health.old_inputs:,} older ones used"
+    used = f"{overview.missing_inputs:,} missed and {overview.old_inputs:,} older ones used"
     return f"{used} {clock.span_text(first, last)}, most at{worst}"

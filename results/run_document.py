@@ -12,7 +12,6 @@ from msgspec.structs import replace
 
 from agents.process.events import ExternalAccount
 from bus_schemas.errors import listed
-from recordings.inspect.health import Health
 from recordings.inspect.overview import Overview, read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_file import FAILURE_NAME, SUMMARY_NAME
@@ -39,25 +38,6 @@ class WrongMessages(msgspec.Struct, frozen=True):
     count: int
     example: str
     publisher: str = ""
-
-
-class LauncherAccount(msgspec.Struct, frozen=True, kw_only=True):
-    """The part of a run's health that only the launcher knows.
-
-    `dropped`: messages that agents could not use, by cause. `skipped_cycles` were over before a
-    process came to them. `recording_ended`: why the recording does not hold the run as a whole.
-    `given_up`: processes that were not started again, and since which cycle. `recording_gaps`:
-    first and last cycles that the recorder did not hear.
-    """
-
-    dropped: dict[str, int] = {}
-    restarts: dict[str, int] = {}
-    skipped_cycles: int = 0
-    recording_ended: str = ""
-    given_up: dict[str, int] = {}
-    recording_gaps: tuple[tuple[int, int], ...] = ()
-    wrong: tuple[WrongMessages, ...] = ()
-    interrupted: bool = False
 
 
 class MessageCount(msgspec.Struct, frozen=True):
@@ -92,12 +72,25 @@ class ProcessAccount(msgspec.Struct, frozen=True):
     cpu_s: float | None = None
 
 
-class RunFacts(msgspec.Struct, frozen=True):
-    """What was run: of `planned_cycles` cycles, with clusters maybe chosen in hindsight.
+class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """What became of a run: its end, counts, figures, health and answers.
 
+    scenario, driver, folder, sim_start, planned_cycles, cycle_s: What was run, where and how.
+    hindsight_neighbours: Whether the clusters were chosen in hindsight.
     offset_kw, offset_errors: How much more than the dispatch the plant aimed at, as in its plan.
+    cycles: How many were completed.
+    dropped: Messages that agents could not use, by cause.
+    restarts: How often each agent was started again.
+    given_up: Processes that were not started again, and since which cycle.
+    recording_ended: Why the recording does not hold the run as a whole.
+    figures, highlights: None if no cycle can be read in the recording.
+    messages: Those of Heliarch's processes.
+    external: What was heard of external agents.
+    recording: What the recording holds; None if it could not be read.
+    answers: Those of the plant, to orders and steps of the schedule.
     """
 
+    run_id: str
     scenario: str
     driver: str
     folder: str
@@ -108,25 +101,17 @@ class RunFacts(msgspec.Struct, frozen=True):
     remarks: tuple[str, ...] = ()
     offset_kw: float = 0.0
     offset_errors: float = 0.0
-
-
-class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of a run: its end, counts, figures, health and answers.
-
-    `cycles` were completed. `figures` is None if none of them can be read in the recording.
-    `messages` are those of Heliarch's processes, `external` what was heard of external agents.
-    `recording` is None if it could not be read. `answers` are the plant's, to orders and
-    steps of the schedule. `highlights` are None without figures.
-    """
-
-    run_id: str
-    run: RunFacts
-    launcher: LauncherAccount
-    cycles: int
-    wall_s: float
-    startup_s: float
-    figures: Figures | None
-    messages: tuple[MessageCount, ...]
+    cycles: int = 0
+    wall_s: float = 0.0
+    startup_s: float = 0.0
+    interrupted: bool = False
+    dropped: dict[str, int] = {}
+    restarts: dict[str, int] = {}
+    given_up: dict[str, int] = {}
+    recording_ended: str = ""
+    wrong: tuple[WrongMessages, ...] = ()
+    figures: Figures | None = None
+    messages: tuple[MessageCount, ...] = ()
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
     devices: tuple[DeviceAccount, ...] = ()
@@ -139,28 +124,34 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
         return self.cycles / self.wall_s if self.wall_s > 0.0 else 0.0
 
     @property
-    def health(self) -> Health | None:
-        return self.recording.health if self.recording else None
-
-    @property
     def end(self) -> str:
         """How the run ended, in words."""
-        launcher, planned = self.launcher, self.run.planned_cycles
-        covered = f"after {self.cycles:,} of {planned:,} cycles"
+        covered = f"after {self.cycles:,} of {self.planned_cycles:,} cycles"
         parts = []
-        if launcher.interrupted:
+        if self.interrupted:
             parts.append(f"interrupted {covered}")
-        elif self.cycles < planned:
+        elif self.cycles < self.planned_cycles:
             parts.append(f"ended early, {covered}")
-        if launcher.given_up:
-            parts.append(f"given up: {listed([*launcher.given_up])}")
-        if launcher.recording_ended or launcher.recording_gaps:
-            parts.append(launcher.recording_ended or "recording has gaps")
+        if self.given_up:
+            parts.append(f"given up: {listed([*self.given_up])}")
+        if self.recording_ended or self.recording_gaps:
+            parts.append(self.recording_ended or "recording has gaps")
         return "; ".join(parts) or "over"
 
     @property
+    def recording_gaps(self) -> list[range]:
+        """The cycles in which the recorder did not hear the plant."""
+        spans = self.recording.unrecorded if self.recording else ()
+        return [range(span.first_cycle, span.end) for span in spans]
+
+    @property
+    def skipped_cycles(self) -> int:
+        """Cycles that were over before a process came to them."""
+        return sum(process.skipped_cycles for process in self.processes)
+
+    @property
     def missing_inputs(self) -> int:
-        return self.health.missing_inputs if self.health else 0
+        return self.recording.missing_inputs if self.recording else 0
 
     @property
     def lost(self) -> int:
@@ -175,33 +166,30 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def is_incomplete(self) -> bool:
         """Whether messages, inputs or agents were missing at some time."""
-        launcher = self.launcher
-        counts = self.lost, self.missing_inputs, launcher.skipped_cycles, launcher.recording_ended
-        events = launcher.dropped, launcher.wrong, launcher.restarts
-        lacks = launcher.given_up, launcher.recording_gaps
-        return any((*counts, *events, *lacks, *(device.has_faults for device in self.devices)))
+        counts = self.lost, self.missing_inputs, self.skipped_cycles, self.recording_ended
+        events = self.dropped, self.wrong, self.restarts, self.given_up, self.recording_gaps
+        return any((*counts, *events, *(device.has_faults for device in self.devices)))
 
     def refused(self, account: ExternalAccount) -> int:
         """Return how many messages of an external agent were refused, but for those too late."""
-        wrong = (one for one in self.launcher.wrong if one.publisher == account.agent)
+        wrong = (one for one in self.wrong if one.publisher == account.agent)
         return sum(one.count for one in wrong if one.cause not in {"late", "duplicate"})
 
     def failures(self) -> Iterator[str]:
         """Yield in a line each why the run cannot be relied on; nothing if it can."""
-        launcher = self.launcher
-        if launcher.recording_ended:
-            yield launcher.recording_ended
-        if launcher.given_up:
-            yield f"given up in the run: {listed([*launcher.given_up])}"
-        if launcher.recording_gaps:
-            spans = [f"{first:,} to {last:,}" for first, last in launcher.recording_gaps]
-            yield f"the recorder was cut off: not recorded are cycles {listed(spans)}"
+        if self.recording_ended:
+            yield self.recording_ended
+        if self.given_up:
+            yield f"given up in the run: {listed([*self.given_up])}"
+        if self.recording_gaps:
+            spans = [f"{span.start:,} to {span.stop - 1:,}" for span in self.recording_gaps]
+            yield f"the recorder did not hear the plant: not recorded are cycles {listed(spans)}"
         if missed := sum(bool(answer.missed) for answer in self.answers):
             yield f"{missed} of {len(self.answers)} answers of the plant missed a budget"
         if attacked := self._two_senders():
             text = listed([f"{one.key}: {one.example}" for one in attacked])
             yield f"more than one program sent messages on {text}"
-        if self.lost_by_processes and not launcher.recording_ended:
+        if self.lost_by_processes and not self.recording_ended:
             lost = ", ".join(count.signal for count in self.messages if count.lost)
             yield f"messages were lost: {lost}"
         for account in self.external:
@@ -213,13 +201,13 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
             if account.differing:
                 yield (
                     f"external agent {account.agent}: {account.differing:,} messages differ from "
-                    f"what it must decide, see heliarch verify {self.run.folder}"
+                    f"what it must decide, see heliarch verify {self.folder}"
                 )
 
     def _two_senders(self) -> list[WrongMessages]:
         """Return keys of Heliarch's processes on which another program sent messages as well."""
         external = {account.agent for account in self.external}
-        conflicting = (one for one in self.launcher.wrong if one.cause == "conflicting")
+        conflicting = (one for one in self.wrong if one.cause == "conflicting")
         return [one for one in conflicting if one.publisher not in external]
 
     def as_json(self) -> bytes:
@@ -227,6 +215,7 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
         derived = {
             "cycles_per_s": self.cycles_per_s,
             "missing_inputs": self.missing_inputs,
+            "skipped_cycles": self.skipped_cycles,
             "messages_lost": self.lost,
         }
         document = msgspec.to_builtins(self) | derived
@@ -267,7 +256,7 @@ class Outcome(NamedTuple):
     def kind(self) -> End:
         if self.failure:
             return "failed"
-        if self.document is not None and self.document.launcher.interrupted:
+        if self.document is not None and self.document.interrupted:
             return "interrupted"
         if self.stop_cycle is None:
             return "unfinished"

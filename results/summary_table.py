@@ -16,7 +16,7 @@ from results.answers import answers_tables
 from results.figures import FIGURES, Figures, Shown, shown_in
 from results.health_lines import counts_text
 from results.report.tables import devices_tables, health_table
-from results.run_document import Outcome, ProcessAccount, RunDocument, RunFacts
+from results.run_document import Outcome, ProcessAccount, RunDocument
 from results.tables import Cell, Column, Number, Table, key_column, print_table, word_column
 
 Row: TypeAlias = tuple[str, Cell, str, str]
@@ -31,21 +31,19 @@ def print_summary(summary: RunDocument, console: Console) -> None:
     tables = summary_table(summary), *answers_tables(summary.answers)
     for table in (*tables, *devices_tables(summary.devices)):
         print_table(console, table)
-    with suppress(InputError), RunReader(Path(summary.run.folder)) as run:
-        if summary.health and (summary.is_incomplete or run.plan.faults.rules):
-            outcome = Outcome(summary)
-            print_table(console, health_table(summary.health, run.clock, outcome))
+    with suppress(InputError), RunReader(Path(summary.folder)) as run:
+        if summary.recording and (summary.is_incomplete or run.plan.faults.rules):
+            print_table(console, health_table(summary.recording, run.clock, Outcome(summary)))
 
 
 def summary_table(summary: RunDocument) -> Table:
-    run = summary.run
     hindsight = "Clusters and neighbours were chosen from the run's own data: hindsight."
     return Table(
-        f"{run.scenario} from {run.sim_start}, {run.driver}",
+        f"{summary.scenario} from {summary.sim_start}, {summary.driver}",
         _COLUMNS,
         (
             *_pace_rows(summary),
-            *_offset_rows(summary.run),
+            *_offset_rows(summary),
             _GAP,
             *_figure_rows(summary),
             _GAP,
@@ -54,27 +52,27 @@ def summary_table(summary: RunDocument) -> Table:
             _GAP,
             *_process_rows(summary),
         ),
-        (hindsight,) if run.hindsight_neighbours else (),
+        (hindsight,) if summary.hindsight_neighbours else (),
     )
 
 
 def _pace_rows(summary: RunDocument) -> Iterator[Row]:
-    rate, cycle_s, planned = summary.cycles_per_s, summary.run.cycle_s, summary.run.planned_cycles
+    rate, cycle_s, planned = summary.cycles_per_s, summary.cycle_s, summary.planned_cycles
     note = f"of {cycle_s:g} s"
     if summary.cycles < planned:
-        how = "interrupted" if summary.launcher.interrupted else "ended early"
+        how = "interrupted" if summary.interrupted else "ended early"
         note += f"; {how}: {planned:,} were planned"
     yield "Cycles", summary.cycles, "", note
     yield "Cycle rate", Number(rate, 1), "/s", f"{rate * cycle_s:,.0f} x real time"
     yield "Wall time", Number(summary.wall_s, 1), "s", f"after {summary.startup_s:.1f} s to start"
 
 
-def _offset_rows(run: RunFacts) -> Iterator[Row]:
+def _offset_rows(summary: RunDocument) -> Iterator[Row]:
     """Say how far from its dispatch the plant aimed, if it did."""
-    if run.offset_kw:
-        yield "Offset", Number(run.offset_kw, 1), "kW", "aimed above the dispatch"
-    if run.offset_errors:
-        yield "Offset", Number(run.offset_errors, 2), "", "mean errors aimed above the dispatch"
+    if summary.offset_kw:
+        yield "Offset", Number(summary.offset_kw, 1), "kW", "aimed above the dispatch"
+    if summary.offset_errors:
+        yield "Offset", Number(summary.offset_errors, 2), "", "mean errors aimed above the dispatch"
 
 
 def figures_table(title: str, figures: Figures | None) -> Table:
@@ -83,7 +81,7 @@ def figures_table(title: str, figures: Figures | None) -> Table:
 
 
 def _figure_rows(summary: RunDocument) -> Iterator[Row]:
-    figures, planned = summary.figures, summary.run.planned_cycles
+    figures, planned = summary.figures, summary.planned_cycles
     if figures is not None and figures["cycles"] != planned:
         covered = f"{figures['cycles']:,.0f} of {planned:,} cycles"
         yield "Figures of merit", None, "", f"they cover {covered}"
@@ -106,7 +104,7 @@ def _rows_of(figures: Figures | None) -> Iterator[Row]:
 
 
 def _message_rows(summary: RunDocument) -> Iterator[Row]:
-    dropped = summary.launcher.dropped
+    dropped = summary.dropped
     help_calls = sum(count.recorded for count in summary.messages if count.signal == "help")
     published = sum(count.published for count in summary.messages)
     recorded = sum(count.recorded for count in summary.messages)

@@ -17,7 +17,7 @@ from agents.process.machine_watch import MachineWatch
 from bus_schemas.errors import FailureError, InputError, listed
 from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.launch import check_processes, run_as_processes
-from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
+from launch_scripts.run_folder import RunFolder, prepare_run
 from launch_scripts.view import ViewFor
 from results.report.result import Result
 from results.tables import Column, Table, attributes, key_column, word_column
@@ -25,7 +25,8 @@ from results.timing.measures import LOOP
 from results.timing.report import TimingReport, report_on
 from results.timing.results import cycles_per_s, host_lines
 from results.timing.stages import STOPS_NAME
-from scenarios.preparation import Preparation
+from scenarios.preparation import Preparation, RunOptions
+from scenarios.scenario import ScenarioFile
 from scenarios.times import parse_duration_s
 
 HIGHEST_HZ: Final = 1000.0
@@ -45,18 +46,18 @@ LEAST_CYCLES: Final = 120
 
 
 def prepare_at(
-    rate_hz: float, default_s: float, request: RunRequest, out: Path | None
+    rate_hz: float, default_s: float, file: ScenarioFile, asked: RunOptions, out: Path | None
 ) -> tuple[Preparation, RunFolder]:
     """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet.
 
     It lasts up to `--to`, for `--duration`, or for its default, and then `LEAST_CYCLES` at least.
     """
     length_s = max(default_s, LEAST_CYCLES / rate_hz)
-    if request.options.end is not None:
-        timing = prepare_run(request)[0].plan.timing
+    if asked.end is not None:
+        timing = prepare_run(file, asked)[0].plan.timing
         length_s = timing.cycles * timing.cycle_s
-    elif request.options.duration is not None:
-        length_s = parse_duration_s(request.options.duration, "--duration", 1.0 / rate_hz)
+    elif asked.duration is not None:
+        length_s = parse_duration_s(asked.duration, "--duration", 1.0 / rate_hz)
     if length_s * rate_hz < 1.0:
         raise InputError.of(
             f"--duration {length_s:g} s",
@@ -65,8 +66,8 @@ def prepare_at(
         )
     cycle_s = 1.0 / rate_hz
     duration = f"{round(length_s * rate_hz) * cycle_s:.9f}"
-    options = replace(request.options, pace="1", cycle_s=cycle_s, duration=duration, end=None)
-    preparation, folder = prepare_run(RunRequest(request.scenario, options, out))
+    options = replace(asked, pace="1", cycle_s=cycle_s, duration=duration, end=None)
+    preparation, folder = prepare_run(file, options, out)
     check_processes(preparation.plan)
     return preparation, folder
 
@@ -86,9 +87,7 @@ def measured_run(preparation: Preparation, folder: RunFolder, view_for: ViewFor)
     try:
         return report_on(folder.path, summary, (load_before, psutil.getloadavg()[0]), stops)
     except InputError as error:  # The disk was full, for instance.
-        raise FailureError(
-            f"{summary.launcher.recording_ended or 'not measured'}: {error}"
-        ) from None
+        raise FailureError(f"{summary.recording_ended or 'not measured'}: {error}") from None
 
 
 # The highest rate ---------------------------------------------------------------------------------

@@ -12,11 +12,9 @@ from agents.cycle import kind_of
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from results.run_document import (
-    LauncherAccount,
     MessageCount,
     ProcessAccount,
     RunDocument,
-    RunFacts,
 )
 from results.timing.report import TimingReport, report_on
 
@@ -40,12 +38,14 @@ def summary_of(folder: Path, plan: RunPlan = PLAN, *, lost: int = 0) -> RunDocum
     ]
     return RunDocument(
         run_id=plan.run_id,
-        run=RunFacts(plan.plant, "launch", str(folder), "", planned_cycles=2, cycle_s=0.1),
-        launcher=LauncherAccount(),
+        scenario=plan.plant,
+        driver="launch",
+        folder=str(folder),
+        sim_start="",
+        planned_cycles=2,
+        cycle_s=0.1,
         cycles=2,
         wall_s=10.0,
-        startup_s=0.0,
-        figures=None,
         messages=(MessageCount("impp", 10 + lost, 10),),
         processes=tuple(accounts),
     )

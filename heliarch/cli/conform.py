@@ -69,7 +69,7 @@ def conform(
     out
         Folder of the recorded tests; default runs/NAME-TIME.
     """
-    from launch_scripts.run_folder import RunRequest, prepare_run
+    from launch_scripts.run_folder import prepare_run
     from recordings.verify.comparison import Equality
     from scenarios.scenario import load_scenario
     from studies.conformance.conform import CYCLES, Conformance
@@ -89,7 +89,7 @@ def conform(
         base_port=base_port,
     )
     try:
-        preparation, folder = prepare_run(RunRequest(file, options, out))
+        preparation, folder = prepare_run(file, options, out)
     except InputError as error:  # The user has not typed the option that says the same.
         raise (error.renamed("AGENT") if error.field == "--external" else error) from None
     with device:

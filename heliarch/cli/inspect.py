@@ -152,8 +152,7 @@ def _show_overview(run: RunReader, cycles: range | None, output: Output) -> dict
     output.show(
         texts_table(found.run_id, facts(run, found)),
         Table("Signals", columns, attributes(found.signals, columns)),
-        health_table(found.health, run.clock, outcome),
+        health_table(found, run.clock, outcome),
         *devices_tables(read_accounts(run.path.parent)),
     )
-    launcher = outcome.document.launcher if outcome.document else None
-    return {**msgspec.structs.asdict(found), "launcher": launcher, "failure": outcome.failure}
+    return {**msgspec.structs.asdict(found), "end": outcome.text}

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from heliarch.cli.options import FileOptions, PageOptions, Scenario, Settings
+from heliarch.cli.options import (
+    FileOptions,
+    PageOptions,
+    Scenario,
+    Settings,
+    changed_scenario,
+)
 from scenarios.run_options import PlantOptions, ProcessOptions, RunOptions, SpanOptions
 
 
@@ -28,8 +34,8 @@ def launch(
     from launch_scripts.fork_server_process import ForkServerProcess
 
     with ForkServerProcess() as server:  # It imports what its processes need, beside the launcher.
-        from heliarch.cli.run import run_and_print, run_request
+        from heliarch.cli.run import run_and_print
 
         options = RunOptions.of(span, plant, processes)
-        request = run_request(scenario, settings, files, options)
-        return run_and_print(request, files, page, server)
+        file = changed_scenario(scenario, files.data, settings)
+        return run_and_print(file, options, files, page, server)

@@ -16,23 +16,18 @@ from rich.console import Console
 from bus_schemas.errors import FailureError
 from heliarch.cli.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from heliarch.cli.live_view import PlainView
-from heliarch.cli.options import FileOptions, PageOptions, changed_scenario
+from heliarch.cli.options import FileOptions, PageOptions
 from heliarch.cli.output import Output, do_all
 from launch_scripts.fork_server_process import ForkServerProcess
 from launch_scripts.launch import check_processes, run_as_processes
-from launch_scripts.run_folder import RunFolder, RunRequest, prepare_run
+from launch_scripts.run_folder import RunFolder, prepare_run
 from launch_scripts.simulation import run_in_one_process
 from live_page.process import PageProcess
 from results.headline import print_headline
 from results.run_document import RunDocument
 from results.summary_table import print_summary
 from scenarios.run_options import RunOptions
-
-
-def run_request(
-    scenario: str, settings: list[str] | None, files: FileOptions, options: RunOptions
-) -> RunRequest:
-    return RunRequest(changed_scenario(scenario, files.data, settings), options, files.out)
+from scenarios.scenario import ScenarioFile
 
 
 @contextmanager
@@ -47,7 +42,8 @@ def page_beside(options: PageOptions, output: Output) -> Iterator[PageProcess | 
 
 
 def run_and_print(
-    request: RunRequest,
+    file: ScenarioFile,
+    options: RunOptions,
     files: FileOptions,
     pages: PageOptions,
     server: ForkServerProcess | None = None,
@@ -55,7 +51,9 @@ def run_and_print(
     """Run what was asked for and print its result. Returns the exit status."""
     output = Output(files.json)
     with page_beside(pages, output) as page:
-        summary, folder = carry_out(request, output.console, BEGAN_AT, server, page)
+        summary, folder = carry_out(
+            file, options, files.out, output.console, BEGAN_AT, server, page
+        )
         document = summary.as_json()
 
         def write_page() -> None:
@@ -75,7 +73,7 @@ def run_and_print(
             partial(output.say, *_what_next(folder.path)),
         )
         failures = [complain(failure, FAILED) for failure in summary.failures()]
-        return max(failures) if failures else INTERRUPTED if summary.launcher.interrupted else OK
+        return max(failures) if failures else INTERRUPTED if summary.interrupted else OK
 
 
 def _what_next(run: Path) -> list[str]:
@@ -93,7 +91,9 @@ def _what_next(run: Path) -> list[str]:
 
 
 def carry_out(
-    request: RunRequest,
+    file: ScenarioFile,
+    options: RunOptions,
+    out: Path | None,
     console: Console,
     began_at: float,
     server: ForkServerProcess | None = None,
@@ -106,7 +106,7 @@ def carry_out(
     """
     # Thousands of inverters take minutes to cluster.
     with Console(stderr=True).status("preparing"):
-        preparation, folder = prepare_run(request)
+        preparation, folder = prepare_run(file, options, out)
     if server is not None:
         check_processes(preparation.plan)  # Before anything is printed.
     try:

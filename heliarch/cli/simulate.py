@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from bus_schemas.errors import InputError
-from heliarch.cli.options import FileOptions, PageOptions, Scenario, Settings
+from heliarch.cli.options import (
+    FileOptions,
+    PageOptions,
+    Scenario,
+    Settings,
+    changed_scenario,
+)
 from scenarios.run_options import PlantOptions, RunOptions, SpanOptions
 
 
@@ -21,11 +27,11 @@ def simulate(
 
     Example: `heliarch simulate valley --seed 8 --set commitment.share=0.4 --report`
     """
-    from heliarch.cli.run import run_and_print, run_request
+    from heliarch.cli.run import run_and_print
 
     if page.orders:
         raise InputError.of(
             "--orders", "expected none, since only the plant of `launch` takes them"
         )
     options = RunOptions.of(span, plant)
-    return run_and_print(run_request(scenario, settings, files, options), files, page)
+    return run_and_print(changed_scenario(scenario, files.data, settings), options, files, page)

@@ -17,6 +17,7 @@ from heliarch.cli.options import (
     Junit,
     PageOptions,
     Settings,
+    changed_scenario,
     is_run,
     refuse_others,
 )
@@ -70,7 +71,7 @@ def timing(
         Write the table of stages that all figures come from: FILE.csv or FILE.parquet.
     """
     from heliarch.cli.live_view import PlainView
-    from heliarch.cli.run import page_beside, run_request
+    from heliarch.cli.run import page_beside
     from launch_scripts.run_folder import new_run_id, run_folder
     from results.timing.report import report_on
     from studies.timing import measured_run, parse_rates, prepare_at, sweep, sweep_result
@@ -87,28 +88,29 @@ def timing(
     lowest_hz, highest_hz = parse_rates(rate)
     if stages is not None and lowest_hz != highest_hz:
         raise InputError("--stages: expected one rate with it")
-    request = run_request(scenario, settings, files, RunOptions.of(span, plant, machine))
+    file = changed_scenario(scenario, files.data, settings)
+    options = RunOptions.of(span, plant, machine)
     view = partial(PlainView, output.console)
     with page_beside(page, output) as shown:
         if lowest_hz == highest_hz:
-            preparation, place = prepare_at(lowest_hz, 60.0, request, request.out)
+            preparation, place = prepare_at(lowest_hz, 60.0, file, options, files.out)
             if shown is not None:
                 output.say(f"page: {shown.show(place.path)}")
             return _publish(
                 measured_run(preparation, place, view), place.path, files, by, stages, junit
             )
-        folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
+        folder = run_folder(f"{new_run_id('timing')}-rates", files.out).path
 
         def timed(rate_hz: float) -> TimingReport:
             name = f"rate-{rate_hz:g}"
             if (folder / name).exists():
                 name = f"{name}-again"
-            return measured_run(*prepare_at(rate_hz, 15.0, request, folder / name), view)
+            return measured_run(*prepare_at(rate_hz, 15.0, file, options, folder / name), view)
 
         if shown is not None:
             output.say(f"page: {shown.show(folder, several=True)}")
         found = sweep(lowest_hz, highest_hz, timed)
-    result = sweep_result(found, request.scenario.scenario.name)
+    result = sweep_result(found, file.scenario.name)
     publish(result, files, folder / "timing.html", f"recordings: {folder}")
     if found.interrupted:
         return INTERRUPTED

@@ -68,9 +68,15 @@ class AgentSpan(msgspec.Struct, frozen=True):
         return self.first_cycle + self.cycles
 
     @property
-    def weight(self) -> tuple[bool, int]:
-        """What it is sorted by: whether the agent came back as it was, and how long it lasted."""
-        return self.kind != "absent" or self.is_restarted or self.back_in is None, self.cycles
+    def is_unrecorded_plant(self) -> bool:
+        """Whether the recorder did not hear the plant."""
+        return self.agent == RECORDER or (self.agent == PLANT and self.cause == BY_RECORDER)
+
+    @property
+    def weight(self) -> tuple[bool, bool, int]:
+        """What it is sorted by: who came back as it was comes after others, the shorter last."""
+        is_lasting = self.kind != "absent" or self.is_restarted or self.back_in is None
+        return self.is_unrecorded_plant, is_lasting, self.cycles
 
     @property
     def is_event(self) -> bool:

@@ -1,24 +1,29 @@
-"""What a recording holds: messages and rates of each signal, what is missing, and its health."""
+"""What a recording holds, and how the run fared by it: counts, losses, faults, states of agents."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterator
+from typing import Final, TypeAlias
 
 import msgspec
 
+from agents.faults import Fault, Kill, ProcessFault
+from agents.plan import RunPlan
 from bus_schemas.messages import Message
+from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import PRODUCTION, SIGNALS, Port, Signal
-from bus_schemas.tree import ROOT
-from recordings.inspect.health import Health, HealthWatch
-from recordings.read.gaps import PortGaps, gaps_of_ports
+from bus_schemas.tree import RECORDER, ROOT
+from recordings.inspect.agent_states import AgentSpan, AgentStates
+from recordings.read.gaps import PortGaps
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECOVERY_METADATA
 from recordings.read.series import Listener
 
-See: TypeAlias = Callable[[Port[Message], Message], None]
+Gaps: TypeAlias = dict[Port[Message], PortGaps]
+
+_MOST_STATES: Final = 100
 
 
 class SignalCount(msgspec.Struct, frozen=True):
@@ -38,8 +43,34 @@ class SignalCount(msgspec.Struct, frozen=True):
     missing_cycles: int
 
 
-class Overview(msgspec.Struct, frozen=True):
-    """What a recording holds."""
+class FaultEffect(msgspec.Struct, frozen=True):
+    """How many messages a fault acted on, once for each listener, and in which cycles."""
+
+    fault: Fault
+    messages: int = 0
+    first_cycle: int | None = None
+    last_cycle: int | None = None
+
+
+class Misses(msgspec.Struct, frozen=True):
+    """Inputs that an agent missed at its deadlines, and older messages that it used."""
+
+    agent: str
+    inputs: int
+    old: int
+    first_cycle: int
+    last_cycle: int
+    external: bool
+
+
+class Overview(msgspec.Struct, frozen=True, kw_only=True):
+    """What a recording holds, and how the run fared.
+
+    `faults` counts what all rules did to messages, by kind. `lost` counts messages that the
+    sequence numbers leave out, by port, most first. `misses` are by agent, most first. The run
+    ended before the `stop_cycle`; None: that is not recorded. `states`: when agents were absent,
+    cut off or given up.
+    """
 
     path: str
     run_id: str
@@ -51,119 +82,149 @@ class Overview(msgspec.Struct, frozen=True):
     planned_cycles: int
     wall_s: float
     signals: tuple[SignalCount, ...]
-    health: Health
+    fault_effects: tuple[FaultEffect, ...] = ()
+    faults: dict[str, int] = {}
+    lost: dict[str, int] = {}
+    misses: tuple[Misses, ...] = ()
+    states: tuple[AgentSpan, ...] = ()
+    more_states: int = 0
+    stop_cycle: int | None
 
+    @property
+    def messages_lost(self) -> int:
+        return sum(self.lost.values())
 
-class Reading(NamedTuple):
-    """The result of one pass over a recording: an overview, and the messages of each port."""
+    @property
+    def repeated(self) -> int:
+        return sum(one.repeated for one in self.signals)
 
-    overview: Overview
-    gaps: dict[Port[Message], PortGaps]
+    @property
+    def missing_inputs(self) -> int:
+        """Number of inputs that agents missed at their deadlines, without external agents."""
+        return sum(misses.inputs for misses in self.misses if not misses.external)
 
-    def by_signal(self, publisher: str | None = None) -> Counter[str]:
-        """Return the messages of each signal, of one publisher or of all."""
-        counts: Counter[str] = Counter()
-        for port, gaps in self.gaps.items():
-            if publisher in {None, port.publisher}:
-                counts[port.signal.name] += gaps.messages
-        return +counts
+    @property
+    def old_inputs(self) -> int:
+        """Number of older messages that they used instead."""
+        return sum(misses.old for misses in self.misses if not misses.external)
+
+    @property
+    def unrecorded(self) -> list[AgentSpan]:
+        """When the plant was not recorded: the recorder did not hear it."""
+        return sorted(
+            (span for span in self.states if span.is_unrecorded_plant),
+            key=lambda span: span.first_cycle,
+        )
 
 
 def read_overview(run: RunReader, cycles: range | None = None) -> Overview:
     """Read what a recording holds, or a part of it."""
-    return read_through(run, cycles).overview
+    return read_through(run, cycles)[0]
 
 
 def read_through(
     run: RunReader,
     cycles: range | None = None,
     listener: Listener | None = None,
-    *,
-    only_count: bool = False,
-) -> Reading:
-    """Go through a recording once; a listener sees the messages of its ports.
+    run_cycles: int = 0,
+) -> tuple[Overview, Gaps]:
+    """Go through a recording once; return what it holds, and the messages of each port.
 
-    only_count: Nothing can be late or missing in it: a million messages a second.
+    listener: Sees the messages of its ports.
+    run_cycles: How many cycles the run had, if that is known from elsewhere.
     """
+    plan = run.plan
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
-    ports = listener.ports if listener else frozenset[Port[Message]]()
-    see = listener.see if listener else _see_nothing
-    if only_count:
-        gaps, wall_ns = _counted(run, ports, see)
-        health, end = Health(stop_cycle=run.stop_cycle), 0
-    else:
-        watch = HealthWatch(run.plan, wanted)
-        wall_ns = _watched(run, cycles, watch, ports, see)
-        # If the run's end was not recorded, the cycles up to the last production were due.
-        end = min(watch.states.end_cycle(run.stop_cycle), wanted.stop)
-        gaps, health = watch.states.gaps, watch.health(run, end)
-    wall_s, sent = wall_ns / 1e9, {port.signal for port in gaps}
+    states, links = AgentStates(plan, wanted.start), plan.network_faults()
+    ports = listener.ports if listener else ()
+    first_ns = last_ns = 0
+    for record in run.records(cycles=cycles):
+        port = record.port
+        states.see(record)
+        last_ns = record.log_time_ns
+        first_ns = first_ns or last_ns
+        is_touched = bool(plan.faults.rules) and port.signal.is_cyclic
+        if (port in ports or is_touched) and (message := run.decoded(record)):
+            if is_touched:
+                _see_faults(plan, links, port, message)
+            if listener is not None and port in ports:
+                listener.see(port, message)
+    # If the run's end was not recorded, the cycles up to the last production were due.
+    end = min(states.end_cycle(run.stop_cycle), wanted.stop)
+    if run.outline.closed:
+        states.finish(end)
+    gaps, wall_s = states.gaps, (last_ns - first_ns) / 1e9
+    sent = {port.signal for port in gaps}
+    spans = sorted(
+        _spans(states, end, run_cycles if run.whole else 0),
+        key=lambda one: one.weight,
+        reverse=True,
+    )
+    lost = Counter({str(port): one.lost for port, one in gaps.items() if one.lost})
     overview = Overview(
         path=str(run.path),
-        run_id=run.plan.run_id,
+        run_id=plan.run_id,
         metadata=run.metadata,
         whole=run.whole,
         first_cycle=wanted.start,
         last_cycle=wanted.stop - 1,
-        complete_cycles=gaps[PRODUCTION.of(ROOT)].cycles(run.plan.timing.cycles),
-        planned_cycles=run.plan.timing.cycles,
+        complete_cycles=gaps[PRODUCTION.of(ROOT)].cycles(plan.timing.cycles),
+        planned_cycles=plan.timing.cycles,
         wall_s=wall_s,
         signals=tuple(
             _count(signal, gaps, wanted, end, wall_s) for signal in SIGNALS if signal in sent
         ),
-        health=health,
+        fault_effects=tuple(_effects(plan, links, run.last_cycle)),
+        faults=dict(+links.tally),
+        lost=dict(lost.most_common()),
+        misses=_misses(plan, states),
+        states=tuple(spans[:_MOST_STATES]),
+        more_states=len(spans[_MOST_STATES:]),
+        stop_cycle=run.stop_cycle,
     )
-    return Reading(overview, gaps)
+    return overview, gaps
 
 
-def _see_nothing(port: Port[Message], message: Message) -> None:
-    """Stand for the listener where there is none."""
+def _spans(states: AgentStates, end: int, run_cycles: int) -> Iterator[AgentSpan]:
+    yield from states.spans()
+    if run_cycles > end:  # Who hears nothing to the end does not know of it.
+        yield AgentSpan(RECORDER, "cut off", end, run_cycles - end)
 
 
-def _watched(
-    run: RunReader,
-    cycles: range | None,
-    watch: HealthWatch,
-    ports: Collection[Port[Message]],
-    see: See,
-) -> int:
-    """Let a watch see each message, most of them without decoding them; return the time [ns]."""
-    first_ns = last_ns = 0
-    for record in run.records(cycles=cycles):
-        watch.see(record)
-        last_ns = record.log_time_ns
-        first_ns = first_ns or last_ns
-        if record.port in ports and (message := run.decoded(record)):
-            see(record.port, message)
-    return last_ns - first_ns
+def _misses(plan: RunPlan, states: AgentStates) -> tuple[Misses, ...]:
+    missed, external = states.missed, plan.access.external
+    misses = [
+        Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
+        for agent, at in missed.cycles.items()
+    ]
+    return tuple(sorted(misses, key=lambda one: (-one.inputs, one.agent)))
 
 
-def _counted(
-    run: RunReader, ports: Collection[Port[Message]], see: See
-) -> tuple[dict[Port[Message], PortGaps], int]:
-    """Count messages, most of them without looking into them; return them and the time [ns]."""
-    gaps, counts, first_ns, last_ns = gaps_of_ports(run.plan), Counter[int](), 0, 0
-    read = {
-        number: port
-        for number, port in run.channels.items()
-        if port in ports or port.signal is PRODUCTION
-    }
-    for chunk in run.followed_chunks():
-        for channel, _, last_ns, _, _ in run.messages_of(chunk, run.channels):
-            counts[channel] += 1
-            first_ns = first_ns or last_ns
-        for record in run.records_of(chunk, read):
-            gaps[record.port].see(record.cycle, record.sequence, record.incarnation)
-            if record.port in ports and (message := run.decoded(record)):
-                see(record.port, message)
-    for channel, count in counts.items():
-        gaps[run.channels[channel]].messages = count
-    return gaps, last_ns - first_ns
+def _see_faults(plan: RunPlan, links: NetworkFaults, port: Port[Message], message: Message) -> None:
+    """Work out again what became of a message on its way to each listener that is not external.
+
+    It follows from link and cycle.
+    """
+    for listener in plan.wiring.listeners[port]:
+        if listener not in plan.access.external:
+            links.fates(port, listener, message)
+
+
+def _effects(plan: RunPlan, links: NetworkFaults, last_cycle: int) -> Iterator[FaultEffect]:
+    for number, fault in enumerate(plan.faults.rules):
+        if isinstance(fault, ProcessFault):
+            begin_s = fault.at if isinstance(fault, Kill) else fault.at[0]
+            cycle = int(begin_s * 1e9 / plan.timing.cycle_ns)
+            came = cycle <= last_cycle
+            yield FaultEffect(fault, 0, cycle, cycle) if came else FaultEffect(fault)
+        else:
+            act = links.acts[number]
+            yield FaultEffect(fault, act.messages, act.first_cycle, act.last_cycle)
 
 
 def _count(
     signal: Signal[Message],
-    gaps: dict[Port[Message], PortGaps],
+    gaps: Gaps,
     cycles: range,
     end: int,
     wall_s: float,

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import plotly.graph_objects as go
 
 from recordings.inspect.agent_states import fault_changes
-from recordings.inspect.health import Health
+from recordings.inspect.overview import Overview
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries
 from results.report import style
@@ -25,16 +25,16 @@ class Mark(NamedTuple):
     colour: str
 
 
-def run_marks(reader: RunReader, health: Health, series: RunSeries) -> list[Mark]:
+def run_marks(reader: RunReader, overview: Overview, series: RunSeries) -> list[Mark]:
     """Return the marks of a run in the order of time, at most sixty of them."""
-    return sorted(_marks(reader, health, series))[:_MOST]
+    return sorted(_marks(reader, overview, series))[:_MOST]
 
 
-def _marks(reader: RunReader, health: Health, series: RunSeries) -> Iterator[Mark]:
+def _marks(reader: RunReader, overview: Overview, series: RunSeries) -> Iterator[Mark]:
     for change in fault_changes(reader.plan):
         if change.cycle <= reader.last_cycle:
             yield Mark(change.cycle, f"fault {change.text}", style.ORANGE)
-    for span in health.states:
+    for span in overview.states:
         if span.cycles:
             text = f"{span.agent}: {span.what()} for {span.cycles:,} cycles"
             yield Mark(span.first_cycle, text, style.VERMILLION)

@@ -59,17 +59,17 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
             found = HelpBetween(plan, _nodes_drawn(plan))
             series = series_of(reader, MOST_INVERTERS, [found])
             series = replace(series, label=f"hierarchical ({plan.control.scheme})")
-            health, outcome = overview_of(reader).health, outcome_of(reader)
+            overview, outcome = overview_of(reader), outcome_of(reader)
             tables = [
                 *figures_tables([series]),
                 *answers_tables(judged(answers(series), _budgets(reader))),
                 help_table(found, reader.clock),
                 clusters_table(series, plan, found),
                 *network_tables(outcome.document),
-                health_table(health, reader.clock, outcome),
+                health_table(overview, reader.clock, outcome),
                 *devices_tables(read_accounts(reader.path.parent)),
             ]
-            marks, clock = run_marks(reader, health, series), reader.clock
+            marks, clock = run_marks(reader, overview, series), reader.clock
     with console.status("drawing"):
         lines = [f"Run {plan.run_id}. {run_line(plan)}", *notes]
         result = runs_result(title, [series], tables, lines, marks=marks)
@@ -81,9 +81,9 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
 
 def power_figure(reader: RunReader) -> go.Figure:
     """Draw the first figure of a run's report alone."""
-    series, health = plant_series_of(reader), overview_of(reader).health
+    series, overview = plant_series_of(reader), overview_of(reader)
     figure = plant_power([series]).figure
-    mark(figure, series, run_marks(reader, health, series))
+    mark(figure, series, run_marks(reader, overview, series))
     return figure
 
 
@@ -112,7 +112,7 @@ def _notes(reader: RunReader) -> list[str]:
     if scenario.get("neighbours", {}).get("history") == "hindsight":
         notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
     outcome = outcome_of(reader)
-    notes += outcome.document.run.remarks if outcome.document else ()
+    notes += outcome.document.remarks if outcome.document else ()
     if outcome.text != "over":
         notes.append(f"How the run ended: {outcome.text}.")
     if not reader.whole:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-from recordings.inspect.health import Health
+from recordings.inspect.overview import Overview
 from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from results.figures import Shown, run_figures, runs_as_columns, shown_in
@@ -43,9 +43,9 @@ def figures_tables(series: Sequence[RunSeries]) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def health_table(health: Health, clock: RunClock, outcome: Outcome) -> Table:
+def health_table(overview: Overview, clock: RunClock, outcome: Outcome) -> Table:
     """Return the table of a run's health, a line for each kind of finding."""
-    return texts_table("Health of the run", health_lines(health, clock, outcome))
+    return texts_table("Health of the run", health_lines(overview, clock, outcome))
 
 
 def network_tables(summary: RunDocument | None) -> list[Table]:
@@ -58,7 +58,7 @@ def network_tables(summary: RunDocument | None) -> list[Table]:
         Column("recorded"),
         Column("lost"),
     )
-    dropped = counts_text(summary.launcher.dropped) or "none"
+    dropped = counts_text(summary.dropped) or "none"
     missed = f"{summary.missing_inputs:,} inputs missed at deadlines"
     notes = f"Dropped by agents: {dropped}; {missed}. External agents are not counted here."
     rows = attributes(summary.messages, columns)

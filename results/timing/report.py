@@ -164,7 +164,7 @@ def report_on(
     wall_s, lost, remarks = cycles * plan.timing.cycle_wall_ns / 1e9, None, [_NO_SUMMARY]
     if summary is not None:
         wall_s, lost = summary.wall_s, summary.lost
-        remarks = [*summary.run.remarks, *filter(None, [summary.launcher.recording_ended])]
+        remarks = [*summary.remarks, *filter(None, [summary.recording_ended])]
     run_facts = TimedRun(
         scenario=plan.plant,
         run_id=plan.run_id,

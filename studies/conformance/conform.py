@@ -133,7 +133,7 @@ class Conformance:
                 summary = run_as_processes(preparation, folder, view, time.monotonic(), server)
         except FailureError as failure:
             return folder, failure
-        if summary.launcher.interrupted:
+        if summary.interrupted:
             raise KeyboardInterrupt
         return folder, summary
 
@@ -162,7 +162,7 @@ class Conformance:
             shows = shown[min(finding.cycle, recorded.cycles)]
             if shows != AWAY:
                 self._note(finding, finding.requirement or shows, recorded, folder.path.name)
-        for wrong in ended.launcher.wrong if isinstance(ended, RunDocument) else ():
+        for wrong in ended.wrong if isinstance(ended, RunDocument) else ():
             if wrong.cause in (UNDECODABLE, UNKNOWN, WRONG_SENDER):
                 of = "bounds" if wrong.cause == UNDECODABLE else "decisions"
                 self.findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")

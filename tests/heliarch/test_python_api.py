@@ -127,7 +127,7 @@ def test_a_plant_is_launched_and_timed_and_can_be_read_in_a_program_without_a_ma
     program = f"""
 import heliarch
 run = heliarch.launch({plant!r}, duration="5s", out={str(tmp_path / "launched")!r})
-print(run.summary.run.driver, run.power.shape[0], heliarch.verify(run.folder).equal)
+print(run.summary.driver, run.power.shape[0], heliarch.verify(run.folder).equal)
 place = {str(tmp_path / "timed")!r}
 report = heliarch.timing({plant!r}, rate=10, duration="2s", out=place)
 print(report.run.cycles, heliarch.timing(place).run.cycles)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,17 +16,13 @@ from reports_by_hand import summary_of
 
 from agents.process.events import Complaint, ExternalAccount, Recorded
 from bus_schemas.errors import InputError
-from launch_scripts.account import RunAccount
+from launch_scripts.run_end import begun, ended
 from launch_scripts.run_folder import RunFolder
-from recordings.inspect.overview import read_through
-from recordings.read.reader import RunReader
 from results.figures import FIGURES
 from results.run_document import (
-    LauncherAccount,
     MessageCount,
     ProcessAccount,
     RunDocument,
-    RunFacts,
     WrongMessages,
 )
 from results.summary_table import summary_table
@@ -34,7 +31,9 @@ from scenarios.scenario import load_scenario
 
 SUMMARY = replace(
     summary_of(Path("runs/r")),
-    run=RunFacts("field", "launch", "runs/r", "", planned_cycles=3600, cycle_s=1.0, offset_kw=80.0),
+    planned_cycles=3600,
+    cycle_s=1.0,
+    offset_kw=80.0,
     cycles=3600,
     processes=(),
     messages=(),
@@ -71,7 +70,7 @@ HALF = dict.fromkeys(FIGURES) | {
         ({}, "Offset", ["80.0", "kW", "aimed above the dispatch"]),
         ({"cycles": 9}, "Cycles", ["9", "", "ended early: 3,600 were planned"]),
         (
-            {"cycles": 9, "launcher": LauncherAccount(interrupted=True)},
+            {"cycles": 9, "interrupted": True},
             *("Cycles", ["9", "", "interrupted: 3,600 were planned"]),
         ),
         ({"external": (DEVICE,)}, "Missing in the recording", ["100"]),
@@ -105,8 +104,7 @@ def wrong(cause: str, count: int, publisher: str) -> WrongMessages:
 def test_an_unreliable_run_fails_in_one_line(
     messages: tuple[MessageCount, ...], found: tuple[WrongMessages, ...], failure: str | None
 ) -> None:
-    launcher = LauncherAccount(wrong=found)
-    summary = replace(SUMMARY, messages=messages, launcher=launcher, external=(DEVICE,))
+    summary = replace(SUMMARY, messages=messages, wrong=found, external=(DEVICE,))
     failures = [*summary.failures()]
     assert len(failures) == (failure is not None)
     assert all(failure and failure in line and "\n" not in line for line in failures)
@@ -121,28 +119,25 @@ def test_the_figures_of_merit_are_those_that_the_run_defines(plant: str, tmp_pat
     assert "PJM performance score" not in rows
 
 
-@pytest.fixture
-def account(plant: str, tmp_path: Path) -> RunAccount:
+def test_a_message_is_refused_once_whoever_refuses_it_and_why(plant: str, tmp_path: Path) -> None:
     options = RunOptions(duration="5", external=["c1/inv01"])
     preparation = prepare(load_scenario(plant), options, "counted")
-    return RunAccount(preparation, RunFolder(tmp_path / "run"), "launch", 0.0)
-
-
-def test_a_message_is_refused_once_whoever_refuses_it_and_why(account: RunAccount) -> None:
-    account.dropped += [
+    dropped = [
         ("c1/inv01/impp", "duplicate", 4),
         ("c1/inv01/impp", "late", 2),
         ("c1/inv02/impp", "late", 9),
         ("c1/inv01/impp", "late", 1),
     ]
     complaint = Complaint("small/c1/inv01/impp", "duplicate", 5, "it came twice in cycle 3")
-    found = account.document(Recorded({}, 0, 0, complaints=(complaint,)), 1.0, interrupted=False)
-    assert [(wrong.key, wrong.cause, wrong.count) for wrong in found.launcher.wrong] == [
+    recorded = Recorded({}, 0, 0, complaints=(complaint,))
+    document = begun(preparation, RunFolder(tmp_path / "run"), "launch")
+    found = ended(document, preparation, recorded, Counter(), dropped)
+    assert [(wrong.key, wrong.cause, wrong.count) for wrong in found.wrong] == [
         ("c1/inv01/impp", "duplicate", 5),
         ("c1/inv01/impp", "late", 1),
     ]
-    assert found.launcher.wrong[0].example == "it came twice in cycle 3"
-    assert found.launcher.dropped == {"duplicate": 4, "late": 12}
+    assert found.wrong[0].example == "it came twice in cycle 3"
+    assert found.dropped == {"duplicate": 4, "late": 12}
 
 
 def cut(recording: Path) -> None:
@@ -160,18 +155,22 @@ def test_a_recording_that_holds_less_than_was_recorded_is_a_failure(
     folder = RunFolder(tmp_path / "run")
     heliarch("simulate", plant, "--duration", "300", "--out", folder.path)
     preparation = prepare(load_scenario(plant), RunOptions(duration="300"), "counted")
-    account = RunAccount(preparation, folder, "launch", 0.0)
-    with RunReader(folder.recording) as run:
-        told = Recorded(dict(read_through(run).by_signal()), 0, 300)
-    account.published.update(told.recorded)
+    counts = json.loads(folder.summary.read_bytes())["messages"]
+    published = Counter({count["signal"]: count["published"] for count in counts})
     if harm is not None:
         harm(folder.recording)
-    summary = account.document(told, 1.0, interrupted=False)
+    told = Recorded(dict(published), 0, 300)
+    document = begun(preparation, folder, "launch")
+    summary = ended(document, preparation, told, published, [])
     failures = [*summary.failures()]
     assert len(failures) == (harm is not None)
     covered = summary.figures["cycles"] if summary.figures else 0
     assert covered == 300 if harm is None else 0 <= (covered or 0) < 300
     assert harm is None or str(folder.recording) in failures[0]
+    if harm is None:  # The recorder was cut off when the run ended.
+        longer = replace(document, planned_cycles=310), preparation, replace(told, cycles=310)
+        (failure,) = ended(*longer, published, []).failures()
+        assert "300 to 309" in failure
 
 
 def test_a_folder_that_cannot_be_made_is_named_with_its_option() -> None:

@@ -164,7 +164,7 @@ def judged(run: Heliarch, plan: RunPlan, status: int, healed_ns: int) -> Outcome
     both = [cycle for cycle in power if cycle in asked]
     return Outcome(
         status,
-        sum(summary_of(run.folder).launcher.restarts.values()),
+        sum(summary_of(run.folder).restarts.values()),
         len(power),
         sum(heard[cycle] < due for cycle in range(cycles)),
         max(start_ns + again * cycle_ns - healed_ns, 0) / 1e9,
@@ -184,7 +184,7 @@ def test_a_controller_that_is_killed_while_its_links_look_whole_is_heard_again_a
     run.process_of(LEAF).kill()
     run.until_back(LEAF)  # Its old links are closed once nothing has come over them for 8 s.
     assert run.interrupt() == 130, run.error_text()
-    assert summary_of(run.folder).launcher.restarts == {LEAF: 1}
+    assert summary_of(run.folder).restarts == {LEAF: 1}
 
 
 @pytest.mark.soak

@@ -45,7 +45,7 @@ def controller(device: Device, folder: Path) -> subprocess.Popen[bytes]:
 
 
 def wrong(summary: RunDocument) -> dict[tuple[str, str], int]:
-    return {(entry.key, entry.cause): entry.count for entry in summary.launcher.wrong}
+    return {(entry.key, entry.cause): entry.count for entry in summary.wrong}
 
 
 def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
@@ -59,7 +59,7 @@ def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
     summary = summary_of(folder)
     (account,) = summary.external
     assert (account.agent, account.lost, account.expected, account.answered) == (NODE, 0, 75, 75)
-    assert (summary.lost, summary.launcher.wrong) == (0, ())
+    assert (summary.lost, summary.wrong) == (0, ())
     found = verify(folder)
     assert found.equal
     assert NODE in found.agents

@@ -93,7 +93,7 @@ def test_a_process_that_is_not_started_again_is_given_up_and_the_run_goes_on(
     assert run.output.read_text().count("has not beaten") == (harm == signal.SIGSTOP) * len(victims)
     wiring = load_plan(run.folder / "plan.json").wiring
     agents = [agent for victim in victims for agent in wiring.members_of(victim)]
-    assert list(summary_of(run.folder).launcher.given_up) == agents
+    assert list(summary_of(run.folder).given_up) == agents
     with RunReader(run.folder) as reader:
         (*_, (_, told)) = reader.messages(GIVEN_UP)
         assert isinstance(told, GivenUp)
@@ -118,7 +118,7 @@ def test_a_process_that_dies_or_freezes_before_cycle_0_is_named_and_started_agai
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     run = heliarch("launch", plant, "--duration", "5")
     assert run.wait() == 0, run.error_text()
-    restarts = summary_of(run.folder).launcher.restarts
+    restarts = summary_of(run.folder).restarts
     for victim in (RECORDER, INVERTER):
         pid = (tmp_path / f"harmed {victim.replace('/', '.')}").read_text()
         (line,) = (one for one in run.output.read_text().splitlines() if f"process {pid})" in one)
@@ -229,7 +229,7 @@ def test_a_fork_server_that_stands_still_at_the_end_is_named_and_the_run_has_its
     assert "fork server" in run.error_text()
     assert f"fork server (process {server.pid}) stands still" in run.output.read_text()
     summary = summary_of(run.folder)
-    assert (summary.cycles, summary.lost, [*summary.launcher.given_up]) == (100, 0, ["fork server"])
+    assert (summary.cycles, summary.lost, [*summary.given_up]) == (100, 0, ["fork server"])
     assert_none_left(run.folder)
 
 
@@ -244,8 +244,8 @@ def test_a_run_over_a_bad_network_with_a_supervisor_that_stood_still_verifies_eq
     # The plant ticks through all cycles, and says of each what it delivered.
     production = next(count for count in summary.messages if count.signal == "production")
     assert (production.published, summary.cycles) == (20, production.recorded)
-    assert summary.health is not None
-    assert set(summary.health.faults) == {"lost", "duplicated", "delayed"}
+    assert summary.recording is not None
+    assert set(summary.recording.faults) == {"lost", "duplicated", "delayed"}
     assert summary.missing_inputs > 0
     with RunReader(run.folder) as reader:
         reports = [message.cycle for _, message in reader.messages(IMPP, nodes="c1")]

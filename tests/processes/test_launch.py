@@ -125,7 +125,7 @@ def test_processes_decide_bit_for_bit_what_one_process_decides_and_all_is_record
     counts = {count.signal: count.recorded for count in summary.messages}
     assert counts["telemetry"] == counts["command"] == CYCLES * 4
     assert {name: recorded.count(name) for name in counts} == counts
-    assert (summary.lost, summary.launcher.dropped) == (0, {})
+    assert (summary.lost, summary.dropped) == (0, {})
 
 
 @pytest.mark.parametrize(("processes", "number"), [("cluster", 8), ('["z2"]', 9)])
@@ -141,7 +141,7 @@ def test_several_agents_in_one_process_decide_what_they_decide_alone(
     summary = summary_of(tmp_path / "run")
     assert len(load_plan(tmp_path / "run" / "plan.json").processes) == number
     assert len(summary.processes) == number
-    assert (summary.lost, summary.launcher.dropped) == (0, {})
+    assert (summary.lost, summary.dropped) == (0, {})
 
 
 def test_so_do_they_by_the_clock_if_they_have_the_time(plant: str, tmp_path: Path) -> None:
@@ -149,9 +149,9 @@ def test_so_do_they_by_the_clock_if_they_have_the_time(plant: str, tmp_path: Pat
     for pace in ("4", "1", "0.2"):  # One that this machine keeps up with.
         ours = decided(tmp_path / pace, "launch", *words, "--pace", pace)
         summary = summary_of(tmp_path / pace)
-        if not (summary.missing_inputs or summary.launcher.skipped_cycles or summary.lost):
+        if not (summary.missing_inputs or summary.skipped_cycles or summary.lost):
             break
-    assert (summary.missing_inputs, summary.launcher.skipped_cycles, summary.lost) == (0, 0, 0)
+    assert (summary.missing_inputs, summary.skipped_cycles, summary.lost) == (0, 0, 0)
     assert ours == decided(tmp_path / "simulated", "simulate", *words)
 
 

@@ -70,7 +70,7 @@ def test_an_order_while_the_central_controller_is_away_is_answered_and_counts(
     assert reply.startswith("in force from cycle ")
     assert settled.startswith("1,000 kW reached")
     run.interrupt()
-    (restarts,) = [summary_of(run.folder).launcher.restarts]
+    (restarts,) = [summary_of(run.folder).restarts]
     assert restarts == {CENTRAL: 1}
     assert verify(run.folder).equal
 

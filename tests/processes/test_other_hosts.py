@@ -65,7 +65,7 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
     assert found.equal
     assert not found.left_out
     summary = summary_of(run.folder)
-    assert (summary.lost, summary.launcher.wrong) == (0, ())
+    assert (summary.lost, summary.wrong) == (0, ())
 
 
 def test_processes_that_freeze_or_die_on_another_host_are_started_again_there(

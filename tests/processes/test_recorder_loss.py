@@ -77,9 +77,9 @@ def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
     assert run.interrupt() == 1
     assert "messages were lost" in run.error_text()
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
-    assert summary["launcher"]["restarts"] == {"recorder": 2}
+    assert summary["restarts"] == {"recorder": 2}
     with RunReader(run.folder) as reader:
-        health = read_overview(reader).health
+        health = read_overview(reader)
         recorded = [message.cycle for _, message in reader.messages(PRODUCTION)]
         assert reader.stop_cycle is not None
         assert reader.last_cycle == recorded[-1] == reader.stop_cycle - 1

@@ -57,7 +57,7 @@ def test_killed_controllers_are_started_again_with_all_of_their_process_and_the_
     for agent in agents:
         run.until_back(agent)
     ended(run)
-    assert summary_of(run.folder).launcher.restarts == dict.fromkeys(agents, 1)
+    assert summary_of(run.folder).restarts == dict.fromkeys(agents, 1)
     assert_equal_as_far_as_recorded(run, verify(run.folder))
 
 

@@ -56,4 +56,4 @@ def test_a_process_that_is_started_again_reads_renewed_certificates(
     run.until_back(NODE)
     run.process_of("c1").kill()
     run.until_back("c1")
-    assert ended(run).launcher.wrong == ()
+    assert ended(run).wrong == ()

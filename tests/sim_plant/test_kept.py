@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from launch_scripts.run_folder import RunRequest, prepare_run
+from launch_scripts.run_folder import prepare_run
 from scenarios.run_options import RunOptions
 from scenarios.scenario import load_scenario
 from sim_plant.kept import kept
@@ -73,8 +73,8 @@ def test_the_last_used_entry_is_kept(cache: Path) -> None:
 
 
 def test_a_run_under_a_known_sky_is_the_same_to_the_last_bit(cache: Path) -> None:
-    request = RunRequest(load_scenario("oahu"), RunOptions(duration="60"))
-    first, again = (prepare_run(request)[0] for _ in range(2))
+    asked = load_scenario("oahu"), RunOptions(duration="60")
+    first, again = (prepare_run(*asked)[0] for _ in range(2))
     assert len(list(cache.iterdir())) >= 2
     assert first.plan.control == again.plan.control
     assert first.profile.mpp_kw.tobytes() == again.profile.mpp_kw.tobytes()

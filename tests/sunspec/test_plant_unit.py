@@ -109,7 +109,7 @@ def test_the_end_of_the_units_process_is_named_and_the_run_goes_on(
     assert run.wait() == 1
     assert "Modbus unit" in run.error_text()
     document = json.loads((run.folder / "summary.json").read_bytes())
-    assert (document["cycles"], [*document["launcher"]["given_up"]]) == (60, ["Modbus unit"])
+    assert (document["cycles"], [*document["given_up"]]) == (60, ["Modbus unit"])
 
 
 @pytest.mark.soak

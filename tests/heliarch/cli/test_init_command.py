@@ -24,7 +24,7 @@ def run_it(scenario: str) -> tuple[list[str], str]:
     done("simulate", scenario, "--out", "run", "--report", "--json", "summary.json")
     summary = json.loads(Path("summary.json").read_text(encoding="utf-8"))
     assert summary["cycles"] == 61
-    return summary["run"]["remarks"], Path("run/report.html").read_text(encoding="utf-8")
+    return summary["remarks"], Path("run/report.html").read_text(encoding="utf-8")
 
 
 FILES = ("measured/positions.csv", "measured/ghi.csv")

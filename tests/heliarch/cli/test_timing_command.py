@@ -50,7 +50,6 @@ def test_the_exit_status_tells_kept_not_kept_and_interrupted(
 ) -> None:
     folder = recorded(tmp_path, cycle(0), cycle(1), ended=ended)
     summary = summary_of(folder, lost=lost)
-    launcher = replace(summary.launcher, interrupted=interrupted)
-    summary = replace(summary, launcher=launcher)
+    summary = replace(summary, interrupted=interrupted)
     (folder / "summary.json").write_bytes(summary.as_json())
     assert heliarch("timing", folder).exit_code == status

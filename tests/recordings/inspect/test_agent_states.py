@@ -60,7 +60,7 @@ def test_missed_inputs_add_up_to_those_of_the_recording(run: Path) -> None:
         for end in range(5, CYCLES, 9):
             states = states_at(reader, end - 1)
             missed = sum(states.at(agent, end - 1).missed_inputs for agent in states.agents)
-            assert missed == read_overview(reader, range(end)).health.missing_inputs
+            assert missed == read_overview(reader, range(end)).missing_inputs
 
 
 def test_an_agent_that_is_given_up_stays_so(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from command_line import done
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from memory_runs import run_with
+from msgspec.structs import replace
 from recordings_by_hand import write_messages
 from running import REPOSITORY, small_plant
 
@@ -60,7 +61,7 @@ def shown(path: Path) -> dict[str, Any]:
         figures = run_figures(plant_series_of(run))
         states = states_at(run, 45)
     return {
-        "health": overview.health,
+        "health": replace(overview, path="", wall_s=0.0, signals=(), metadata={}),
         "signals": [(one.signal, one.messages, one.missing_cycles) for one in overview.signals],
         "figures": figures,
         "states": [states.at(agent, 45) for agent in states.agents],
@@ -126,7 +127,7 @@ def test_a_late_recorder_makes_no_agent_absent_in_a_healthy_run() -> None:
         seen |= {event.kind for event in follower.events.since(0)}
     assert seen | {event.kind for event in follower.events.since(0)} == {"run"}
     with RunReader(path) as run:
-        assert read_overview(run).health.states == ()
+        assert read_overview(run).states == ()
         for cycle in (0, 300, run.last_cycle):
             states = states_at(run, cycle)
             assert {states.at(agent, cycle).level for agent in states.agents} == {0}
@@ -145,7 +146,7 @@ def test_page_inspect_and_report_agree_on_real_kills_freezes_and_cuts(
     run = tmp_path / "run"
     done("launch", plant, "--duration", "45", "--pace", "2", *words, "--out", run)
     with RunReader(run) as reader:
-        spans = read_overview(reader).health.states
+        spans = read_overview(reader).states
         last = reader.last_cycle
     follower = RunFollower(run / "run.mcap")
     while not follower.advance(1.0):

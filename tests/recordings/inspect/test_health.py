@@ -16,12 +16,11 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import HELP
 from recordings.inspect.agent_states import AgentSpan, states_at
-from recordings.inspect.health import Health
-from recordings.inspect.overview import read_overview
+from recordings.inspect.overview import Overview, read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_file import FAILURE_NAME, SUMMARY_NAME
 from results.health_lines import health_lines
-from results.run_document import LauncherAccount, WrongMessages, outcome_of
+from results.run_document import WrongMessages, outcome_of
 from scenarios.preparation import RunOptions, prepare
 from scenarios.scenario import load_scenario
 
@@ -29,9 +28,9 @@ CYCLES = 60
 DEVICE = "c2/c"
 
 
-def health_of(folder: Path) -> tuple[Health, str]:
+def health_of(folder: Path) -> tuple[Overview, str]:
     with RunReader(folder) as run:
-        health = read_overview(run).health
+        health = read_overview(run)
         return health, "\n".join(
             f"{name}: {text}" for name, text in health_lines(health, run.clock, outcome_of(run))
         )
@@ -41,7 +40,7 @@ def written(
     folder: Path,
     is_published: Callable[[Delivery], bool] = lambda pair: True,
     is_kept: Callable[[Delivery], bool] = lambda pair: True,
-) -> tuple[Health, str]:
+) -> tuple[Overview, str]:
     write_run(folder / "run.mcap", filter(is_published, whole_run(CYCLES)), is_kept=is_kept)
     return health_of(folder)
 
@@ -133,12 +132,13 @@ def test_an_agent_whose_link_is_cut_is_named_and_nobody_else(
 
 @pytest.mark.parametrize("run_id", [PLAN.run_id, "another-run"])
 def test_the_launchers_account_is_read_beside_the_recording(tmp_path: Path, run_id: str) -> None:
-    launcher = LauncherAccount(
+    document = replace(
+        summary_of(tmp_path),
+        run_id=run_id,
         dropped={"late": 3},
         restarts={"recorder": 2},
         wrong=(WrongMessages("c1/a/impp", "out_of_range", 5, "x"),),
     )
-    document = replace(summary_of(tmp_path), run_id=run_id, launcher=launcher)
     (tmp_path / SUMMARY_NAME).write_bytes(document.as_json())
     _, text = written(tmp_path)
     (tmp_path / FAILURE_NAME).write_text("c1/a ended\nwith status 1\n")

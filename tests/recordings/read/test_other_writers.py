@@ -129,7 +129,7 @@ def test_recordings_of_other_programs_are_read(recording: Path, tmp_path: Path, 
     with RunReader(recording) as run, RunReader(other) as found:
         expected, overview = read_overview(run), read_overview(found)
         assert (overview.signals, overview.whole) == (expected.signals, True)
-        assert overview.health.states == expected.health.states
+        assert overview.states == expected.states
         wanted, same = (
             one.frames("impp", nodes="c1/a", start=20, end=25)["impp"] for one in (run, found)
         )

@@ -219,4 +219,4 @@ def test_a_device_that_states_later_cycles_moves_no_end(tmp_path: Path, ahead: i
         assert list(impps.cycle) == [*range(20, 30)]
         overview = read_overview(run)
     assert (overview.last_cycle, overview.complete_cycles) == (59, 60)
-    assert {span.agent for span in overview.health.states} <= {"c2/c"}
+    assert {span.agent for span in overview.states} <= {"c2/c"}

@@ -22,7 +22,7 @@ from bus_schemas.messages import Impp, Message, Setpoint
 from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Port
 from bus_schemas.tree import CENTRAL, ROOT
 from bus_schemas.zenoh_session import RunSubscriber
-from launch_scripts.account import external_account
+from launch_scripts.run_end import external_account
 from recordings.inspect.overview import read_through
 from recordings.read.reader import RunReader
 from recordings.record.complaints import Complaints, SecondSenders
@@ -63,9 +63,9 @@ def recorded(
     ).run()
     (own,) = [event for event in link.told if isinstance(event, Recorded)]
     with RunReader(folder) as reader:
-        reading = read_through(reader)
+        _, gaps = read_through(reader)
         external = [
-            external_account(IN_LOCKSTEP, agent, own.cycles, reading)
+            external_account(IN_LOCKSTEP, agent, own.cycles, gaps)
             for agent in IN_LOCKSTEP.elsewhere
         ]
         account = replace(own, external=tuple(external))

@@ -70,7 +70,7 @@ def test_clusters_have_their_energies(run: Path) -> None:
 def test_faults_and_absences_are_marked_in_every_figure_over_time(run: Path) -> None:
     with RunReader(run) as reader:
         series = series_of(reader)
-        marks = run_marks(reader, read_overview(reader).health, series)
+        marks = run_marks(reader, read_overview(reader), series)
     assert [one.cycle for one in marks] == [20, 20, 30, 50, 70]
     result = runs_result("A run", [series], (), (), marks=marks)
     for figure in result.figures():

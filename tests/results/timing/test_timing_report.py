@@ -153,7 +153,7 @@ def test_a_run_that_was_interrupted_does_not_pass(tmp_path: Path) -> None:
     kept = recorded(tmp_path, cycle(0), cycle(1))
     assert verdict_of(report_on(kept, summary_of(kept))).startswith("PASS")
     stopped = summary_of(kept)
-    stopped = replace(stopped, launcher=replace(stopped.launcher, interrupted=True))
+    stopped = replace(stopped, interrupted=True)
     assert "interrupted after 2 of 2 cycles" in verdict_of(report_on(kept, stopped))
     (short := tmp_path / "short").mkdir()
     recorded(short, cycle(0), cycle(1), plan=with_changes(PLAN, cycles=60))
@@ -209,7 +209,7 @@ def test_the_header_tells_what_was_asked_of_the_machine_and_what_it_refused(tmp_
     machine = MachineSettings(cpus=(0,), cpus_of={"direct": (1,)}, priority=7)
     recorded(tmp_path, cycle(0), plan=with_changes(PLAN, machine=machine))
     summary = summary_of(tmp_path)
-    summary = replace(summary, run=replace(summary.run, remarks=("memory: not locked",)))
+    summary = replace(summary, remarks=("memory: not locked",))
     text = text_of(report_on(tmp_path, summary))
     assert "SCHED_FIFO 7, direct on CPU 1, others on CPU 0" in text
     assert "memory: not locked" in text
