@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from math import isnan
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -117,27 +116,12 @@ def _obey_as_if(passed: Callable[[Any, int], int]) -> Callable[[Function], Funct
     return wrong
 
 
-def _first_revert(right: Function) -> Function:
-    def obey(self: Any, state: Any, commands: Any, cycle: int) -> Any:
-        new = right(self, state, commands, cycle)
-        return replace_state(new, revert_kw=state.revert_kw) if cycle > 3 else new
-
-    return obey
-
-
 def _never_reverts(right: Function) -> Function:
     def obey(self: Any, state: Any, commands: Any, cycle: int) -> Any:
         renewed = np.full_like(state.renewed, max(cycle - 1, 0))
         return right(self, replace_state(state, renewed=renewed), commands, cycle)
 
     return obey
-
-
-def _without_settings(right: Function) -> Function:
-    def make(self: Any, plan: Any) -> None:
-        right(self, changed(plan, site={"settings": ()}))
-
-    return make
 
 
 def _hears_all(right: Function) -> Function:
@@ -171,13 +155,6 @@ def _faster_order(right: Function) -> Function:
     return following
 
 
-def _endless_order(right: Function) -> Function:
-    def following(self: Any, last: Any, given: Any, scheduled: Any) -> Any:
-        return right(self, replace(last, order_renewed=scheduled.cycle), given, scheduled)
-
-    return following
-
-
 def _without_ramp_back(right: Function) -> Function:
     def following(self: Any, last: Any, given: Any, scheduled: Any) -> Any:
         new = right(self, last, given, scheduled)
@@ -186,16 +163,6 @@ def _without_ramp_back(right: Function) -> Function:
         return new
 
     return following
-
-
-def _first_reports(right: Function) -> Function:
-    """Return reports in which a residual counts whatever the cycle of the IMPP beside it."""
-
-    def reports(self: Any, turn: Any, *others: Any) -> Any:
-        found = right(self, turn, *others)
-        return [one._replace(stale_cycles=max(one.stale_cycles - 1, 0)) for one in found]
-
-    return reports
 
 
 def _silent_counts_nothing(right: Function) -> Function:
@@ -213,48 +180,15 @@ BUGS: Final[dict[str, Bug]] = {
     "the most correlated sibling helps first": Bug(
         "agents.control.allocation:help_order", _then(lambda orders, _: [o[::-1] for o in orders])
     ),
-    "all children have equal shares": Bug(
-        "agents.control.allocation:allocate",
-        _with(
-            ratings_kw=lambda v: (
-                [sum(v["ratings_kw"]) / len(v["ratings_kw"])] * len(v["ratings_kw"])
-            )
-        ),
-    ),
     "a child gives what its sibling should": Bug(
         "agents.control.allocation:allocate", _then(_moved)
-    ),
-    "a part of the rest is asked of nobody": Bug(
-        "agents.control.allocation:allocate", _with(adds_up=False)
     ),
     "a share ignores the bounds of the dispatch": Bug(
         "agents.control.share:usable_dispatch_kw", lambda right: lambda kw, rating_kw: kw
     ),
-    "a share is a little too small": Bug(
-        "agents.control.share:share_kw", _then(lambda kw, *_: 0.99 * kw)
-    ),
-    "the correction is one of turns, not of seconds": Bug(
-        "agents.control.correction:corrected",
-        _with(law=lambda v: v["law"]._replace(cycle_s=1.0)),
-    ),
     "the correction has no bound": Bug(
         "agents.control.correction:corrected",
         _with(law=lambda v: v["law"]._replace(rating_kw=100.0 * v["law"].rating_kw)),
-    ),
-    "the correction goes on while all are free": Bug(
-        "agents.control.correction:corrected", _with(possible_kw=float("inf"))
-    ),
-    "turns that teach nothing are taught": Bug(
-        "agents.control.correction:corrected",
-        _then(
-            lambda new, *_: new._replace(
-                shown_kw=tuple(new.aim_kw if isnan(kw) else kw for kw in new.shown_kw)
-            )
-        ),
-    ),
-    "all of an error is corrected, whether that has helped or not": Bug(
-        "agents.control.correction:corrected",
-        _then(lambda new, *_: new._replace(correction_kw=new.lacking_kw)),
     ),
     "a new central process begins anew": Bug(
         "agents.parent:CentralController.step",
@@ -263,10 +197,6 @@ BUGS: Final[dict[str, Bug]] = {
                 self, replace(state, meter_cycle=max(state.meter_cycle, 1)), turn
             )
         ),
-    ),
-    "the correction only goes up": Bug(
-        "agents.control.correction:corrected_kw",
-        _then(lambda kw, known, *_: max(kw, min(known.aim_kw, kw + abs(known.correction_kw)))),
     ),
     "the correction does not know the ramp": Bug(
         "agents.control.correction:corrected",
@@ -286,31 +216,12 @@ BUGS: Final[dict[str, Bug]] = {
             )
         ),
     ),
-    "stated power is not believed": Bug(
-        "agents.control.forecast:forecast_impp",
-        _with(reading=lambda v: v["reading"]._replace(available_kw=float("nan"))),
-    ),
-    "how stated power differs is never learned": Bug(
-        "agents.control.forecast:forecast_impp",
-        _then(lambda new, *_: new._replace(meter=new.meter._replace(stated_share=1.0))),
-    ),
-    "an inverter is held at its forecast without room": Bug(
-        "agents.control.forecast:held_kw",
-        _then(lambda kw, setpoint_kw, _, known: min(kw, known.power_kw)),
-    ),
     "an inverter that is asked for all is free": Bug(
         "agents.control.forecast:held_kw",
         lambda right: lambda setpoint_kw, rating_kw, known: rating_kw,
     ),
     "a lost inverter is lost a cycle late": Bug(
         "agents.control.impp:is_lost", _with(hold_cycles=lambda v: v["hold_cycles"] + 1)
-    ),
-    "a stale estimate does not age": Bug(
-        "agents.control.impp:stale", lambda right: lambda last: last
-    ),
-    "the maximum is a little too high": Bug(
-        "agents.control.impp:estimate_impp",
-        _then(lambda new, *_: new._replace(power_kw=1.01 * new.power_kw)),
     ),
     "an inverter is curtailed below its floor": Bug(
         "agents.control.impp:curtailment_level", _with(alpha_min=1e-9)
@@ -321,13 +232,6 @@ BUGS: Final[dict[str, Bug]] = {
     "the response goes beyond the reserve": Bug(
         "agents.control.grid:response_kw", _with(law=lambda v: v["law"]._replace(reserve_kw=1e9))
     ),
-    "the response begins with a step": Bug(
-        "agents.control.grid:response_kw",
-        _with(law=lambda v: v["law"]._replace(fdbd1=v["law"].fdbd1 / 2, fdbd2=v["law"].fdbd2 / 2)),
-    ),
-    "a reserve is not kept": Bug(
-        "agents.control.grid:desired_kw", _with(law=lambda v: v["law"]._replace(reserve_kw=0.0))
-    ),
     "losses do not grow with the power": Bug(
         "agents.control.grid:net_kw", _with(law=lambda v: v["law"]._replace(loss_per_kw=0.0))
     ),
@@ -335,63 +239,28 @@ BUGS: Final[dict[str, Bug]] = {
         "agents.control.offers:is_due",
         _with(cycle=lambda v: v["cycle"] - 1 if v["cycle"] > 0 else v["cycle"]),
     ),
-    "offers promise too little": Bug(
-        "agents.control.offers:offered_share", _then(lambda share, *_: 0.6 * share)
-    ),
-    "a report hides a cycle of its age": Bug("agents.parent:Parent.reports", _first_reports),
     "a silent child counts nothing": Bug("agents.parent:Parent.reports", _silent_counts_nothing),
     # Inverters
     "an inverter ramps by the cycle": Bug(
         "sim_plant.inverters:Inverters.obey", _obey_as_if(lambda state, cycle: state.cycle - 4)
     ),
-    "missed cycles ramp an inverter once": Bug(
-        "sim_plant.inverters:Inverters.obey", _obey_as_if(lambda state, cycle: cycle - 1)
-    ),
     "an inverter never reverts": Bug("sim_plant.inverters:Inverters.obey", _never_reverts),
-    "an inverter learns its revert value once": Bug(
-        "sim_plant.inverters:Inverters.obey", _first_revert
-    ),
     "an old command renews the revert timer": Bug("sim_plant.inverters:Inverters.obey", _own_clock),
-    "settings of single inverters are ignored": Bug(
-        "sim_plant.inverters:Inverters.__init__", _without_settings
-    ),
     "a tripped inverter goes on": Bug(
         "agents.faults:trips", _then(lambda tripped, *_: [False] * len(tripped))
     ),
-    "inverters state the next interval's power": Bug(
-        "sim_plant.inverters:stated_kw", _then(lambda kw, *_: 1.03 * kw)
-    ),
     # Orders
     "an order is followed too fast": Bug("sim_plant.orders:Orders.next", _faster_order),
-    "an order holds for ever": Bug("sim_plant.orders:Orders.next", _endless_order),
     "the way back to the schedule has no ramp": Bug(
         "sim_plant.orders:Orders.next", _without_ramp_back
     ),
     "an order comes a cycle late": Bug(
         "agents.plan:PlannedOrder.cycle", _then(lambda cycle, *_: cycle + 1)
     ),
-    "an offer that did not come is one of nothing": Bug(
-        "sim_plant.inverters:Promise.at",
-        lambda right: (
-            lambda self, interval: (
-                self if interval == self.interval else type(self)(interval, self.coming, 0.0)
-            )
-        ),
-    ),
     # Processes
-    "every restart is at once": Bug(
-        "agents.settings:RestartPolicy.wait_s",
-        _then(lambda wait_s, *_: None if wait_s is None else 0.0),
-    ),
     "a process is given up too early": Bug(
         "agents.settings:RestartPolicy.wait_s",
         lambda right: lambda self, earlier_s, now_s: right(replace(self, most=2), earlier_s, now_s),
-    ),
-    "restarts are never forgotten": Bug(
-        "agents.settings:RestartPolicy.wait_s",
-        lambda right: (
-            lambda self, earlier_s, now_s: right(replace(self, within_s=1e6), earlier_s, now_s)
-        ),
     ),
     "a new process joins two cycles late": Bug(
         "agents.loop:Loop.begin",
@@ -399,10 +268,6 @@ BUGS: Final[dict[str, Bug]] = {
     ),
     "a replaced process is heard": Bug("agents.inputs:Inputs.take", _hears_all),
     "inputs are held a cycle longer": Bug("agents.inputs:Inputs.__init__", _holds_longer(1)),
-    "inputs are forgotten a cycle early": Bug("agents.inputs:Inputs.__init__", _holds_longer(-1)),
-    "deadlines are a tenth late": Bug(
-        "agents.cycle:Deadlines.deadline_ns", _then(lambda ns, *_: round(1.1 * ns))
-    ),
     "who thaws goes through each cycle": Bug("agents.loop:Loop.catch_up", _always(False)),
     "parents act in every cycle": Bug("agents.cycle:Periods.is_turn", _always(True)),
 }
