@@ -36,27 +36,6 @@ def test_a_reading_counts_once_however_long_it_holds() -> None:
     assert cycle_with_meter(central, 7, 40.0) == pytest.approx(50.0 + 8.0)
 
 
-def test_a_late_reading_counts_for_less() -> None:
-    set_kw = []
-    for metered_in in (5, 4, 3):
-        central = AtWork(CORRECTING, "central")
-        for cycle in range(5):
-            cycle_with_meter(central, cycle, None)
-        central.hear(meter(metered_in, 40.0))
-        set_kw.append(cycle_with_meter(central, 5, None))
-    assert set_kw[0] == pytest.approx(50.0 + 0.4 * 10.0)
-    assert set_kw[0] > set_kw[1] > set_kw[2] > 50.0
-
-
-def test_the_correction_begins_anew_after_all_inverters_were_free() -> None:
-    central = AtWork(CORRECTING, "central")
-    cycle_with_meter(central, 0, 50.0)
-    cycle_with_meter(central, 1, 50.0)
-    assert cycle_with_meter(central, 2, 40.0) == pytest.approx(54.0)
-    cycle_with_meter(central, 3, 40.0, impp_kw=20.0)
-    assert cycle_with_meter(central, 4, 40.0) == pytest.approx(50.0)
-
-
 def test_the_aim_is_the_dispatch_plus_offset_and_mean_error() -> None:
     control = replace(CORRECTING.control, correction=False, offset_kw=3.0, offset_errors=2.0)
     central = AtWork(replace(CORRECTING, control=control), "central")

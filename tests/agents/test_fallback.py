@@ -87,11 +87,6 @@ def test_a_controller_goes_down_the_ladder_and_up_again(
     assert outputs_in(work, 11, setpoint_kw=setpoint_kw) == by_setpoint
 
 
-@pytest.mark.parametrize("most_kw", [100.0, 100.0 * (1.0 + 1e-12)])
-def test_a_setpoint_may_exceed_the_rating_by_a_rounding_error(most_kw: float) -> None:
-    assert outputs_in(AtWork(CLUSTER, "c1/a"), 0, setpoint_kw=most_kw) == (1.0,)
-
-
 # A child that expired -----------------------------------------------------------------------------
 
 
@@ -107,53 +102,6 @@ def cycle_of(central: AtWork, cycle: int, *reports: Delivery, dispatch_kw: float
     """Let a cycle go by with what children report; the plant's meter is silent."""
     sent = central.hear(dispatch(cycle, dispatch_kw, 200.0), *reports)
     return sent | central.at_deadline("solve")
-
-
-Cycles = list[tuple[float, int, float, tuple[float, float]]]
-"""For each cycle: the plant's IMPP, its age, its residual, and the setpoints of a and b."""
-
-
-@pytest.mark.parametrize(
-    ("of_b", "expected"),
-    [
-        # The last report of b holds, then its share counts, without headroom or need of help.
-        # When b reports again, its reports count again.
-        (
-            [None, None, None, None, (90.0, 30.0), None],
-            [
-                *((170.0, age, 50.0, (60.0, 60.0)) for age in (1, 2)),
-                *((140.0, 3, 20.0, (60.0, 60.0)) for _ in range(2)),
-                *((170.0, age, 50.0, (60.0, 60.0)) for age in (0, 1)),
-            ],
-        ),
-        # While its last report counts, b gives 20 kW and a the rest; then b serves its own share.
-        (
-            [(20.0, -40.0), None, None, None],
-            [
-                *((100.0, age, -20.0, (80.0, 20.0)) for age in (0, 1, 2)),
-                (140.0, 3, 20.0, (60.0, 60.0)),
-            ],
-        ),
-    ],
-)
-def test_the_last_report_of_an_expired_child_holds_and_then_its_own_share_counts(
-    of_b: list[tuple[float, float] | None], expected: Cycles
-) -> None:
-    central, found = central_after_one_cycle(), []
-    for cycle, said in enumerate(of_b, start=1):
-        reports = report("a", cycle, 80.0, 20.0) + (report("b", cycle, *said) if said else [])
-        sent = cycle_of(central, cycle, *reports)
-        own, residual_kw = at(sent, IMPP.of(ROOT)), at(sent, RESIDUAL.of(ROOT)).power_kw
-        found.append((own.power_kw, own.stale_cycles, residual_kw, setpoints_kw(sent)))
-        assert (HELP.of(ROOT) in sent) == (residual_kw < 0.0)
-    assert found == expected
-
-
-def test_the_share_of_an_expired_child_is_by_its_rating() -> None:
-    plan = plan_of({"a": 100.0, "b": 300.0}, cycle_wall_ns=REAL_TIME)
-    central = AtWork(plan, "central")
-    central.hear(dispatch(0, 200.0, 400.0), *report("a", 0, 80.0, 30.0))
-    assert setpoints_kw(central.at_deadline("solve")) == (50.0, 150.0)
 
 
 def test_without_its_residual_a_report_counts_and_the_residual_is_worked_out() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plans_by_hand import plan_of
 
 from agents.plan import RunPlan
-from agents.settings import Actuator, InverterSettings, Revert
+from agents.settings import Revert
 from bus_schemas.messages import Command, Message, Production
 from bus_schemas.signals import Port
 from launch_scripts.simulation import MemoryRun, on_the_clock
@@ -106,26 +106,6 @@ def assert_a_clean_step(powers_kw: Values, settled_in_s: int) -> None:
     assert down_kw[settled_in_s:] == pytest.approx(LOW_KW, abs=near_kw)
 
 
-@pytest.mark.parametrize("actuator", get_args(Actuator))
-@pytest.mark.parametrize(
-    "follows",
-    [
-        {},
-        *({"delay_s": delay_s} for delay_s in (1.0, 3.0, 10.0)),
-        *({"ramp_percent_per_s": ramp} for ramp in (100.0, 33.0, 10.0, 3.0)),
-        {"delay_s": 1.0, "ramp_percent_per_s": 20.0},
-        {"settings": (InverterSettings(nodes="c1/*", ramp_percent_per_s=5.0, delay_s=2.0),)},
-    ],
-    ids=str,
-)
-def test_inverters_that_follow_late_or_slowly(follows: dict[str, Any], actuator: Actuator) -> None:
-    ramp = 5.0 if "settings" in follows else follows.get("ramp_percent_per_s", np.inf)
-    takes_s = follows.get("delay_s", 0.0) + 100.0 / ramp
-    found_kw = powers_kw(actuator=actuator, **follows)
-    assert_a_clean_step(found_kw, round(takes_s) + 5)
-    assert found_kw[:UP_AT].sum(axis=1).max() < LOW_KW + 0.01 * RATING_KW
-
-
 @pytest.mark.parametrize(
     "follows", [{}, {"delay_s": 1.0, "ramp_percent_per_s": 20.0}, {"delay_s": 3.0}], ids=str
 )
@@ -153,11 +133,6 @@ def test_a_link_that_comes_back_around_a_step(gone: str, at: str, follows: dict[
     ):
         by_paper_kw = max((ahead * (paper_kw[cycles] - to_kw)).max(), 0.0)
         assert (ahead * (found_kw[cycles] - to_kw)).max() < by_paper_kw + 0.005 * RATING_KW
-
-
-@pytest.mark.parametrize("periods", [(10, 1), (5, 5), (10, 5)])
-def test_parents_that_act_rarely(periods: tuple[int, ...]) -> None:
-    assert_a_clean_step(powers_kw(period_cycles=periods), 10)
 
 
 @pytest.mark.parametrize("gone", ["0s..30s", "20s..50s"], ids=["never seen", "seen before"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from memory_runs import Sent, run_with, timeless
 
 from bus_schemas.codec import encode
 from bus_schemas.faults import Disturbance
-from bus_schemas.signals import COMMAND, HELP, IMPP
+from bus_schemas.signals import COMMAND
 from launch_scripts.simulation import MemoryRun
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
@@ -62,41 +61,7 @@ def test_delays_within_the_cycle_change_nothing_but_the_time(
     assert sent.of(COMMAND.of(leaf))[6].publish_time_ns == 6 * SECOND_NS + took_ns
 
 
-def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
-    words = RunOptions(duration=str(CYCLES), faults=["signal=help,loss=100%"])
-    prepared = prepare(load_scenario("valley"), words, "faults")
-    run, sent = run_with(prepared, prepared.plan.faults.rules)
-    assert any(port.signal is HELP for port, _ in sent.messages)
-    assert run.bus.faults is not None
-    assert (missed(run), +run.bus.faults.tally) == (0, {})
-    assert decisions(sent) == decisions(run_with(valley, ())[1])
-    for _, message in sent.messages:
-        last = message.cycle - (message.cycle == CYCLES)  # The stop comes after the last cycle.
-        assert message.publish_time_ns == last * SECOND_NS, "it went out at once"
-
-
-# What is lost and late ----------------------------------------------------------------------------
-
-
 # Controllers that are slow, or never answer -------------------------------------------------------
-
-
-@pytest.mark.parametrize(("silent", "periods"), [("central", (1, 1, 1)), ("z1/c1", (60, 10, 1))])
-def test_everybody_goes_on_without_a_controller_that_never_answers(
-    valley: Preparation, silent: str, periods: tuple[int, ...]
-) -> None:
-    always = Disturbance(source=silent, loss=1.0)
-    run, sent = run_with(valley, [always], period_cycles=periods)
-    tree = valley.plan.tree
-    assert Counter(port.signal.name for port, _ in sent.messages)["command"] == 60 * CYCLES
-    for leaf in tree.leaves:
-        deadline_ns = run.plan.deadlines.deadline_ns(leaf, "actuate")
-        for cycle, command in sent.of(COMMAND.of(leaf)).items():
-            assert command.publish_time_ns <= cycle * SECOND_NS + deadline_ns
-            if leaf.startswith(f"{silent}/"):
-                assert command.ready_time_ns == cycle * SECOND_NS + deadline_ns
-    for node in tree.parents:
-        assert list(sent.of(IMPP.of(node))) == list(range(CYCLES))
 
 
 # As a user asks for it ----------------------------------------------------------------------------

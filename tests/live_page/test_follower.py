@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-import json
-from itertools import chain
 from pathlib import Path
 
-import pytest
-from command_line import done
 from msgspec.structs import replace
 from plans_by_hand import with_changes
 from recordings_by_hand import (
     PLAN,
-    cycle_of_the_plant,
-    numbered,
     whole_run,
-    write_messages,
     write_run,
-    zero_chunk,
 )
 from served import growing_run
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Notice, Production, Telemetry
-from bus_schemas.signals import IMPP, NOTICE, PRODUCTION, RUN, TELEMETRY
+from bus_schemas.signals import NOTICE, PRODUCTION, RUN, TELEMETRY
 from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from live_page.plant_state import PlantState
-from recordings.read.reader import RunReader
-from recordings.read.series import plant_series_of
-from results.figures import run_figures
 
 
 def followed(path: Path) -> RunFollower:
@@ -60,36 +49,6 @@ def test_a_recording_is_followed_while_it_is_written(tmp_path: Path) -> None:
     follower.advance(1.0)
     assert follower.state == "unfinished"
     assert follower.powers(range(5), 100)["delivered"] == [239.0] * 5
-
-
-def test_figures_so_far_are_those_of_the_metrics(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    write_run(path, whole_run(90))
-    with RunReader(path) as reader:
-        found, expected = followed(path).metrics(90), run_figures(plant_series_of(reader))
-    assert found is not None
-    assert found["shortfall-energy"] == pytest.approx(expected["shortfall-energy"])
-    assert found["rmse"] == expected["rmse"]
-
-
-def test_the_page_and_inspect_say_the_same_of_each_cycle(plant: str, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    faults = (
-        "kill=c1/inv01,at=2s",
-        "kill=c1/inv01,at=2.7s",
-        "freeze=c2,at=7s..10s",
-        "partition=c1|central,at=12s..15s",
-    )
-    words = (word for fault in faults for word in ("--fault", fault))
-    done("simulate", plant, "--duration", "18", *words, "--out", run)
-    follower = followed(run)
-    state = PlantState(follower)
-    for cycle in range(18):
-        told = json.loads(done("inspect", run, "--cycle", str(cycle), "--json", "-"))
-        rows = state.frame(cycle)["agents"]
-        for place, one in enumerate(told["agents"].values()):
-            assert {name: rows[name][place] for name in one} == one
-        assert follower.metrics(cycle + 1) == told["figures"]
 
 
 def test_a_frame_has_the_powers_the_help_and_the_shares(tmp_path: Path) -> None:
@@ -164,17 +123,6 @@ def test_a_setpoint_of_a_slow_turn_is_shown_until_the_next_one(tmp_path: Path) -
     assert shown == [120.0] * 70
 
 
-def test_an_input_that_several_messages_lacked_is_missed_once(tmp_path: Path) -> None:
-    run = list(whole_run(3))
-    for _, message in run:
-        if message.source == "c1/a":
-            message.missing = ("dispatch@0",)
-    write_run(tmp_path / "run.mcap", run)
-    agents = PlantState(followed(tmp_path / "run.mcap")).frame(1)["agents"]
-    assert agents["missed_now"][1 + number("c1/a")] == 1
-    assert agents["missed_inputs"][1 + number("c1/a")] == 2
-
-
 def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path: Path) -> None:
     path, telemetry = tmp_path / "run.mcap", TELEMETRY.of("c2/c")
     plan = with_changes(PLAN, devices=(("c2/c", "modbus://10.0.0.7:502/1"),))
@@ -190,22 +138,6 @@ def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path:
     assert {event.count for event in follower.events.since(0)} == {1}
     state = PlantState(follower)
     assert [state.frame(cycle)["unread"] for cycle in (4, 5)] == [[], [number("c2/c")]]
-
-
-def test_a_restart_is_an_event_and_late_messages_of_the_replaced_process_are_no_loss(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "run.mcap"
-    run = list(chain.from_iterable(map(cycle_of_the_plant, range(10))))
-    anew = list(numbered(run, lambda pair: pair[0].publisher == "c1/a" and pair[1].cycle >= 6))
-    for port, message in anew:
-        message.incarnation = 6 * (port.publisher == "c1/a" and message.cycle >= 6)
-    late = next(pair for pair in anew if pair[0] == IMPP.of("c1/a") and pair[1].cycle == 5)
-    write_messages(path, [*(pair for pair in anew if pair is not late), late])
-    follower = followed(path)
-    assert kinds(follower) == [("restart", 6, "c1/a")]
-    # Before the restart, the page does not know of it.
-    assert [follower.states.at("c1/a", cycle).restarts for cycle in (5, 6)] == [0, 1]
 
 
 def test_a_stop_that_the_plant_contradicts_does_not_end_the_run(tmp_path: Path) -> None:
@@ -225,15 +157,6 @@ def test_repeated_notices_are_one_event_with_a_count(tmp_path: Path) -> None:
     write_run(path, [*whole_run(5), *notices])
     (event,) = [event for event in followed(path).events.since(0) if event.kind == "notice"]
     assert (event.text, event.count, event.last_cycle) == ("mended", 4, 3)
-
-
-def test_a_damaged_part_is_named_and_the_rest_is_shown(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    write_run(path, whole_run(40), messages_per_chunk=100)
-    zero_chunk(path, 2)
-    follower = followed(path)
-    assert follower.cycles == 40
-    assert "damage" in [kind for kind, _, _ in kinds(follower)]
 
 
 def test_a_long_run_is_thinned_out_without_losing_a_dip(tmp_path: Path) -> None:

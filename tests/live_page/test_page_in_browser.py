@@ -10,7 +10,6 @@ import pytest
 from browser import Browser, browser, needs_browser
 from order_desks import obeying_plant
 from plans_by_hand import plan_of
-from recordings_by_hand import whole_run, write_run
 from replayed_runs import run_in_memory, write
 from running import Start
 from served import page_of, served
@@ -146,33 +145,6 @@ def test_charts_show_values_at_the_cursor_and_zoom(window: Browser, run: Path) -
         window.press("?")
         assert window.run("return document.querySelector('#keys').open")
         assert window.problems() == []
-
-
-def test_a_lost_connection_is_shown_and_comes_back(window: Browser, run: Path) -> None:
-    with served(run) as page:
-        port = int(page.root.rpartition(":")[2].strip("/"))
-        window.open(page.address)
-        window.until(at(CYCLES - 1), "the last cycle")
-    window.until("return !document.querySelector('#banner').hidden", "the banner")
-    assert window.run(at(CYCLES - 1))  # What was shown stays.
-    with served(run, port=port):
-        window.until("return document.querySelector('#banner').hidden", "the connection")
-
-
-def test_an_agent_that_says_nothing_for_cycles_is_not_called_alive(
-    window: Browser, tmp_path: Path
-) -> None:
-    write_run(
-        tmp_path / "run.mcap",
-        whole_run(20),
-        is_kept=lambda one: one[0].publisher != "c2/c" or one[1].cycle < 17,
-    )
-    with served(tmp_path) as page:
-        window.open(page.address)
-        window.until(at(19), "the last cycle")
-        rows = "[...document.querySelectorAll('#tree tr')].map(row => row.textContent)"
-        (row,) = [text for text in window.run(f"return {rows}") if "absent" in str(text)]
-        assert row.startswith("c✕ absent for 3")
 
 
 def test_a_folder_of_runs_leads_to_each_of_them(window: Browser, run: Path) -> None:

@@ -55,14 +55,6 @@ def test_the_way_back_works_while_a_ramp_goes_on(page: Served, tmp_path: Path) -
         assert b"then another order came" in last
 
 
-def test_an_order_holds_for_its_time(page: Served, tmp_path: Path) -> None:
-    status, text = page.order(json.dumps({"power_kw": 250.0, "hold_s": 20.0}).encode())
-    assert status == 200
-    assert "250 kW reached" in text
-    with OrderLine(tmp_path) as line:
-        assert any(one.dispatch.order_state == "over" for one in line.statuses())
-
-
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
@@ -112,12 +104,3 @@ def test_a_page_without_orders_takes_none(tmp_path: Path) -> None:
         with OrderLine(tmp_path) as line:
             line.give("command", power_kw=50.0)
         assert source_of_order(tmp_path) == "command"
-
-
-def test_an_order_to_a_run_that_is_over_says_so(tmp_path: Path) -> None:
-    with obeying_plant(tmp_path, PLAN):
-        pass
-    with served(tmp_path, orders=True) as page:
-        status, text = page.order(ORDER)
-    assert status == 422
-    assert "under way" in text

@@ -114,12 +114,6 @@ def test_only_the_time_counts_in_which_regulation_is_offered() -> None:
     assert found["signal-mileage"] == 0.0  # the steps into the offer are no signal
 
 
-@pytest.mark.parametrize("capacity_kw", [0.0, CAPACITY_KW])
-def test_a_plant_that_offers_no_regulation_has_no_such_metrics(capacity_kw: float) -> None:
-    run = run_of(np.full(10, COMMITMENT_KW), 900.0, COMMITMENT_KW, capacity_kw=capacity_kw)
-    assert regulation_figures(run) == {}
-
-
 @pytest.mark.parametrize(
     ("regulation", "offered"),
     [

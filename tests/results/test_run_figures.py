@@ -16,7 +16,6 @@ from recordings.read.series import RunSeries
 from results.figures import (
     FIGURES,
     Shown,
-    energy_figures,
     run_figures,
     runs_as_columns,
     shown_in,
@@ -128,12 +127,6 @@ def test_regulation_is_desired_but_no_part_of_the_ancillary_potential() -> None:
     energies = ("dispatched-energy", "over-delivered-energy", "ancillary-potential")
     assert [found[name] for name in energies] == pytest.approx([200.0, 20.0, 100.0])
     assert found["regd-strict"] == 50.0
-
-
-def test_where_nothing_was_desired_no_share_of_it_is_defined() -> None:
-    found = energy_figures([0.0, 0.0], [10.0, 10.0], [5.0, 5.0], 3600.0)
-    assert found["over-delivered-energy"] == 10.0
-    assert not {"satisfied", "over-delivered"} & found.keys()
 
 
 # Incomplete recordings ----------------------------------------------------------------------------
@@ -271,8 +264,3 @@ def test_offers_are_kept_where_one_per_cent_is_missing_and_measured_against_firm
     assert found["firm-energy"] == pytest.approx(firm_kwh)
     assert found["promised"] == pytest.approx(100.0 * 200.0 / firm_kwh)
     assert {type(value) for value in found.values()} <= {int, float, type(None)}
-
-
-def test_a_commitment_that_is_given_has_no_figures_of_offers() -> None:
-    found = run_figures(run_of([100.0] * 4, [120.0] * 4, [100.0] * 4))
-    assert found["kept-intervals"] is None

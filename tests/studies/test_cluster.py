@@ -11,10 +11,6 @@ from pathlib import Path
 import pytest
 from command_line import done, refusal
 
-from bus_schemas.errors import InputError
-from studies.compare.cases import parse_days
-from studies.workers import share_work
-
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
 pytestmark = pytest.mark.processes
 
@@ -47,11 +43,6 @@ def test_a_comparison_has_the_same_results(cluster: str, tmp_path: Path) -> None
     done(*STUDY.split(), "--json", here)
     done(*STUDY.split(), "--json", there, "--cluster", cluster)
     assert there.read_bytes() == here.read_bytes()
-
-
-def test_an_error_of_the_work_arrives_as_it_is(cluster: str) -> None:
-    with pytest.raises(InputError, match="never"):
-        share_work(parse_days, ["2010-04-01", "never"], 1, cluster=cluster)
 
 
 def test_the_scheduler_of_a_cluster_must_answer() -> None:

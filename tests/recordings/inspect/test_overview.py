@@ -16,7 +16,6 @@ from bus_schemas.errors import InputWarning
 from recordings.inspect.overview import (
     Overview,
     SignalCount,
-    facts,
     read_overview,
 )
 from recordings.read.gaps import PortGaps
@@ -70,18 +69,6 @@ def test_rates_are_for_each_cycle_and_each_second_of_the_wall_clock(look: Look) 
     assert count_of(overview, "setpoint").per_cycle == 4 + 2 / 2
 
 
-def test_published_messages_that_are_not_recorded_are_lost(look: Look) -> None:
-    overview = look(
-        is_kept=lambda pair: (
-            (str(pair[0]), pair[1].cycle)
-            not in {("c1/a/impp", 0), ("c1/a/impp", 7), ("c1/a/impp", 8), ("c2/setpoint", 10)}
-        )
-    )
-    impp, setpoint = count_of(overview, "impp"), count_of(overview, "setpoint")
-    assert (impp.lost, impp.missing_cycles) == (3, 3)
-    assert (setpoint.lost, setpoint.missing_cycles) == (1, 1)
-
-
 def test_a_silent_agent_leaves_a_gap_in_cycles_and_none_in_numbers(look: Look) -> None:
     overview = look(
         is_published=lambda pair: not (pair[1].source == "c2/c" and 20 <= pair[1].cycle < 30)
@@ -99,20 +86,6 @@ def test_a_part_is_counted_by_itself(look: Look) -> None:
     assert count_of(overview, "setpoint").messages == 10 * 4 + 5 * 2
     assert overview.complete_cycles == 10
     assert sum(count.lost for count in overview.signals) == 0
-
-
-def test_a_recording_without_a_cycle_says_so(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    write_run(path, whole_run(CYCLES), is_kept=lambda pair: False)
-    with RunReader(path) as run:
-        assert dict(facts(run, read_overview(run)))["cycles"].startswith("none of 1 s, 0 complete")
-
-
-def test_missing_messages_are_counted_up_to_the_end_of_the_run(look: Look) -> None:
-    overview = look(is_kept=lambda pair: pair[1].cycle < 50 or pair[0].signal.name == "run")
-    assert (overview.last_cycle, overview.complete_cycles) == (END, 50)
-    assert count_of(overview, "production").missing_cycles == 10
-    assert count_of(overview, "setpoint").missing_cycles == 4 * 10 + 2 * 5
 
 
 @pytest.mark.parametrize(

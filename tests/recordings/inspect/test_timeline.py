@@ -55,15 +55,6 @@ def test_an_inverter_without_enough_power_asks_for_help_and_hears_from_whom(
     }
 
 
-def test_a_supervisor_knows_who_is_in_need_and_what_it_moved(recording: Path) -> None:
-    acting, between = rows_of(recording, "c1", range(10, 12))
-    assert (acting.needy, acting.moved_kw) == (["c1/a"], 20.0)
-    assert acting.values["share_kw"] == acting.values["setpoint_kw"] == 120.0
-    assert between.values["share_kw"] == 120.0
-    assert "setpoint_kw" not in between.values, "it is not its parent's turn"
-    assert between.moved_kw == 20.0
-
-
 def test_the_central_controller_has_the_dispatch_and_the_plant_s_production(
     recording: Path,
 ) -> None:
@@ -91,15 +82,6 @@ def test_the_central_controller_has_the_orders_in_the_cycles_in_which_they_chang
     assert notices == [[], [], said[0], [], said[1], []]
     later = [row.notices for row in rows_of(path, ROOT, range(3, 6))]
     assert later == [[], said[1], []], "an order that came before is no event"
-
-
-def test_messages_out_of_the_order_of_cycles_are_told_in_it(tmp_path: Path) -> None:
-    order = [1, 0, 3, 2, 4]
-    path = written(tmp_path, (pair for cycle in order for pair in cycle_of_the_plant(cycle)))
-    rows = rows_of(path, "c1/a", range(5))
-    assert [(row.cycle, row.values["power_kw"]) for row in rows] == [
-        (n, 50.0 + n) for n in range(5)
-    ]
 
 
 def test_missing_inputs_and_notices_of_a_node_are_in_its_row(tmp_path: Path) -> None:

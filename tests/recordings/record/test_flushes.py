@@ -10,16 +10,13 @@ from typing import cast
 import pytest
 from buses_by_hand import LinkByHand, SubscriberByHand
 from clock_by_hand import ClockByHand
-from msgspec.structs import replace
-from plans_by_hand import REAL_TIME, with_changes
 from recordings_by_hand import PLAN, SCENARIO, whole_run
 
 from agents.plan import RunPlan
-from agents.process.events import Event, Status
+from agents.process.events import Event
 from agents.process.launcher_link import LauncherLink
 from bus_schemas.codec import encode
 from bus_schemas.zenoh_session import RunSubscriber
-from recordings.record.phases import longest_pause_s
 from recordings.record.recorder import FLUSH_S, Recorder
 from recordings.record.writer import RunWriter
 
@@ -27,8 +24,6 @@ MESSAGE_S = 20e-6
 """What it takes to write a message down."""
 
 LASTS_S = 1.8
-
-IN_REAL_TIME = with_changes(PLAN, cycle_wall_ns=REAL_TIME)
 
 
 def record(
@@ -75,31 +70,3 @@ def test_a_recording_is_flushed_every_half_second(bursts_s: float, tmp_path: Pat
     assert max(gaps_s) <= longest_s + 1e-6
     # A nap lies between the look at the clock and the flush. More of them would cost too much.
     assert min(gaps_s[1:-1]) >= FLUSH_S - 0.01
-
-
-def test_an_agent_that_answered_the_arming_round_is_responsive_in_cycle_0(
-    tmp_path: Path,
-) -> None:
-    """With 1,000 inverters the recorder is up half a minute before the last of them has joined."""
-    clock, link = ClockByHand(), LinkByHand()
-    joined_ns = clock.now_ns + round(10.0 * longest_pause_s(IN_REAL_TIME) * 1e9)
-    ends_ns = joined_ns + round(0.5 * longest_pause_s(IN_REAL_TIME) * 1e9)
-    coming = [
-        (PLAN.wiring.key(port), encode(replace(message, cycle=-1)))
-        for port, message in whole_run(1)
-        if port.signal.is_cyclic
-    ]
-
-    def drain() -> Iterator[tuple[str, bytes]]:
-        if clock.now_ns >= joined_ns:
-            while coming:
-                yield coming.pop()
-        if clock.now_ns >= ends_ns:
-            link.dismissed = True
-
-    writer = RunWriter(tmp_path / "run.mcap", IN_REAL_TIME, SCENARIO, "launch")
-    told = record(clock, SubscriberByHand(drain), writer, link, IN_REAL_TIME)
-    absent = [event.not_recorded for event in told if isinstance(event, Status)]
-    assert absent[0] == []
-    assert PLAN.tree.leaves[0] in max(absent, key=len), "before it answers"
-    assert absent[-1] == []

@@ -151,17 +151,6 @@ def test_a_line_of_a_few_points_keeps_peaks_dips_ends_and_gaps() -> None:
     assert cells_kw[0].min() == pytest.approx(-500.0)
 
 
-def test_the_heat_map_has_a_named_row_for_each_inverter_cluster_by_cluster() -> None:
-    run = cloudy_run()
-    (cells,) = figures_of(run)["residuals"].data
-    assert cells.y == ("c1/inv01", "c1/inv03", "c1/inv05", "c2/inv02", "c2/inv04")
-    np.testing.assert_allclose(cells.z, run.residual_kw[:, [0, 2, 4, 1, 3]].T, rtol=1e-5, atol=1e-4)
-    names = tuple(f"z1/c{n // 5}/inv{n:03}" for n in range(120))
-    layout = figures_of(cloudy_run(cycles=60, inverters=names))["residuals"].layout
-    assert layout.yaxis.dtick == 1
-    assert layout.height >= 12 * len(names)
-
-
 def test_each_scheme_has_its_column_and_one_colour() -> None:
     run = cloudy_run("hierarchical", regulation=True)
     runs = run, without_estimates(run, "no help")
@@ -233,12 +222,6 @@ def test_cycles_without_a_message_are_gaps_in_their_own_place(fields: tuple[str,
     np.testing.assert_allclose(drawn, gapped.delivered_kw, rtol=1e-6)
     said = any("870 of 900 cycles have dispatch and production" in line for line in result.lines)
     assert said == (gapped.known.sum() == 870)
-
-
-@pytest.mark.parametrize("cycles", [1, 61])
-def test_a_run_of_a_few_cycles_of_one_inverter_has_a_report(cycles: int) -> None:
-    figures = figures_of(cloudy_run(cycles=cycles, regulation=True, inverters=("alone",)))
-    assert len(trace(figures["power"], "delivered").y) == cycles
 
 
 # Rules of figures ---------------------------------------------------------------------------------

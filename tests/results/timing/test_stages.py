@@ -125,20 +125,6 @@ def test_a_cycle_in_which_an_agent_said_nothing_was_skipped(tmp_path: Path) -> N
     assert found.run.late_cycles == 1
 
 
-def test_messages_after_the_plants_last_cycle_do_not_count(tmp_path: Path) -> None:
-    cut = {key: times for key, times in TIMES_MS.items() if times[1] < 4.0}
-    found = timed(tmp_path, cycle(0), cycle(1, cut))
-    assert len(found.loop_ms) == 1
-    assert row(found, "decision", "plant sense")[0] == 1
-    assert not late_rows(found)
-
-
-def test_of_a_message_that_came_twice_the_first_counts(tmp_path: Path) -> None:
-    again = list(cycle(0, {"production": (13.6, 50.0)}))
-    found = timed(tmp_path, cycle(0), again)
-    assert row(found, "decision", "plant apply") == (1, 0.4, 0.4)
-
-
 def test_between_its_parents_turns_a_setpoint_of_the_last_turn_is_due(tmp_path: Path) -> None:
     plan = with_changes(PLAN, period_cycles=(2, 1))
     between = without("c1/setpoint", "c2/setpoint")
@@ -168,12 +154,6 @@ def test_a_run_that_was_not_in_real_time_is_refused(
     )
     with RunReader(folder) as reader, pytest.raises(InputError, match="real time"):
         stage_table(reader)
-
-
-def test_a_start_time_far_from_its_message_is_ignored(tmp_path: Path) -> None:
-    far = replace(PLAN.run_message("start", 0, START_NS + 3_600_000 * MS), publish_time_ns=START_NS)
-    found = timed(tmp_path, cycle(0), start=far)
-    assert row(found, "loop", "all commands") == (1, 13.6, 13.6)
 
 
 def test_percentiles_are_measured_durations(tmp_path: Path) -> None:
@@ -361,12 +341,6 @@ def test_a_device_that_stamps_otherwise_than_it_sends_is_named(
     assert "c2/d/" in text
     assert "of cycle 0" in text
     assert "stamps of c2/d" in {one.line for one in found.budgets if not one.passed}
-
-
-def test_stamps_that_jump_are_named(tmp_path: Path) -> None:
-    run = (from_device(k, stamped_ms=30.0 * (k % 5 == 0)) for k in range(40))
-    found = device_run(tmp_path, run)
-    assert "30 ms before it sends" in found.external[0].findings[0]
 
 
 @pytest.mark.parametrize(

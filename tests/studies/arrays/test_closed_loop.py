@@ -136,12 +136,6 @@ def test_loop_and_agents_give_the_same_in_a_plant_as_they_are_built_today(scheme
     assert_equal(prepare(load_scenario("utility"), RunOptions(duration="200"), "loop"), scheme)
 
 
-def test_loop_and_agents_give_the_same_over_a_long_time_behind_limits() -> None:
-    # Where an inverter is held or let free by a hair's breadth, a rounding error would show.
-    options = RunOptions(actuator="limit", duration="20m")
-    assert_equal(prepare(load_scenario("oahu"), options, "loop"), "predictive")
-
-
 @pytest.mark.parametrize("actuator", get_args(Actuator))
 def test_loop_and_agents_give_the_same_where_the_commitment_is_offered(actuator: Actuator) -> None:
     commitment = {"kind": "offered", "interval_s": 60, "lead_s": 10}
@@ -193,15 +187,6 @@ def test_the_correction_makes_up_for_what_the_estimates_got_wrong(
     assert found.power_kw[200:].sum(axis=1) == pytest.approx(3000.0, abs=1.0)
     without = run_loop(plan, profile, "paper", "fraction")
     assert without.power_kw[200:].sum(axis=1) == pytest.approx(3000.0 / 1.04, abs=1.0)
-
-
-def test_meters_that_read_a_little_low_do_not_set_all_inverters_free_again_and_again() -> None:
-    hour = prepare(load_scenario("oahu"), RunOptions(actuator="limit", duration="20m"), "loop")
-    low = replace(hour.profile, meter_error=np.full_like(hour.profile.mpp_kw, -0.01))
-    power_kw = run_loop(hour.plan, low, "predictive", "limit").power_kw.sum(axis=1)
-    dispatch_kw = low.commitment_kw + low.regulation_kw
-    # Without learning how meters read a limit it is above 10 %.
-    assert np.maximum(power_kw - dispatch_kw, 0.0).sum() < 0.001 * dispatch_kw.sum()
 
 
 def test_where_nothing_can_be_written_functions_are_compiled_all_the_same(

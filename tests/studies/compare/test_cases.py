@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from datetime import date
 
 import pytest
 
@@ -49,12 +48,6 @@ def test_a_setting_is_a_field_and_its_values() -> None:
     assert parse_setting("control.clusters_seed=1..3").values == (1, 2, 3)
 
 
-def test_seeds_and_days_are_lists_and_ranges() -> None:
-    assert parse_seeds("1..3,9") == (1, 2, 3, 9)
-    days = (date(2010, 4, 30), date(2010, 5, 1), date(2010, 6, 1))
-    assert parse_days("2010-04-30..2010-05-01,2010-06-01") == days
-
-
 def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> None:
     found = study(oahu, "commitment.share=0.3,0.4", "plant.actuator=fraction", seeds="1..2")
     assert [label(case.columns) for case in found] == [
@@ -70,12 +63,6 @@ def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> N
     assert oahu.scenario.plant.actuator == "limit", "the scenario itself stays as it was"
     (alone,) = study(oahu)
     assert (label(alone.columns), alone.scenario) == ("", oahu)
-
-
-def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile) -> None:
-    (case,) = study(oahu, days="2010-07-04", start="9:05")
-    assert case.options.start == "2010-07-04T09:05:00"
-    assert label(case.columns) == "day=2010-07-04"
 
 
 def test_each_fault_is_a_case_and_several_rules_may_act_together(oahu: ScenarioFile) -> None:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import date
 from typing import Any
-
-import pytest
 
 from results.figures import FIGURES, energy_figures
 from studies.compare.frontier import frontier
@@ -68,11 +65,6 @@ def test_the_frontier_leaves_out_what_another_scheme_beats_in_both() -> None:
     assert "80 kW" in by_fraction.text[0]
 
 
-def test_a_scheme_without_one_of_both_figures_is_not_drawn_at_zero() -> None:
-    undefined = {**result("paper", "limit", 1.0, 0.2), "over-delivered": None}
-    assert len(frontier([*SCHEMES, undefined]).figure.data[1].x) == 1
-
-
 # Many cases ---------------------------------------------------------------------------------------
 
 
@@ -101,17 +93,6 @@ def summaries_of(cases: Sequence[list[Row]]) -> list[Any]:
     return list(found.where(found.notna(), None).itertuples())
 
 
-def by_scheme(*cases: list[Row]) -> dict[str, Any]:
-    return {one.scheme: one for one in summaries_of(cases)}
-
-
-def test_without_predictive_the_first_scheme_is_the_baseline() -> None:
-    found = by_scheme(*(case({"seed": n}, {"paper": 1.0, "uniform-cap": 4.0}) for n in (1, 2)))
-    assert found["uniform-cap"].baseline == "paper"
-    found_here = found["uniform-cap"]
-    assert (found_here.difference, found_here.difference_error) == pytest.approx((3.0, 0.0))
-
-
 def test_schemes_are_paired_with_the_baseline_of_their_own_actuator() -> None:
     schemes = (
         result("paper", "fraction", 5.0),
@@ -138,18 +119,3 @@ def test_a_sweep_of_settings_is_listed_and_not_summarised() -> None:
     cases = [case({"commitment.share": share}, {"paper": share}) for share in (0.5, 0.7)]
     (table,) = cases_tables(["control-caused"], cases)
     assert table.texts() == [("share=0.5", "0.500"), ("share=0.7", "0.700")]
-
-
-def test_days_in_a_row_are_no_independent_draws_and_have_no_interval() -> None:
-    cases = [case({"day": date(2010, 4, day)}, {"paper": float(day)}) for day in (1, 2)]
-    _, summary = cases_tables(["control-caused"], cases)
-    assert "± 95 %" not in [column.title for column in summary.columns]
-    assert summary.texts()[0][2] == "1.500"
-
-
-def test_of_one_case_there_is_no_interval_and_no_summary_of_what_it_lacks() -> None:
-    alone = case({"seed": 1}, {"paper": 1.0, "predictive": 0.0})
-    row = by_scheme(alone)["paper"]
-    assert (round(row.mean, 9), row.mean_error) == (1.0, None)
-    assert (round(row.difference, 9), row.difference_error) == (1.0, None)
-    assert summaries([alone], ["score"]).empty
