@@ -51,6 +51,7 @@ def export(
         The new file, or folder; default beside the recording.
     """
     from recordings.export.exporting import export as export_run
+    from recordings.export.foxglove import layout_path
     from recordings.read.reader import RunReader
     from scenarios.times import parse_duration_s
 
@@ -69,4 +70,6 @@ def export(
     notes = () if summary.whole else (cut,)
     output.show(Table(title, columns, tuple(summary.rows.items()), notes))
     output.say(f"{summary.form}: {summary.path}")
+    if form == "json-mcap":
+        output.say(f"layout for Foxglove: {layout_path(Path(summary.path))}")
     output.write(summary)

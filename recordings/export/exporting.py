@@ -12,8 +12,9 @@ import msgspec
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Port, Signal
-from bus_schemas.whole_file import check_new, new_path
+from bus_schemas.whole_file import check_new, new_path, whole_file
 from recordings.export.comtrade import write_comtrade
+from recordings.export.foxglove import layout, layout_path
 from recordings.export.mcap_copies import Clock, ViewerFile, WholeRecording
 from recordings.export.tables import TableFolder
 from recordings.read.reader import RunReader
@@ -82,7 +83,8 @@ def export(
         options = "--signals, --nodes, --from, --to"
         raise InputError(f"{options}: expected another --format, since mcap is the whole recording")
     path = path or default_path(reader.path, form)
-    check_new(path)
+    for new in (path, layout_path(path)) if form == "json-mcap" else (path,):
+        check_new(new)
     if form == "comtrade":
         assert at is not None
         return _export_event(reader, path, at, WINDOW_S if window_s is None else window_s)
@@ -100,6 +102,9 @@ def export(
             out = TableFolder(beside, reader.plan, signals, anchor, form)
         with out:
             span, messages = _add_all(out, reader, ports, cycles)
+    if form == "json-mcap":
+        with whole_file(layout_path(path)) as file:
+            file.write(msgspec.json.encode(layout(reader.plan, ports)))
     return ExportSummary(
         run_id=reader.plan.run_id,
         form=form,

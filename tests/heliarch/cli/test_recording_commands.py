@@ -81,7 +81,7 @@ def test_a_damaged_attachment_is_named_or_refused(
 def test_each_form_has_its_place_beside_the_recording_and_replaces_nothing(
     form: str, name: str, run: Path
 ) -> None:
-    assert done("export", run, "--format", form).endswith(f"{form}: {run / name}\n")
+    assert f"{form}: {run / name}\n" in done("export", run, "--format", form)
     assert "exists already" in refusal("export", run, "--format", form)
 
 

@@ -17,7 +17,8 @@ from mcap.records import Message as McapMessage
 from recording_by_hand import PLAN, written
 
 from bus_schemas.errors import InputError
-from bus_schemas.signals import SIGNALS, Signal
+from bus_schemas.signals import DISPATCH, RESIDUAL, SIGNALS, Signal
+from recordings.export.exporting import export
 from recordings.export.mcap_copies import Clock, ViewerFile, object_schema
 from recordings.read.reader import RunReader
 
@@ -125,6 +126,30 @@ def test_a_viewer_may_show_simulated_time(run: Path) -> None:
     for entry in entries(path):
         time_ns = json.loads(entry.message.data)["sim_time_ns"]
         assert entry.message.log_time == entry.message.publish_time == time_ns
+
+
+@pytest.mark.parametrize("signals", [(), (DISPATCH,), (RESIDUAL,)])
+def test_what_the_layout_beside_the_export_shows_is_in_it(
+    run: Path, signals: tuple[Signal[Any], ...]
+) -> None:
+    """Viewers show nothing, and say nothing, where a topic or a field of a layout is not there."""
+    with RunReader(run) as reader:
+        export(reader, "json-mcap", run.with_name("viewers.json.mcap"), signals)
+    layout = json.loads(run.with_name("viewers.foxglove.json").read_text(encoding="utf-8"))
+    panels, placed, unread = layout["configById"], set[str](), [layout["layout"]]
+    while unread:
+        match unread.pop():
+            case {"direction": _, "first": first, "second": second}:
+                unread += [first, second]
+            case str(panel):
+                placed.add(panel)
+    assert placed == panels.keys()
+    found = list(entries(run.with_name("viewers.json.mcap")))
+    topics = {entry.channel.topic: entry.schema for entry in found}
+    paths = [line["value"] for panel in panels.values() for line in panel.get("paths", ())]
+    for topic, _, field in (path.rpartition(".") for path in paths):
+        assert field in json.loads(topics[topic].data)["properties"]
+    assert bool(paths) == (RESIDUAL not in signals)
 
 
 def test_the_export_carries_the_scenario_and_is_not_taken_for_a_recording(run: Path) -> None:
