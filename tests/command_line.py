@@ -61,10 +61,10 @@ def refusal(*words: str | Path, status: int = 2) -> str:
     return line
 
 
-def process(*words: str | Path, cwd: Path) -> subprocess.Popen[str]:
-    """Start a command as a process."""
+def process(*words: str | Path, cwd: Path, program: str = "") -> subprocess.Popen[str]:
+    """Start a command as a process, by another program if one is named."""
     return subprocess.Popen(
-        [sys.executable, "-m", "heliarch", *map(str, words)],
+        [*program.split(), sys.executable, "-m", "heliarch", *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -28,14 +28,16 @@ def pytest_configure() -> None:
     """Make the surroundings the same wherever the tests run.
 
     Tables are those of a terminal of 80 columns. Skies are not kept in the user's cache.
-    Ctrl-C is heard, by the commands under test too: a
-    shell without job control starts what runs in the background with SIGINT ignored, and a process
-    hands that on to those that it starts.
+    Signals are heard, by the commands under test too: a shell without job control starts what runs
+    in the background with SIGINT ignored, `nohup` with SIGHUP, and a process hands that on to those
+    that it starts.
     """
     os.environ["COLUMNS"] = "80"
     os.environ["XDG_CACHE_HOME"] = str(REPOSITORY / ".pytest_cache")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_collection_finish() -> None:

@@ -387,8 +387,8 @@ def started() -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Start commands; nothing of them outlives the test."""
     running: list[subprocess.Popen[str]] = []
 
-    def start(*words: str, cwd: Path) -> subprocess.Popen[str]:
-        running.append(process(*words, cwd=cwd))
+    def start(*words: str, cwd: Path, program: str = "") -> subprocess.Popen[str]:
+        running.append(process(*words, cwd=cwd, program=program))
         return running[-1]
 
     yield start
@@ -439,6 +439,21 @@ def test_a_signal_ends_a_command_with_its_status_and_leaves_nothing_behind(
     assert not alive
     new = {path.name for path in folder.iterdir()} - {path.name for path in before}
     assert new <= {"runs"}
+
+
+@pytest.mark.processes
+def test_a_signal_that_is_ignored_stays_ignored(
+    folder: Path, started: Callable[..., subprocess.Popen[str]]
+) -> None:
+    found = started("view", "run", cwd=folder, program="nohup")
+    assert found.stdout is not None
+    assert "http" in found.stdout.readline()
+    for number in (SIGHUP, SIGTERM):
+        time.sleep(0.5)
+        assert found.poll() is None
+        os.kill(found.pid, number)
+    found.communicate(timeout=100)
+    assert found.returncode == 128 + SIGTERM
 
 
 @pytest.mark.parametrize("number", [SIGINT, SIGTERM])
