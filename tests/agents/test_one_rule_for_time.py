@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from memory_use import traced_memory
 from msgspec.structs import replace
 from plans_by_hand import REAL_TIME, plan_of
-from plants_by_hand import AtWork, at, dispatch, head, impp, setpoint, telemetry
+from plants_by_hand import AtWork, at, dispatch, impp, setpoint, telemetry
 
 from agents.agent import Stage, Turn
 from agents.inputs import log_drop
@@ -23,8 +22,8 @@ from agents.loop import Loop
 from agents.plan import RunPlan, changed
 from agents.plan_parts import START_WITHIN_NS
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Notice, Residual, parse_missing
-from bus_schemas.signals import DISPATCH, IMPP, NOTICE, RESIDUAL, RUN, SETPOINT, Port
+from bus_schemas.messages import Message, Notice, parse_missing
+from bus_schemas.signals import DISPATCH, IMPP, NOTICE, RUN, SETPOINT, Port
 from bus_schemas.tree import ROOT
 
 AWAITED: tuple[Port[Message], ...] = (IMPP.of("c1/a"), IMPP.of("c1/b"))
@@ -68,91 +67,11 @@ def both(cycle: int) -> tuple[Delivery, Delivery]:
     return impp("c1/a", cycle, 1.0), impp("c1/b", cycle, 2.0)
 
 
-def residuals(cycle: int) -> list[Delivery]:
-    return [
-        (RESIDUAL.of(node), Residual(*head(cycle, node), power_kw=1.0)) for node in ("c1/a", "c1/b")
-    ]
-
-
-def used_and_dropped(script: str, run_plan: RunPlan, bad_kw: float = math.nan) -> tuple[str, str]:
-    """What a clerk is given stage by stage, and what it drops, after a script of messages.
-
-    `a3` is the IMPP of c1/a of cycle 3, `s0` a setpoint of cycle 0, `a3x` one with a bad number,
-    `a3f` one in another's name; at `|` the deadline passes. In the answer `a3!` was named as too
-    old, and of `a-` there was nothing.
-    """
-    clerk = AtWork(run_plan, Clerk())
-    stages: list[str] = []
-    for word in script.split():
-        if word == "|":
-            sent = clerk.at_deadline("report")
-        else:
-            ((letter, cycle, mark),) = re.findall(r"^(.)(\d+)(.?)$", word)
-            port, message = MAKE[letter](int(cycle), bad_kw if mark == "x" else 1.0)
-            message.source = "c1/x" if mark == "f" else message.source
-            sent = clerk.hear((port, message))
-        if sent:
-            stages.append(shown(at(sent, SENT), script))
-    drops = [
-        f"{LETTER[key]} {cause} {count}"
-        for (key, cause), count in clerk.loop.inputs.dropped.items()
-    ]
-    return " / ".join(stages), ", ".join(drops)
-
-
-def shown(notice: Notice, script: str) -> str:
-    entries = {entry.key: entry.cycle for entry in map(parse_missing, notice.missing)}
-    words = []
-    for key, _, cycle in (text.rpartition("@") for text in notice.text.split()):
-        mark = ""
-        if cycle == "-":
-            assert entries[key] is None
-        elif key in entries:
-            assert entries[key] == int(cycle)
-            mark = "!"
-        words += [LETTER[key] + cycle + mark] if LETTER[key] in script else []
-    return " ".join(words)
-
-
-LETTER = {"c1/a/impp": "a", "c1/b/impp": "b", "c1/setpoint": "s", "dispatch": "d"}
 MAKE: dict[str, Callable[[int, float], Delivery]] = {
     "a": lambda cycle, kw: impp("c1/a", cycle, kw),
     "b": lambda cycle, kw: impp("c1/b", cycle, kw),
     "s": lambda cycle, kw: setpoint("c1", cycle, kw),
 }
-FIVE = " ".join(f"a{cycle} b{cycle}" for cycle in range(TURN))
-"""All that is awaited up to the sender's next turn."""
-
-BEFORE = " / ".join(f"a{cycle} b{cycle} s0" for cycle in range(TURN))
-
-
-@pytest.mark.parametrize(
-    ("run_plan", "script", "stages", "drops"),
-    [
-        (ON_THE_CLOCK, "a0 b0", "a0 b0", ""),
-        (ON_THE_CLOCK, "a0 b0 | b2 b1 a2", "a0 b0 / a0! b0! / a2 b2", "b late 1"),
-        (LOCKSTEP, "a0 a0 a1 a1 b0", "a0 b0", "a duplicate 2"),
-        (LOCKSTEP, "a1000000000", "", "a wrong_cycle 1"),
-        (LOCKSTEP, "a0f b0", "", "a wrong_sender 1"),
-        (LOCKSTEP, "s3 a0 b0", "a0 b0 s-", "s wrong_cycle 1"),
-        (LOCKSTEP, "a0 b0 a1 b1 s1 a2 b2", "a0 b0 s- / a1 b1 s- / a2 b2 s-", "s wrong_cycle 1"),
-    ],
-    ids=[
-        *("complete", "late and older", "twice", "too far ahead", "wrong_sender"),
-        *("ahead of its turn", "of no turn"),
-    ],
-)
-def test_a_stage_closes_on_the_newest_message_of_each_input(
-    run_plan: RunPlan, script: str, stages: str, drops: str
-) -> None:
-    assert used_and_dropped(script, run_plan) == (stages, drops)
-
-
-@pytest.mark.parametrize("bad_kw", [math.nan, math.inf, -1.0, 200.1])
-def test_an_absurd_number_is_not_used_and_keeps_nobody_waiting(bad_kw: float) -> None:
-    found = used_and_dropped(f"s0 {FIVE} s5x a5 b5x", LOCKSTEP, bad_kw)
-    assert found == (f"{BEFORE} / a5 b4! s0!", "s out_of_range 1, b out_of_range 1")
-
 
 # Any order of events ------------------------------------------------------------------------------
 
@@ -231,24 +150,6 @@ def test_arming_rounds_leave_no_trace(run_plan: RunPlan) -> None:
     assert (notice.cycle, notice.count) == (0, 1), "its state is the initial one"
     assert notice.missing == ("c1/a/impp", "c1/b/impp", "c1/setpoint", "dispatch")
     assert loop.inputs.dropped == {}
-
-
-def test_messages_of_an_arming_round_may_overtake_its_dispatch() -> None:
-    loop = Loop(Clerk(), LOCKSTEP)
-    for delivery in (*both(ROUND), *both(ROUND + 1), dispatch(ROUND + 1, 1.0, 200.0)):
-        loop.hear(*delivery, 0)
-    assert loop.cycle == ROUND + 1
-    assert loop.close_stage(0) is not None
-
-
-def test_messages_of_cycle_0_may_overtake_the_beginning_of_the_run() -> None:
-    loop = armed(LOCKSTEP)
-    for delivery in both(0):
-        loop.hear(*delivery, 0)
-    assert loop.close_stage(0) is None
-    loop.hear(*RUN_START, 0)
-    assert loop.cycle == 0
-    assert loop.close_stage(0) is not None
 
 
 def test_messages_of_the_cycle_in_which_one_joins_may_overtake_its_dispatch() -> None:

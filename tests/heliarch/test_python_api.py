@@ -52,12 +52,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> heliarch.Run:
     return heliarch.simulate("oahu", start="12:20", duration="60s", out=out)
 
 
-def test_a_run_is_plotted_as_its_report_draws_it(run: heliarch.Run) -> None:
-    lines = {line.name: np.asarray(line.y, float) for line in run.plot().data}
-    assert lines["delivered"] == pytest.approx(run.plant["delivered_kw"])
-    assert lines["delivered without help"] == pytest.approx(run.plant["without_help_kw"])
-
-
 @pytest.mark.parametrize("function", [heliarch.simulate, heliarch.launch, heliarch.timing])
 def test_editors_and_notebooks_complete_all_options_of_a_run(
     function: Callable[..., object],
@@ -214,11 +208,6 @@ def test_a_run_shows_its_figures_and_the_plants_powers(run: heliarch.Run) -> Non
     short = (plant.dispatch_kw - plant.delivered_kw).clip(lower=0.0)
     assert plant.shortfall_kw.to_numpy() == pytest.approx(short.to_numpy())
     assert len([name for name in dir(run) if not name.startswith("_")]) <= 15
-
-
-def test_an_error_of_the_input_is_a_public_type(run: heliarch.Run) -> None:
-    with pytest.raises(heliarch.InputError, match="start"):
-        run.frame("impp", start="25:00")
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,6 @@ from agents.process.events import (
     Start,
     Started,
     Status,
-    Waiting,
 )
 from agents.settings import RestartPolicy
 from bus_schemas.errors import FailureError
@@ -216,18 +215,6 @@ def test_in_lockstep_who_waits_to_send_is_not_silent(watched: Make) -> None:
     run.table.sends("c2")[0] = True
     run.pass_by(60.0, "c2", stuck=["central", "c1"])
     assert run.got(SIGKILL) == []
-
-
-def test_the_processor_time_of_an_agent_is_that_of_all_its_processes(watched: Make) -> None:
-    run = watched()
-    run[NODE].cpu_before_s = 0.5
-    for cpu_s in (2.5, 1.0):
-        run.dies(NODE, cpu_s=cpu_s)
-        run.pass_by(2.0)
-        run.joins(NODE)
-    run.processes.end()
-    run.dies(NODE, cpu_s=0.25)
-    assert run[NODE].cpu_in_run_s() == pytest.approx(2.0 + 1.0 + 0.25)
 
 
 def test_a_fork_server_that_stands_still_is_named_once(watched: Make) -> None:
@@ -420,15 +407,6 @@ def test_a_run_fails_without_its_plant_and_in_lockstep_after_the_loss_of_any_dev
 
 
 # A run in lockstep that stalls --------------------------------------------------------------------
-
-
-def test_a_process_that_has_gone_on_is_not_blamed(watched: Make) -> None:
-    run = watched(cycle_wall_ns=0)
-    run.tells("c1", Waiting(run.cycle, "report", [("c1/a/impp", "c1/a")]))
-    assert run.processes.still_waiting() == [run["c1"]]
-    run.pass_by(1.0)
-    assert run.processes.still_waiting() == []
-    assert run["c1"].waiting is None
 
 
 def test_a_process_that_is_always_started_again_waits_no_longer_than_the_policy_counts() -> None:

@@ -11,12 +11,8 @@ from typing import Any
 
 import command_line
 import pytest
-from running import Start, small_plant
-from split_links import split_links
-from test_external import our_decisions
-from test_launch import decisions
+from running import small_plant
 
-from agents.plan_file import load_plan
 from studies.conformance.requirements import REQUIREMENTS
 
 pytestmark = pytest.mark.processes
@@ -85,20 +81,6 @@ def test_our_own_controllers_pass_in_their_own_place(agent: str, plant: str) -> 
     assert tried >= {"arming", "decisions", "head", "limits", "replaced"}
 
 
-@pytest.mark.soak
-@pytest.mark.timeout(600)
-@pytest.mark.parametrize("agent", ["c1", "central", NODE])
-def test_our_own_controllers_pass_in_real_time(agent: str, plant: str) -> None:
-    assert in_real_time(plant, agent, OWN) == dict.fromkeys(REQUIREMENTS, "PASS")
-
-
-@pytest.mark.soak
-def test_a_judge_that_was_too_slow_itself_fails_nobody(plant: str) -> None:
-    found = results(plant, NODE, OWN, pace="2000")
-    assert not failed(found)
-    assert "too slow" in found.values()
-
-
 def wrong_device(faults: str) -> str:
     return f"{sys.executable} {WRONG} '{faults}' {{plan}} {{node}}"
 
@@ -129,21 +111,6 @@ def test_a_device_with_one_fault_fails(fault: str, plant: str) -> None:
     assert found["token"] == "PASS"
 
 
-@pytest.mark.soak
-def test_a_device_that_holds_its_inputs_for_ever_fails_in_real_time(plant: str) -> None:
-    assert results(plant, NODE, wrong_device("expired"), pace="2")["expired"] in {
-        "FAIL",
-        "too slow",
-    }
-
-
-@pytest.mark.soak
-def test_a_device_that_answers_late_fails_no_four_further_requirements(plant: str) -> None:
-    found = results(plant, NODE, wrong_device("late"), pace="1")
-    assert failed(found) <= {"decisions", "random faults"}, "there its inputs overtake each other"
-    assert found["missing"] in {"not judged", "too slow"}
-
-
 # In C ---------------------------------------------------------------------------------------------
 
 
@@ -170,21 +137,3 @@ def controller_in_c(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_controller_in_c_meets_every_requirement(controller_in_c: Path, plant: str) -> None:
     found = in_real_time(plant, NODE, f"{controller_in_c} {{plan}} {{node}}")
     assert found == dict.fromkeys(REQUIREMENTS, "PASS")
-
-
-def test_in_c_a_run_over_split_reads_is_that_of_simulate_and_nothing_is_sent_in_vain(
-    controller_in_c: Path, heliarch: Start, plant: str
-) -> None:
-    words = ("--duration", "25", "--seed", "3", "--scheme", "paper")
-    run = heliarch("launch", plant, *words, "--external", NODE)
-    plan = run.folder / "plan.json"
-    run.until(plan.exists, "a plan")
-    ports = load_plan(plan).access.tcp_ports
-    with split_links(*(ports[agent] for agent in ("recorder", "plant", "c1"))) as links:
-        endpoints = [link.endpoint for link in links]
-        device = subprocess.run([controller_in_c, plan, NODE, *endpoints], timeout=100, check=False)
-        assert run.wait() == 0, run.error_text()
-    assert device.returncode == 0, "docs/own-device.md, With zenoh-pico: is the library patched?"
-    assert decisions(run.folder) == our_decisions(plant)
-    _, of_plant, _ = links
-    assert of_plant.received < 25 * 1_000, "it is sent what it has not subscribed to"

@@ -5,20 +5,16 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import time
 from pathlib import Path
-from typing import Any
 
 import command_line
 import pytest
 from command_line import done
-from running import REPOSITORY, Device, Heliarch, Start, assert_none_left
+from running import REPOSITORY, Device, Start, assert_none_left
 from test_launch import decided, decisions, summary_of
 from wrong_device import FIRST_ABSURD
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import Signal
-from recordings.read.reader import RunReader
 from recordings.verify.verification import verify
 from results.run_document import RunDocument
 from results.timing.report import report_on
@@ -26,7 +22,6 @@ from results.timing.report import report_on
 pytestmark = pytest.mark.processes
 
 CONTROLLER = REPOSITORY / "examples" / "direct_controller.py"
-PLANT = REPOSITORY / "examples" / "plant.py"
 WRONG = Path(__file__).with_name("wrong_device.py")
 NODE = "c1/inv01"
 LOCKSTEP = ("--duration", "25", "--seed", "3", "--scheme", "paper")
@@ -96,34 +91,6 @@ def test_in_real_time_a_device_may_die_and_come_back(
     (account,) = summary_of(run.folder).external
     assert account.agent == NODE
     assert 0 < account.answered < account.expected
-
-
-def misses_nothing(run: Heliarch, wanted: Signal[Any], node: str, since: int) -> bool:
-    """Whether some message of an agent since a cycle rests on all its inputs."""
-    with RunReader(run.folder) as reader:
-        found = [message for port, message in reader.messages(wanted) if port.node == node]
-    return any(message.cycle >= since and not message.missing for message in found)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("agent", [NODE, "plant"])
-def test_in_lockstep_a_device_waits_for_a_recorder_that_stands_still(
-    heliarch: Start, device: Device, plant: str, agent: str
-) -> None:
-    settings = ("--set", "restart.when=on-failure", "--set", "restart.frozen_s=60")
-    run = heliarch("launch", plant, "--duration", "50m", *settings, "--external", agent)
-    if agent == "plant":
-        device(PLANT, "--plan", run.folder / "plan.json")
-    else:
-        controller(device, run.folder)
-    run.until_recorded()
-    recorder = run.process_of("recorder")
-    recorder.send_signal(signal.SIGSTOP)
-    time.sleep(20.0)  # By default Zenoh closes a link after 5 s or 10 s.
-    recorder.send_signal(signal.SIGCONT)
-    assert run.wait() == 0, run.error_text()
-    summary = summary_of(run.folder)
-    assert (summary.cycles, summary.lost) == (3000, 0)
 
 
 def test_a_device_that_does_everything_wrong_is_named_and_contained(
@@ -209,16 +176,6 @@ def test_a_device_that_is_late_silent_or_stamps_wrongly_is_named_and_the_status_
         f"late or silent {NODE}",
         f"stamps of {NODE}",
     }
-
-
-def test_a_device_in_time_has_no_finding(device: Device, plant: str, tmp_path: Path) -> None:
-    folder = tmp_path / "run"
-    device(CONTROLLER, "--plan", folder / "plan.json", "--node", NODE)
-    options = ("--duration", "40", "--pace", "5", "--external", NODE, "--out", folder)
-    result = command_line.heliarch("launch", plant, *options)
-    (account,) = summary_of(folder).external
-    assert (account.timing, account.late) == ((), 0), result.output
-    assert result.exit_code == 0
 
 
 def contained(launched: Decisions, right: Decisions) -> None:

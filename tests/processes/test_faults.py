@@ -206,18 +206,6 @@ def test_a_killed_launcher_or_fork_server_leaves_no_process_and_a_whole_recordin
 # Frozen -------------------------------------------------------------------------------------------
 
 
-def test_a_recorder_that_stands_still_as_a_short_run_ends_is_named_and_not_who_waits_for_it(
-    heliarch: Start, plant: str
-) -> None:
-    run = heliarch("launch", plant, "--duration", "100", "--set", "restart.when=never")
-    run.until_shown("armed")
-    run.process_of("recorder").send_signal(signal.SIGSTOP)
-    assert run.wait() == 1
-    assert re.search(r"recorder \(process \d+\) .*killed", run.output.read_text())
-    assert len(re.findall("killed", run.output.read_text())) <= 2
-    assert_none_left(run.folder)
-
-
 def test_a_fork_server_that_stands_still_at_the_end_is_named_and_the_run_has_its_summary(
     heliarch: Start, plant: str
 ) -> None:

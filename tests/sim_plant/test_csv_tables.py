@@ -78,16 +78,6 @@ def test_the_usual_step_is_named_where_there_is_one(tmp_path: Path) -> None:
         assert "e-09" not in complaint_of(seconds, table)
 
 
-def test_all_lines_that_break_the_step_are_named_at_once(tmp_path: Path) -> None:
-    table = read(tmp_path, seconds_and_values([0, 1, 1, 2, 3, 6, 7, 5, 6, 7, 7.5, 8.5]))
-    assert complaint_of(seconds, table).endswith("(all such lines: 4, 7, 9, 12)")
-
-
-def test_the_number_of_wrong_fields_is_told_beside_the_first(tmp_path: Path) -> None:
-    table = read(tmp_path, TEXT.replace(",3,", ",x,"))
-    assert complaint_of(table.numbers, ("a", "b")).endswith("got 'x' and 1 more such fields")
-
-
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [

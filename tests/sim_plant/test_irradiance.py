@@ -53,13 +53,6 @@ def test_columns_positions_and_times_belong_together(read: Read) -> None:
     assert found.times[-1] == pd.Timestamp("2010-04-01T20:00:03Z")
 
 
-def test_stations_are_taken_in_the_order_asked_for(read: Read) -> None:
-    found = read(stations=["DH4", "DH3"])
-    assert found.sensors == ("DH4", "DH3")
-    assert found.ghi_wm2.iloc[2].tolist() == [20.0, 802.5]
-    assert found.coordinates["lat"].tolist() == [21.31303, 21.31236]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
@@ -135,13 +128,3 @@ def test_a_file_without_gaps_is_read_the_same_whether_gaps_are_filled_or_not(rea
 def test_gaps_that_cannot_be_filled_are_refused(read: Read, ghi: str, named: list[str]) -> None:
     complaint = complaint_of(read, ghi, max_gap_s=2.0)
     assert [one for one in named if one not in complaint] == []
-
-
-def test_kilowatts_are_recognised(read: Read) -> None:
-    kilowatts = "utc,DH3\n2010-04-01T20:00:00Z,0.8005\n2010-04-01T20:00:01Z,1.103\n"
-    assert complaint_of(read, ghi=kilowatts, stations=["DH3"]).endswith("kW/m2")
-
-
-def test_a_dark_night_is_not_taken_for_kilowatts(read: Read) -> None:
-    night = "utc,DH3\n2010-04-01T10:00:00Z,-0.7\n2010-04-01T10:00:01Z,0\n"
-    assert not read(ghi=night, stations=["DH3"]).ghi_wm2.to_numpy().any()

@@ -106,19 +106,6 @@ def test_one_wrong_field_is_located(read: Read, old: str, new: str, place: str) 
     assert message_of(read, GOOD.replace(old, new)).startswith(f"20100401.txt: {place}")
 
 
-OF_AP2 = "0,2010,91,1200,500,100,400\n3,2010,91,1200,500,100,400\n"
-
-
-@pytest.mark.parametrize("text", [GOOD[: GOOD.index("\n") + 1], OF_AP2])
-def test_a_single_line_and_a_file_of_ap2_are_refused(read: Read, text: str) -> None:
-    assert message_of(read, text).startswith("20100401.txt: ")
-
-
-@pytest.mark.parametrize("stations", [["DH1", "AP6T"], ["DH1", "DH1"], []])
-def test_stations_that_are_none_are_refused(read: Read, stations: list[str]) -> None:
-    assert message_of(read, GOOD, stations=stations).startswith("stations: expected")
-
-
 # Earlier days -------------------------------------------------------------------------------------
 
 

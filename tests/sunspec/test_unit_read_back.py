@@ -99,18 +99,6 @@ def test_the_reversion_timer_counts_down_and_the_revert_clears_ena(scada: Scada)
     assert scada.reads(WMaxLimPctEna=0, WMaxLimPct=30, WMaxLimPctRvrtRem=0)
 
 
-@pytest.mark.parametrize("alone", [{"WRmp": 5}, {"WMaxLimPctRvrtTms": 60}, {"WMaxLimPct": 20}])
-def test_after_a_revert_no_other_point_brings_the_old_order_back(
-    scada: Scada, alone: dict[str, int]
-) -> None:
-    scada.write(**LIMIT)
-    scada.go_on(9)
-    assert scada.reads(WMaxLimPctEna=0)
-    scada.write(**alone)
-    assert scada.go_on(2).power_kw == SCHEDULED_KW
-    assert scada.reads(WMaxLimPctEna=0, **alone)
-
-
 def test_another_source_takes_over_and_a_timer_alone_does_not_pull_the_plant_back(
     scada: Scada,
 ) -> None:
@@ -124,24 +112,6 @@ def test_another_source_takes_over_and_a_timer_alone_does_not_pull_the_plant_bac
     scada.write(WMaxLimPctEna=1)
     assert scada.go_on().power_kw == 0.3 * RATING_KW
     assert scada.reads(WMaxLimPctEna=1, WMaxLimPctRvrtRem=60)
-
-
-def test_an_order_that_another_one_replaces_in_its_cycle_is_not_enabled(scada: Scada) -> None:
-    scada.write(**LIMIT)
-    scada.order_otherwise(150.0)
-    assert scada.go_on().power_kw == 150.0
-    assert scada.reads(WMaxLimPctEna=0)
-
-
-def test_the_timer_of_an_order_in_force_can_be_changed_and_ena_0_ends_it(scada: Scada) -> None:
-    scada.write(WSetEna=1, WSet=50_000)
-    scada.go_on()
-    scada.write(WSetRvrtTms=5)
-    assert scada.go_on().power_kw == 50.0
-    assert scada.reads(WSetEna=1, WSetRvrtRem=5)
-    scada.write(WSetEna=0)
-    assert scada.go_on().power_kw == SCHEDULED_KW
-    assert scada.reads(WSetEna=0, WSetRvrtRem=0)
 
 
 class UnitByHand:

@@ -46,10 +46,3 @@ def test_group_correlation_is_that_of_the_summed_series() -> None:
     np.testing.assert_allclose(
         group_correlation(deviations, groups), np.corrcoef(sums.T), rtol=0.0, atol=1e-12
     )
-
-
-def test_members_that_cancel_each_other_sum_to_a_constant() -> None:
-    walk = random_walks(600, 1)[:, 0]
-    power = np.column_stack([walk, 1000.0 - walk, random_walks(600, 1, seed=5)[:, 0]])
-    deviations = hourly_deviations(power, np.full(600, 13))[13]
-    assert np.array_equal(group_correlation(deviations, [(0, 1), (2,)]), np.ones((2, 2)))

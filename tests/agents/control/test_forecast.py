@@ -194,19 +194,6 @@ def test_effects_of_time_do_not_depend_on_the_cycle(
     )
 
 
-def test_short_cycles_do_not_make_a_trend_of_the_meters_noise() -> None:
-    noise = 50.0 + 0.25 * np.random.default_rng(4).standard_normal(500)
-
-    def error_kw(cycle_s: float) -> float:
-        estimate, found = NOTHING_KNOWN, []
-        for power_kw in noise.tolist():
-            estimate = forecast(power_kw, RATING_KW, estimate, cycle_s=cycle_s)
-            found.append(abs(estimate.power_kw - power_kw))
-        return float(np.mean(found))
-
-    assert error_kw(0.1) < 0.6 * error_kw(10.0)
-
-
 # Limit or cloud? ----------------------------------------------------------------------------------
 
 
@@ -232,15 +219,6 @@ def test_an_inverter_shaded_to_just_below_its_limit_does_not_count_as_held_by_it
     assert shaded[-1].power_kw == pytest.approx(40.0 * 0.99, rel=1e-3)
 
 
-@pytest.mark.parametrize("bias", [-0.02, 0.02])
-def test_a_free_inverter_is_measured_with_the_learned_meter_error(
-    bias: float,
-) -> None:
-    known = readings(40.0, [bias] * 200, measured(80.0))[-1]
-    free = forecast(60.0 * (1.0 + bias), RATING_KW, known)
-    assert free.maximum_kw == pytest.approx(60.0, rel=1e-3)
-
-
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.9])
 @pytest.mark.parametrize("bias", [-0.02, 0.0, 0.02])
 @pytest.mark.parametrize("cycle_s", CYCLES_S)
@@ -261,16 +239,6 @@ def test_a_statement_that_a_reading_refutes_is_not_believed_but_foretells_no_fal
     known = forecast(80.0, RATING_KW, NOTHING_KNOWN, available_kw=80.0)
     refuted = forecast(30.0, 40.0, known, available_kw=80.0)
     assert (refuted.power_kw, refuted.is_stated) == (30.0, False)
-
-
-def test_however_steep_a_fall_it_forecasts_no_darkness() -> None:
-    assert 0.0 < measured(80.0, 10.0).power_kw < 10.0
-
-
-def test_an_inverter_that_states_its_power_is_held_at_its_forecast_without_room() -> None:
-    known = forecast(50.0, RATING_KW, NOTHING_KNOWN, available_kw=50.0)
-    assert held_kw(known.power_kw, RATING_KW, known) == known.power_kw
-    assert held_kw(known.power_kw + 0.1, RATING_KW, known) == RATING_KW, "the plant lacks power"
 
 
 def test_just_below_the_limit_of_an_inverter_that_is_asked_for_all_it_has_is_its_maximum() -> None:

@@ -17,14 +17,6 @@ def law_of(cycle_s: float = 1.0, **settings: Any) -> GridLaw:
     return GridSettings(**settings).law(RATING_KW, cycle_s)
 
 
-def test_a_grid_that_asks_for_nothing_leaves_every_power_as_it_is() -> None:
-    law = law_of()
-    for power_kw in (0.0, 0.1, 4321.0987654321, RATING_KW):
-        assert ramped_kw(1.0, power_kw, law) == power_kw
-        assert desired_kw(power_kw, response_kw(59.0, law), 10.0, law) == power_kw
-        assert net_kw(power_kw, law) == gross_kw(power_kw, law) == power_kw
-
-
 @pytest.mark.parametrize(
     ("frequency_hz", "expected_kw"),
     [
@@ -44,20 +36,6 @@ def test_the_droop_responds_beyond_its_deadband_upwards_out_of_the_reserve(
 ) -> None:
     law = law_of(droop=Droop(reserve_percent=10.0))
     assert response_kw(frequency_hz, law) == pytest.approx(expected_kw, abs=1e-6)
-
-
-def test_without_a_reserve_the_droop_responds_downwards_alone() -> None:
-    law = law_of(droop=Droop())
-    assert response_kw(59.0, law) == 0.0
-    assert response_kw(60.3, law) == pytest.approx(-704.0)
-
-
-def test_deadband_and_droop_differ_above_and_below_the_nominal_frequency() -> None:
-    droop = Droop(fdbd1=-0.001, fdbd2=0.002, ddn=25.0, dup=10.0, reserve_percent=100.0)
-    law = law_of(nominal_hz=50.0, droop=droop)
-    # 0.2 Hz of 50 are 0.004.
-    assert response_kw(49.8, law) == pytest.approx(10.0 * 0.002 * RATING_KW)
-    assert response_kw(50.2, law) == pytest.approx(-25.0 * 0.003 * RATING_KW)
 
 
 def test_the_reference_follows_the_dispatch_within_the_ramp_limits_of_a_cycle() -> None:

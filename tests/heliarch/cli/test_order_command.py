@@ -40,21 +40,6 @@ def test_an_order_that_the_sun_does_not_allow_is_a_failure_that_says_so(run: Pat
     assert "350 kW not reached within 1 %; the sun gave less" in result.stderr
 
 
-def test_an_order_whose_time_is_over_ends_with_what_the_plant_did(run: Path) -> None:
-    found = done("order", run, "50kW", "--hold", "4s")
-    assert "50 kW reached within 1 % after 1.0 s" in found
-    assert "its time was over" in found
-
-
-@pytest.mark.parametrize("power", ["-3kW", "nan", "401kW", "2MWh", "2000", "2 MW", "inf", "NaNkW"])
-def test_a_power_that_cannot_be_is_refused_in_one_line(run: Path, power: str) -> None:
-    assert "400 kW" in refusal("order", run, power)
-
-
-def test_the_schedule_has_no_end_after_which_the_schedule_returns(run: Path) -> None:
-    assert "--hold: expected a power" in refusal("order", run, "schedule", "--hold", "5s")
-
-
 def test_a_run_that_is_over_or_is_none_is_refused_in_one_line(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.mkdir()

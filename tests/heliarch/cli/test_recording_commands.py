@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import pytest
 from command_line import done, heliarch, refusal
-from recordings_by_hand import PLAN, whole_run, write_messages, write_run
+from recordings_by_hand import whole_run, write_messages, write_run
 
 CYCLES = 90
 
@@ -98,15 +98,6 @@ def test_a_part_of_the_run_may_be_exported_with_its_figures_as_json(run: Path) -
     assert (figures["path"], figures["whole"]) == (str(folder), True)
     assert (figures["first_cycle"], figures["last_cycle"]) == (30, 40)
     assert figures["rows"]["impp"] == len(impp)
-
-
-def test_the_report_is_in_the_folder_of_the_run_or_replaces_an_old_one(run: Path) -> None:
-    assert done("report", run) == f"report: {run / 'report.html'}\n"
-    assert PLAN.run_id in (run / "report.html").read_text(encoding="utf-8")
-    path = run / "elsewhere.html"
-    path.write_text("old")
-    assert done("report", run / "run.mcap", "--report", path) == f"report: {path}\n"
-    assert path.stat().st_size > 1_000_000
 
 
 @pytest.mark.parametrize(
