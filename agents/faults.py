@@ -73,7 +73,7 @@ def incidents(faults: Sequence[Fault], tree: ControlTree, wiring: Wiring) -> lis
         if not isinstance(fault, Kill | Freeze):
             continue
         processes = dict.fromkeys(map(wiring.process_of, _stopped(fault, tree)))
-        stopped = [agent for process in processes for agent in wiring.members_of(process)]
+        stopped = [agent for process in processes for agent in wiring.members[process]]
         match fault:
             case Kill():
                 due += (Incident(fault.at, agent, "kill") for agent in stopped)

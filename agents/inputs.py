@@ -148,7 +148,7 @@ class Inputs:
                 plan.control.period(port),
                 bounds_at(port.signal.type, plan.tree, port.node),
             )
-            for port in plan.wiring.heard.get(agent, ())
+            for port in plan.wiring.heard[agent]
             if port.signal.occurrence is not Occurrence.EVENT
         }
         self.dropped: Counter[tuple[str, str]] = Counter()

@@ -107,22 +107,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def wiring(self) -> Wiring:
-        return Wiring(
-            self.plant,
-            self.tree,
-            self._process_of(),
-            has_operator=self.has_operator,
-        )
+        return Wiring(self.plant, self.tree, self._process_of(), has_operator=self.has_operator)
 
     @cached_property
     def links(self) -> Links:
         return self.wiring.links()
-
-    @cached_property
-    def agent_links(self) -> Links:
-        """The links that have no device at either end."""
-        devices = {*self.access.external}
-        return Links(tuple(pair for pair in self.links.pairs if devices.isdisjoint(pair)))
 
     @cached_property
     def deadlines(self) -> Deadlines:
@@ -150,11 +139,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @property
     def agents(self) -> tuple[str, ...]:
-        return (*self.tree.agents(), *((OPERATOR,) if self.has_operator else ()))
+        return tuple(self.wiring.heard)
 
     @property
     def processes(self) -> tuple[str, ...]:
-        return self.wiring.processes
+        return tuple(self.wiring.members)
 
     def _process_of(self) -> dict[str, str]:
         """Return the process of each agent in a group: the nearest group's on the same host."""

@@ -24,13 +24,14 @@ from bus_schemas.tree import (
 
 
 class Wiring:
-    """The wiring of a run.
+    """The wiring of a run: a table of ports, each with its publisher and its listeners.
 
     process_of: The process of each agent that shares one; the others have one of their own name.
     has_operator: Whether the operator is a program on the bus; else nobody may publish orders.
 
+    members: Agents of each process.
     listeners: Agents that hear each port.
-    published, heard: Ports of each agent.
+    heard: Ports that each agent hears.
     """
 
     def __init__(
@@ -49,38 +50,22 @@ class Wiring:
         self.listeners = {
             port: listeners(port, tree, has_operator=has_operator) for port in self.ports
         }
-        self.published: dict[str, list[Port[Message]]] = {}
-        self.heard: dict[str, list[Port[Message]]] = {}
+        operator = (OPERATOR,) if has_operator else ()
+        self.heard: dict[str, list[Port[Message]]] = {
+            name: [] for name in (*tree.agents(), *operator)
+        }
         for port, names in self.listeners.items():
-            self.published.setdefault(port.publisher, []).append(port)
             for name in names:
-                self.heard.setdefault(name, []).append(port)
+                self.heard[name].append(port)
         self._port_of = {self.key(port): port for port in self.ports}
         self._process_of = process_of or {}
-        self._members: dict[str, list[str]] = {}
-        operator = (OPERATOR,) if has_operator else ()
-        for name in (*tree.agents(), *operator):
-            self._members.setdefault(self.process_of(name), []).append(name)
-
-    @property
-    def processes(self) -> tuple[str, ...]:
-        return tuple(self._members)
+        self.members: dict[str, list[str]] = {}
+        for name in self.heard:
+            self.members.setdefault(self.process_of(name), []).append(name)
 
     def process_of(self, name: str) -> str:
         """Return the process that runs an agent."""
         return self._process_of.get(name, name)
-
-    def members_of(self, process: str) -> tuple[str, ...]:
-        """Return the agents that a process runs."""
-        return tuple(self._members[process])
-
-    def hearers_in(self, process: str) -> dict[Port[Message], tuple[str, ...]]:
-        """Return the agents of a process that hear each port."""
-        found: dict[Port[Message], tuple[str, ...]] = {}
-        for name in self.members_of(process):
-            for port in self.heard.get(name, ()):
-                found[port] = (*found.get(port, ()), name)
-        return found
 
     @cached_property
     def carried(self) -> dict[tuple[str, str], list[Port[Message]]]:
@@ -91,7 +76,7 @@ class Wiring:
         found: dict[tuple[str, str], list[Port[Message]]] = {}
         for port, hearers in self.listeners.items():
             source = self.process_of(port.publisher)
-            if source in self._members:
+            if source in self.members:
                 for sink in {RECORDER, *map(self.process_of, hearers)} - {source}:
                     found.setdefault((source, sink), []).append(port)
         return found
@@ -146,19 +131,17 @@ class Wiring:
 
     def alive_keys(self, process: str) -> list[str]:
         """Return key expressions of the tokens of a process's agents and of no others."""
-        members = self.members_of(process)
+        members = self.members[process]
         if len(members) == self._below[IMPP][process] > 1:
             return [self.alive_key(f"{process}/**")]
         return [self.alive_key(name) for name in members]
 
     def links(self) -> Links:
         """Return a link for each pair of processes of which one publishes what the other hears."""
-        rank = {process: number for number, process in enumerate(self.processes)}
-        pairs = set()
-        for pair in self.carried:
-            top, below = sorted(pair, key=rank.__getitem__)
-            pairs.add((top, below))
-        return Links(tuple(sorted(pairs, key=lambda pair: (rank[pair[0]], rank[pair[1]]))))
+        processes = [*self.members]
+        rank = {process: number for number, process in enumerate(processes)}
+        pairs = sorted({tuple(sorted((rank[one], rank[other]))) for one, other in self.carried})
+        return Links(tuple((processes[top], processes[below]) for top, below in pairs))
 
 
 @dataclass(frozen=True)

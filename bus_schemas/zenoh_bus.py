@@ -60,7 +60,10 @@ class ZenohBus:
         self.inbox, self.outbox = Inbox(), Outbox()
         self._clock, self._sends = clock, sends
         self._wiring = wiring
-        self._hearers = wiring.hearers_in(process)
+        self._hearers: dict[Port[Message], list[str]] = {}
+        for name in wiring.members[process]:
+            for port in wiring.heard[name]:
+                self._hearers.setdefault(port, []).append(name)
         self.heard = [
             port for port in self._hearers if wiring.process_of(port.publisher) != process
         ]
@@ -80,7 +83,7 @@ class ZenohBus:
                 )
                 for session in self._sessions.all
             )
-        self._sessions.show_tokens(wiring.members_of(process))
+        self._sessions.show_tokens(wiring.members[process])
 
     def __enter__(self) -> Self:
         return self

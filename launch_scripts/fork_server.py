@@ -120,7 +120,7 @@ class ForkServer:
             self._run = plan, BeatTable(self._beats, plan.processes)
             own = [process for process in plan.processes if process != OPERATOR]
             for process in own[-1:]:
-                for name in plan.wiring.members_of(process):
+                for name in plan.wiring.members[process]:
                     Loop(controller(plan, name), plan)
                 session_settings(plan, process)
             gc.collect()

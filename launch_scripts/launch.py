@@ -120,20 +120,20 @@ class _Launch:
         dropped: Dropped = []
         for process in processes.own:
             dropped += process.finished.dropped if process.finished else ()
-        members = plan.wiring.members_of
+        members = plan.wiring.members
         if PLANT in processes:  # The recorder may not have heard of all cycles.
             cycles = processes.table.read(PLANT).cycle
             recorded = replace(recorded, cycles=cycles)
         # In real time the last cycle lasts to its end, though all have done their part before.
         cycles_s = recorded.cycles * plan.timing.cycle_wall_ns / 1e9
         for name, cycle in processes.given_up.items():
-            self._given_up |= dict.fromkeys(members(name), cycle)
+            self._given_up |= dict.fromkeys(members[name], cycle)
         document = replace(
             begun(self._preparation, folder, "launch"),
             wall_s=max(ended_at - self._armed_at, cycles_s),
             startup_s=self._armed_at - self._began_at,
             interrupted=bool(self._interruption),
-            restarts={one: count for name, count in restarts.items() for one in members(name)},
+            restarts={one: count for name, count in restarts.items() for one in members[name]},
             given_up=self._given_up,
             processes=tuple(map(process_account, processes.own)),
             devices=self._gateway.end() if self._gateway is not None else (),

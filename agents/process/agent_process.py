@@ -28,7 +28,7 @@ from bus_schemas.errors import FailureError
 from bus_schemas.host_clock import HostClock
 from bus_schemas.messages import GivenUp
 from bus_schemas.signals import GIVEN_UP
-from bus_schemas.tree import PLANT, ROOT
+from bus_schemas.tree import PLANT, RECORDER, ROOT
 from bus_schemas.zenoh_bus import FaultyBus, ZenohBus
 
 log = logging.getLogger(__name__)
@@ -87,7 +87,7 @@ def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
 
 def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> bool:
     """Run a process of controllers; return False if the plant disappeared, and may come back."""
-    agents = [controller(plan, member) for member in plan.wiring.members_of(name)]
+    agents = [controller(plan, member) for member in plan.wiring.members[name]]
     with AgentProcess(plan, name, agents, link) as process:
         log.info("%s is on the bus", name)
         if rejoins:
@@ -208,7 +208,7 @@ class AgentProcess:
         if table.number_given_up != self._given_up:
             self._given_up = table.number_given_up
             wiring = self.plan.wiring
-            agents = tuple(one for name in table.given_up() for one in wiring.members_of(name))
+            agents = tuple(one for name in table.given_up() for one in wiring.members[name])
             sim_time_ns = self.plan.timing.sim_time_ns(loop.cycle)
             message = GivenUp(loop.cycle, sim_time_ns, PLANT, (), agents=agents)
             self.driver.publish(GIVEN_UP.of(ROOT), message)
@@ -280,8 +280,8 @@ def make_driver(plan: RunPlan, loops: Sequence[Loop[Any]], bus: ZenohBus) -> Dri
     faults = plan.network_faults()
     if any(faults.concern(loop.name) for loop in loops):
         return Driver(loops, FaultyBus(bus, faults), bus.now_ns)
-    published = sum(len(plan.wiring.published[loop.name]) for loop in loops)
-    if loops[0].name == PLANT or published > _MOST_EAGER:
+    published = plan.wiring.carried[plan.wiring.process_of(loops[0].name), RECORDER]
+    if loops[0].name == PLANT or len(published) > _MOST_EAGER:
         return Driver(loops, bus, bus.now_ns)
     return EagerDriver(loops, bus)
 

@@ -63,8 +63,9 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
         return _settings(plan, agent, links, access.endpoint, subjects, keys.config())
     if not access.sockets:
         return _settings(plan, agent, links, access.endpoint)
-    own = plan.agent_links
-    to_devices = Links(tuple(pair for pair in links.pairs if pair not in {*own.pairs}))
+    external = {*access.external}
+    own = Links(tuple(pair for pair in links.pairs if external.isdisjoint(pair)))
+    to_devices = Links(tuple(pair for pair in links.pairs if not external.isdisjoint(pair)))
     devices = to_devices.peers(agent)
     any_program: Subjects = {peer: {} for peer in ("", *devices)}
     second = _settings(plan, agent, to_devices, access.endpoint, any_program)
@@ -168,7 +169,7 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
         known["any program"] = subjects[""]
         from_any = add("from any program", ["ingress"], ["put"], ["**"])
         # Peers do relay for clients, so a client could send in the recorder's name.
-        own_keys = [wiring.key(port) for port in wiring.published[agent]]
+        own_keys = [wiring.key(port) for port in wiring.ports if port.publisher == agent]
         not_own = add("not in its name", ["ingress"], ["put"], own_keys, "deny")
         policies.append({"rules": [*of_all, from_any, not_own], "subjects": ["any program"]})
     return {

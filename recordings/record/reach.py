@@ -119,7 +119,7 @@ class Reach:
 
     def _says(self, process: str, keys: set[str]) -> bool:
         """Whether a process says one of these things while it says anything at all."""
-        newest = max(self._newest[name] for name in self._plan.wiring.members_of(process))
+        newest = max(self._newest[name] for name in self._plan.wiring.members[process])
         return max(self._said_in[key] for key in keys) >= newest - self._silent_cycles
 
     def _cut_off(self) -> list[str]:

@@ -115,8 +115,8 @@ class AgentRerun:
         self._equality = equality
         self._stage_of = {
             port: stage_of(port, plan.tree)
-            for port in plan.wiring.published[name]
-            if port.signal.logged and port.signal.decided
+            for port in plan.wiring.ports
+            if port.publisher == name and port.signal.logged and port.signal.decided
         }
         self._processes: dict[int, Process] = {}
         self._newest = 0

@@ -87,8 +87,8 @@ def test_an_agent_is_in_the_process_of_the_nearest_group_above_it_on_its_host() 
         *("recorder", "plant", "central", "z1", "z2", "z1/c1", "z1/c2"),
         *("z1/c1/b", "z1/c2/c", "z2/c3/d"),
     )
-    assert plan.wiring.members_of("z1/c1") == ("z1/c1", "z1/c1/a")
-    assert plan.wiring.members_of("z2") == ("z2", "z2/c3")
+    assert plan.wiring.members["z1/c1"] == ["z1/c1", "z1/c1/a"]
+    assert plan.wiring.members["z2"] == ["z2", "z2/c3"]
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def test_a_process_that_is_not_started_again_is_given_up_and_the_run_goes_on(
     assert victims[0] in run.error_text()
     assert run.output.read_text().count("has not beaten") == (harm == signal.SIGSTOP) * len(victims)
     wiring = load_plan(run.folder / "plan.json").wiring
-    agents = [agent for victim in victims for agent in wiring.members_of(victim)]
+    agents = [agent for victim in victims for agent in wiring.members[victim]]
     assert list(summary_of(run.folder).given_up) == agents
     with RunReader(run.folder) as reader:
         (*_, (_, told)) = reader.messages(GIVEN_UP)

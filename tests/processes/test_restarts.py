@@ -53,7 +53,7 @@ def test_killed_controllers_are_started_again_with_all_of_their_process_and_the_
         assert f"{victim} (process {process.pid}) was killed by signal 9" in run.output.read_text()
         run.until_recorded(run.recorded_cycles() + 1)
     wiring = load_plan(run.folder / "plan.json").wiring
-    agents = [agent for victim in victims for agent in wiring.members_of(victim)]
+    agents = [agent for victim in victims for agent in wiring.members[victim]]
     for agent in agents:
         run.until_back(agent)
     ended(run)
