@@ -21,7 +21,7 @@ from bus_schemas.codec import UNREADABLE
 from bus_schemas.messages import Dispatch, Message, Meter, Notice, Production, Run
 from bus_schemas.signals import DISPATCH, METER, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER
-from live_page.run_events import RunEvents
+from live_page.run_events import Event, events_of
 from recordings.inspect.agent_states import AgentStates, Change
 from recordings.read.mcap_file import Chunk, walk_on
 from recordings.read.reader import RunReader, stop_after
@@ -48,8 +48,9 @@ class RunFollower:
         self.run = RunReader(path)
         self.plan = self.run.plan
         self.cycles = 0
-        self.events = RunEvents()
         self.states = AgentStates(self.plan)
+        self._noted: list[Change] = []
+        self._events: list[Event] | None = None
         self._stops: set[int] = set()
         self._failure, self._finished = "", False
         self._chunk_cycles: list[range] = []
@@ -69,11 +70,18 @@ class RunFollower:
         if self.run.outline.closed and self._next_chunk() is None and not self._finished:
             self._finished = True
             self.states.finish(self.states.end_cycle(stop_after(self._stops, self.states.newest)))
-        self.events.replace(self._changes())
+            self._events = None
         if not self._failure and (failure := failure_in(self.run.path.parent)):
             self._failure = failure
-            self.events.add("failure", self.cycles, "launcher", failure)
+            self._note("failure", self.cycles, "launcher", failure)
         return self._next_chunk() is None
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened so far; the same list until there is news."""
+        if self._events is None:
+            self._events = events_of([*self._noted, *self._changes()])
+        return self._events
 
     @property
     def state(self) -> State:
@@ -148,8 +156,13 @@ class RunFollower:
                 with suppress(*UNREADABLE):  # A device of the user's may send anything.
                     self._see(record.port, record.payload)
         if chunk in self.run.damage:
-            self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
+            self._note("damage", self.cycles, RECORDER, "a part of the file is damaged")
         self._chunk_cycles.append(range(first, last + 1))
+        self._events = None
+
+    def _note(self, kind: str, cycle: int, agent: str, text: str) -> None:
+        self._noted.append(Change(kind, cycle, agent, text))
+        self._events = None
 
     def _see(self, port: Port[Message], payload: bytes) -> None:
         message = port.signal.decode(payload)
@@ -161,9 +174,9 @@ class RunFollower:
                 self._powers.see(port, message)
                 self.cycles = max(self.cycles, cycle + 1)
             case Notice():
-                self.events.add("notice", cycle, message.source, message.text)
+                self._note("notice", cycle, message.source, message.text)
             case Run(state="start"):
-                self.events.add("run", cycle, PLANT, "the run begins")
+                self._note("run", cycle, PLANT, "the run begins")
             case Run(state="stop"):
                 self._stops.add(cycle)
 

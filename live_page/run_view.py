@@ -16,6 +16,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from live_page.follower import RunFollower
 from live_page.plant_state import PlantState, columns
+from live_page.run_events import Event
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 from results.figures import Figures, Shown, shown_in
 from sunspec.process import read_accounts
@@ -29,8 +30,8 @@ _READING_S: Final = 0.03
 _CATCH_UP: Final = 5
 """The page shows a fifth of what is new with each update: a recording grows in steps."""
 
-_SLOW_S: Final = 2.0
-"""Between two looks at real inverters, and at most between two updates."""
+_SLOW_S: Final = 1.0
+"""Between two looks at events and real inverters, and at most between two updates."""
 
 _FIGURES_SHARE: Final = 10.0
 """The figures of merit wait for so many times as long as they took: a day's take 25 ms."""
@@ -132,7 +133,8 @@ class RunView:
         `position` is the cycle to begin with; None: follow the newest one. `speed` is in simulated
         seconds a second; 0: stay there.
         """
-        shown, revision, counted = -1, 0, -1
+        shown, counted = -1, -1
+        events: list[Event] | None = None
         sent, slow_at, figures_at = b"", float("-inf"), float("-inf")
         async for cycle in self.cycles(position, speed):
             if cycle is None:
@@ -144,9 +146,7 @@ class RunView:
                 "cycles": follower.cycles,
                 "reading": follower.read_share,
                 "cycle": cycle,
-                "events": follower.events.since(revision),
             }
-            revision = follower.events.revision
             if cycle >= 0 and cycle != shown:
                 begin = shown + 1 if 0 <= shown < cycle else cycle
                 news["frame"] = state.frame(cycle)
@@ -159,6 +159,8 @@ class RunView:
                 figures_at = time.monotonic() + _FIGURES_SHARE * (time.monotonic() - began_at)
             if is_slow_due := began_at > slow_at + _SLOW_S:
                 slow_at = began_at
+                if events is not (events := follower.events):
+                    news["events"] = events
                 accounts = read_accounts(self.path.parent)
                 news["devices"] = {account.node: account for account in accounts}
             update = msgspec.json.encode(news)

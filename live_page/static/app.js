@@ -81,7 +81,7 @@ function showRun(plan) {
   }
 
   function update(news, fresh) {
-    if (news.events?.length) events.add(news.events);
+    if (news.events) events.replace(news.events);
     if (news.figures) figures($("figures"), $("figures-about"), news.figures);
     devices = news.devices ?? devices;
     if (news.frame) showFrame(news, fresh);

@@ -1,6 +1,5 @@
 // What happened up to the cycle shown, the newest first. What comes later shows only when asked for.
 
-const MOST = 500;
 const BAD = new Set(["absent", "cut off", "given up"]);
 // What charts mark, in which colour.
 const MARKED = {
@@ -15,12 +14,11 @@ function textOf({kind, agent, text, count}) {
 }
 
 export function eventList(list, laterButton, timeOf, seek) {
-  const found = new Map();
-  let shownAt = -1, shows = false;
+  let found = [], shownAt = -1, shows = false;
 
   function arrange() {
     let later = 0;
-    for (const {event, line} of found.values()) {
+    for (const {event, line} of found) {
       const isLater = event.cycle > shownAt;
       later += Number(isLater);
       line.hidden = isLater && !shows;
@@ -31,43 +29,27 @@ export function eventList(list, laterButton, timeOf, seek) {
   }
   laterButton.onclick = () => { shows = !shows; arrange(); };
 
-  function write(line, event) {
+  function lineOf(event) {
     const part = (name, properties) => Object.assign(document.createElement(name), properties);
-    line.className = `${event.kind.replace(" ", "-")}${BAD.has(event.kind) ? " bad" : ""}`;
-    line.replaceChildren(
+    const line = part("li", {className: `${event.kind.replace(" ", "-")}${BAD.has(event.kind) ? " bad" : ""}`});
+    line.append(
       part("time", {textContent: timeOf(event.cycle), title: `cycle ${event.cycle}`}),
       part("span", {className: "kind", textContent: event.kind}),
       part("span", {textContent: textOf(event)}),
     );
     line.onclick = () => seek(event.cycle);
+    return line;
   }
 
   return {
     // Where charts have marks: faults, restarts and orders up to the cycle shown.
-    marks: () => [...found.values()].map(({event}) => event)
+    marks: () => found.map(({event}) => event)
       .filter(event => event.cycle <= shownAt && MARKED[event.kind]).slice(-MOST_MARKS)
       .map(event => ({cycle: event.cycle, color: MARKED[event.kind], text: textOf(event)})),
     showAt(cycle) { shownAt = cycle; arrange(); },
-    add(events) {
-      for (const event of events) {
-        const line = found.get(event.number)?.line ?? document.createElement("li");
-        if (!event.count) {  // It turned out not to have happened.
-          line.remove();
-          found.delete(event.number);
-          continue;
-        }
-        write(line, event);
-        if (!found.has(event.number)) {
-          line.cycle = event.cycle;
-          list.insertBefore(line, [...list.children].find(other => other.cycle <= event.cycle) ?? null);
-        }
-        found.set(event.number, {event, line});
-      }
-      while (found.size > MOST) {
-        const [number, {line}] = found.entries().next().value;
-        line.remove();
-        found.delete(number);
-      }
+    replace(events) {
+      found = events.map(event => ({event, line: lineOf(event)}));
+      list.replaceChildren(...found.map(({line}) => line).reverse());
       arrange();
     },
   };

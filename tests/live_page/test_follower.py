@@ -29,7 +29,7 @@ def followed(path: Path) -> RunFollower:
 
 
 def kinds(follower: RunFollower) -> list[tuple[str, int, str]]:
-    return [(event.kind, event.cycle, event.agent) for event in follower.events.since(0)]
+    return [(event.kind, event.cycle, event.agent) for event in follower.events]
 
 
 def number(node: str) -> int:
@@ -135,7 +135,7 @@ def test_a_real_inverter_that_is_gone_for_a_while_or_for_good_is_named(tmp_path:
         ("back", 12, "device c2/c"),
         ("absent", 85, "device c2/c"),
     ]
-    assert {event.count for event in follower.events.since(0)} == {1}
+    assert {event.count for event in follower.events} == {1}
     state = PlantState(follower)
     assert [state.frame(cycle)["unread"] for cycle in (4, 5)] == [[], [number("c2/c")]]
 
@@ -155,8 +155,8 @@ def test_repeated_notices_are_one_event_with_a_count(tmp_path: Path) -> None:
         for cycle in range(4)
     ]
     write_run(path, [*whole_run(5), *notices])
-    (event,) = [event for event in followed(path).events.since(0) if event.kind == "notice"]
-    assert (event.text, event.count, event.last_cycle) == ("mended", 4, 3)
+    (event,) = [event for event in followed(path).events if event.kind == "notice"]
+    assert (event.text, event.cycle, event.count) == ("mended", 0, 4)
 
 
 def test_a_long_run_is_thinned_out_without_losing_a_dip(tmp_path: Path) -> None:

@@ -66,9 +66,7 @@ def shown(path: Path) -> dict[str, Any]:
         "figures": figures,
         "states": [states.at(agent, 45) for agent in states.agents],
         "events": sorted(
-            (one.kind, one.cycle, one.last_cycle, one.agent, one.text, one.count)
-            for one in follower.events.since(0)
-            if one.count
+            (one.kind, one.cycle, one.agent, one.text, one.count) for one in follower.events
         ),
     }
 
@@ -124,8 +122,8 @@ def test_a_late_recorder_makes_no_agent_absent_in_a_healthy_run() -> None:
         pytest.skip(f"the recording of a late recorder is absent: no folder {path}")
     follower, seen = RunFollower(path / "run.mcap"), set()
     while not follower.advance(0.0):
-        seen |= {event.kind for event in follower.events.since(0)}
-    assert seen | {event.kind for event in follower.events.since(0)} == {"run"}
+        seen |= {event.kind for event in follower.events}
+    assert seen | {event.kind for event in follower.events} == {"run"}
     with RunReader(path) as run:
         assert read_overview(run).states == ()
         for cycle in (0, 300, run.last_cycle):
@@ -151,7 +149,7 @@ def test_page_inspect_and_report_agree_on_real_kills_freezes_and_cuts(
     follower = RunFollower(run / "run.mcap")
     while not follower.advance(1.0):
         pass
-    events = {(one.kind, one.cycle, one.agent) for one in follower.events.since(0) if one.count}
+    events = {(one.kind, one.cycle, one.agent) for one in follower.events}
     assert {(one.kind, one.first_cycle, one.agent) for one in spans if one.cycles} == {
         event for event in events if event[0] in {"absent", "cut off", "given up"}
     }
