@@ -52,7 +52,8 @@ class HardMinute(msgspec.Struct, frozen=True):
     def sentence(self) -> str:
         """Say who lacked power in the hardest cycle, and who gave it."""
         if not self.lacking:
-            return f"no {self.noun} was below its share"
+            help_inside = "; inverters helped inside clusters" if self.noun == "cluster" else ""
+            return f"no {self.noun} was below its share{help_inside}"
         parts = [f"{_named(self.lacking)} lacking"]
         parts.append(f"{_named(self.gave)} given" if self.gave else "nobody had more to give")
         if self.missed_kw >= _LEAST_KW:

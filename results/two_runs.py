@@ -15,6 +15,7 @@ from recordings.read.reader import RunReader
 from recordings.read.run_file import RECORDING_NAME
 from recordings.read.series import RunSeries, series_of
 from results.figures import Shown, run_figures, runs_as_columns, shown_in
+from results.headline import headline
 from results.message_differences import message_differences
 from results.report.plant_figures import plant_power
 from results.report.result import Result
@@ -58,7 +59,8 @@ def with_and_without_help(path: Path) -> Result:
     table = figures_table(*both)
     title = f"{_name(path)}, with help and without"
     result = runs_result(title, both, [table], lines, json_rows(table))
-    return replace(result, figures=lambda: [plant_power(both)])
+    found = f"{headline(run_figures(series)).capitalize()}."
+    return replace(result, headline=found, figures=lambda: [plant_power(both)])
 
 
 def _without_help(series: RunSeries) -> RunSeries:

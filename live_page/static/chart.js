@@ -9,7 +9,7 @@ export const kw = value => value == null ? "–" : value.toLocaleString("en", {
 // A power with the unit that suits its size, as number and unit.
 export function power(value) {
   if (value == null) return ["–", "kW"];
-  return Math.abs(value) < 10000 ? [kw(value), "kW"] : [(value / 1e3).toLocaleString("en", {maximumFractionDigits: 1, minimumFractionDigits: 1}), "MW"];
+  return Math.abs(value) < 10000 ? [kw(value), "kW"] : [kw(value / 1e3), "MW"];
 }
 function tick(value) {
   const inMegawatts = Math.abs(value) >= 10000, number = inMegawatts ? value / 1e3 : value;

@@ -17,7 +17,7 @@ const COLUMNS = [
   {heading: "run", by: run => run.name, show: link, words: true},
   {heading: "plant", by: run => run.scenario},
   {heading: "rating", by: run => run.rating_kw, show: run => run.rating_kw === null ? "–" : power(run.rating_kw).join(" "), digits: true, small: true},
-  {heading: "inverters", by: run => run.inverters, digits: true, middle: true, small: true},
+  {heading: "inverters", by: run => run.inverters, show: run => number(run.inverters, 0), digits: true, middle: true, small: true},
   figure("missed", "control-caused", {small: true}),
   figure("without help", "without-help", {small: true}),
   figure("denied by the sky", "unavoidable", {middle: true}),

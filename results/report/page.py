@@ -10,8 +10,8 @@ from markupsafe import Markup
 
 from results.report.result import Result
 
-_WIDTH: Final = 76
-"""Characters that fit into a line of a page 800 px wide."""
+_WIDTH: Final = 96
+"""Characters that fit into a line of a page 1,050 px wide."""
 
 _PLOTLY: Final = Path(__file__).with_name("templates") / "plotly-cartesian.min.js"
 """Plotly for plain axes, a third of the library, in the version that its package writes for."""

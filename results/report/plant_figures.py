@@ -49,11 +49,11 @@ def plant_power(series: Sequence[RunSeries]) -> style.ReportFigure:
     if _asks_regulation(first):
         powers.append(style.time_line(first, first.commitment_kw, "commitment", _DOTTED))
     figure = make_subplots(
-        rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.64, 0.36]
+        rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06, row_heights=[0.6, 0.4]
     )
     figure.add_traces(powers, rows=1, cols=1)
     figure.add_traces(deviations, rows=2, cols=1)
-    style.dress(figure, 560)
+    style.dress(figure, 430)
     figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero", row=1, col=1)
     figure.update_yaxes(title_text="deviation [kW]", row=2, col=1)
     style.label_time_axis(figure, first, rows=2)

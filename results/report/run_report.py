@@ -35,7 +35,7 @@ from results.report.page import html_page
 from results.report.plant_figures import plant_power, regulation
 from results.report.result import KeyFigure, Result
 from results.report.style import ReportFigure
-from results.report.tables import devices_tables, figures_tables, health_table, network_tables
+from results.report.tables import devices_tables, figures_tables, health_table
 from results.run_document import outcome_of, overview_of
 from results.tables import Table, counted
 from scenarios.scenario import AnswerBudgets
@@ -65,7 +65,6 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
                 *answers_tables(judged(answers(series), _budgets(reader))),
                 help_table(found, reader.clock),
                 clusters_table(series, plan, found),
-                *network_tables(outcome.document),
                 health_table(overview, reader.clock, outcome),
                 *devices_tables(read_accounts(reader.path.parent)),
             ]

@@ -133,7 +133,7 @@ def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figur
     figure.update_annotations(font_size=14)
     axis = {
         "ticks": "outside",
-        "title_standoff": 8,
+        "title": {"standoff": 8, "font": {"size": 13}},
         "automargin": True,
         "separatethousands": True,
         "exponentformat": "none",

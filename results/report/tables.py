@@ -9,8 +9,8 @@ from recordings.inspect.overview import Overview
 from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from results.figures import Shown, run_figures, runs_as_columns, shown_in
-from results.health_lines import counts_text, health_lines
-from results.run_document import Outcome, RunDocument
+from results.health_lines import health_lines
+from results.run_document import Outcome
 from results.tables import Column, Table, attributes, key_column, texts_table
 from sunspec.process import DeviceAccount
 
@@ -46,23 +46,6 @@ def figures_tables(series: Sequence[RunSeries]) -> list[Table]:
 def health_table(overview: Overview, clock: RunClock, outcome: Outcome) -> Table:
     """Return the table of a run's health, a line for each kind of finding."""
     return texts_table("Health of the run", health_lines(overview, clock, outcome))
-
-
-def network_tables(summary: RunDocument | None) -> list[Table]:
-    """Return the table of a run's messages by signal; none without its summary."""
-    if summary is None:
-        return []
-    columns = (
-        key_column("signal"),
-        Column("published"),
-        Column("recorded"),
-        Column("lost"),
-    )
-    dropped = counts_text(summary.dropped) or "none"
-    missed = f"{summary.missing_inputs:,} inputs missed at deadlines"
-    notes = f"Dropped by agents: {dropped}; {missed}. External agents are not counted here."
-    rows = attributes(summary.messages, columns)
-    return [Table("The network", columns, rows, (notes,))] if rows else []
 
 
 def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
