@@ -119,6 +119,13 @@ FIGURES: Final = {
             0,
             _R,
         ),
+        ("without-storage-energy", "Shortfall without storage", "kWh", 2, _SRC),
+        ("storage-out-energy", "Given by storage", "kWh", 1, _SRC),
+        ("storage-in-energy", "Taken by storage", "kWh", 1, _SR),
+        ("storage-cycles", "Full cycles of storage", "", 2, _SRC),
+        ("storage-mileage", "Mileage of storage per hour", "kW/h", 0, _R | _C),
+        ("storage-lowest", "Lowest state of storage", "%", 1, _SRC),
+        ("storage-highest", "Highest state of storage", "%", 1, _R),
         ("curtailed-energy", "Curtailed energy", "kWh", 1, _SRC),
         ("curtailed", "Curtailed", "% of available", 1, _R | _C),
         ("ancillary-potential", "Ancillary potential", "kWh", 1, _R),
@@ -214,7 +221,7 @@ def run_figures(series: RunSeries) -> Figures:
     changes_kw = np.diff(np.where(known, series.shortfall_kw, np.nan))
     hours = series.cycle_s / 3600.0
     error_kw = delivered_kw - dispatch_kw
-    headroom_kw = np.maximum(available_kw - delivered_kw, 0.0)
+    headroom_kw = np.maximum(available_kw - series.without_storage_kw[known], 0.0)
     potential_kw = np.maximum(available_kw - series.commitment_kw[known], 0.0)
     return {
         **dict.fromkeys(FIGURES),
@@ -224,6 +231,7 @@ def run_figures(series: RunSeries) -> Figures:
         **_metered_figures(series),
         **_baseline_figures(series),
         **_battery_figures(series),
+        **_storage_figures(series),
         "unknown-energy": float(np.nansum(series.unknown_kw[known])) * hours or None,
         "rmse": float(np.sqrt(np.mean(error_kw**2))),
         "mae": float(np.mean(np.abs(error_kw))),
@@ -252,12 +260,14 @@ def energy_figures(
     """Compute how well a plant kept its commitment from its power in each cycle, shape (T,).
 
     The shortfall is sum max(0, dispatch - delivered) dt. Unavoidable is the part of it that no
-    controller could have met, sum max(0, dispatch - available) dt; control-caused the rest. Shares
+    controller could have met, sum max(0, dispatch - available) dt, unless storages gave it;
+    control-caused the rest. Shares
     are in % of the dispatched energy, None where nothing was dispatched.
     """
     dispatch, available, delivered = map(np.asarray, (dispatch_kw, available_kw, delivered_kw))
     shortfall = np.maximum(dispatch - delivered, 0.0)
-    unavoidable = np.maximum(dispatch - available, 0.0)
+    # Storages may give what the sky denied.
+    unavoidable = np.minimum(np.maximum(dispatch - available, 0.0), shortfall)
     missed_kw = {
         "shortfall": shortfall,
         "unavoidable": unavoidable,
@@ -316,7 +326,8 @@ def _battery_figures(series: RunSeries) -> Figures:
     found: Figures = {}
     for name, kw in given_kw.items():
         if np.isfinite(kw[series.known]).all():
-            spare_kw = np.maximum(series.available_kw - kw, 0.0)
+            of_inverters_kw = kw if name == "without-help-" else series.without_storage_kw
+            spare_kw = np.maximum(series.available_kw - of_inverters_kw, 0.0)
             battery = smallest_battery(missing_kw[name], spare_kw, series.cycle_s)
             found[f"{name}battery-power"] = battery.power_kw
             found[f"{name}battery-energy"] = battery.energy_kwh
@@ -325,14 +336,39 @@ def _battery_figures(series: RunSeries) -> Figures:
     return {name: value for name, value in found.items() if name in FIGURES}
 
 
+def _storage_figures(series: RunSeries) -> Figures:
+    """Compute what the storages did, at the bus bar; states are in % of their capacity."""
+    storages, known = series.plan.storages, series.known
+    power_kw, energy_kwh = series.storage_power_kw[known], series.storage_energy_kwh[known]
+    if not storages or not power_kw.size:
+        return {}
+    hours = series.cycle_s / 3600.0
+    capacity_kwh = np.array([one.capacity_kwh for one in storages])
+    given_kwh = np.maximum(power_kw, 0.0).sum(axis=0) * hours
+    stored_kwh = given_kwh / [one.discharge_efficiency for one in storages]
+    changes_kw = np.abs(np.diff(power_kw, axis=0)).sum()
+    missing_kw = np.maximum(series.desired_kw - series.without_storage_kw, 0.0)[known]
+    states = 100.0 * energy_kwh / capacity_kwh
+    return {
+        "without-storage-energy": float(missing_kw.sum()) * hours,
+        "storage-out-energy": float(given_kwh.sum()),
+        "storage-in-energy": float(np.maximum(-power_kw, 0.0).sum()) * hours,
+        "storage-cycles": float(stored_kwh.sum() / capacity_kwh.sum()),
+        "storage-mileage": float(changes_kw) / (len(power_kw) * hours),
+        "storage-lowest": float(states.min()),
+        "storage-highest": float(states.max()),
+    }
+
+
 def _offer_figures(series: RunSeries) -> Figures:
     """Compute how often there was enough power for what was offered, and what could have been.
 
     An interval has enough if at most `MISSED_SHARE` of what the schedule asked for, commitment and
-    regulation, was more than was available, which is also how the plant judges its offers. Firm
-    energy is the most that could have been promised so, of the same shape and without regulation,
-    in hindsight. An interval that is not known as a whole, or in which nothing is promised, is left
-    out, and so is the first: nobody has offered it.
+    regulation, was more than was available or, with storages, delivered, which is also how the
+    plant judges its offers. Firm energy is the most that could have been promised so without
+    storages, of the same shape and without regulation, in hindsight. An interval that is not known
+    as a whole, or in which nothing is promised, is left out, and so is the first: nobody has
+    offered it.
     """
     if (offers := series.plan.offer_law) is None:
         return {}
@@ -342,11 +378,12 @@ def _offer_figures(series: RunSeries) -> Figures:
     for begin in range(length, series.cycles - length + 1, length):
         cycles = slice(begin, begin + length)
         commitment_kw, available_kw = series.commitment_kw[cycles], series.available_kw[cycles]
+        there_kw = np.maximum(available_kw, series.delivered_kw[cycles])
         if not series.known[cycles].all() or not (commitment_kw > 0.0).all():
             continue
         intervals += 1
         scheduled_kw = commitment_kw + series.regulation_kw[cycles]
-        missing_kw = np.maximum(scheduled_kw - available_kw, 0.0).sum()
+        missing_kw = np.maximum(scheduled_kw - there_kw, 0.0).sum()
         kept += bool(missing_kw <= MISSED_SHARE * scheduled_kw.sum())
         promised_kw += float(commitment_kw.sum())
         firm_kw += float(commitment_kw.sum()) * firm_share(available_kw / commitment_kw)

@@ -52,6 +52,8 @@ class RunSeries:
     mpp_kw, power_kw, impp_kw, residual_kw, alpha: Of each inverter, shape (T, n): true maximum
         power, power that it delivered, IMPP, IMPP less share, and the curtailment level in [0, 1]
         that it applied.
+    storage_power_kw, storage_energy_kwh: Of each of m storages, shape (T, m): what it gave,
+        negative if it took it, and what was stored in it at the end of the cycle.
     unknown_kw: What real inverters that do not answer may give beside the delivered power, (T,).
     unlisted_kw: What the plant's own meter reads beyond the sum of its inverters, (T,).
     baseline_kw: `without_help_kw` of a plant whose columns are clusters, shape (T,).
@@ -71,6 +73,8 @@ class RunSeries:
     impp_kw: NDArray[np.float64]
     residual_kw: NDArray[np.float64]
     alpha: NDArray[np.float64]
+    storage_power_kw: NDArray[np.float64]
+    storage_energy_kwh: NDArray[np.float64]
     unknown_kw: NDArray[np.float64]
     unlisted_kw: NDArray[np.float64]
     frequency_hz: NDArray[np.float64]
@@ -100,6 +104,7 @@ class RunSeries:
             **dict.fromkeys(("impp_kw", "residual_kw", "alpha"), np.broadcast_to(nan, shape)),
             **dict.fromkeys(("commitment_kw", "regulation_kw", "frequency_hz"), unknown),
             **dict.fromkeys(("unknown_kw", "unlisted_kw"), np.zeros(shape[0])),
+            **dict.fromkeys(("storage_power_kw", "storage_energy_kwh"), np.zeros((shape[0], 0))),
             **values,
         }
         arrays.setdefault("dispatch_kw", arrays["commitment_kw"] + arrays["regulation_kw"])
@@ -131,20 +136,28 @@ class RunSeries:
     @property
     def available_kw(self) -> NDArray[np.float64]:
         """True maximum power of the plant at its meter, shape (T,)."""
-        return self._net_kw(self.mpp_kw)
+        return net_kw(_sum_kw(self.mpp_kw), self.plan.grid_law)
 
     @property
     def delivered_kw(self) -> NDArray[np.float64]:
         """Power of the plant at its meter, shape (T,)."""
-        return self._net_kw(self.power_kw) + self.unlisted_kw
+        return net_kw(self._gross_kw, self.plan.grid_law) + self.unlisted_kw
 
     @property
     def lost_kw(self) -> NDArray[np.float64]:
         """Losses between inverters and meter, shape (T,)."""
-        return np.asarray(self.power_kw.sum(axis=1)) - self._net_kw(self.power_kw)
+        return self._gross_kw - net_kw(self._gross_kw, self.plan.grid_law)
 
-    def _net_kw(self, of_inverters_kw: NDArray[np.float64]) -> NDArray[np.float64]:
-        return net_kw(np.asarray(of_inverters_kw.sum(axis=1)), self.plan.grid_law)
+    @property
+    def _gross_kw(self) -> NDArray[np.float64]:
+        return _sum_kw(self.power_kw) + _sum_kw(self.storage_power_kw)
+
+    @property
+    def without_storage_kw(self) -> NDArray[np.float64]:
+        """What the inverters alone gave the plant at its meter, shape (T,)."""
+        if not self.storage_power_kw.size:
+            return self.delivered_kw
+        return net_kw(_sum_kw(self.power_kw), self.plan.grid_law) + self.unlisted_kw
 
     @property
     def shortfall_kw(self) -> NDArray[np.float64]:
@@ -193,6 +206,10 @@ class RunSeries:
             name: rows[first:end] for name, rows in values.items() if isinstance(rows, np.ndarray)
         }
         return replace(self, first_cycle=self.first_cycle + first, **part)
+
+
+def _sum_kw(powers_kw: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(powers_kw.sum(axis=1))
 
 
 def _without_help_kw(
@@ -278,7 +295,9 @@ class SeriesCollector:
     def _enter_production(self, port: Port[Message], message: Production) -> None:
         self._cycles = max(self._cycles, message.cycle + 1)
         power_kw = self._row(message.inverter_power_kw)
-        listed_kw = net_kw(float(power_kw.sum()), self._plan.grid_law)
+        stored = self._of_storages(message)
+        gross_kw = float(power_kw.sum()) + float(stored["storage_power_kw"].sum())
+        listed_kw = net_kw(gross_kw, self._plan.grid_law)
         metered_kw = message.delivered_kw if self._plan.site.meter else listed_kw
         self._enter_of_plant(
             port,
@@ -287,7 +306,16 @@ class SeriesCollector:
             power_kw=power_kw,
             unlisted_kw=metered_kw - listed_kw,
             unknown_kw=message.unknown_kw,
+            **stored,
         )
+
+    def _of_storages(self, message: Production) -> dict[str, NDArray[np.float64]]:
+        """Return what a production lists of the storages; an external plant may list none."""
+        count, found = len(self._plan.storages), {}
+        for name in ("storage_power_kw", "storage_energy_kwh"):
+            listed = getattr(message, name) or ()
+            found[name] = np.array(listed) if len(listed) == count else np.full(count, nan)
+        return found
 
     def _row(self, listed: Sequence[float]) -> NDArray[np.float64]:
         """Add up what a production lists of each inverter, by column."""

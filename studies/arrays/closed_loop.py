@@ -44,6 +44,7 @@ from agents.control.offers import (
     observe,
 )
 from agents.control.share import share_kw, usable_dispatch_kw
+from agents.control.storage import Course, Pursuit
 from agents.plan import RunPlan
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
@@ -52,6 +53,13 @@ from sim_plant.orders import planned
 from sim_plant.profile import Profile
 from studies.arrays.compiled import compiled
 from studies.arrays.control_arrays import ControlArrays, control_arrays, is_corrected
+from studies.arrays.storage_arrays import (
+    StorageArrays,
+    ask_storages,
+    divide,
+    obey_storages,
+    state_abilities,
+)
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -65,7 +73,8 @@ class LoopSettings(NamedTuple):
 
     Whether the IMPP is a forecast or that of the last cycle; whether inverters hold a power limit
     or give a fraction of their maximum; whether the target is corrected by the plant's meter; how
-    much more than the dispatch the plant aims at; what is lost up to the meter, and its error.
+    much more than the dispatch the plant aims at; what is lost up to the meter, and its error;
+    whether storages also give what inverters could, and how these follow.
     """
 
     is_forecast: bool
@@ -76,6 +85,8 @@ class LoopSettings(NamedTuple):
     hold_cycles: int
     grid: GridLaw
     meter_error: float
+    helps_first: bool
+    pursuit: Pursuit
 
 
 class Obedience(NamedTuple):
@@ -114,7 +125,7 @@ class Schedule(NamedTuple):
 class LoopInputs(NamedTuple):
     """The arguments of `closed_loop`; arrays of shape (cycles, n).
 
-    known: What the central controller knows of the meter before the run.
+    known, course: What the central controller knows of meter and inverters before the run.
     """
 
     tree: ControlArrays
@@ -125,10 +136,15 @@ class LoopInputs(NamedTuple):
     available_kw: Floats
     obedience: Obedience
     known: Correction
+    storages: StorageArrays
+    course: Course
 
 
 class LoopResult(NamedTuple):
-    """What was wanted, of shape (cycles,); power, estimates and commands of shape (cycles, n)."""
+    """What was wanted, of shape (cycles,); power, estimates and commands of shape (cycles, n).
+
+    `storage_power_kw` and `storage_energy_kwh` are of shape (cycles, m).
+    """
 
     dispatch_kw: Floats
     commitment_kw: Floats
@@ -136,6 +152,8 @@ class LoopResult(NamedTuple):
     impp_kw: Floats
     residual_kw: Floats
     alpha: Floats
+    storage_power_kw: Floats
+    storage_energy_kwh: Floats
 
 
 def run_loop(
@@ -177,11 +195,15 @@ def loop_inputs(
         hold_cycles=plan.control.hold_cycles,
         grid=plan.grid_law,
         meter_error=plan.grid.meter_error_percent / 100.0,
+        helps_first=plan.control.storage == "first",
+        pursuit=plan.pursuit,
     )
     plan = replace(plan, control=replace(plan.control, actuator=actuator))
     schedule = _schedule(plan, profile, record)
+    tree, storages = control_arrays(plan, profile.cycles)
+    kept_asked = ceil((settings.pursuit.delay + 1) / KEPT_TURNS) * KEPT_TURNS
     return LoopInputs(
-        control_arrays(plan, profile.cycles),
+        tree,
         settings,
         profile.mpp_kw,
         schedule,
@@ -189,6 +211,8 @@ def loop_inputs(
         _available_kw(plan, profile),
         _obedience(plan, profile, schedule),
         nothing_metered(settings.correction),
+        storages,
+        Course((nan,) * kept_asked, nan),
     )
 
 
@@ -240,6 +264,8 @@ def closed_loop(
     available_kw: Floats,
     obedience: Obedience,
     known: Correction,
+    storages: StorageArrays,
+    course: Course,
 ) -> LoopResult:
     cycles, inverters = mpp_kw.shape
     shares = np.full(2, schedule.offers.first_share)
@@ -256,30 +282,40 @@ def closed_loop(
     node_impp_kw = np.zeros(len(tree.rating_kw))
     target_kw = tree.rating_kw.copy()
     for cycle in range(cycles):
+        measured_kw = last_kw * (1.0 + meter_error[cycle])
         for i in range(inverters):
             estimates[i] = estimate(
                 settings,
-                last_kw[i] * (1.0 + meter_error[cycle, i]),
+                measured_kw[i],
                 level[i],
                 available_kw[cycle, i],
                 limit_kw[i],
                 rating_kw[i],
                 estimates[i],
             )
-            is_gone = is_lost(estimates[i], settings.hold_cycles)
-            node_impp_kw[tree.inverters[i]] = 0.0 if is_gone else estimates[i].power_kw
-        report_up(tree, node_impp_kw)
+        report_up(tree, settings, estimates, node_impp_kw)
         possible_kw = net_kw(node_impp_kw[0], settings.grid)
-        read_kw = net_kw(total(last_kw), settings.grid) * (1.0 + settings.meter_error)
+        gross_kw = total(last_kw) + total(storages.power_kw)
+        read_kw = net_kw(gross_kw, settings.grid) * (1.0 + settings.meter_error)
         if schedule.offers.interval_cycles > 0:
             follow_offers(schedule, shares, cycle, possible_kw, read_kw if cycle > 0 else nan)
         heard_kw = usable_dispatch_kw(schedule.dispatch_kw[cycle], plant_rating_kw)
         if cycle > 0:
             known = with_reading(known, read_kw)
+        able = state_abilities(storages)
+        possible_kw = net_kw(node_impp_kw[0] + able.discharge_kw, settings.grid)
         if cycle % tree.period[0] == 0:
             known = corrected(known, heard_kw, possible_kw, 0.0, settings.correction)
-            target_kw[0] = corrected_kw(known, settings.correction, settings.grid)
-        solve_down(cycle, tree, settings, node_impp_kw, target_kw)
+            target_kw[0], course = ask_storages(
+                storages,
+                corrected_kw(known, settings.correction, settings.grid),
+                node_impp_kw[0],
+                able,
+                course,
+                settings.pursuit,
+                settings.helps_first,
+            )
+        solve_down(cycle, tree, settings, node_impp_kw, target_kw, storages)
         for i in range(inverters):
             node = tree.inverters[i]
             own_kw = share_kw(heard_kw, tree.rating_kw[node], plant_rating_kw)
@@ -296,8 +332,16 @@ def closed_loop(
             level[i], limit_kw[i] = obedience.alpha[i], obedience.limit_kw[i]
             share = 1.0 if settings.is_limited else level[i]
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
+        obey_storages(storages, cycle)
     return LoopResult(
-        schedule.dispatch_kw, schedule.commitment_kw, power_kw, impp_kw, residuals_kw, alpha
+        schedule.dispatch_kw,
+        schedule.commitment_kw,
+        power_kw,
+        impp_kw,
+        residuals_kw,
+        alpha,
+        storages.powers_kw,
+        storages.energies_kwh,
     )
 
 
@@ -374,21 +418,37 @@ def commanded_kw(
     return held_kw(target_kw, rating_kw, last) if settings.is_forecast else rating_kw
 
 
-def report_up(tree: ControlArrays, impp_kw: Floats) -> None:
+def report_up(
+    tree: ControlArrays, settings: LoopSettings, estimates: list[Estimate], impp_kw: Floats
+) -> None:
     """Add up the children's IMPP, from the inverters to the root."""
+    for i in range(len(estimates)):
+        is_gone = is_lost(estimates[i], settings.hold_cycles)
+        impp_kw[tree.inverters[i]] = 0.0 if is_gone else estimates[i].power_kw
     for row in range(len(tree.parents) - 1, -1, -1):
         impp_kw[tree.parents[row]] = total(impp_kw[tree.first[row] : tree.end[row]])
 
 
 def solve_down(
-    cycle: int, tree: ControlArrays, settings: LoopSettings, impp_kw: Floats, target_kw: Floats
+    cycle: int,
+    tree: ControlArrays,
+    settings: LoopSettings,
+    impp_kw: Floats,
+    target_kw: Floats,
+    storages: StorageArrays,
 ) -> None:
     """Divide each parent's last target among its children in its turns, from the root down."""
     for row in range(len(tree.parents)):
         if cycle % tree.period[row] == 0:
             first, end = tree.first[row], tree.end[row]
+            own_kw = target_kw[tree.parents[row]]
+            for parent in range(1, len(storages.row)):
+                if storages.row[parent] == row:
+                    own = storages.own[parent]
+                    of_stores_kw = divide(storages, parent, storages.asked_kw[own])
+                    own_kw = max(own_kw - of_stores_kw, 0.0)
             setpoints_kw, _, _, _, _ = allocate(
-                target_kw[tree.parents[row]],
+                own_kw,
                 tree.rating_kw[first:end],
                 impp_kw[first:end],
                 settings.alpha_min,
@@ -397,3 +457,8 @@ def solve_down(
             )
             for child in range(end - first):
                 target_kw[first + child] = setpoints_kw[child]
+            for parent in range(len(storages.row)):
+                if storages.row[parent] == row:
+                    for node in range(storages.first[parent], storages.end[parent]):
+                        if storages.in_tree[node] >= 0:
+                            target_kw[storages.in_tree[node]] += storages.asked_kw[node]

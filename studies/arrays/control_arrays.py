@@ -12,6 +12,7 @@ from agents.control.allocation import help_order
 from agents.plan import RunPlan
 from agents.settings import Scheme
 from bus_schemas.tree import ROOT, depth
+from studies.arrays.storage_arrays import StorageArrays, storage_arrays
 
 
 class ControlArrays(NamedTuple):
@@ -39,20 +40,21 @@ class ControlArrays(NamedTuple):
     hour: NDArray[np.int64]
 
 
-def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
+def control_arrays(plan: RunPlan, cycles: int) -> tuple[ControlArrays, StorageArrays]:
     tree = plan.tree
     number = {ROOT: 0}
     parents: list[str] = []
     ends: list[int] = []
+    children: list[int] = []
     waiting = deque([ROOT])
     while waiting:
         path = waiting.popleft()
-        if children_of := tree.children(path):
+        if children_of := [child for child in tree.children(path) if not tree.is_storage(child)]:
             number |= {child: place for place, child in enumerate(children_of, len(number))}
             parents.append(path)
             ends.append(len(number))
+            children.append(len(children_of))
             waiting.extend(children_of)
-    children = [len(tree.children(path)) for path in parents]
     times_ns = sorted(
         {hood.from_time_ns for entry in plan.control.neighbourhoods for hood in entry.hours}
     )
@@ -60,7 +62,7 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
         cycles, dtype=np.int64
     )
     hour = np.maximum(np.searchsorted(times_ns, sim_time_ns, side="right") - 1, 0)
-    return ControlArrays(
+    arrays = ControlArrays(
         rating_kw=np.array([tree.rating_kw(path) for path in number]),
         inverters=np.array([number[leaf] for leaf in tree.leaves], dtype=np.int64),
         parents=np.array([number[path] for path in parents], dtype=np.int64),
@@ -69,9 +71,10 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
         period=np.array(
             [plan.control.periods.cycles[depth(path)] for path in parents], dtype=np.int64
         ),
-        order=_orders(plan, parents, max(children), times_ns),
+        order=_orders(plan, parents, children, times_ns),
         hour=hour.astype(np.int64),
     )
+    return arrays, storage_arrays(plan, cycles, number, parents)
 
 
 def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:
@@ -83,12 +86,12 @@ def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:
 
 
 def _orders(
-    plan: RunPlan, parent_paths: list[str], widest: int, times_ns: list[int]
+    plan: RunPlan, parent_paths: list[str], counts: list[int], times_ns: list[int]
 ) -> NDArray[np.int64]:
+    widest = max(counts)
     shape = (max(len(times_ns), 1), len(parent_paths), widest, max(widest - 1, 1))
     orders = np.full(shape, -1, dtype=np.int64)
-    for row, path in enumerate(parent_paths):
-        count = len(plan.tree.children(path))
+    for row, (path, count) in enumerate(zip(parent_paths, counts, strict=True)):
         hoods = plan.control.neighbourhoods_of(path)
         for hour in range(shape[0]):
             known = [hood for hood in hoods if not times_ns or hood.from_time_ns <= times_ns[hour]]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from plans_by_hand import plan_of
 from runs_by_hand import RATING_KW, run_of, sine_of_an_hour
 
-from agents.settings import GridSettings, OfferedCommitment
+from agents.settings import GridSettings, OfferedCommitment, StorageSettings
 from recordings.read.series import RunSeries
 from results.figures import (
     FIGURES,
@@ -20,6 +20,46 @@ from results.figures import (
     runs_as_columns,
     shown_in,
 )
+
+
+def test_what_a_storage_gave_and_took_by_hand() -> None:
+    plan = plan_of(
+        {"c1/a": 500.0},
+        cycle_ns=1_800_000_000_000,
+        cycles=4,
+        storages=(
+            StorageSettings(name="s", rating_kw=50.0, capacity_kwh=40.0, discharge_efficiency=0.5),
+        ),
+    )
+    values = {
+        "commitment_kw": np.array([100.0, 100.0, 100.0, 100.0]),
+        "regulation_kw": np.zeros(4),
+        "mpp_kw": np.array([[150.0], [120.0], [70.0], [60.0]]),
+        "power_kw": np.array([[120.0], [100.0], [70.0], [60.0]]),
+        "storage_power_kw": np.array([[-20.0], [0.0], [20.0], [0.0]]),
+        "storage_energy_kwh": np.array([[36.0], [36.0], [16.0], [16.0]]),
+    }
+    found = run_figures(RunSeries.of(plan, "by hand", values))
+    assert {
+        name: value
+        for name, value in found.items()
+        if value is not None
+        and name.startswith(("storage", "without-storage", "shortfall-e", "unavoidable-e", "curta"))
+    } == pytest.approx(
+        {
+            "shortfall-energy": 25.0,  # (0 + 0 + 10 + 40) / 2
+            "unavoidable-energy": 25.0,
+            "without-storage-energy": 35.0,  # (0 + 0 + 30 + 40) / 2
+            "storage-out-energy": 10.0,
+            "storage-in-energy": 10.0,
+            "storage-cycles": 0.5,  # 20 kWh out of the store, of 40 kWh
+            "storage-mileage": 30.0,  # 20 + 20 + 20 kW in two hours
+            "storage-lowest": 40.0,
+            "storage-highest": 90.0,
+            "curtailed-energy": 25.0,  # (30 + 20 + 0 + 0) / 2
+            "curtailed": 100.0 * 50.0 / 400.0,
+        }
+    )
 
 
 def test_a_run_of_four_half_hours_by_hand() -> None:

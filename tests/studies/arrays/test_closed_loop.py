@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plans_by_hand import with_changes
 
-from agents.settings import Actuator, InverterSettings, Scheme
+from agents.settings import Actuator, InverterSettings, Scheme, StorageHelp, StorageSettings
 from recordings.read.series import RunSeries
 from scenarios.preparation import Preparation, RunOptions, prepare
 from scenarios.scenario import load_scenario
@@ -142,6 +142,41 @@ def test_loop_and_agents_give_the_same_where_the_commitment_is_offered(actuator:
     scenario = with_settings(load_scenario("oahu"), [("commitment", commitment)])
     options = RunOptions(actuator=actuator, duration="20m")
     assert_equal(prepare(scenario, options, "loop"), "predictive")
+
+
+STORAGES = (
+    StorageSettings(name="battery", rating_kw=900.0, capacity_kwh=20.0, standing_loss_kw=40.0),
+    StorageSettings(name="slow", rating_kw=500.0, capacity_kwh=9.0, state=0.3, delay_s=2.0),
+    StorageSettings(
+        name="small", cluster="c2", rating_kw=300.0, capacity_kwh=2.0, ramp_percent_per_s=20.0
+    ),
+)
+
+
+@pytest.mark.parametrize("helps", ["last", "first"])
+@pytest.mark.parametrize("scheme", get_args(Scheme))
+@pytest.mark.parametrize("follows", FOLLOWS[:2], ids=str)
+def test_loop_and_agents_give_the_same_with_storages(
+    oahu: Preparation, scheme: Scheme, helps: StorageHelp, follows: dict[str, object]
+) -> None:
+    regulation_kw = np.where(np.arange(oahu.profile.cycles) // 40 % 2, 1500.0, -1500.0)
+    stepped = with_profile(oahu, regulation_kw=regulation_kw)
+    plan = with_plan(stepped, storages=STORAGES, storage=helps, **follows)
+    assert_equal(plan, scheme)
+    moved = run_loop(plan.plan, plan.profile, scheme, "limit").storage_power_kw
+    assert (np.abs(moved).max(axis=0) > 20.0).all()
+
+
+def test_loop_and_agents_give_the_same_with_storages_in_tiers_of_different_paces(
+    valley: Preparation,
+) -> None:
+    cluster = valley.plan.tree.leaves[0].rpartition("/")[0]
+    storages = tuple(
+        StorageSettings(name="battery", cluster=where, rating_kw=900.0, capacity_kwh=20.0)
+        for where in ("", cluster.partition("/")[0], cluster)
+    )
+    plan = with_plan(valley, storages=storages, period_cycles=(12, 4, 2))
+    assert_equal(plan, "predictive")
 
 
 @pytest.mark.parametrize("actuator", get_args(Actuator))
