@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -62,54 +63,48 @@ _UNKNOWN: Final = 1 << 62
 """More messages than any run has."""
 
 
+@dataclass
 class _Launch:
-    """One run over processes, see `run_as_processes`."""
+    """One run over processes, see `run_as_processes`; the user asked for it at `began_at`."""
 
-    def __init__(
-        self,
-        preparation: Preparation,
-        folder: RunFolder,
-        began_at: float,
-        view: View,
-        processes: Processes,
-        gateway: GatewayProcess | None,
-        unit: PlantUnitProcess | None,
-        interruption: Interruption,
-    ) -> None:
-        self._preparation = preparation
-        self._plan = preparation.plan
-        self._folder = folder
-        self._began_at = self._armed_at = began_at
-        self._published: Counter[str] = Counter()
-        self._given_up: dict[str, int] = {}
-        self._view = view
-        self._processes = processes
-        self._gateway = gateway
-        self._unit = unit
-        self._interruption = interruption
-        self._unheard: Sequence[str] = ()
-        self._recorded = -1
-        self._is_cut_off = False
-        self._stalled_at: float | None = None
-        self._stop_asked_at: float | None = None
-        self._over: Over | None = None
+    preparation: Preparation
+    folder: RunFolder
+    began_at: float
+    view: View
+    processes: Processes
+    gateway: GatewayProcess | None
+    unit: PlantUnitProcess | None
+    interruption: Interruption
+    armed_at: float = 0.0
+    published: Counter[str] = field(default_factory=Counter)
+    given_up: dict[str, int] = field(default_factory=dict)
+    unheard: Sequence[str] = ()
+    recorded: int = -1
+    is_cut_off: bool = False
+    stalled_at: float | None = None
+    stop_asked_at: float | None = None
+    over: Over | None = None
+
+    @property
+    def _plan(self) -> RunPlan:
+        return self.preparation.plan
 
     def run(self) -> RunDocument:
         """Start the processes, see them through the run, compare what they say at its end."""
-        processes, plan, folder = self._processes, self._plan, self._folder
-        self._view.say(f"starting {len(processes.own)} processes, logs in {folder.logs}")
-        external_s = self._preparation.options.external_timeout_s
+        processes, plan, folder = self.processes, self._plan, self.folder
+        self.view.say(f"starting {len(processes.own)} processes, logs in {folder.logs}")
+        external_s = self.preparation.options.external_timeout_s
         for line in _directions(plan, folder.plan, external_s):
-            self._view.say(line)
+            self.view.say(line)
         processes.start()
         try:
             self._arm(external_s)
             self._follow()
         except FailureError as failure:
-            if not self._unheard:
+            if not self.unheard:
                 raise
             # An external agent is the likely cause, and all others wait for it.
-            text = f"no answer to the arming rounds came on {listed(self._unheard)}\n{failure}"
+            text = f"no answer to the arming rounds came on {listed(self.unheard)}\n{failure}"
             raise FailureError(text) from failure
         ended_at = time.monotonic()
         processes.end()
@@ -127,121 +122,121 @@ class _Launch:
         # In real time the last cycle lasts to its end, though all have done their part before.
         cycles_s = recorded.cycles * plan.timing.cycle_wall_ns / 1e9
         for name, cycle in processes.given_up.items():
-            self._given_up |= dict.fromkeys(members[name], cycle)
+            self.given_up |= dict.fromkeys(members[name], cycle)
         document = replace(
-            begun(self._preparation, folder, "launch"),
-            wall_s=max(ended_at - self._armed_at, cycles_s),
-            startup_s=self._armed_at - self._began_at,
-            interrupted=bool(self._interruption),
+            begun(self.preparation, folder, "launch"),
+            wall_s=max(ended_at - self.armed_at, cycles_s),
+            startup_s=self.armed_at - self.began_at,
+            interrupted=bool(self.interruption),
             restarts={one: count for name, count in restarts.items() for one in members[name]},
-            given_up=self._given_up,
+            given_up=self.given_up,
             processes=tuple(map(process_account, processes.own)),
-            devices=self._gateway.end() if self._gateway is not None else (),
+            devices=self.gateway.end() if self.gateway is not None else (),
         )
         return ended(
             document,
-            self._preparation,
+            self.preparation,
             recorded,
-            self._published,
+            self.published,
             dropped,
             is_complete=not processes.lost_any,
         )
 
     def _arm(self, external_s: float) -> None:
         """See the processes onto the bus, and to the beginning of cycle 0."""
-        processes = self._processes
+        processes = self.processes
         began_at = time.monotonic()
         while not processes.has_begun:
             self._look()
-            if self._interruption:
+            if self.interruption:
                 raise KeyboardInterrupt  # There is no cycle yet that could be completed.
             if processes.awaited:
                 if time.monotonic() > began_at + external_s:
                     raise FailureError(
                         f"no sign of {', '.join(processes.awaited)} after {external_s:g} s: no "
                         "liveliness token was seen; the lines above and "
-                        f"{self._folder.plan} say where a device finds the bus"
+                        f"{self.folder.plan} say where a device finds the bus"
                     )
             elif (failure := processes.stuck_start()) is not None:
                 raise failure
-        took_s = self._armed_at - began_at
-        self._view.say(f"armed: cycle 0 began {took_s:.2f} s after the processes were started")
+        took_s = self.armed_at - began_at
+        self.view.say(f"armed: cycle 0 began {took_s:.2f} s after the processes were started")
 
     def _follow(self) -> None:
         """Show the run until the plant says that it is over."""
         while not self._is_over():
             self._look()
             self._check_stall()
-            if (failure := self._processes.lost_external()) is not None:
+            if (failure := self.processes.lost_external()) is not None:
                 raise failure
-            if self._interruption:
+            if self.interruption:
                 self._ask_stop()
 
     def _is_over(self) -> bool:
         """Whether the run is over; for an external plant the recorder says so."""
-        processes = self._processes
+        processes = self.processes
         if PLANT in processes:
             return processes[PLANT].finished is not None
         # An external plant cannot be stopped: after Ctrl-C the controllers end by themselves.
         left = [process for process in processes.controllers() if process.finished is None]
-        return self._over is not None or (self._stop_asked_at is not None and not left)
+        return self.over is not None or (self.stop_asked_at is not None and not left)
 
     def _look(self) -> list[tuple[Process, Event]]:
         """Take in what has happened; return what the processes have said."""
-        heard = self._processes.look()
+        heard = self.processes.look()
         for process, event in heard:
             self._hear(process, event)
-        if self._gateway is not None:
-            self._gateway.look(self._view.say)
-        if self._unit is not None and (status := self._unit.process.poll()) is not None:
-            name = f"the plant's Modbus unit (process {self._unit.process.pid})"
-            self._view.say(f"{name} ended with status {status}; the run goes on without it")
-            self._given_up["Modbus unit"] = self._processes.newest_cycle
-            self._unit = None
+        if self.gateway is not None:
+            self.gateway.look(self.view.say)
+        if self.unit is not None and (status := self.unit.process.poll()) is not None:
+            name = f"the plant's Modbus unit (process {self.unit.process.pid})"
+            self.view.say(f"{name} ended with status {status}; the run goes on without it")
+            self.given_up["Modbus unit"] = self.processes.newest_cycle
+            self.unit = None
         return heard
 
     def _hear(self, process: Process, event: Event) -> None:
         match event:
             case Armed():
-                self._armed_at = time.monotonic()
+                self.armed_at = time.monotonic()
             case Status():
-                self._unheard = event.unheard
-                self._view.show(event)
-                if self._processes.has_begun and PLANT in self._processes and not self._is_over():
+                self.unheard = event.unheard
+                self.view.show(event)
+                if self.processes.has_begun and PLANT in self.processes and not self._is_over():
                     self._note_gap(event)
             case Over():
-                self._over = event
+                self.over = event
             case Remark():
-                self._view.say(event.text)
+                self.view.say(event.text)
             case Complaint():
-                self._view.say(f"wrong message on {event.key}: {event.example}")
+                self.view.say(f"wrong message on {event.key}: {event.example}")
             case RecordingEnded():
-                self._view.say(f"{event.text}; the run goes on without it")
+                self.view.say(f"{event.text}; the run goes on without it")
 
     def _note_gap(self, status: Status) -> None:
         """Say when the recorder loses the plant, which goes on, and when it hears it again."""
-        self._recorded = cycle = max(self._recorded, status.cycle)
-        plant = self._processes[PLANT]
+        self.recorded = cycle = max(self.recorded, status.cycle)
+        plant = self.processes[PLANT]
         is_cut_off = PLANT in status.not_recorded and plant.is_there
-        if is_cut_off == self._is_cut_off or (is_cut_off and plant.beat.cycle <= cycle + 1):
+        if is_cut_off == self.is_cut_off or (is_cut_off and plant.beat.cycle <= cycle + 1):
             return
-        self._is_cut_off = is_cut_off
+        self.is_cut_off = is_cut_off
         if not is_cut_off:
-            self._view.say(f"recorder hears the plant again, in cycle {cycle:,}")
+            self.view.say(f"recorder hears the plant again, in cycle {cycle:,}")
             return
-        others = {process.name for process in self._processes.controllers()}
+        others = {process.name for process in self.processes.controllers()}
         lost = set(map(self._plan.wiring.process_of, status.not_recorded))
         whom = "any agent" if others <= lost else "the plant"
         text = f"since cycle {cycle + 1:,} it does not hear {whom}; the run goes on"
-        self._view.say(f"recorder is cut off: {text}")
+        self.view.say(f"recorder is cut off: {text}")
 
     def _check_stall(self) -> None:
         """In lockstep: find who stalls the run."""
-        processes, now = self._processes, time.monotonic()
+        processes, now = self.processes, time.monotonic()
         waiting = processes.still_waiting()
-        self._stalled_at = (self._stalled_at or now) if waiting else None
+        self.stalled_at = (self.stalled_at or now) if waiting else None
         gather_s = _GATHER_S + self._plan.timing.stall_timeout_s
-        if self._stalled_at is None or now < self._stalled_at + gather_s:
+        if self.stalled_at is None or now < self.stalled_at + gather_s:
             return
         line, to_blame = stall(processes.own, self._plan)
         # While the recorder stands still, everybody waits for it.
@@ -255,30 +250,30 @@ class _Launch:
 
     def _ask_stop(self) -> None:
         """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
-        processes, now = self._processes, time.monotonic()
-        if self._stop_asked_at is None:
+        processes, now = self.processes, time.monotonic()
+        if self.stop_asked_at is None:
             processes.end()
-            self._view.say("interrupted: ending after this cycle")
+            self.view.say("interrupted: ending after this cycle")
             has_plant = PLANT in processes
             processes.ask_to_end([processes[PLANT]] if has_plant else processes.controllers())
-            self._stop_asked_at = now
+            self.stop_asked_at = now
         longest_s = _STOP_S + 2.0 * self._plan.timing.cycle_wall_ns / 1e9
-        if self._interruption.count > 1 or now > self._stop_asked_at + longest_s:
+        if self.interruption.count > 1 or now > self.stop_asked_at + longest_s:
             raise KeyboardInterrupt
 
     def _finish(self) -> Recorded:
         """Wait until all agents have ended; then let the recorder close its file."""
-        processes, recorder = self._processes, self._processes[RECORDER]
-        is_early = self._over is not None and self._over.cycle < self._plan.timing.cycles
-        if self._interruption or is_early:
+        processes, recorder = self.processes, self.processes[RECORDER]
+        is_early = self.over is not None and self.over.cycle < self._plan.timing.cycles
+        if self.interruption or is_early:
             # After an early end, a controller waits in case the plant goes on after all.
             processes.ask_to_end(processes.controllers())
         self._await(processes.controllers(), is_through)
         for process in processes.controllers():
             if process.finished:
-                self._published.update(process.finished.published)
+                self.published.update(process.finished.published)
         # It is unknown what a process that died had published: wait until nothing more comes.
-        processes.end_recorder(_UNKNOWN if processes.lost_any else self._published.total())
+        processes.end_recorder(_UNKNOWN if processes.lost_any else self.published.total())
         self._await([recorder])
         processes.table.close_recording()
         self._await(processes.controllers())
@@ -286,7 +281,7 @@ class _Launch:
 
     def _await(self, some: list[Process], is_done: Callable[[Process], bool] = has_exited) -> None:
         """Wait until processes end. Those that do not are asked to, and at last killed."""
-        processes = self._processes
+        processes = self.processes
         for step in (processes.ask_to_end, processes.end_by_force, self._leave):
             if not (left := processes.await_end(some, _END_S, is_done, self._look)):
                 return
@@ -297,11 +292,11 @@ class _Launch:
 
     def _leave(self, some: Sequence[Process]) -> None:
         """Leave processes to the end of the fork server, which does not say that they ended."""
-        if "fork server" in self._given_up:
+        if "fork server" in self.given_up:
             return
-        server = f"fork server (process {self._processes.server.process.pid})"
-        self._view.say(f"the {server} did not end {len(some)} processes: it is killed")
-        self._given_up["fork server"] = self._processes.newest_cycle
+        server = f"fork server (process {self.processes.server.process.pid})"
+        self.view.say(f"the {server} did not end {len(some)} processes: it is killed")
+        self.given_up["fork server"] = self.processes.newest_cycle
 
 
 def _directions(plan: RunPlan, plan_path: Path, timeout_s: float) -> Iterator[str]:

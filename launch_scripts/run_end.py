@@ -17,7 +17,7 @@ from launch_scripts.run_folder import RunFolder
 from recordings.inspect.overview import Gaps, Overview, read_through
 from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
-from recordings.read.series import RunSeries, collected, plant_collector
+from recordings.read.series import RunSeries, SeriesCollector, collected, columns_of
 from recordings.verify.verification import verify
 from results.answers import answers, judged
 from results.figures import run_figures
@@ -114,7 +114,7 @@ def _read(
 ) -> tuple[Overview | None, Gaps, RunSeries | None, str]:
     """Read the recording; return also what is wrong with it in a line, empty if all is well."""
     plan, series = preparation.plan, None
-    collector = plant_collector(plan)
+    collector = SeriesCollector(plan, columns_of(plan))
     # After a recording that ended early there is no gap, and an external plant alone knows.
     is_known = not recorded.ended_early and PLANT not in plan.elsewhere
     try:

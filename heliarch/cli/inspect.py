@@ -88,7 +88,7 @@ def _show_nodes(
 
 def _show_plant(run: RunReader, cycle: int, output: Output) -> dict[str, Any]:
     """Print the whole plant in one cycle; return the same as JSON."""
-    from recordings.inspect.agent_states import states_at
+    from recordings.inspect.agent_states import states_of
     from recordings.inspect.timeline import timeline
     from recordings.read.series import plant_series_of
     from results.figures import run_figures
@@ -105,7 +105,7 @@ def _show_plant(run: RunReader, cycle: int, output: Output) -> dict[str, Any]:
     title = f"Cycle {cycle}, {date} {central.time}: {_plant_text(central)}"
     output.show(plant_table(tree, title, nodes))
     with progress_bar("reading what led to it") as run.follow:
-        followed = states_at(run, cycle)
+        followed = states_of(run)
     states = {agent: followed.at(agent, cycle) for agent in followed.agents}
     output.show(states_table(states))
     # By cluster, as the live page adds up: both say the same to the last bit.

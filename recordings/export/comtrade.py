@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schemas.tree import parent_of
-from recordings.inspect.agent_states import states_at
+from recordings.inspect.agent_states import states_of
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, plant_series_of
 from sim_plant.orders import is_ordered
@@ -103,7 +103,7 @@ def _digital(series: RunSeries, reader: RunReader, window: range) -> list[tuple[
     for dispatch in series.orders:
         in_force[dispatch.cycle :] = is_ordered(dispatch)
     found = {"order in force": in_force, "frequency response": series.response_kw != 0.0}
-    for span in states_at(reader, reader.last_cycle).spans():
+    for span in states_of(reader).spans():
         if span.end <= window.start or span.first_cycle >= window.stop:
             continue
         rows = found.setdefault(f"{span.agent} {span.kind}", np.zeros(series.cycles, bool))

@@ -6,8 +6,7 @@ messages were recorded, and when, says nothing: a recorder can be late.
 
 from __future__ import annotations
 
-from array import array
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left, bisect_right, insort
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
@@ -34,9 +33,6 @@ BY_RECORDER: Final = "from the recorder"
 
 _NOTABLE_CYCLES: Final = {"absent": 2, "cut off": 5, "given up": 1}
 """Shorter spans are no events: single lost messages count as missed inputs."""
-
-_LOOK_EVERY: Final = 4096
-"""Messages between two looks whether enough has been read."""
 
 _CAUSES: Final = {"kill": "killed", "freeze": "frozen"}
 
@@ -139,25 +135,6 @@ class Change(NamedTuple):
     text: str
 
 
-class _Missed:
-    """How many inputs an agent had missed by each cycle."""
-
-    def __init__(self) -> None:
-        self._cycles, self._totals = array("q"), array("q")
-
-    def add(self, cycle: int, count: int) -> None:
-        place = bisect_left(self._cycles, cycle)
-        if place == len(self._cycles) or self._cycles[place] != cycle:
-            self._cycles.insert(place, cycle)
-            self._totals.insert(place, self._totals[place - 1] if place else 0)
-        for later in range(place, len(self._totals)):
-            self._totals[later] += count
-
-    def up_to(self, cycle: int) -> int:
-        place = bisect_right(self._cycles, cycle)
-        return self._totals[place - 1] if place else 0
-
-
 class AgentStates:
     """Takes in the messages of a recording, in any order; tells the states of agents from them.
 
@@ -188,7 +165,8 @@ class AgentStates:
         self._listeners = Listeners(
             plan, {port: devices.get(port, port.publisher) for port in plan.wiring.ports}
         )
-        self._missed_by = defaultdict[str, _Missed](_Missed)
+        # The cycle of each missed input, in order.
+        self._missed_in = defaultdict[str, list[int]](list)
         self._given_up: dict[str, int] = {}
         self._causes = defaultdict[str, list[tuple[int, str]]](list)
         for begin_s, agent, what, *_ in incidents(plan.faults.rules, plan.tree, plan.wiring):
@@ -217,7 +195,8 @@ class AgentStates:
             self._give_up(record)
         if keys := self.missed.see(record):
             name = port.publisher
-            self._missed_by[name].add(cycle, len(keys))
+            for _ in keys:
+                insort(self._missed_in[name], cycle)
             lacked = self._lacked.setdefault(cycle, {}).setdefault(name, set())
             lacked |= self._listeners.publishers(keys)
             self._changed_cycles.add(cycle)
@@ -232,14 +211,15 @@ class AgentStates:
         self._changed.update(self._port_of)
 
     def at(self, name: str, cycle: int) -> AgentState:
-        spans, missed = self._spans_of(name), self._missed_by[name]
+        spans, missed = self._spans_of(name), self._missed_in[name]
+        so_far = bisect_right(missed, cycle)
         span = next((one for one in spans if one.first_cycle <= cycle < one.end), None)
         return AgentState(
             kind=span.kind if span else "fine",
             cause=span.cause if span else "",
             cycles=cycle - span.first_cycle + 1 if span else 0,
-            missed_inputs=missed.up_to(cycle),
-            missed_now=missed.up_to(cycle) - missed.up_to(cycle - 1),
+            missed_inputs=so_far,
+            missed_now=so_far - bisect_left(missed, cycle),
             restarts=sum(
                 one.is_restarted and one.back_in is not None and one.back_in <= cycle
                 for one in spans
@@ -273,13 +253,6 @@ class AgentStates:
         for change in fault_changes(self._plan):
             if change.cycle <= self.newest:
                 yield change
-
-    def is_settled(self, cycle: int) -> bool:
-        """Whether all messages up to a cycle have come, and each agent has been heard since."""
-        return self.newest > cycle + self._disorder and all(
-            name in self._given_up or self.gaps[port].newest > cycle
-            for name, port in self._port_of.items()
-        )
 
     def _hear(self, name: str, cycle: int, *, goes_on: bool) -> None:
         is_external = name in self._plan.access.external
@@ -412,13 +385,11 @@ class AgentStates:
         return next((cause for at, cause in causes if since <= at <= cycle), "")
 
 
-def states_at(run: RunReader, cycle: int) -> AgentStates:
-    """Follow a recording until the states in a cycle are known."""
+def states_of(run: RunReader) -> AgentStates:
+    """Follow a recording to its end."""
     states = AgentStates(run.plan)
-    for number, record in enumerate(run.records()):
+    for record in run.records():
         states.see(record)
-        if number % _LOOK_EVERY == 0 and states.is_settled(cycle):
-            return states
     if run.outline.closed:
         states.finish(states.end_cycle(run.stop_cycle))
     return states

@@ -8,21 +8,39 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
 
 from agents.cycle import stage_of
 from agents.plan import RunPlan
 from agents.team import stages_of_agents
-from bus_schemas.errors import InputError
+from bus_schemas.codec import UNREADABLE
 from bus_schemas.messages import Message, parse_missing
 from bus_schemas.signals import Occurrence, Port
 
 if TYPE_CHECKING:
     from recordings.read.reader import RecordedMessage, RunReader
 
-NOTHING_MISSED = b"missing\x90"
+_NOTHING_MISSED = b"missing\x90"
 """In a payload: an empty list."""
+
+
+class _Lacks(msgspec.Struct, gc=False):
+    missing: tuple[str, ...] = ()
+
+
+_decode_lacks = msgspec.msgpack.Decoder(_Lacks).decode
+
+
+def lacks(payload: bytes) -> tuple[str, ...]:
+    """Return what a message says is missing; nothing of a wrong one, which readers name."""
+    if _NOTHING_MISSED not in payload:
+        with suppress(*UNREADABLE):
+            return _decode_lacks(payload).missing
+    return ()
 
 
 def due_step(plan: RunPlan, port: Port[Message]) -> int:
@@ -259,21 +277,16 @@ class MissedInputs:
 
     def see(self, record: RecordedMessage) -> list[str]:
         """Count what a record says; return the keys that its sender missed."""
-        if NOTHING_MISSED in record.payload:
-            return []
-        try:
-            return self.count(record.port, record.message())
-        except InputError:  # The reader names a wrong message.
-            return []
+        return self.count(record.port, record.cycle, lacks(record.payload))
 
-    def count(self, port: Port[Message], message: Message) -> list[str]:
-        if not message.missing or not port.signal.is_cyclic:
+    def count(self, port: Port[Message], cycle: int, said: tuple[str, ...]) -> list[str]:
+        if not said or not port.signal.is_cyclic:
             return []
-        agent, cycle, stage = port.publisher, message.cycle, stage_of(port, self._tree)
+        agent, stage = port.publisher, stage_of(port, self._tree)
         # All messages of a stage say the same.
         counted = self._counted.setdefault((agent, stage, cycle), set())
-        entries = [parse_missing(text) for text in message.missing if text not in counted]
-        counted.update(message.missing)
+        entries = [parse_missing(text) for text in said if text not in counted]
+        counted.update(said)
         awaited = self._awaited.get((agent, stage, cycle % self._turns), ())
         missing = [entry.key for entry in entries if entry.key in awaited]
         old = sum(entry.cycle is not None for entry in entries)

@@ -414,11 +414,6 @@ def _read(
     return collected(collector, reader)
 
 
-def plant_collector(plan: RunPlan) -> SeriesCollector:
-    """Return a collector of what the figures of merit need."""
-    return SeriesCollector(plan, columns_of(plan))
-
-
 def collected(collector: SeriesCollector, reader: RunReader) -> RunSeries:
     """Return the series of a recording all of whose messages a collector has seen."""
     try:

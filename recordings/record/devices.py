@@ -6,24 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-import msgspec
-
 from agents.plan import RunPlan
-from bus_schemas.codec import UNREADABLE
 from bus_schemas.messages import Head, Message, parse_missing
 from bus_schemas.signals import PRODUCTION, Port
 from bus_schemas.tree import PLANT
-from recordings.read.gaps import NOTHING_MISSED
+from recordings.read.gaps import lacks
 
 _QUIET_CYCLES: Final = 2
 """A device is in time again after this many cycles in which no listener lacked its messages."""
-
-
-class _Lacks(msgspec.Struct, gc=False):
-    missing: tuple[str, ...] = ()
-
-
-_decode_lacks = msgspec.msgpack.Decoder(_Lacks).decode
 
 
 @dataclass
@@ -52,16 +42,12 @@ class DeviceWatch:
             return
         if (device := self._devices.get(port.publisher)) is not None:
             device.newest[str(port)] = max(head.cycle, device.newest.get(str(port), -1))
-        elif NOTHING_MISSED not in payload:
-            yield from self._lacked(head, payload)
+        else:
+            yield from self._lacked(head, lacks(payload))
         if port.signal is PRODUCTION:
             yield from self._recovered(head.cycle)
 
-    def _lacked(self, head: Head, payload: bytes) -> Iterator[str]:
-        try:
-            missing = _decode_lacks(payload).missing
-        except UNREADABLE:
-            return  # Its body is not decoded here: readers skip and name it.
+    def _lacked(self, head: Head, missing: tuple[str, ...]) -> Iterator[str]:
         for key, _ in map(parse_missing, missing):
             if (agent := self._publisher.get(key)) is None:
                 continue

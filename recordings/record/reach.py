@@ -5,29 +5,19 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import Final, TypeAlias
 
-import msgspec
-
 from agents.cycle import stage_of
 from agents.plan import RunPlan
 from agents.team import stages_of_agents
-from bus_schemas.codec import UNREADABLE
 from bus_schemas.messages import Head, Message, parse_missing
 from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT, agent_name
-from recordings.read.gaps import NOTHING_MISSED
+from recordings.read.gaps import lacks
 from recordings.record.phases import longest_pause_s
 
 _LATE_CYCLES: Final = 2
 """A listener does not hear a process whose newest message is older than this."""
 
 _StageKey: TypeAlias = tuple[str, str]
-
-
-class _Lacks(msgspec.Struct, gc=False):
-    missing: tuple[str, ...] = ()
-
-
-_decode_lacks = msgspec.msgpack.Decoder(_Lacks).decode
 
 
 class Reach:
@@ -64,23 +54,16 @@ class Reach:
         self._newest[source] = head.cycle
         if (key := str(port)) in self._said_in:
             self._said_in[key] = head.cycle
-        misses_nothing = NOTHING_MISSED in payload
-        if misses_nothing and not self._lacks:
+        missing = lacks(payload)
+        if not missing and not self._lacks:
             return
         stage = source, stage_of(port, self._plan.tree)
-        if misses_nothing:
+        if not missing:
             self._lacks.pop(stage, None)
-        elif (
-            stage in self._awaited
-            and (lacked := self._lacked(stage, head.cycle, payload)) is not None
-        ):
-            self._lacks[stage] = lacked
+        elif stage in self._awaited:
+            self._lacks[stage] = self._lacked(stage, head.cycle, missing)
 
-    def _lacked(self, stage: _StageKey, cycle: int, payload: bytes) -> frozenset[str] | None:
-        try:
-            missing = _decode_lacks(payload).missing
-        except UNREADABLE:
-            return None  # Its body is not decoded here: readers skip and name it.
+    def _lacked(self, stage: _StageKey, cycle: int, missing: tuple[str, ...]) -> frozenset[str]:
         late = set()
         for key, used in map(parse_missing, missing):
             port = self._plan.wiring.port(f"{self._plan.plant}/{key}")
@@ -112,9 +95,9 @@ class Reach:
         heard, lacked = set[str](), set[str]()
         for stage, awaited in self._awaited.items():
             if stage[0] not in no_evidence:
-                lacks = self._lacks.get(stage, frozenset())
-                lacked |= {process for process in lacks if self._says(process, awaited[process])}
-                heard |= awaited.keys() - lacks
+                not_here = self._lacks.get(stage, frozenset())
+                lacked |= {process for process in not_here if self._says(process, awaited[process])}
+                heard |= awaited.keys() - not_here
         return sorted(lacked - heard)
 
     def _says(self, process: str, keys: set[str]) -> bool:
@@ -124,12 +107,12 @@ class Reach:
 
     def _cut_off(self) -> list[str]:
         """Return the listeners that await several processes and hear none."""
-        hears, lacks = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
+        hears, lacking = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
         for stage, awaited in self._awaited.items():
             lacked = self._lacks.get(stage, frozenset())
-            lacks[stage[0]] |= lacked
+            lacking[stage[0]] |= lacked
             hears[stage[0]] |= awaited.keys() - lacked
-        return [name for name, of in lacks.items() if len(of) > 1 and not hears[name]]
+        return [name for name, of in lacking.items() if len(of) > 1 and not hears[name]]
 
 
 def _awaited(plan: RunPlan) -> dict[_StageKey, dict[str, set[str]]]:

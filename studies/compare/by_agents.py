@@ -30,7 +30,7 @@ def run_by_agents(plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Act
 
     def see(port: Port[Message], message: Message) -> None:
         collector.see(port, message)
-        missed.count(port, message)
+        missed.count(port, message.cycle, message.missing)
         if isinstance(message, Production):
             reverts.see(message)
 

@@ -12,7 +12,7 @@ from running import small_plant
 from bus_schemas.messages import GivenUp
 from bus_schemas.signals import GIVEN_UP
 from bus_schemas.tree import ROOT
-from recordings.inspect.agent_states import AgentStates, states_at
+from recordings.inspect.agent_states import AgentStates, states_of
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 
@@ -44,7 +44,7 @@ def kinds(states: AgentStates, agent: str, *cycles: int) -> list[tuple[str, str,
 
 def test_a_kill_a_freeze_and_a_cut_show_from_their_first_cycle(run: Path) -> None:
     with RunReader(run) as reader:
-        states = states_at(reader, CYCLES - 1)
+        states = states_of(reader)
     fine = ("fine", "", 0)
     killed = [fine, *(("absent", "killed", level) for level in (1, 2, 2)), fine]
     assert kinds(states, "c1/inv01", 9, 10, 11, 15, 16) == killed
@@ -58,7 +58,7 @@ def test_a_kill_a_freeze_and_a_cut_show_from_their_first_cycle(run: Path) -> Non
 def test_missed_inputs_add_up_to_those_of_the_recording(run: Path) -> None:
     with RunReader(run) as reader:
         for end in range(5, CYCLES, 9):
-            states = states_at(reader, end - 1)
+            states = states_of(reader)
             missed = sum(states.at(agent, end - 1).missed_inputs for agent in states.agents)
             assert missed == read_overview(reader, range(end)).missing_inputs
 
@@ -74,7 +74,7 @@ def test_an_agent_that_is_given_up_stays_so(tmp_path: Path) -> None:
         is_kept=lambda one: one[1].source != "c2/d" or one[1].cycle < 5,
     )
     with RunReader(tmp_path / "run.mcap") as reader:
-        states = states_at(reader, 19)
+        states = states_of(reader)
     assert kinds(states, "c2/d", 4, 5, 8, 9, 19) == [
         *(("fine", "", 0), ("absent", "", 1), ("absent", "", 2)),
         *(("given up", "", 2), ("given up", "", 2)),
@@ -84,7 +84,7 @@ def test_an_agent_that_is_given_up_stays_so(tmp_path: Path) -> None:
 def test_cycles_in_which_nobody_was_recorded_are_no_silence(tmp_path: Path) -> None:
     write_run(tmp_path / "run.mcap", whole_run(20), is_kept=lambda one: not 5 <= one[1].cycle < 9)
     with RunReader(tmp_path / "run.mcap") as reader:
-        states = states_at(reader, 19)
+        states = states_of(reader)
     assert {states.at(agent, 7).cause for agent in states.agents} == {"from the recorder"}
     assert {states.at(agent, 9).kind for agent in states.agents} == {"fine"}
     assert [(span.agent, span.kind) for span in states.spans()] == [("recorder", "cut off")]

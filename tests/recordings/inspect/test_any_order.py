@@ -19,7 +19,7 @@ from running import REPOSITORY, small_plant
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from live_page.follower import RunFollower
-from recordings.inspect.agent_states import states_at
+from recordings.inspect.agent_states import states_of
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.series import plant_series_of
@@ -59,7 +59,7 @@ def shown(path: Path) -> dict[str, Any]:
     with RunReader(path) as run:
         overview = read_overview(run)
         figures = run_figures(plant_series_of(run))
-        states = states_at(run, 45)
+        states = states_of(run)
     return {
         "health": replace(overview, path="", wall_s=0.0, signals=(), metadata={}),
         "signals": [(one.signal, one.messages, one.missing_cycles) for one in overview.signals],
@@ -127,7 +127,7 @@ def test_a_late_recorder_makes_no_agent_absent_in_a_healthy_run() -> None:
     with RunReader(path) as run:
         assert read_overview(run).states == ()
         for cycle in (0, 300, run.last_cycle):
-            states = states_at(run, cycle)
+            states = states_of(run)
             assert {states.at(agent, cycle).level for agent in states.agents} == {0}
 
 
@@ -157,6 +157,6 @@ def test_page_inspect_and_report_agree_on_real_kills_freezes_and_cuts(
     assert {("c1/inv01", "killed"), ("c2/inv03", "frozen"), ("c1", "")} <= causes
     for cycle in range(last + 1):
         with RunReader(run) as reader:
-            states = states_at(reader, cycle)
+            states = states_of(reader)
         for agent in states.agents:
             assert states.at(agent, cycle) == follower.states.at(agent, cycle)

@@ -15,7 +15,7 @@ from reports_by_hand import summary_of
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import HELP
-from recordings.inspect.agent_states import AgentSpan, states_at
+from recordings.inspect.agent_states import AgentSpan, states_of
 from recordings.inspect.overview import Overview, read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_file import FAILURE_NAME, SUMMARY_NAME
@@ -125,7 +125,7 @@ def test_an_agent_whose_link_is_cut_is_named_and_nobody_else(
     (span,) = health_of(tmp_path)[0].states
     assert span == AgentSpan(cut, "cut off", 20, 30, back_in=50)
     with RunReader(tmp_path) as run:
-        states = states_at(run, CYCLES - 1)
+        states = states_of(run)
     ill = {agent for agent in states.agents if states.at(agent, 35).level}
     assert ill == {cut}
 
