@@ -26,3 +26,8 @@ def imported_when_used(name: str) -> ModuleType:
     module = sys.modules[name] = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def whole_cycles(time_s: float, cycle_s: float) -> float:
+    """Return how many cycles a time takes; a part of one is one, but no rounding error is."""
+    return float(np.ceil(round(time_s / cycle_s, 9)))

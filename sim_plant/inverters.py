@@ -15,9 +15,8 @@ from agents.control.share import usable_dispatch_kw
 from agents.plan import RunPlan
 from agents.plan_parts import Site
 from bus_schemas.messages import Command, Dispatch, Memory
-from sim_plant import Floats
+from sim_plant import Floats, whole_cycles
 from sim_plant.storage import Store
-from sim_plant.time_steps import whole_cycles
 
 
 @dataclass(frozen=True, slots=True)

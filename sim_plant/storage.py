@@ -8,7 +8,7 @@ from typing import NamedTuple
 from agents.control.storage import StorageLaw, moved
 from agents.plan import RunPlan
 from bus_schemas.messages import Command
-from sim_plant.time_steps import whole_cycles
+from sim_plant import whole_cycles
 
 
 class Store(NamedTuple):

@@ -76,8 +76,3 @@ def check_coverage(
 
 def _utc(time: pd.Timestamp) -> str:
     return time.tz_convert("UTC").isoformat().replace("+00:00", "Z")
-
-
-def whole_cycles(time_s: float, cycle_s: float) -> float:
-    """Return how many cycles a time takes; a part of one is one, but no rounding error is."""
-    return float(np.ceil(round(time_s / cycle_s, 9)))
