@@ -119,8 +119,8 @@ def test_a_slow_network(rule: str) -> None:
     assert_a_clean_step(powers_kw([rule]), 15)
 
 
-@pytest.mark.parametrize("follows", [{}, {"delay_s": 1.0, "ramp_percent_per_s": 10.0}], ids=str)
-@pytest.mark.parametrize("at", ["10s..35s", "25s..45s", "80s..100s"])
+@pytest.mark.parametrize("follows", [{"delay_s": 1.0, "ramp_percent_per_s": 10.0}], ids=str)
+@pytest.mark.parametrize("at", ["25s..45s", "80s..100s"])
 @pytest.mark.parametrize("gone", ["central|c1", "c1|c1/a", "plant|central"])
 def test_a_link_that_comes_back_around_a_step(gone: str, at: str, follows: dict[str, Any]) -> None:
     rules = [f"partition={gone},at={at}"]

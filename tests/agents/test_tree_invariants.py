@@ -87,7 +87,7 @@ def usable_dispatches_kw(weather: Weather) -> list[float]:
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_whenever_a_parent_acts_its_children_meet_its_newest_target_or_give_all_there_is(
     weather: Weather,
 ) -> None:
@@ -122,7 +122,7 @@ def test_whenever_a_parent_acts_its_children_meet_its_newest_target_or_give_all_
 
 
 @given(weathers())
-@settings(max_examples=50)
+@settings(max_examples=25)
 def test_reports_add_up_and_what_is_missing_is_called_for_up_to_the_root(weather: Weather) -> None:
     heard, tree = weather.hear(), weather.plan.tree
     for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):

@@ -6,7 +6,7 @@ import pytest
 from campaign import Broken, healthy, judged_healthy, plant_of, run_plant, run_seed, run_under
 from faults import Down, Stall, Zombie, end_s, faults_of
 from planted_bugs import BUGS, planted
-from plants import PLANTS
+from plants import PLANTS, prepared
 
 from agents.faults import Freeze, Kill, Trip
 from bus_schemas.faults import Blackout, Disturbance, Partition
@@ -18,13 +18,9 @@ SMALL = [name for name in PLANTS if name not in {"oahu", "valley"}]
 
 
 @pytest.mark.parametrize("plant", SMALL)
-def test_each_plant_holds_and_is_worth_what_it_was(plant: str) -> None:
+def test_each_plant_holds_and_is_worth_what_it_was_and_a_seed_of_it_holds(plant: str) -> None:
     assert judged_healthy(plant) == []
-
-
-@pytest.mark.parametrize("plant", ["paper", "periods", "orders", "droop", "losses"])
-def test_a_seed_of_a_plant_holds(plant: str) -> None:
-    assert run_seed(7, plant) is None
+    assert plant == "day" or run_seed(7, plant) is None  # A run of it takes seconds.
 
 
 @pytest.mark.parametrize("bug", ["an inverter ramps by the cycle", "an order is followed too fast"])
@@ -42,7 +38,7 @@ def test_a_seed_gives_the_same_run_again() -> None:
 
 
 def test_faults_of_all_kinds_outlast_every_time_out() -> None:
-    drawn = [fault for seed in SEEDS for fault in faults_of(healthy("periods").plan, seed)]
+    drawn = [fault for seed in SEEDS for fault in faults_of(prepared("periods").plan, seed)]
     kinds = {Kill, Freeze, Trip, Partition, Blackout, Disturbance, Down, Zombie, Stall}
     assert {type(one) for one in drawn} == kinds
     assert sum(end_s(one) - one.at[0] > 65.0 for one in drawn if isinstance(one.at, tuple)) > 10

@@ -119,7 +119,7 @@ steps = st.one_of(
 )
 
 
-@settings(max_examples=400)
+@settings(max_examples=200)
 @given(
     steps,
     st.sampled_from(get_args(Actuator)),
