@@ -107,7 +107,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def wiring(self) -> Wiring:
-        return Wiring(self.plant, self.tree, self._process_of(), has_operator=self.has_operator)
+        return Wiring(self.plant, self.tree, self._process_of(), devices=self.access.external)
 
     @cached_property
     def links(self) -> Links:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
 import msgspec
@@ -18,6 +18,20 @@ decode_head: Final[Callable[[bytes], Head]] = msgspec.msgpack.Decoder(Head).deco
 
 UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """What a decoder raises for bytes or text that are not what it expects."""
+
+encode_bundle: Final[Callable[[Sequence[tuple[str, Message]]], bytes]] = (
+    msgspec.msgpack.Encoder().encode
+)
+"""Returns keys and messages as a msgpack array of pairs."""
+
+_heads_of_bundle = msgspec.msgpack.Decoder(list[tuple[str, Head]])
+_parts_of_bundle = msgspec.msgpack.Decoder(list[tuple[str, msgspec.Raw]])
+
+
+def open_bundle(payload: bytes) -> Iterator[tuple[str, Head, bytes]]:
+    """Yield key, head and payload of each message in a bundle, or raise one of `UNREADABLE`."""
+    heads, parts = _heads_of_bundle.decode(payload), _parts_of_bundle.decode(payload)
+    return ((key, head, bytes(part)) for (key, head), (_, part) in zip(heads, parts, strict=True))
 
 
 def json_schema(signal: Signal[Message]) -> dict[str, object]:

@@ -8,13 +8,18 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final
+from typing import Final, TypeAlias
 
+import msgspec
 import zenoh
 
 from bus_schemas.bus import Cause
 from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port
+from bus_schemas.wiring import Bundle
+
+Source: TypeAlias = Port[Message] | Bundle
+Item: TypeAlias = tuple[Source, zenoh.ZBytes, int]
 
 _NEVER: Final = 1 << 60
 
@@ -37,16 +42,18 @@ class Inbox:
     def __init__(self) -> None:
         self.dropped: Counter[tuple[str, str]] = Counter()
         self.on_enough: Callable[[], object] = self.wake
-        self._waiting: Counter[Port[Message]] = Counter()
-        self._items: deque[tuple[Port[Message], zenoh.ZBytes, int]] = deque()
+        self._waiting: Counter[Source] = Counter()
+        self._items: deque[Item | None] = deque()
         self._wanted = _NEVER
         self._urgent = False
         self._gate = threading.Lock()
         self._gate.acquire()
 
-    def callback(self, port: Port[Message]) -> Callable[[zenoh.Sample], None]:
-        items, append, now_ns = self._items, self._items.append, time.monotonic_ns
-        urgent = port.signal.occurrence is Occurrence.EVENT
+    def callback(self, source: Source) -> Callable[[zenoh.Sample], None]:
+        """Return what takes in the messages of a port; a bundle counts as all that it may hold."""
+        items, extend, now_ns = self._items, self._items.extend, time.monotonic_ns
+        urgent = isinstance(source, Port) and source.signal.occurrence is Occurrence.EVENT
+        more = (None,) * (0 if isinstance(source, Port) else len(source.ports) - 1)
 
         def receive(sample: zenoh.Sample) -> None:
             if not hasattr(_this_thread, "is_kept"):
@@ -54,9 +61,9 @@ class Inbox:
                 # an eighth of the processor time of a cycle.
                 ctypes.pythonapi.PyGILState_Ensure()
                 _this_thread.is_kept = True
-            if len(items) >= _CROWDED and not self._has_room(port):
+            if len(items) >= _CROWDED and not self._has_room(source):
                 return
-            append((port, sample.payload, now_ns()))
+            extend(((source, sample.payload, now_ns()), *more))
             if len(items) >= self._wanted or urgent:
                 self._wanted = _NEVER
                 self._urgent = self._urgent or urgent
@@ -79,9 +86,7 @@ class Inbox:
         with suppress(RuntimeError):  # Two messages at once: it is awake already.
             self._gate.release()
 
-    def take(
-        self, wanted: int = 0, timeout_s: float = 0.0
-    ) -> list[tuple[Port[Message], zenoh.ZBytes, int]]:
+    def take(self, wanted: int = 0, timeout_s: float = 0.0) -> list[Item]:
         until = time.monotonic() + timeout_s
         # The gate may still be open from messages that were taken already.
         while timeout_s > 0.0 and not self.want(wanted):
@@ -93,12 +98,24 @@ class Inbox:
             self._waiting = Counter()
         items, taken = self._items, []
         while items:
-            taken.append(items.popleft())
+            if (item := items.popleft()) is not None:
+                taken.append(item)
         return taken
 
-    def _has_room(self, port: Port[Message]) -> bool:
-        self._waiting[port] += 1
-        if self._waiting[port] <= _MOST_OF_A_PORT:
+    def _has_room(self, source: Source) -> bool:
+        self._waiting[source] += 1
+        if self._waiting[source] <= _MOST_OF_A_PORT:
             return True
-        self.dropped[str(port), Cause.FLOODED] += 1
+        self.dropped[str(source), Cause.FLOODED] += 1
         return False
+
+
+def messages_in(source: Source, payload: bytes) -> list[tuple[Port[Message], Message]]:
+    """Return the messages in a payload, with their ports."""
+    if isinstance(source, Port):
+        return [(source, source.signal.decode(payload))]
+    try:
+        found = source.signal.decode_bundle(payload)
+        return [(source.ports[key], message) for key, message in found]
+    except KeyError as error:
+        raise msgspec.DecodeError(f"{source} holds no {error}") from None

@@ -95,6 +95,11 @@ class Signal(Generic[M_co]):
         """Returns the message of a payload, or raises one of `bus_schemas.codec.UNREADABLE`."""
         return msgspec.msgpack.Decoder(self.type).decode
 
+    @cached_property
+    def decode_bundle(self) -> Callable[[bytes], list[tuple[str, M_co]]]:
+        """Returns keys and messages of a bundle of this signal, or raises likewise."""
+        return msgspec.msgpack.Decoder(list[tuple[str, self.type]]).decode  # type: ignore[name-defined]
+
     @property
     def is_cyclic(self) -> bool:
         """Whether it comes once in a cycle at most, and is about that cycle."""

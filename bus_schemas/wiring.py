@@ -8,12 +8,13 @@ a link of its own (see docs/decisions/0002-explicit-links.md).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import IMPP, Port, Signal, listeners, ports
+from bus_schemas.signals import COMMAND, IMPP, TELEMETRY, Port, Signal, listeners, ports
 from bus_schemas.tree import (
     OPERATOR,
     RECORDER,
@@ -22,12 +23,40 @@ from bus_schemas.tree import (
     common_ancestor,
 )
 
+_BUNDLED: Final = frozenset({TELEMETRY, COMMAND})
+"""Signals whose messages travel in bundles between plant and group."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Messages that travel as one: what a group says to itself, or exchanges with the plant.
+
+    Its payload is an array of pairs: the key of a message without the plant's name, the message.
+
+    key: Without the plant's name.
+    source, sinks: Processes that send it, and that hear it besides the recorder.
+    ports: By key, those whose messages it may hold.
+    """
+
+    key: str
+    source: str
+    sinks: tuple[str, ...]
+    ports: dict[str, Port[Message]]
+
+    def __str__(self) -> str:
+        return self.key
+
+    @property
+    def signal(self) -> Signal[Message]:
+        """The signal of all messages, where another process hears them."""
+        return next(iter(self.ports.values())).signal
+
 
 class Wiring:
     """The wiring of a run: a table of ports, each with its publisher and its listeners.
 
     process_of: The process of each agent that shares one; the others have one of their own name.
-    has_operator: Whether the operator is a program on the bus; else nobody may publish orders.
+    devices: Agents that are not ours. If the operator is not one, nobody may publish orders.
 
     members: Agents of each process.
     listeners: Agents that hear each port.
@@ -39,10 +68,10 @@ class Wiring:
         plant: str,
         tree: ControlTree,
         process_of: Mapping[str, str] | None = None,
-        *,
-        has_operator: bool = False,
+        devices: Collection[str] = (),
     ) -> None:
         self.plant = plant
+        self._devices, has_operator = frozenset(devices), OPERATOR in devices
         self._tree = tree
         self.ports = tuple(
             port for port in ports(tree) if has_operator or port.publisher != OPERATOR
@@ -81,7 +110,23 @@ class Wiring:
                     found.setdefault((source, sink), []).append(port)
         return found
 
-    def key(self, port: Port[Message]) -> str:
+    @cached_property
+    def bundles(self) -> tuple[Bundle, ...]:
+        """The bundles of the run. Who hears one also hears each of its messages by itself."""
+        found: dict[str, Bundle] = {}
+        for port, hearers in self.listeners.items():
+            source = self.process_of(port.publisher)
+            sinks = tuple({*map(self.process_of, hearers)} - {source})
+            ends = source, *sinks
+            groups = [end for end in ends if len(self.members.get(end, ())) > 1]
+            travels_so = port.signal in _BUNDLED if sinks else port.signal.is_cyclic
+            if groups and travels_so and self._devices.isdisjoint(ends):
+                key = f"{groups[0]}/{port.signal.name}_bundle" if sinks else f"{source}/bundle"
+                bundle = found.setdefault(key, Bundle(key, source, sinks, {}))
+                bundle.ports[str(port)] = port
+        return tuple(found.values())
+
+    def key(self, port: Port[Message] | Bundle) -> str:
         return f"{self.plant}/{port}"
 
     def port(self, key: str) -> Port[Message] | None:
@@ -105,6 +150,12 @@ class Wiring:
             common = self._wildcard(signal, nodes) if len(nodes) >= least else None
             found |= {common: some} if common else {self.key(port): [port] for port in some}
         return found
+
+    def bundle_exprs(self, bundles: Collection[Bundle], least: int) -> list[str]:
+        """Return key expressions that match these bundles, of many that a process hears."""
+        if len(bundles) < least:
+            return [self.key(bundle) for bundle in bundles]
+        return [*dict.fromkeys(f"{self.plant}/**/{one.signal.name}_bundle" for one in bundles)]
 
     def _wildcard(self, signal: Signal[Message], nodes: set[str]) -> str | None:
         """Return one key expression for a signal of exactly these nodes; None: there is none."""

@@ -17,15 +17,20 @@ from typing import Any, Final, Self, TypeAlias
 import zenoh
 
 from bus_schemas.bus import Arrival, Cause, Outbox
-from bus_schemas.codec import UNREADABLE, encode
+from bus_schemas.codec import UNREADABLE, encode, encode_bundle
 from bus_schemas.host_clock import HostClock
-from bus_schemas.inbox import Inbox
+from bus_schemas.inbox import Inbox, Item, Source, messages_in
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal
 from bus_schemas.tree import PLANT, RECORDER
-from bus_schemas.wiring import Wiring
-from bus_schemas.zenoh_session import ENCODING, Sessions, SessionSettings
+from bus_schemas.wiring import Bundle, Wiring
+from bus_schemas.zenoh_session import (
+    ENCODING,
+    SUBSCRIBER_BATCH_BYTES,
+    Sessions,
+    SessionSettings,
+)
 
 Put: TypeAlias = Callable[[bytes], None]
 PutChange: TypeAlias = Callable[[Port[Message], Put], Put]
@@ -34,6 +39,9 @@ PutChange: TypeAlias = Callable[[Port[Message], Put], Put]
 _MANY: Final = 30
 """From this many ports of a signal on, a process declares one wildcard: a session tells every peer
 of each declaration, which among 1,000 inverters would be a million messages."""
+
+_LARGEST_BUNDLE: Final = SUBSCRIBER_BATCH_BYTES - 512
+"""A larger one would travel to the recorder in fragments, so it is sent as two [bytes]."""
 
 _SHORTEST_S: Final = 0.01
 """Shortest time-out of a query."""
@@ -71,11 +79,19 @@ class ZenohBus:
         self._own: deque[Arrival] = deque()
         self._patience_s = patience_s
         self._lockstep = settings.lockstep
-        self._newest: dict[Port[Message], bytes] = {}
+        self._newest: dict[Port[Message], Message] = {}
         self._sessions = Sessions(wiring, settings)
         self.watch_tokens = self._sessions.watch_tokens
+        self._bundle_of = {
+            port: bundle
+            for bundle in wiring.bundles
+            if bundle.source == process
+            for port in bundle.ports.values()
+        }
         self._puts = self._declare_publishers(process, settings)
-        self._declare_subscribers()
+        # Messages that are to go out together: before the next single one, and before a wait.
+        self._bundled: dict[Bundle, list[tuple[str, Message]]] = {}
+        self._declare_subscribers(process)
         if settings.lockstep:
             self._sessions.kept += (
                 session.declare_queryable(
@@ -93,31 +109,34 @@ class ZenohBus:
 
     def _declare_publishers(
         self, process: str, settings: SessionSettings
-    ) -> dict[Port[Message], list[Put]]:
+    ) -> dict[Source, list[Put]]:
         """Return what puts the messages of each port: on the links of agents, then of devices."""
         wiring = self._wiring
         devices = set(() if settings.devices is None else settings.devices.peers)
         published = wiring.carried[process, RECORDER]
         many = _signals_of_many(published)
-        puts: dict[Port[Message], list[Put]] = {}
-        for port in published:
+        puts: dict[Source, list[Put]] = {}
+        for source in dict.fromkeys(self._bundle_of.get(port, port) for port in published):
             # The session for devices carries only what they hear; the recorder hears all.
-            hears_there = not devices.isdisjoint({RECORDER, *wiring.listeners[port]})
-            must_arrive = settings.lockstep or port.signal.occurrence is Occurrence.EVENT
+            hearers = wiring.listeners[source] if isinstance(source, Port) else source.sinks
+            hears_there = not devices.isdisjoint({RECORDER, *hearers})
+            must_arrive = settings.lockstep or source.signal.occurrence is Occurrence.EVENT
             control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
             how: dict[str, Any] = {"encoding": ENCODING, "congestion_control": control}
-            key = zenoh.KeyExpr(wiring.key(port))
+            key = zenoh.KeyExpr(wiring.key(source))
             own, *to_devices = (
                 partial(session.put, key, **how)
-                if port.signal in many
+                if source.signal in many
                 else session.declare_publisher(key, **how).put
                 for session in self._sessions.all[: 2 if hears_there else 1]
             )
-            puts[port] = [own, *to_devices]
+            puts[source] = [own, *to_devices]
         return puts
 
-    def _declare_subscribers(self) -> None:
-        receive_of = {self._wiring.key(port): self.inbox.callback(port) for port in self.heard}
+    def _declare_subscribers(self, process: str) -> None:
+        bundles = [bundle for bundle in self._wiring.bundles if process in bundle.sinks]
+        sources: list[Port[Message] | Bundle] = [*self.heard, *bundles]
+        receive_of = {self._wiring.key(source): self.inbox.callback(source) for source in sources}
 
         def receive_many(sample: zenoh.Sample) -> None:
             if (receive := receive_of.get(str(sample.key_expr))) is not None:
@@ -125,7 +144,10 @@ class ZenohBus:
 
         subscribed = {
             key: receive_of.get(key, receive_many)
-            for key in self._wiring.key_exprs(self.heard, least=_MANY)
+            for key in (
+                *self._wiring.key_exprs(self.heard, least=_MANY),
+                *self._wiring.bundle_exprs(bundles, least=_MANY),
+            )
         }
         self._sessions.kept += (
             session.declare_subscriber(
@@ -144,23 +166,45 @@ class ZenohBus:
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message. In lockstep this waits for listeners that have fallen behind."""
-        if self._sends is not None:
-            self._sends[0] = True
         self.outbox.stamp(port, message, now_ns)
-        payload = encode(message)
         if self._lockstep:
-            self._newest[port] = payload
-        for put in self._puts[port]:
-            put(payload)
+            self._newest[port] = message
+        bundle = self._bundle_of.get(port)
+        if bundle is None:
+            self.send_bundles()  # So the recorder knows no less than others.
+            self._send(port, encode(message))
+        else:
+            self._bundled.setdefault(bundle, []).append((str(port), message))
         for agent in self._hearers.get(port, ()):
             self._own.append(Arrival(agent, port, message, now_ns))
+
+    def send_bundles(self) -> None:
+        """Send what was kept to go out together."""
+        for bundle, messages in self._bundled.items():
+            self._send_bundle(bundle, messages)
+        self._bundled.clear()
+
+    def _send_bundle(self, bundle: Bundle, messages: Sequence[tuple[str, Message]]) -> None:
+        payload, half = encode_bundle(messages), len(messages) // 2
+        if half and len(payload) > _LARGEST_BUNDLE:
+            self._send_bundle(bundle, messages[:half])
+            self._send_bundle(bundle, messages[half:])
+        else:
+            self._send(bundle, payload)
+
+    def _send(self, source: Source, payload: bytes) -> None:
+        if self._sends is not None:
+            self._sends[0] = True
+        for put in self._puts[source]:
+            put(payload)
         if self._sends is not None:
             self._sends[0] = False
 
     def change_device_puts(self, change: PutChange) -> None:
         """Change how messages are put on the links with devices."""
-        for port, puts in self._puts.items():
-            puts[1:] = [change(port, put) for put in puts[1:]]
+        for source, puts in self._puts.items():
+            if isinstance(source, Port):
+                puts[1:] = [change(source, put) for put in puts[1:]]
 
     def newest(self) -> list[Arrival]:
         """Return the newest message of each publisher heard in lockstep, the dispatch first.
@@ -183,13 +227,14 @@ class ZenohBus:
 
     def _answer(self, query: zenoh.Query) -> None:
         with query:
-            for port, payload in list(self._newest.items()):
-                query.reply(self._wiring.key(port), payload, encoding=ENCODING)
+            for port, message in list(self._newest.items()):
+                query.reply(self._wiring.key(port), encode(message), encoding=ENCODING)
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
         """Return what has arrived: once `wanted` messages are there, or when the time has come."""
         if self._own:
             return self.arrivals([])
+        self.send_bundles()
         give_up_at = time.monotonic() + self.timeout_s(until_ns)
         while taken := self.inbox.take(wanted, give_up_at - time.monotonic()):
             arrivals = self.arrivals(taken)
@@ -202,7 +247,10 @@ class ZenohBus:
 
         A message among the agents of the process is always enough.
         """
-        return bool(self._own) or self.inbox.want(wanted)
+        if self._own:
+            return True
+        self.send_bundles()
+        return self.inbox.want(wanted)
 
     def timeout_s(self, until_ns: int | None) -> float:
         """How long to wait for a time of the run's clock, at most for the patience."""
@@ -210,17 +258,18 @@ class ZenohBus:
             return self._patience_s
         return min(self._patience_s, (until_ns - self.now_ns()) / 1e9)
 
-    def arrivals(self, taken: list[tuple[Port[Message], zenoh.ZBytes, int]]) -> list[Arrival]:
+    def arrivals(self, taken: Sequence[Item]) -> list[Arrival]:
         """Return the messages among the agents of the process, then those taken from the inbox."""
         arrivals = list(self._own)
         self._own.clear()
-        for port, payload, came_ns in taken:
+        for source, payload, came_ns in taken:
             time_ns = came_ns
             try:
-                message = port.signal.decode(payload.to_bytes())
+                messages = messages_in(source, payload.to_bytes())
             except UNREADABLE:
-                self.inbox.dropped[str(port), Cause.UNDECODABLE] += 1
-            else:
+                self.inbox.dropped[str(source), Cause.UNDECODABLE] += 1
+                continue
+            for port, message in messages:
                 if self._clock is not None:
                     if port.publisher == PLANT:
                         self._clock.observe(message.publish_time_ns, came_ns)

@@ -249,6 +249,7 @@ class AgentProcess:
     def report(self) -> None:
         """Tell the launcher how it ended; stay on the bus until all is recorded."""
         self.driver.stop()
+        self._bus.send_bundles()
         loops = self.driver.loops.values()
         dropped = [*self._bus.dropped.items()]
         for loop in loops:

@@ -148,7 +148,12 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
 
     def between(publisher: str, listener: str) -> list[str]:
         """Return the keys on which one process may publish to another."""
-        return [*wiring.key_exprs(wiring.carried.get((publisher, listener), ()))]
+        bundles = [
+            wiring.key(bundle)
+            for bundle in wiring.bundles
+            if bundle.source == publisher and listener in {RECORDER, *bundle.sinks}
+        ]
+        return [*wiring.key_exprs(wiring.carried.get((publisher, listener), ())), *bundles]
 
     listens = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"]
     # In lockstep a process that replaces another queries what it has missed.

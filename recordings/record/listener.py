@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from agents.plan import RunPlan
 from agents.process.events import Armed, Event, Remark, Status
-from bus_schemas.codec import UNREADABLE, decode_head
+from bus_schemas.codec import UNREADABLE, decode_head, open_bundle
 from bus_schemas.messages import Head, Message, Ready, Run
 from bus_schemas.signals import DISPATCH, HELP, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT
@@ -86,7 +86,12 @@ class RunListener:
         self._arming = ArmingRound(plan, answered=joins_late)
         self._reach = Reach(plan, now_ns())
         self._devices = DeviceWatch(plan)
-        self._keys = {plan.wiring.key(port): _key(plan, port) for port in plan.wiring.ports}
+        keys = {port: _key(plan, port) for port in plan.wiring.ports}
+        self._keys = {plan.wiring.key(port): key for port, key in keys.items()}
+        self._bundles = {
+            plan.wiring.key(bundle): {text: keys[port] for text, port in bundle.ports.items()}
+            for bundle in plan.wiring.bundles
+        }
 
     @property
     def own_heard(self) -> int:
@@ -94,14 +99,36 @@ class RunListener:
         return self._writer.heard - self._heard_elsewhere - self.senders.extra.total()
 
     def hear(self, key: str, payload: bytes) -> Ready | None:
-        """Take in a message; return an answer if it completes an arming round."""
+        """Take in a message, or a bundle; return an answer if it completes an arming round."""
         known = self._keys.get(key)
+        if known is None:
+            return self._hear_bundle(key, payload)
+        try:
+            head = decode_head(payload)
+        except UNREADABLE as error:
+            self.complaints.add(key, UNDECODABLE, str(error))
+            return None
+        return self._hear(key, known, head, payload)
+
+    def _hear_bundle(self, key: str, payload: bytes) -> Ready | None:
+        known = self._bundles.get(key)
         if known is None:
             self.complaints.add(key, UNKNOWN, "this run has no such node or signal")
             return None
+        answer = None
+        try:
+            for of, head, part in open_bundle(payload):
+                if (one := known.get(of)) is None:
+                    self.complaints.add(key, UNKNOWN, f"it holds a message of {of}")
+                else:
+                    answer = self._hear(of, one, head, part) or answer
+        except UNREADABLE as error:
+            self.complaints.add(key, UNDECODABLE, str(error))
+        return answer
+
+    def _hear(self, key: str, known: _Key, head: Head, payload: bytes) -> Ready | None:
         port = known.port
         try:
-            head = decode_head(payload)
             message = port.signal.decode(payload) if known.is_read else None
         except UNREADABLE as error:
             self.complaints.add(key, UNDECODABLE, str(error))

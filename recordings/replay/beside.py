@@ -25,7 +25,7 @@ from agents.process.interruption import Interruption
 from agents.process.machine import MachineSettings
 from bus_schemas.codec import UNREADABLE, encode
 from bus_schemas.errors import InputError, listed
-from bus_schemas.inbox import Inbox
+from bus_schemas.inbox import Inbox, messages_in
 from bus_schemas.messages import Message
 from bus_schemas.selection import find_nodes
 from bus_schemas.signals import CLOCK, RUN, Port
@@ -159,13 +159,14 @@ class ReplayBeside(ReplayBus):
 
     def _receive(self, wanted: int) -> None:
         """Take in what the processes publish, within a moment."""
-        for port, received, _ in self._inbox.take(wanted, _LOOK_S):
+        for source, received, _ in self._inbox.take(wanted, _LOOK_S):
             try:
-                message = port.signal.decode(received.to_bytes())
+                messages = messages_in(source, received.to_bytes())
             except UNREADABLE as error:
-                self._line.show(f"{port}: expected a {port.signal.type.__name__}, got: {error}")
+                self._line.show(f"{source}: expected a {source.signal.type.__name__}, got: {error}")
                 continue
-            self._newest[port] = message.cycle
+            for port, message in messages:
+                self._newest[port] = message.cycle
 
 
 @contextmanager

@@ -47,7 +47,7 @@ def test_publishers_and_listeners_of_a_key(
 def test_listeners_are_others_of_the_run_linked_and_wired_with_whom_they_hear(
     tree: ControlTree, has_operator: bool
 ) -> None:
-    wiring = Wiring("oahu", tree, has_operator=has_operator)
+    wiring = Wiring("oahu", tree, devices=(OPERATOR,) * has_operator)
     agents = {*tree.agents(), *({OPERATOR} if has_operator else ())}
     linked = {frozenset(pair) for pair in wiring.links().pairs}
     assert (ORDER.of(ROOT) in wiring.ports) == has_operator
@@ -91,6 +91,25 @@ def test_a_process_may_publish_what_its_agents_may_and_nothing_else(groups: obje
                 wiring.process_of(name) for port in carried for name in wiring.listeners[port]
             }
             assert sink in hearers
+
+
+@pytest.mark.parametrize("devices", [(), ("plant",), ("z1/c11/i2",)])
+def test_a_bundle_holds_what_a_group_says_to_itself_or_exchanges_with_a_plant_of_ours(
+    devices: tuple[str, ...],
+) -> None:
+    groups = {node: "z1" for node in TALL.nodes if node.startswith("z1") and node not in devices}
+    wiring = Wiring("tall", TALL, groups, devices=devices)
+    bundles = {bundle.key: bundle for bundle in wiring.bundles}
+    with_plant = {"z1/telemetry_bundle", "z1/command_bundle"} if "plant" not in devices else set()
+    assert bundles.keys() == {"z1/bundle", *with_plant}
+    held = [port for bundle in bundles.values() for port in bundle.ports.values()]
+    assert len(held) == len({*held})
+    for port in wiring.ports:
+        ends = {port.publisher, *wiring.listeners[port]}
+        inside = {wiring.process_of(end) for end in ends} == {"z1"}
+        beyond = with_plant and len(ends) == 2 and ends - {*groups} == {"plant"}
+        is_held = port.signal.is_cyclic and (inside or beyond)
+        assert (port in held) == bool(is_held), port
 
 
 def test_a_process_shows_the_tokens_of_its_agents_and_no_others() -> None:

@@ -12,13 +12,15 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from typing import Any
 
+import msgspec
 import pytest
 import zenoh
 from running import REPOSITORY
 
-from bus_schemas.codec import encode
-from bus_schemas.messages import Impp, Ready, Telemetry
-from bus_schemas.signals import IMPP, READY
+from bus_schemas.codec import encode, encode_bundle
+from bus_schemas.inbox import messages_in
+from bus_schemas.messages import Impp, Message, Ready, Telemetry
+from bus_schemas.signals import IMPP, READY, TELEMETRY, Port
 from bus_schemas.tcp_ports import reserved_ports
 from bus_schemas.tree import PLANT, RECORDER, ROOT, ControlTree
 from bus_schemas.wiring import Wiring
@@ -63,6 +65,41 @@ def test_undecodable_messages_are_counted_and_later_ones_heard(
         session.put(KEY, payload)
     (arrival,) = bus.receive(None)
     assert (arrival.agent, str(arrival.port), arrival.message.cycle) == ("a", "a/telemetry", 0)
+
+
+def test_a_bundle_that_is_too_large_goes_as_several_and_a_wrong_one_does_not_decode() -> None:
+    tree = ControlTree(tuple((f"c1/i{number}", 1.0) for number in range(200)))
+    wiring = Wiring("pair", tree, dict.fromkeys(("c1", *tree.leaves), "c1"))
+    ports = [TELEMETRY.of(leaf) for leaf in tree.leaves]
+    with ExitStack() as stack:
+        (port,) = stack.enter_context(reserved_ports([PLANT])).values()
+        endpoint = [f"tcp/127.0.0.1:{port}"]
+        settings = SessionSettings("bus-by-hand", endpoint, [])
+        plant = stack.enter_context(ZenohBus(PLANT, wiring, settings, 60))
+        settings = SessionSettings("bus-by-hand", [], endpoint)
+        group = stack.enter_context(ZenohBus("c1", wiring, settings, 60))
+        observer = stack.enter_context(zenoh.open(settings.config()))
+        sizes: list[int] = []
+        key = "pair/c1/telemetry_bundle"
+        observer.declare_subscriber(key, lambda each: sizes.append(len(each.payload.to_bytes())))
+        came: list[Port[Message]] = []
+        for cycle in range(1_000):
+            for one in ports:
+                message = Telemetry(cycle, 0, PLANT, (), power_kw=1.0, alpha=1.0, limit_kw=1.0)
+                plant.publish(one, message, time.monotonic_ns())
+            plant.send_bundles()
+            came = []
+            while arrivals := group.receive(time.monotonic_ns() + 100_000_000, len(ports)):
+                came += [one.port for one in arrivals if one.message.cycle == cycle]
+            if came and sizes:  # The first ones may go before the links are up.
+                break
+        assert came == ports
+        assert max(sizes) < 16_384 < sum(sizes)
+    (bundle,) = (one for one in wiring.bundles if one.source == PLANT)
+    others = encode_bundle([("c1/i0/impp", message)]), encode_bundle([("c2/i0/telemetry", message)])
+    for payload in (b"\xc1 garbage", b"\x01", GOOD, *others):
+        with pytest.raises(msgspec.DecodeError):
+            messages_in(bundle, payload)
 
 
 # Links that carry nothing -------------------------------------------------------------------------

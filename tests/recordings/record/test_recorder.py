@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
-from itertools import chain, repeat
+from collections.abc import Iterable, Iterator
+from itertools import chain, groupby, repeat
 from pathlib import Path
 from typing import cast
 
@@ -16,7 +16,7 @@ from recorded_runs import cloudy_profile, plan_of, published
 
 from agents.process.events import Complaint, Recorded
 from agents.process.launcher_link import LauncherLink
-from bus_schemas.codec import encode
+from bus_schemas.codec import encode, encode_bundle
 from bus_schemas.errors import InputWarning
 from bus_schemas.messages import Impp, Message, Setpoint
 from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Port
@@ -215,3 +215,50 @@ def test_keys_without_end_are_named_up_to_a_number_and_shown_without_control_cha
     assert len(found) == len(told) < 1000
     assert sum(entry.count for entry in found) == 3000
     assert all(entry.key.isprintable() and len(entry.example) < 1000 for entry in found)
+
+
+# Bundles ------------------------------------------------------------------------------------------
+
+GROUPED = plan_of({"c1/a": 100.0, "c1/b": 100.0, "c2/d": 100.0}, cycles=CYCLES, groups=("c1",))
+
+
+def on_the_bus(messages: Iterable[tuple[Port[Message], Message]]) -> Iterator[tuple[str, bytes]]:
+    """Yield keys and payloads: of messages with a bundle in one for each cycle, or a single one."""
+    wiring = GROUPED.wiring
+    bundle_of = {port: one for one in wiring.bundles for port in one.ports.values()}
+    for _, of_cycle in groupby(messages, key=lambda each: each[1].cycle):
+        bundled: dict[str, list[tuple[str, Message]]] = {}
+        for port, message in of_cycle:
+            if (bundle := bundle_of.get(port)) is None:
+                yield wiring.key(port), encode(message)
+            else:
+                bundled.setdefault(wiring.key(bundle), []).append((str(port), message))
+        for key, content in bundled.items():
+            yield key, encode_bundle(content)
+
+
+def test_each_message_of_a_bundle_is_recorded_as_if_it_came_alone(tmp_path: Path) -> None:
+    said = published(GROUPED, cloudy_profile(GROUPED))
+    arming = [(port, replace(message, cycle=-1)) for port, message in said if not message.cycle]
+    (inside,) = (one for one in GROUPED.wiring.bundles if not one.sinks)
+    wrong = encode_bundle([("c2/d/impp", impp(0))]), b"\xc1 garbage", encode(impp(0))
+    key = GROUPED.wiring.key(inside)
+    waiting = [*on_the_bus([*arming, *said]), *((key, payload) for payload in wrong)]
+    assert len(waiting) < len(said)
+    link = LinkByHand(expected=len(said))
+    Recorder(
+        GROUPED,
+        cast("RunSubscriber", SubscriberByHand(lambda: waiting)),
+        RunWriter(tmp_path / "run.mcap", GROUPED, 'name = "oahu"\n', "launch"),
+        cast("LauncherLink", link),
+    ).run()
+    with RunReader(tmp_path) as reader:
+        kept = Counter((str(one.port), one.payload) for one in reader.records())
+        times = [one.publish_time_ns for one in reader.records()]
+    assert kept == Counter((str(port), encode(message)) for port, message in said)
+    assert len({*times}) == len({message.publish_time_ns for _, message in said})
+    (account,) = [event for event in link.told if isinstance(event, Recorded)]
+    assert {(one.key, one.cause): one.count for one in account.complaints} == {
+        (key, "unknown"): 1,
+        (key, "undecodable"): 2,
+    }
