@@ -22,7 +22,7 @@ from bus_schemas.messages import (
     parse_missing,
 )
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
-from bus_schemas.tree import ROOT
+from bus_schemas.tree import ROOT, ancestors
 from live_page.follower import RunFollower
 from recordings.read.mcap_file import Chunk
 from sim_plant.orders import is_ordered, order_text, target_kw
@@ -51,6 +51,14 @@ class PlantState:
         self._telemetry = [TELEMETRY.of(leaf) for leaf in plan.tree.leaves]
         self._ratings_kw = [plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves]
         self._leaves_below = {node: plan.tree.leaves_below(node) for node in plan.tree.nodes}
+        self._storages_below = {
+            node: [
+                place
+                for place, storage in enumerate(plan.tree.storage_paths)
+                if node in (storage, *ancestors(storage))
+            ]
+            for node in plan.tree.nodes
+        }
 
     def _messages(self, cycle: int, ports: Collection[Port[Message]] | None = None) -> Messages:
         """Return the messages of a cycle, on some ports alone if they are given.
@@ -119,7 +127,8 @@ class PlantState:
 
         `help` is the setpoint less the node's share of its parent's target: negative if the node
         gets help. The central controller's setpoint is the dispatch. `bound` is the IMPP where that
-        is only an upper bound: a limit hides the maximum of an inverter below the node.
+        is only an upper bound: a limit hides the maximum of an inverter below the node. `stored` is
+        what is in a storage, in % of its capacity.
         """
         dispatch, made = messages.get(DISPATCH.of(ROOT)), messages.get(PRODUCTION.of(ROOT))
         assert dispatch is None or isinstance(dispatch, Dispatch)
@@ -135,8 +144,17 @@ class PlantState:
             "setpoint": setpoint.power_kw if isinstance(setpoint, Setpoint | Dispatch) else None,
             "help": helped,
             "power": _total(made, "inverter_power_kw", below),
-            "mpp": _total(made, "inverter_mpp_kw", below),
+            "mpp": _total(made, "inverter_mpp_kw", below) if below else None,
+            "stored": None,
         }
+        if storages := self._storages_below[node]:
+            of_storages = _total(made, "storage_power_kw", storages)
+            known = None not in (powers["power"], of_storages)
+            powers["power"] = (powers["power"] or 0.0) + (of_storages or 0.0) if known else None
+            if not below:
+                kwh = _total(made, "storage_energy_kwh", storages)
+                capacity_kwh = self._plan.storages[storages[0]].capacity_kwh
+                powers["stored"] = None if kwh is None else 100.0 * kwh / capacity_kwh
         return {name: None if kw is None else round(kw, 2) for name, kw in powers.items()}
 
     def _is_hidden(self, messages: Messages, leaf: int) -> bool:
@@ -184,9 +202,9 @@ def columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
-def _total(made: Message | None, field: str, below: tuple[int, ...]) -> float | None:
-    """Add up what a production says of some inverters; None where it does not tell."""
+def _total(made: Message | None, field: str, below: Sequence[int]) -> float | None:
+    """Add up what a production says of some devices; None where it does not tell."""
     if not isinstance(made, Production):
         return None
-    values: tuple[float, ...] = getattr(made, field)
-    return sum(values[leaf] for leaf in below) if below[-1] < len(values) else None
+    values: tuple[float, ...] = getattr(made, field) or ()
+    return sum(values[at] for at in below) if max(below, default=-1) < len(values) else None

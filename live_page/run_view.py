@@ -75,7 +75,8 @@ class RunView:
             return None
         plan, tree = follower.plan, follower.plan.tree
         number = {node: number for number, node in enumerate(tree.nodes)}
-        devices = dict(plan.site.devices)
+        devices, leaves = dict(plan.site.devices), {*tree.leaves}
+        capacity_kwh = {one.path: one.capacity_kwh for one in plan.storages}
         irradiance = follower.run.scenario_table().get("irradiance", {})
         return {
             "run": plan.run_id,
@@ -86,7 +87,8 @@ class RunView:
                     "path": node,
                     "parent": number[parent_of(node)] if node else None,
                     "rating_kw": tree.rating_kw(node),
-                    "inverter": tree.is_leaf(node),
+                    "inverter": node in leaves,
+                    "capacity_kwh": capacity_kwh.get(node),
                     "external": node in plan.access.external,
                     "device": devices.get(node),
                 }

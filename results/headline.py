@@ -48,6 +48,10 @@ def headline(figures: Figures) -> str:
         parts[0] += f" ({percent(metered)} by the plant's meter)"
     if alone is not None:
         parts.append(f"without help between inverters {percent(alone)}")
+    if (without_kwh := figures["without-storage-energy"]) is not None:
+        given_kwh = without_kwh - (figures["shortfall-energy"] or 0.0)
+        dispatched_kwh = figures["dispatched-energy"] or 1.0
+        parts.append(f"storage gave {percent(100.0 * given_kwh / dispatched_kwh)}")
     if denied := figures["unavoidable"]:
         parts.append(f"the sky denied {percent(denied)} more")
     return "; ".join(parts)

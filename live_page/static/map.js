@@ -128,6 +128,14 @@ export function plantMap(svg, note, legend, plan, select) {
     group.addEventListener("pointerenter", () => { if (latest) title.textContent = titleOf(node, latest); });
     return {node, group, body, ring, look: ""};
   });
+  const stores = plan.nodes.map((node, number) => ({...node, number})).filter(node => node.capacity_kwh).map((node, row) => {
+    const group = make("g", {class: "storage", transform: `translate(14,${height - 30 - row * 32})`, tabindex: -1}, front);
+    make("rect", {class: "case", width: 46, height: 22, rx: 3}, group);
+    const level = make("rect", {class: "level", x: 2, y: 2, height: 18, rx: 2}, group), text = make("text", {x: 52, y: 16, "font-size": 12.5}, group);
+    group.addEventListener("click", () => select(node.number));
+    shapes.set(node.number, group);
+    return {node, group, level, text};
+  });
   if (known) drawScale(svg, width, height, scale);
   note.textContent = known ? "" : "The recording does not say where the inverters stand: a row for each cluster.";
 
@@ -153,6 +161,13 @@ export function plantMap(svg, note, legend, plan, select) {
         body.classList.toggle("missing", available === null);
         body.setAttribute("fill", available === null ? "none" : ramp(available / node.rating_kw));
         ring.setAttribute("stroke-dasharray", `${share * 100} 200`);
+      }
+      for (const {node, group, level, text} of stores) {
+        const stored = frame.nodes.stored[node.number], made = power[node.number], state = frame.agents.level[node.number + 1];
+        level.setAttribute("width", 42 * Math.min(Math.max((stored ?? 0) / 100, 0), 1));
+        text.textContent = `${node.path} ${stored?.toFixed(0) ?? "–"} %, ${made < 0 ? `takes ${kw(-made)}` : `gives ${kw(made)}`} kW`;
+        group.classList.toggle("late", state === 1);
+        group.classList.toggle("bad", state === 2);
       }
       for (const number of clusters) {
         const level = frame.agents.level[number + 1];

@@ -47,7 +47,10 @@ export function nodePanel(plan, time, group, shown, at) {
 
   function describe() {
     const node = plan.nodes[panel.selected], {reads, late, breaks} = devices[node.path] ?? {};
-    let text = `${node.inverter ? "inverter" : panel.selected ? "supervisor" : "central controller"}, ${kw(node.rating_kw)} kW`;
+    const kind = node.capacity_kwh ? "storage" : node.inverter ? "inverter" : panel.selected ? "supervisor" : "central controller";
+    let text = `${kind}, ${kw(node.rating_kw)} kW`;
+    const stored = frame?.nodes.stored[panel.selected];
+    if (node.capacity_kwh) text += ` and ${node.capacity_kwh.toLocaleString("en")} kWh, ${stored?.toFixed(1) ?? "–"} % stored`;
     if (node.device) text += `; ${node.device} ${frame?.unread.includes(panel.selected) ? "gives no readings" : "connected"}`;
     if (reads) text += `; reads take ${reads.p50_ms.toFixed(1)} ms (p50), ${reads.p99_ms.toFixed(1)} ms (p99), ${late} late, connection lost ${breaks}×`;
     $("node-about").textContent = text;

@@ -105,5 +105,28 @@ def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
     )
 
 
+def storage(one: RunSeries) -> style.ReportFigure:
+    """Draw what each storage gave and took, and below its state."""
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    for place, settings in enumerate(one.plan.storages):
+        look = style.scheme_line(place)
+        power_kw, energy_kwh = one.storage_power_kw[:, place], one.storage_energy_kwh[:, place]
+        states = 100.0 * energy_kwh / settings.capacity_kwh
+        figure.add_trace(style.time_line(one, power_kw, settings.path, look), row=1, col=1)
+        below = style.time_line(one, states, f"{settings.path}, state", look, **_UNLISTED)
+        figure.add_trace(below, row=2, col=1)
+    style.dress(figure, 430)
+    figure.update_yaxes(title_text="power [kW]", row=1, col=1)
+    figure.update_yaxes(title_text="state [%]", range=[0.0, 100.0], row=2, col=1)
+    style.label_time_axis(figure, one, rows=2)
+    return style.ReportFigure(
+        "storage",
+        "Storage",
+        "What each storage gave, below 0 what it took [kW], and what was stored in it, in % of its "
+        "capacity.",
+        figure,
+    )
+
+
 def _asks_regulation(one: RunSeries) -> bool:
     return bool(np.any(np.nan_to_num(one.regulation_kw)))

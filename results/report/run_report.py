@@ -32,7 +32,7 @@ from results.report.inverter_figures import MOST_INVERTERS, correlation_matrices
 from results.report.marks import Mark, mark, run_marks
 from results.report.moments import moments
 from results.report.page import html_page
-from results.report.plant_figures import plant_power, regulation
+from results.report.plant_figures import plant_power, regulation, storage
 from results.report.result import KeyFigure, Result
 from results.report.style import ReportFigure
 from results.report.tables import devices_tables, figures_tables, health_table
@@ -229,6 +229,7 @@ def _figures(series: Sequence[RunSeries], marks: Sequence[Mark]) -> list[ReportF
     the others, under the same sky, would look alike.
     """
     figures = [plant_power(series), regulation(series)]
+    figures += [storage(one) for one in series if one.storage_power_kw.size][-1:]
     if signalling := [one for one in series if not np.isnan(one.residual_kw).all()]:
         figure = residuals(signalling[-1])
         whose = f"Under the scheme {signalling[-1].label}. " if len(series) > 1 else ""
