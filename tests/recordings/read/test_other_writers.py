@@ -57,6 +57,10 @@ class Another(Writer):
         for entry in reader.iter_metadata():
             self.add_metadata(entry.name, entry.metadata)
 
+    def forget(self) -> None:
+        """Declare each schema and each channel again, by new numbers, as merged files do."""
+        self._channels.clear()
+
     def finish(self) -> None:
         Writer.finish(self)
 
@@ -78,6 +82,7 @@ def rewrite(
     order: Order = by_time,
     attachments_last: bool = False,
     is_late_declared: bool = False,
+    declared_again_after: int = 0,
     **options: Any,
 ) -> None:
     """Write a recording as another program would: with the mcap library, in an order."""
@@ -89,7 +94,9 @@ def rewrite(
         if not is_late_declared:
             for entry in reversed(entries):
                 writer.channel(entry)
-        for entry in entries:
+        for number, entry in enumerate(entries):
+            if declared_again_after and number % declared_again_after == 0:
+                writer.forget()
             one = entry[2]
             writer.add_message(
                 writer.channel(entry), one.log_time, one.data, one.publish_time, one.sequence
@@ -117,6 +124,8 @@ WAYS: dict[str, dict[str, Any]] = {
     "attachments last": {"attachments_last": True, "chunk_size": 20_000},
     "attachments last, no chunks": {"attachments_last": True, "use_chunking": False},
     "channels as they come": {"is_late_declared": True, "chunk_size": 4000, **BARE},
+    "schemas and channels again": {"declared_again_after": 500, "chunk_size": 20_000},
+    "schemas and channels again, no chunks": {"declared_again_after": 500, "use_chunking": False},
     "no checksums": {"enable_crcs": False, "enable_data_crcs": False},
 }
 
