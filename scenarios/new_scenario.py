@@ -32,7 +32,7 @@ from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.irradiance import (
     Irradiance,
     StatedForm,
-    read_measured_ghi,
+    measured_ghi,
     read_positions,
     station_of,
     wide,
@@ -41,6 +41,9 @@ from sim_plant.irradiance import (
 _SHORTEST: Final = pd.Timedelta(seconds=SHORTEST_CYCLE_S)
 _LENGTH: Final = pd.Timedelta(hours=1)
 _INVERTER_KW: Final = 500
+_MOST_SHOWN: Final = 10_000
+"""Lines of the data from which their share of a clear sky is worked out."""
+
 _CLUSTER: Final = 5
 """About so many inverters have a supervisor."""
 
@@ -105,9 +108,10 @@ def measured_scenario(
     guess = (
         [] if table.is_zoned or form.timezone else [_guessed_zone(table, stations, positions, form)]
     )
-    found = read_measured_ghi(
-        ghi_csv,
-        positions_csv,
+    found = measured_ghi(
+        table,
+        positions,
+        positions_csv.name,
         stations,
         LONGEST_S,
         replace(form, timezone=guess[0]) if guess else form,
@@ -209,9 +213,9 @@ def _timezone(offset: timedelta) -> str:
 def preview_table(found: Irradiance) -> list[str]:
     """Say in a few lines what measured irradiance holds."""
     times, mean_wm2 = found.times, found.ghi_wm2.mean(axis=1)
-    clear_wm2 = clear_ghi(times, found.coordinates)
-    energy = float(np.nansum(clear_wm2))
-    share = f"{100.0 * float(mean_wm2.sum()) / energy:.0f} % of a clear sky" if energy else "night"
+    some_wm2 = mean_wm2.iloc[:: len(times) // _MOST_SHOWN + 1]
+    energy = float(np.nansum(clear_ghi(pd.DatetimeIndex(some_wm2.index), found.coordinates)))
+    share = f"{100.0 * float(some_wm2.sum()) / energy:.0f} % of a clear sky" if energy else "night"
     off_h = hours_from_noon(mean_wm2, found.coordinates)
     return [
         f"data: {len(found.sensors)} stations, {times[0]:%Y-%m-%d %H:%M} to "

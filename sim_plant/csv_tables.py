@@ -119,7 +119,9 @@ class CsvTable:
         """
         values = np.column_stack([self._floats(name) for name in columns])
         is_missing = np.column_stack([self.column(name).isna() for name in columns])
-        is_sentinel = sentinels & np.isin(values, _SENTINELS)
+        is_sentinel = np.zeros(0, dtype=bool)
+        if sentinels and (values <= max(_SENTINELS)).any():
+            is_sentinel = np.isin(values, _SENTINELS)
         if is_sentinel.any():
             words = listed([f"{one:g}" for one in np.unique(values[is_sentinel])])
             self.notes.append(f"{words} in {is_sentinel.sum():,} fields counts as missing")

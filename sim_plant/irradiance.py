@@ -98,12 +98,24 @@ def read_measured_ghi(
     """
     positions = read_positions(positions_csv)
     table = wide(read_csv(ghi_csv), tuple(positions.index))
+    return measured_ghi(table, positions, positions_csv.name, stations, max_gap_s, form)
+
+
+def measured_ghi(
+    table: CsvTable,
+    positions: pd.DataFrame,
+    positions_name: str,
+    stations: Sequence[str] | None,
+    max_gap_s: float | None,
+    form: StatedForm,
+) -> Irradiance:
+    """Return the irradiance in a table with a column for each station; the rest is as above."""
     known = [station_of(name, positions.index) for name in table.value_columns]
     if stations is None:
         if missing := [name for name in positions.index if name not in known]:
             raise InputError(
-                f"{ghi_csv.name}: line 1: expected a column for each station of "
-                f"{positions_csv.name}, or irradiance.stations, got none for {listed(missing)}"
+                f"{table.name}: line 1: expected a column for each station of "
+                f"{positions_name}, or irradiance.stations, got none for {listed(missing)}"
             )
         stations = [name for name in known if name in positions.index]
     check_stations(stations, known, f"{table.name}: line 1: stations")
@@ -111,7 +123,7 @@ def read_measured_ghi(
     wanted = [columns[name] for name in stations]
     if missing := [name for name in stations if name not in positions.index]:
         expected = "a line for each station"
-        raise InputError(f"{positions_csv.name}: expected {expected}, got none for {missing}")
+        raise InputError(f"{positions_name}: expected {expected}, got none for {missing}")
     coordinates = positions.loc[list(stations)]
     may_lack, expected = max_gap_s is not None, "a number in W/m2"
     if not may_lack:
@@ -131,8 +143,8 @@ def read_measured_ghi(
     longest_s, report = 0.0, tuple[str, ...]()
     if max_gap_s is not None:
         found, longest_s, report = _without_gaps(ordered, found, max_gap_s)
-    source, report = str(ghi_csv), table.said() + report
-    return Irradiance(found, coordinates, source, report, longest_s, stamps)
+    report = table.said() + report
+    return Irradiance(found, coordinates, str(table.path), report, longest_s, stamps)
 
 
 def station_of(column: str, stations: pd.Index) -> str:
@@ -213,9 +225,14 @@ def _without_gaps(
     """
     times = pd.DatetimeIndex(found.index)
     step_s = float(np.diff(times.asi8).min()) / 1e9
-    every = found.reindex(pd.date_range(times[0], times[-1], freq=pd.Timedelta(seconds=step_s)))
-    steps = every.apply(_steps_of_gaps)  # Of the gap that each missing value is in.
-    longest, missing = steps.max(), (steps > 0).sum()
+    grid = pd.date_range(times[0], times[-1], freq=pd.Timedelta(seconds=step_s))
+    every = found.set_axis(grid) if len(grid) == len(times) else found.reindex(grid)
+    missing = every.isna().sum()
+    missing = missing[missing > 0]
+    if missing.empty:
+        return every, 0.0, ()
+    steps = every[missing.index].apply(_steps_of_gaps)  # Of the gap that a missing value is in.
+    longest = steps.max()
     if empty := [str(name) for name in longest.index[longest == len(every)]]:
         raise InputError(f"{table.name}: expected values, got none of {listed(empty)}")
     limit = max_gap_s / step_s
@@ -227,9 +244,7 @@ def _without_gaps(
     if too_long:
         expected = f"gaps of at most {max_gap_s:g} s, as max_gap_s says"
         raise InputError(f"{table.name}: expected {expected}, got {listed(too_long)}")
-    if not missing.any():
-        return every, 0.0, ()
-    of_each = listed([f"{name} {count:,}" for name, count in missing.items() if count])
+    of_each = listed([f"{name} {count:,}" for name, count in missing.items()])
     quality = (
         f"{table.name}: {missing.sum():,} of {every.size:,} values were missing, in gaps of at "
         f"most {longest.max() * step_s:g} s, and are interpolated: {of_each}"

@@ -74,6 +74,6 @@ def _write_picture(curves: dict[str, pd.Series], path: Path) -> None:
         colour = "black" if name == "clear sky" else None
         axes.plot(pd.DatetimeIndex(line.index), line.to_numpy(), label=name, lw=1, color=colour)
     axes.set(ylabel="GHI [W/m²]", xlabel="UTC")
-    axes.legend(loc="upper left", fontsize="small", ncols=6)
+    figure.legend(loc="outside lower center", fontsize="small", ncols=11)
     with whole_file(path) as file:
         figure.savefig(file, format="png", dpi=120)
