@@ -163,11 +163,17 @@ def _compared(plan: RunPlan, folder: Path, account: ExternalAccount) -> External
                 timings = devices_of(stage_table(reader, ()), plan)
             for found in (one for one in timings if one.agent == agent):
                 wrong = found.findings if found.is_wrong else ()
-                account = replace(account, late=found.late, timing=wrong)
+                account = replace(account, late=found.late, findings=wrong)
     with suppress(InputError):
         if agent in plan.tree.leaves:
             result = verify(folder, agent).agents[agent]
-            account = replace(account, differing=result.differences["differs"])
+            if (count := result.differences["differs"]) and result.first:
+                text = (
+                    f"{agent}: {count:,} messages differ from what it must decide, the first: "
+                    f"{result.first.message} of cycle {result.first.cycle}, see heliarch verify "
+                    f"{folder}"
+                )
+                account = replace(account, findings=(*account.findings, text))
     return account
 
 

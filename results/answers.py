@@ -31,7 +31,8 @@ TOLERANCE_PERCENT: Final = 1.0
 
 BAND_PERCENT: Final = 2.5
 LEAST_BAND_PERCENT: Final = 0.5
-"""Within the band of IEEE 2800 a step has settled: in % of it, and at least in % of the rating."""
+"""Within this band a step has settled: in % of it, and at least in % of the rating. docs/orders.md
+says where it comes from."""
 
 _LEAST: Final = ("score", "response_percent", "damping")
 """Of these more is better."""
@@ -45,7 +46,7 @@ within the time, up to 60 s, in which its source promised to renew it."""
 _OF_STEPS: Final = ("reaction_s", "rise_s", "to_90_s", "settling_of_change_s", "damping")
 
 _REST_S: Final = 10.0
-"""The error at rest is the mean over this time at the end, once the power has settled."""
+"""The error at rest is the mean over this time at the end, if the power had settled before it."""
 
 Values = NDArray[np.float64]
 
@@ -74,12 +75,12 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     reaction_s, rise_s: Of a step: until the power had covered a tenth of it, and from there to nine
         tenths [s].
     to_90_s: Of a step: until the power had covered nine tenths of it [s].
-    settling_of_change_s: Of a step: until the power stayed within the band of IEEE 2800 [s].
+    settling_of_change_s: Of a step: until the power stayed within its band [s].
     damping: Of a step: damping ratio of the second-order system that overshoots as far; 1: none.
     settling_s: From when the dispatch was there until the power stayed within 1 % [s].
     overshoot_percent: Largest power beyond `to_kw`, in % of the rating; after a step down also the
         largest power that is still above it once the inverters have had their time to follow.
-    error_percent: Mean of power less dispatch at rest, in % of the rating.
+    error_percent: Mean of power less dispatch at rest, in % of the rating. None: it was cut short.
     ramp_deviation_percent: Mean deviation from the ramp, in % of the rating.
     signal: Of an AGC signal: its score.
     response_percent: Of an event of the grid's frequency (asked by `frequency`): the energy of the
@@ -190,10 +191,11 @@ def answer(
     outside = np.flatnonzero((np.abs(error_kw) > tolerance_kw) & able)
     outside = outside[outside >= there]
     settled = int(outside[-1]) + 1 if len(outside) else there
-    rest = slice(max(settled, len(error_kw) - max(round(_REST_S / cycle_s), 1)), None)
+    rest = len(error_kw) - max(round(_REST_S / cycle_s), 1)
     percent = 100.0 / rating_kw
     is_settled = settled < len(error_kw) and bool(able[settled:].any())
-    at_rest = error_kw[rest][able[rest]]
+    # Before it has rested for that long, the dispatch may still be on its way within 1 %.
+    at_rest = error_kw[rest:][able[rest:]] if rest >= settled else error_kw[:0]
     beyond_kw = ahead * error_kw
     if follow_s < inf and ahead < 0.0:  # What stays above the order is too much, too.
         followed = there + ceil(follow_s / cycle_s)
@@ -229,7 +231,7 @@ def _step_figures(
     rating_kw: float,
     cycle_s: float,
 ) -> dict[str, float | None]:
-    """Return how a step was answered, in the terms of IEEE 2800 and of NERC's guideline.
+    """Return how a step was answered, in the terms of IEEE 2800.
 
     `covered_kw` is the power less that before the step, `error_kw` the power less what was asked.
     """
@@ -333,7 +335,7 @@ def answers_tables(found: Iterable[Answer]) -> list[Table]:
     )
     tables = [Table("How the plant answered", columns, rows, notes)] if rows else []
     if steps:
-        tables.append(Table("Steps by IEEE 2800", of_steps, steps, notes_on_steps))
+        tables.append(Table("Steps", of_steps, steps, notes_on_steps))
     return tables
 
 

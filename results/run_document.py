@@ -188,7 +188,7 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
             yield f"{missed} of {len(self.answers)} answers of the plant missed a budget"
         if attacked := self._two_senders():
             text = listed([f"{one.key}: {one.example}" for one in attacked])
-            yield f"more than one program sent messages on {text}"
+            yield f"another program than its own sent messages on {text}"
         if self.lost_by_processes and not self.recording_ended:
             lost = ", ".join(count.signal for count in self.messages if count.lost)
             yield f"messages were lost: {lost}"
@@ -196,19 +196,22 @@ class RunDocument(msgspec.Struct, frozen=True, kw_only=True):
             refused = self.refused(account)
             of = max(sum(account.recorded.values()), account.expected, refused)
             if refused > _MOST_REFUSED * of:
-                yield f"external agent {account.agent}: {refused:,} of {of:,} messages refused"
-            yield from account.timing
-            if account.differing:
+                most = next(one for one in self.wrong if one.publisher == account.agent)
                 yield (
-                    f"external agent {account.agent}: {account.differing:,} messages differ from "
-                    f"what it must decide, see heliarch verify {self.folder}"
+                    f"external agent {account.agent}: {refused:,} of {of:,} messages refused, "
+                    f"most: {most.key} {most.cause} ({most.example})"
                 )
+            yield from account.findings
 
     def _two_senders(self) -> list[WrongMessages]:
-        """Return keys of Heliarch's processes on which another program sent messages as well."""
+        """Return keys on which a program sent messages that are not its own.
+
+        A device that takes part must keep to its keys; strangers on others do no harm.
+        """
         external = {account.agent for account in self.external}
-        conflicting = (one for one in self.wrong if one.cause == "conflicting")
-        return [one for one in conflicting if one.publisher not in external]
+        causes = {"conflicting", *(("wrong_sender", "unknown") if external else ())}
+        wrong = (one for one in self.wrong if one.cause in causes)
+        return [one for one in wrong if one.publisher not in external]
 
     def as_json(self) -> bytes:
         """Return the summary as JSON, with the numbers that follow from others."""

@@ -118,9 +118,8 @@ class ExternalAccount(msgspec.Struct, frozen=True):
     expected, answered: How many messages should have come on the keys with one in each cycle, and
         how many came.
     late: In real time: how many stages' answers came too late for a listener.
-    timing: In real time: what was wrong with the times of its answers, in words.
-    differing: How many of its messages are not what a direct controller must decide; 0 if it is
-        none.
+    findings: What was wrong with its decisions, and in real time with the times of its answers, in
+        words: each with its name, and the first key and cycle.
     """
 
     agent: str
@@ -129,8 +128,7 @@ class ExternalAccount(msgspec.Struct, frozen=True):
     expected: int = 0
     answered: int = 0
     late: int = 0
-    differing: int = 0
-    timing: tuple[str, ...] = ()
+    findings: tuple[str, ...] = ()
 
 
 class Recorded(Event, frozen=True):

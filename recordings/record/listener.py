@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from math import inf
 from typing import Final, NamedTuple
 
@@ -106,24 +107,24 @@ class RunListener:
         try:
             head = decode_head(payload)
         except UNREADABLE as error:
-            self.complaints.add(key, UNDECODABLE, str(error))
+            self._complain(key, UNDECODABLE, str(error))
             return None
         return self._hear(key, known, head, payload)
 
     def _hear_bundle(self, key: str, payload: bytes) -> Ready | None:
         known = self._bundles.get(key)
         if known is None:
-            self.complaints.add(key, UNKNOWN, "this run has no such node or signal")
+            self._complain(key, UNKNOWN, f"this run has no such node or signal{_sender(payload)}")
             return None
         answer = None
         try:
             for of, head, part in open_bundle(payload):
                 if (one := known.get(of)) is None:
-                    self.complaints.add(key, UNKNOWN, f"it holds a message of {of}")
+                    self._complain(key, UNKNOWN, f"it holds a message of {of}")
                 else:
                     answer = self._hear(of, one, head, part) or answer
         except UNREADABLE as error:
-            self.complaints.add(key, UNDECODABLE, str(error))
+            self._complain(key, UNDECODABLE, str(error))
         return answer
 
     def _hear(self, key: str, known: _Key, head: Head, payload: bytes) -> Ready | None:
@@ -131,10 +132,10 @@ class RunListener:
         try:
             message = port.signal.decode(payload) if known.is_read else None
         except UNREADABLE as error:
-            self.complaints.add(key, UNDECODABLE, str(error))
+            self._complain(key, UNDECODABLE, str(error))
             return None
         if head.source != port.publisher:
-            self.complaints.add(key, WRONG_SENDER, f"it is from {head.source!r}")
+            self._complain(key, WRONG_SENDER, f"it is from {head.source!r}")
         elif head.cycle < 0:
             if not self._plan.timing.lockstep:
                 self._reach.hear(port, head, payload, self._now_ns())
@@ -145,9 +146,11 @@ class RunListener:
             if head.cycle <= (self._last_cycle_of(port) if last_cycle is None else last_cycle):
                 self._record(key, known, head, message, payload)
             else:
-                text = f"it is of cycle {head.cycle}, not {self.progress.newest_cycle}"
-                self.complaints.add(key, WRONG_CYCLE, text)
+                self._complain(key, WRONG_CYCLE, f"it is of cycle {head.cycle}")
         return None
+
+    def _complain(self, key: str, cause: str, text: str) -> None:
+        self.complaints.add(key, cause, f"in cycle {self.progress.newest_cycle}, {text}")
 
     def status(self) -> Status:
         """Return where the run stands, and the agents that are unresponsive or not heard yet."""
@@ -192,7 +195,7 @@ class RunListener:
             if complaint is None and (text := out_of_range(self._plan, port, message, heard_ns)):
                 complaint = OUT_OF_RANGE, text
         if complaint is not None:
-            self.complaints.add(key, *complaint)
+            self._complain(key, *complaint)
         elif message is not None:
             self._follow(port, message, heard_ns)
 
@@ -207,3 +210,9 @@ class RunListener:
             text = f"it stops the run before cycle {false_stop}, and cycle {begun} has begun"
             self.complaints.add(self._plan.wiring.key(RUN.of(ROOT)), CONFLICTING, text)
             self.senders.note_extra(RUN.of(ROOT))
+
+
+def _sender(payload: bytes) -> str:
+    with suppress(*UNREADABLE):
+        return f"; it is from {decode_head(payload).source!r}"
+    return ""

@@ -29,6 +29,7 @@ from bus_schemas.messages import Head, Message
 from bus_schemas.signals import SIGNALS, Port, Signal
 from recordings.read.run_file import SCHEMA_VERSION, recorded_ports
 from recordings.record.chunk_writer import ChunkWriter
+from recordings.record.time_service import clock_statement
 
 _UNWRITABLE: Final = (OSError, struct.error, ValueError, OverflowError, MemoryError)
 """What writing a message can raise."""
@@ -161,7 +162,7 @@ class RunWriter:
         }
         if driver == "launch":  # The timing of a run depends on the host.
             run |= {"host": platform.node(), "kernel": platform.release()}
-            run["cpu_count"] = str(os.cpu_count())
+            run |= {"cpu_count": str(os.cpu_count()), "time_service": clock_statement()}
         run |= {"python": platform.python_version(), "code": code_digest()}
         run |= {f"version {name}": version(name) for name in _VERSIONED}
         self._writer.add_metadata("run", run)

@@ -286,6 +286,7 @@ def _host(
     return {
         **{name: metadata.get(name, "unknown") for name in ("kernel", "cpu_count", "python")},
         "heliarch": metadata.get("version heliarch", "unknown"),
+        "time_service": metadata.get("time_service", ""),
         "zenoh": metadata.get("version eclipse-zenoh", "unknown"),
         "priority": machine.priority or 0,
         "bound_to": {who: tuple(cpus) for who, cpus in bound if cpus},

@@ -84,6 +84,8 @@ def host_lines(report: TimingReport) -> Iterator[str]:
             f"the machine stood still for over {LATE_MS:g} ms {counted(host['stops'], 'time')}, "
             f"for {host['longest_stop_ms']:.1f} ms at most"
         )
+    if host["time_service"]:
+        yield f"clock of this host, says {host['time_service']}"
     for clock in report.clocks:
         yield (
             f"clock of {clock.host}: {clock.offset_ms:+.3f} ms, known within "

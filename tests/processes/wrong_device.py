@@ -1,7 +1,4 @@
-"""Direct controllers with faults: `python wrong_device.py FAULT,FAULT... PLAN NODE`.
-
-The fault `everything` does one thing wrong after the other, beside answering rightly.
-"""
+"""A direct controller with faults: `python wrong_device.py FAULT,FAULT... PLAN NODE`."""
 
 from __future__ import annotations
 
@@ -20,11 +17,20 @@ sys.path.insert(0, str(EXAMPLES))
 import direct_controller  # noqa: E402
 
 FAULTS = set(sys.argv[1].split(",")) if __name__ == "__main__" else set[str]()
-"""The requirements that the device does not meet."""
 
-
-SILENT = range(10, 30)
+FIRST_WRONG = 3
+SILENT = range(5, 25)
 """Cycles in which a silent device publishes nothing."""
+
+FAULT_COUNTS = {"flood": 1_000}
+"""Messages in each cycle."""
+
+REPLACED = {
+    "not a number": ("impp", "power_kw", math.nan),
+    "beyond the rating": ("impp", "power_kw", 1e9),
+    "no alpha": ("command", "alpha", 0.0),
+}
+"""Faults by which a field of a signal is absurd."""
 
 
 class WrongDevice(direct_controller.DirectController):
@@ -35,7 +41,7 @@ class WrongDevice(direct_controller.DirectController):
             return
         if "silent" in FAULTS and self.cycle in SILENT:
             return
-        fields |= self.stamps()
+        fields |= self.stamps() | self.absurd(signal)
         if "residual" in FAULTS and signal == "residual":
             fields["power_kw"] = (fields["power_kw"] or 0.0) + 10.0
         if self.cycle == 3:
@@ -49,6 +55,13 @@ class WrongDevice(direct_controller.DirectController):
             super().publish(signal, **fields)
             self.sequences[signal] = max(self.cycle, 0)
         super().publish(signal, **fields)
+
+    def absurd(self, signal: str) -> dict[str, float]:
+        return {
+            field: value
+            for fault, (of, field, value) in REPLACED.items()
+            if fault in FAULTS and of == signal and self.cycle >= FIRST_WRONG
+        }
 
     def stamps(self) -> dict[str, int]:
         """Return a wrong stamp; one that is early is of 60 ms before the message goes out."""
@@ -77,6 +90,31 @@ class WrongDevice(direct_controller.DirectController):
                 cycles = float(fault.partition(" ")[2] or 0.5)
                 time.sleep(cycles * 1e-9 * self.plan["timing"]["cycle_wall_ns"])
         super().estimate()
+        if self.cycle >= FIRST_WRONG:
+            for fault, (key, payload) in self.further_messages().items():
+                for _ in range(FAULT_COUNTS.get(fault, 1) if fault in FAULTS else 0):
+                    # None of them gets lost, however slow who hears it.
+                    block = zenoh.CongestionControl.BLOCK
+                    name = f"{self.plan['plant']}/{key}"
+                    self.session.put(name, payload, congestion_control=block)
+
+    def further_messages(self) -> dict[str, tuple[str, bytes]]:
+        """Key and payload of what is sent beside the right messages, by fault."""
+        own, pack = f"{self.node}/impp", msgpack.packb
+        head = {"cycle": self.cycle, "sim_time_ns": 0, "source": self.node, "missing": []}
+        good = head | {"publish_time_ns": 1, "sequence": 0, "power_kw": 1.0, "stale_cycles": 0}
+        other = next(node for node, _ in self.plan["inverters"] if node != self.node)
+        return {
+            "garbage": (own, b"\xc1 garbage"),
+            "a field less": (own, pack(head)),
+            "text for a number": (own, pack(good | {"power_kw": "a lot"})),
+            "cycle ahead": (own, pack(good | {"cycle": self.cycle + 500})),
+            "contradiction": (own, pack(good)),
+            "flood": (own, pack(good)),
+            "name of another": (own, pack(good | {"source": "central"})),
+            "key of another": (f"{other}/impp", pack(good)),
+            "unknown key": (f"{self.parent}/nobody/impp", pack(good)),
+        }
 
     def end(self, cycles: int) -> None:
         if "stop" in FAULTS:
@@ -96,56 +134,8 @@ def believes_all(signal: str, payload: bytes, source: str) -> dict[str, Any] | N
 
 READ = direct_controller.read_message
 
-FIRST_WRONG = 5
-FIRST_ABSURD = 20
-"""From this cycle on its numbers are absurd instead of right."""
-
-FLOOD = 10_000
-ABSURD_KW = (math.nan, -5.0, 1e9, math.inf, -math.inf)
-
-
-class MisbehavingDevice(direct_controller.DirectController):
-    """The example, with a wrong of its own in each cycle."""
-
-    def estimate(self) -> None:
-        """Answer, and then do what must not be done."""
-        super().estimate()
-        place, wrongs = self.cycle - FIRST_WRONG, self.wrongs()
-        for key, payload in wrongs[place] if 0 <= place < len(wrongs) else ():
-            # None of them gets lost, however slow who hears it.
-            block = zenoh.CongestionControl.BLOCK
-            self.session.put(f"{self.plan['plant']}/{key}", payload, congestion_control=block)
-
-    def wrongs(self) -> list[list[tuple[str, bytes]]]:
-        """Keys and payloads, cycle by cycle."""
-        own, pack, good = f"{self.node}/impp", msgpack.packb, self.impp(self.cycle)
-        missing = {key: value for key, value in good.items() if key != "power_kw"}
-        other_types = ([1, 2], 7, missing, good | {"power_kw": "a lot"}, good | {"more": 1})
-        other_cycles = (0, self.cycle - 1, self.cycle + 500, 10**12, -7)
-        other = next(node for node, _ in self.plan["inverters"] if node != self.node)
-        return [
-            [(own, payload) for payload in (b"\xc1 garbage", b"", bytes(range(256)) * 1000)],
-            [(own, pack(wrong)) for wrong in other_types],
-            [(own, pack(self.impp(cycle))) for cycle in other_cycles],
-            [(own, pack(good))] * 10,
-            [(own, pack(good | {"source": "central"})), (f"{other}/impp", pack(good))],
-            [(f"{self.node.rpartition('/')[0]}/nobody/impp", b"")],
-            [(own, pack(good))] * FLOOD,
-        ]
-
-    def publish(self, signal: str, **fields: Any) -> None:
-        if self.cycle >= FIRST_ABSURD and signal in ("impp", "command"):
-            fields["power_kw"] = ABSURD_KW[self.cycle % len(ABSURD_KW)]
-        super().publish(signal, **fields)
-
-    def impp(self, cycle: int) -> dict[str, Any]:
-        """Return an IMPP message as it should be."""
-        head = {"cycle": cycle, "sim_time_ns": 0, "source": self.node, "missing": []}
-        return head | {"publish_time_ns": 1, "sequence": 0, "power_kw": 1.0, "stale_cycles": 0}
-
-
 if __name__ == "__main__":
     sys.argv = [sys.argv[0], "--plan", sys.argv[2], "--node", sys.argv[3]]
     if "wrong messages" in FAULTS:
         direct_controller.read_message = believes_all
-    direct_controller.main(MisbehavingDevice if "everything" in FAULTS else WrongDevice)
+    direct_controller.main(WrongDevice)

@@ -36,7 +36,17 @@ def test_a_step_has_its_times_its_overshoot_and_its_error_at_rest() -> None:
     assert found.ramp_deviation_percent is None
 
 
-def test_a_step_has_the_figures_of_ieee_2800() -> None:
+@pytest.mark.parametrize(("rest", "error_percent"), [(2, None), (6, 0.0)])
+def test_an_answer_that_is_cut_short_at_the_end_of_its_ramp_has_no_error_at_rest(
+    rest: int, error_percent: float | None
+) -> None:
+    # Within 1 % at 495 kW the dispatch still moves, and the power follows a cycle later.
+    dispatch = [200.0, 300.0, 400.0, 495.0, *[500.0] * rest]
+    found = answered(dispatch, [100.0, *dispatch[:-1]])
+    assert (found.error_percent, found.settling_s is None) == (error_percent, False)
+
+
+def test_a_step_has_reaction_rise_settling_and_damping() -> None:
     # 400 kW up: a tenth is at 140 kW, nine tenths at 460 kW; the band is 2.5 % of it, 10 kW.
     found = answered([500.0] * 8, [130.0, 145.0, 300.0, 470.0, 511.0, 491.0, 500.0, 500.0])
     assert (found.reaction_s, found.rise_s, found.to_90_s) == (4.0, 4.0, 8.0)

@@ -166,3 +166,29 @@ def test_the_page_has_the_verdict_first_and_all_rows_and_late_cycles(tmp_path: P
     assert '<p class="verdict fail">FAIL: ' in failed_page
     assert "not kept: " in failed_page
     assert "plant closed apply without c2/d/command" in failed_page
+
+
+@pytest.mark.parametrize(
+    ("program", "output", "said"),
+    [
+        (
+            "chronyc",
+            "Stratum : 3\nSystem time     : 0.000012 seconds fast of NTP time\nLast offset : 1 s",
+            "clock of this host, says chronyc: System time 0.000012 seconds fast of NTP time",
+        ),
+        (
+            "pmc",
+            "sending: GET TIME_STATUS_NP\n\t\tmaster_offset              -12\n\t\tgmPresent  true",
+            "clock of this host, says pmc: master_offset -12, gmPresent true",
+        ),
+    ],
+)
+def test_the_header_tells_what_the_time_service_says(
+    program: str, output: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (fake := tmp_path / program).write_text(f"#!/bin/sh\ncat <<'END'\n{output}\nEND\n")
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    assert said in text_of(reported(tmp_path / "run")).splitlines()
+    fake.write_text("#!/bin/sh\necho '506 Cannot talk to daemon'\nexit 1\n")
+    assert "clock of this host" not in text_of(reported(tmp_path / "silent"))
