@@ -49,6 +49,8 @@ PLANTS: Final[dict[str, CampaignPlant]] = {
             "control.alpha_min": 0.4,
             "plant.actuator": "fraction",
             "plant.meter_noise": 0.01,
+            "plant.available_bias": 0.0,
+            "plant.available_share": 0.5,
         },
         Worth(0.0065, 0.0045, 0.005, 0.0, 0.74),
     ),
