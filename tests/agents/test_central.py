@@ -26,16 +26,6 @@ def test_an_absurd_meter_leaves_no_trace(absurd_kw: float) -> None:
     assert central.loop.inputs.dropped == {("meter", "out_of_range"): 1}
 
 
-def test_a_reading_counts_once_however_long_it_holds() -> None:
-    central = AtWork(CORRECTING, "central")
-    cycle_with_meter(central, 0, 50.0)
-    cycle_with_meter(central, 1, 50.0)
-    once_kw = cycle_with_meter(central, 2, 40.0)
-    assert once_kw == pytest.approx(50.0 + 0.4 * 10.0)
-    assert [cycle_with_meter(central, cycle, None) for cycle in (3, 4, 5, 6)] == [once_kw] * 4
-    assert cycle_with_meter(central, 7, 40.0) == pytest.approx(50.0 + 8.0)
-
-
 def test_the_aim_is_the_dispatch_plus_offset_and_mean_error() -> None:
     control = replace(CORRECTING.control, correction=False, offset_kw=3.0, offset_errors=2.0)
     central = AtWork(replace(CORRECTING, control=control), "central")

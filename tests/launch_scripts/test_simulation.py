@@ -12,14 +12,9 @@ from plans_by_hand import CYCLE_NS, plan_of
 from agents.plan_parts import Neighbourhood, NodeNeighbourhoods
 from bus_schemas.errors import FailureError
 from bus_schemas.signals import (
-    COMMAND,
     DISPATCH,
-    HELP,
-    IMPP,
     PRODUCTION,
-    RESIDUAL,
     SETPOINT,
-    TELEMETRY,
     Port,
 )
 from bus_schemas.tree import ROOT
@@ -44,56 +39,6 @@ def power_kw(sent: Sent, cycle: int, *ports: Port[Any]) -> list[float]:
 @pytest.fixture(scope="module")
 def sent() -> Sent:
     return run_in_memory(PLAN, PROFILE)[1]
-
-
-@pytest.mark.parametrize(
-    ("cycle", "telemetry", "impp", "residual", "setpoint", "alpha", "produced"),
-    [
-        # Uncurtailed before the run. IMPP (eq. 1): 80 / 1 and 60 / 1; residual (eq. 4): less the
-        # share (eq. 3) of 80 / 2 each; alpha (eq. 6): 40 / 80 and 40 / 60.
-        (0, [80, 60], [80, 60, 140], [40, 20, 60], [40, 40], [1 / 2, 2 / 3], [40, 40]),
-        # Telemetry is of cycle 0: the cloud is felt, 1/2 of 20 kW, before it is measured.
-        (1, [40, 40], [80, 60, 140], [40, 20, 60], [40, 40], [1 / 2, 2 / 3], [10, 128 / 3]),
-        # 120 kW are wanted, 60 of each: a lacks 40, b has 4 to spare. Each gives all it has.
-        (2, [10, 128 / 3], [20, 64, 84], [-40, 4, -36], [20, 64], [1, 1], [16, 40]),
-    ],
-)
-def test_each_cycle_is_as_worked_out_by_hand(
-    sent: Sent,
-    cycle: int,
-    telemetry: list[float],
-    impp: list[float],
-    residual: list[float],
-    setpoint: list[float],
-    alpha: list[float],
-    produced: list[float],
-) -> None:
-    for signal, expected in (
-        (TELEMETRY, telemetry),
-        (IMPP, impp),
-        (RESIDUAL, residual),
-        (SETPOINT, setpoint),
-    ):
-        nodes = ("a", "b", ROOT)[: len(expected)]
-        found = power_kw(sent, cycle, *(signal.of(node) for node in nodes))
-        assert found == pytest.approx(expected), signal.name
-    alphas = [sent.of(COMMAND.of(leaf))[cycle].alpha for leaf in ("a", "b")]
-    assert alphas == pytest.approx(alpha)
-    message = sent.of(PRODUCTION.of(ROOT))[cycle]
-    assert message.inverter_power_kw == pytest.approx(produced)
-    assert message.delivered_kw == pytest.approx(sum(produced))
-    assert message.available_kw == PROFILE.mpp_kw[cycle].sum()
-    calls = {node: sent.of(HELP.of(node)).get(cycle) for node in ("a", "b", ROOT)}
-    missing_kw = {node: call.missing_kw for node, call in calls.items() if call is not None}
-    assert missing_kw == pytest.approx({"a": 40.0, ROOT: 36.0} if cycle == 2 else {})
-
-
-def test_a_setpoint_above_the_share_names_the_needy_sibling(sent: Sent) -> None:
-    of_a, of_b = (sent.of(SETPOINT.of(leaf))[2] for leaf in ("a", "b"))
-    assert (of_a.share_kw, of_a.help_given) == (60.0, ())
-    (line,) = of_b.help_given
-    assert (of_b.share_kw, line.needy) == (60.0, "a")
-    assert line.power_kw == pytest.approx(4.0)
 
 
 def test_each_hour_has_its_order_of_help_and_the_first_one_holds_before_it() -> None:

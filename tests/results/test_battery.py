@@ -27,17 +27,6 @@ def test_a_battery_gives_what_is_missing_and_is_charged_from_headroom() -> None:
     assert found.mileage_kw == 10 + 10 + 25 + 15 + 35
 
 
-def test_losses_make_it_larger() -> None:
-    missing, headroom = np.array([10.0, 0.0, 10.0]), np.array([0.0, 10.0, 0.0])
-    # Each way 0.8: 12.5 kWh out, 8 in, 12.5 out.
-    found = smallest_battery(missing, headroom, HOUR_S, efficiency=0.64)
-    assert found.energy_kwh == pytest.approx(12.5 - 8.0 + 12.5)
-
-
-def test_a_run_without_shortfall_needs_none() -> None:
-    assert smallest_battery(np.zeros(3), np.ones(3), HOUR_S) == (0.0, 0.0, 0.0, 0.0)
-
-
 @given(
     st.lists(st.tuples(st.floats(0, 100), st.floats(0, 100)), min_size=1, max_size=30),
     st.floats(0.5, 1.0),

@@ -41,11 +41,6 @@ def test_a_hard_minute_names_who_lacked_power_and_who_gave_it() -> None:
     assert minute.without_help_kwh == pytest.approx((9 * 30.0 + 40.0) / 3600.0)
 
 
-def test_a_run_in_which_nobody_lacks_power_has_no_hard_minute() -> None:
-    run = shaded_run().between(70, 180)
-    assert highlights(run).hard_minutes == []
-
-
 def test_unknown_cycles_are_gaps_of_the_curve_and_no_hard_minutes() -> None:
     run = shaded_run()
     run.power_kw[60:66] = np.nan

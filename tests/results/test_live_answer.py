@@ -71,10 +71,6 @@ def test_a_response_to_the_frequency_is_no_error_and_its_lack_is_named() -> None
     assert silent == "200 kW not reached within 1 %; the frequency is 59.864 Hz"
 
 
-def test_a_number_that_rounds_to_zero_has_no_sign() -> None:
-    assert "overshoot 0.0 %" in text_of(GridSettings(), iter([TO_KW - 1e-9] * 20))
-
-
 def test_an_order_that_did_not_come_into_force_ends_with_the_reply() -> None:
     found = LiveAnswer(plan_of({"a": 400.0}, cycles=10))
     replied: list[FromPlant] = [Reply(text="replaced by the page in cycle 3")]

@@ -126,13 +126,6 @@ def test_power_comes_from_the_currents(plant: Folder, tmp_path: Path) -> None:
     np.testing.assert_allclose(found.profile.mpp_kw[:, place], expected_kw)
 
 
-def test_the_start_of_the_scenario_is_the_first_row(plant: Folder) -> None:
-    whole_kw = plant.prepare().profile.mpp_kw
-    part = plant.prepare(start="12:05", duration="20s")
-    np.testing.assert_array_equal(part.profile.mpp_kw, whole_kw[30:32])
-    assert "2000-06-21T11:59:50Z" in plant.complaint(start="11:59:50", duration="20s")
-
-
 def test_a_silent_inverter_takes_its_rating_away_and_neighbours_share_a_cluster(
     plant: Folder, tmp_path: Path
 ) -> None:
@@ -144,10 +137,6 @@ def test_a_silent_inverter_takes_its_rating_away_and_neighbours_share_a_cluster(
     assert found.plan.tree.rating_kw("") == pytest.approx(20_000.0 * 5 / 6)
     assert [len(found.plan.tree.children(parent)) for parent in ("c1", "c2")] == [3, 2]
     assert found.remarks[0].startswith("hour_a.csv: inverter 02: 120 of 120 currents")
-
-
-def test_currents_have_no_seed(plant: Folder) -> None:
-    assert plant.complaint(seed=3).startswith("--seed: expected")
 
 
 @pytest.mark.parametrize("commitment", ['"share-of-clear-sky"\nshare = 0.7', '"offered"'])

@@ -105,17 +105,6 @@ def test_a_day_is_as_long_as_its_clocks_make_it(
     assert found.plan.timing.cycles == 60 * hours
 
 
-def test_a_file_may_begin_with_a_byte_order_mark(folder: Folder) -> None:
-    folder.write("scenario.toml", f"\ufeff{SCENARIO}")
-    assert folder.prepare().plan.plant == "small"
-
-
-def test_a_cycle_too_short_for_any_clock_is_refused(folder: Folder) -> None:
-    assert folder.prepare(pace=10_000.0).plan.timing.cycle_wall_ns == 100_000
-    complaint = folder.complaint(pace=20_000.0)
-    assert complaint.startswith("--pace 20000: expected cycles of 100 us or more")
-
-
 def test_the_meter_corrects_with_the_scheme_that_looks_ahead_unless_the_scenario_says(
     folder: Folder,
 ) -> None:
@@ -278,13 +267,6 @@ def test_a_wrong_field_is_named_with_its_line(
     assert caught.value.field == field
     assert caught.value.place.endswith(f": line {line}" if line else "scenario.toml")
     assert hint in caught.value.complaint
-
-
-def test_a_place_with_one_coordinate_is_refused(folder: Folder) -> None:
-    folder.change(
-        '"clouds"\nseed = 7', '"dc-current"\ncurrents = "i.csv"\npositions = "p.csv"\nlat = 3'
-    )
-    assert "irradiance.lat: expected lon with it" in folder.complaint()
 
 
 # Times --------------------------------------------------------------------------------------------

@@ -52,26 +52,6 @@ def stepped(before: float, after: float, at: int = 100) -> NDArray[np.float64]:
     return np.where(np.arange(CYCLES) < at, before, after)
 
 
-def test_a_step_of_the_dispatch_becomes_a_ramp_up_and_down_at_its_own_limit() -> None:
-    dispatch_kw = np.where(np.arange(CYCLES) % 100 < 50, 200.0, 240.0)
-    series, _ = run_of(dispatch_kw=dispatch_kw, ramp_up_kw_per_min=60.0, ramp_down_kw_per_min=120.0)
-    # From cycle 50 on it rises by 1 kW a cycle, from cycle 100 on it falls by 2 kW.
-    assert series.delivered_kw[[49, 50, 59, 89, 90]] == pytest.approx([200, 201, 210, 240, 240])
-    assert series.delivered_kw[[100, 109, 119, 120]] == pytest.approx([238, 220, 200, 200])
-    assert series.desired_kw == pytest.approx(series.delivered_kw)
-    assert run_figures(series)["ramp-control"] == 0.0
-
-
-def test_droop_moves_the_plant_and_the_correction_does_not_take_it_back() -> None:
-    # 0.3 Hz of 60 less the deadband, times 20, times 400 kW are 35.2 kW.
-    series, _ = run_of(hz=stepped(60.0, 60.3), droop=Droop())
-    assert series.delivered_kw[99] == pytest.approx(200.0)
-    assert series.delivered_kw[100:] == pytest.approx(164.8, abs=1e-6)
-    (found,) = answers(series)
-    assert (found.asked, found.cycle, found.to_90_s) == ("frequency", 100, 1.0)
-    assert found.response_percent == pytest.approx(100.0)
-
-
 def test_upwards_it_responds_out_of_the_reserve_that_it_has_kept() -> None:
     # All that there is is asked for, 340 kW; of these 20 are kept, and then they are given.
     low_hz, all_kw = stepped(60.0, 59.7), {"dispatch_kw": 340.0, "available_kw": 85.0}
@@ -88,21 +68,6 @@ def test_upwards_it_responds_out_of_the_reserve_that_it_has_kept() -> None:
     without, _ = run_of(**all_kw, hz=low_hz, available_bias=0.0, droop=Droop())
     assert without.delivered_kw[50:] == pytest.approx(340.0, abs=0.1)
     assert not answers(without)
-
-
-def test_the_meter_reads_net_of_losses_with_its_error_and_the_correction_makes_up_for_losses() -> (
-    None
-):
-    series, read = run_of(loss_constant_percent=0.5, loss_quadratic_percent=4.0)
-    # P - 2 kW - 0.04 P^2 / 400 = 200 kW.
-    gross_kw = (1.0 - (1.0 - 4.0 * 1e-4 * 202.0) ** 0.5) / 2e-4
-    assert series.power_kw[100:].sum(axis=1) == pytest.approx(gross_kw, abs=1e-3)
-    assert series.delivered_kw[100:] == pytest.approx(200.0, abs=1e-3)
-    assert series.available_kw == pytest.approx(360.0 - 2.0 - 1e-4 * 360.0**2)
-    assert read[-1].power_kw == pytest.approx(series.delivered_kw[-2])
-    wrong, read = run_of(meter_error_percent=2.0)
-    assert read[-1].power_kw == pytest.approx(200.0, abs=1e-3)
-    assert wrong.delivered_kw[-1] == pytest.approx(200.0 / 1.02, abs=1e-3)
 
 
 def test_a_correction_for_losses_in_saturation_is_gone_after_a_cycle() -> None:

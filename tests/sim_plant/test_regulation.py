@@ -98,14 +98,6 @@ def test_a_run_takes_the_signal_of_its_clock_while_it_is_offered(
     )
 
 
-def test_the_offer_keeps_to_the_clock_when_it_is_set_forward(path: Path) -> None:
-    # 2024-03-31 in Madrid: after 01:59:59 comes 03:00:00
-    write(path, first_s=3 * 3600)
-    times = pd.date_range("2024-03-31T00:59:58Z", periods=6, freq="1s", unit="ns")
-    found = asked_kw(path, times, "from = 03:00:00\nto = 04:00:00", "Europe/Madrid")
-    assert found == [0.0, 0.0, *HELD_KW[:4]]
-
-
 def test_a_synthetic_signal_does_not_depend_on_where_the_run_begins() -> None:
     settings = read('kind = "synthetic"\ncapacity_kw = 500\nseed = 3')
     assert settings == SyntheticRegulation(capacity_kw=500.0, seed=3)

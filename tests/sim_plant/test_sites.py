@@ -31,14 +31,6 @@ def write(path: Path, *lines: str) -> Path:
     return path
 
 
-def test_a_plant_is_read_line_by_line(path: Path) -> None:
-    write(path, "inverter,station,lat,lon", "inv01,DH1,21.31533,-158.087", "inv02,DH2,-90,180")
-    sites = read_sites(path, plant_rating_kw=8000.0)
-    assert sites.names == ("inv01", "inv02")
-    assert sites.lat_deg.tolist() == [21.31533, -90.0]
-    assert sites.lon_deg.tolist() == [-158.087, 180.0]
-
-
 def test_ratings_are_the_inverters_own_or_a_share_of_the_plants(path: Path) -> None:
     write(path, "inverter,lat,lon", "a,1,2", "b,1,2", "c,1,2", "d,1,2")
     assert read_sites(path, plant_rating_kw=1000.0).rating_kw.tolist() == [250.0] * 4
@@ -111,8 +103,3 @@ def test_a_grid_has_its_rows_from_west_to_east_and_from_the_south() -> None:
     east_m, north_m = east_north_m(sites.lat_deg, sites.lon_deg)
     np.testing.assert_allclose(east_m, [-120.0, 0.0, 120.0] * 2, atol=0.01)
     np.testing.assert_allclose(north_m, [-60.0] * 3 + [60.0] * 3, atol=0.01)
-
-
-def test_a_grid_that_is_too_large_is_refused() -> None:
-    grid = Grid(rows=101, columns=100, apart_m=120.0, lat=37.1, lon=-4.2)
-    assert "10,100" in complaint_of(grid.sites, 600.0)

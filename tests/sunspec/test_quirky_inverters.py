@@ -186,18 +186,6 @@ def test_the_map_is_found_where_it_is_or_where_the_profile_says(first: int) -> N
             assert connected(device).read().power_kw == SUN_KW
 
 
-def test_findings_before_a_failed_scan_are_kept_in_any_order() -> None:
-    models = integers()
-    with quirky(models={n: models[n] for n in (1, 123, 120, 103)}, ends=False) as device:
-        assert connected(device).read().power_kw == SUN_KW
-
-
-def test_a_refusal_lists_the_models_that_were_found() -> None:
-    models = {1: {"Mn": "Acme", "DA": 1}, 213: {"W": 1.0}}
-    with quirky(models=models) as device, pytest.raises(DeviceError, match="213"):
-        connected(device)
-
-
 @pytest.mark.parametrize(("state", "available_kw"), [(1, 0.0), (2, 0.0), (8, 0.0)])
 def test_a_device_that_sleeps_and_states_no_power_has_none(state: int, available_kw: float) -> None:
     with quirky(models=integers(measured={"St": state}), power_w=None) as device:

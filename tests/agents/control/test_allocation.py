@@ -80,29 +80,7 @@ def test_200_kw_of_four_children(
     assert found == Allocation(power_kw, [50.0] * 4, help_lines)
 
 
-def test_shares_follow_the_ratings() -> None:
-    # 120 kW over 50 + 100 + 150 = 300 kW: 40 % of each. Child 0 has 5 of its 20 kW; child 2, asked
-    # first, has 64 - 60 = 4 kW, child 1 the other 11.
-    found = allocate(120.0, (50.0, 100.0, 150.0), (5.0, 90.0, 64.0), ((2, 1), (0, 2), (0, 1)))
-    assert found.share_kw == pytest.approx([20.0, 40.0, 60.0])
-    assert found.power_kw == pytest.approx([5.0, 51.0, 64.0])
-    assert [line[:2] for line in found.help_lines] == [(2, 0), (1, 0)]
-    assert [line[2] for line in found.help_lines] == pytest.approx([4.0, 11.0])
-
-
 THREE = (100.0, 100.0, 100.0)
-THREE_IN_ORDER = ((1, 2), (0, 2), (0, 1))
-
-
-def test_missing_power_is_asked_of_each_child_by_its_distance_from_its_rating() -> None:
-    # They have 10, 20 and 40 kW: 23 of 93 kW are missing, and they are 230 kW below their ratings.
-    found = allocate(93.0, THREE, (10.0, 20.0, 40.0), THREE_IN_ORDER, adds_up=True)
-    assert found.power_kw == pytest.approx([19.0, 28.0, 46.0])
-
-
-def test_nothing_is_added_where_the_target_is_met() -> None:
-    plain = allocate(60.0, THREE, (10.0, 20.0, 36.0), THREE_IN_ORDER)
-    assert allocate(60.0, THREE, (10.0, 20.0, 36.0), THREE_IN_ORDER, adds_up=True) == plain
 
 
 @pytest.mark.parametrize(

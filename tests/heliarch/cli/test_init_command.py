@@ -37,40 +37,6 @@ def test_the_scenario_runs_at_once_and_replaces_no_file(folder: Path) -> None:
     assert "--out" in refusal("init", *FILES, "--out", "plant.toml")
 
 
-def test_gaps_are_filled_and_told_in_scenario_summary_and_report(folder: Path) -> None:
-    ghi = folder / "measured" / "ghi.csv"
-    lines = ghi.read_text(encoding="utf-8").splitlines()
-    lines[9] = ",".join([*lines[9].split(",")[:3], "NaN", *lines[9].split(",")[4:]])
-    del lines[5:7]
-    ghi.write_text("\n".join(lines), encoding="utf-8")
-    done("init", *FILES)
-    told = "ghi.csv: 13 of 366 values were missing, in gaps of at most 20 s"
-    assert told in (folder / "my-plant.toml").read_text(encoding="utf-8")
-    (remark,), report = run_it("my-plant.toml")
-    assert remark.startswith(told)
-    assert remark in report
-
-
-def test_stations_without_a_position_are_left_out_and_none_at_all_is_refused(folder: Path) -> None:
-    positions = folder / "measured" / "positions.csv"
-    header, first, *_ = positions.read_text(encoding="utf-8").splitlines()
-    positions.write_text(f"{header}\n{first}\n", encoding="utf-8")
-    printed = done("init", *FILES)
-    assert "left out, since only ghi.csv has it: p2" in printed
-    assert 'stations = ["p1"]' in (folder / "my-plant.toml").read_text(encoding="utf-8")
-    run_it("my-plant.toml")
-    positions.write_text(f"{header}\n{first.replace('p1', 'q1')}\n", encoding="utf-8")
-    assert "ghi.csv: line 1" in refusal("init", *FILES, "--out", "other.toml")
-
-
-def test_irradiance_that_is_zero_throughout_is_told(folder: Path) -> None:
-    ghi = folder / "measured" / "ghi.csv"
-    header, *rows = ghi.read_text(encoding="utf-8").splitlines()
-    dark = [",".join([row.split(",")[0], *"0" * header.count(",")]) for row in rows]
-    ghi.write_text("\n".join([header, *dark]), encoding="utf-8")
-    assert "0 throughout" in done("init", *FILES)
-
-
 def test_an_archive_of_one_station_makes_a_plant_and_says_how(folder: Path) -> None:
     rows = [f"{600 + at},2024-06-15T{18 + at // 12}:{5 * at % 60:02}:00Z,PT5M" for at in range(12)]
     text = "\n".join(["ghi,period_end,period", *rows, ""])

@@ -13,7 +13,6 @@ from bus_schemas.messages import GivenUp
 from bus_schemas.signals import GIVEN_UP
 from bus_schemas.tree import ROOT
 from recordings.inspect.agent_states import AgentStates, states_of
-from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 
 CYCLES = 60
@@ -40,27 +39,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def kinds(states: AgentStates, agent: str, *cycles: int) -> list[tuple[str, str, int]]:
     found = (states.at(agent, cycle) for cycle in cycles)
     return [(state.kind, state.cause, state.level) for state in found]
-
-
-def test_a_kill_a_freeze_and_a_cut_show_from_their_first_cycle(run: Path) -> None:
-    with RunReader(run) as reader:
-        states = states_of(reader)
-    fine = ("fine", "", 0)
-    killed = [fine, *(("absent", "killed", level) for level in (1, 2, 2)), fine]
-    assert kinds(states, "c1/inv01", 9, 10, 11, 15, 16) == killed
-    frozen = [fine, *(("absent", "frozen", level) for level in (1, 2)), fine]
-    assert kinds(states, "c2", 19, 20, 21, 26) == frozen
-    cut = [fine, *(("cut off", "", level) for level in (1, 2, 2)), fine]
-    assert kinds(states, "c1", 39, 40, 41, 45, 46) == cut
-    assert [states.at("c1/inv01", cycle).restarts for cycle in (15, 16)] == [0, 1]
-
-
-def test_missed_inputs_add_up_to_those_of_the_recording(run: Path) -> None:
-    with RunReader(run) as reader:
-        for end in range(5, CYCLES, 9):
-            states = states_of(reader)
-            missed = sum(states.at(agent, end - 1).missed_inputs for agent in states.agents)
-            assert missed == read_overview(reader, range(end)).missing_inputs
 
 
 def test_an_agent_that_is_given_up_stays_so(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from plans_by_hand import with_changes
 from recorded_runs import plan_of
 
 from agents.settings import Actuator
@@ -43,25 +42,6 @@ def test_schemes_by_hand(
     scheme: str, actuator: Actuator, dispatch_kw: float, expected_kw: list[list[float]]
 ) -> None:
     assert powers_kw(scheme, actuator, dispatch_kw) == pytest.approx(np.array(expected_kw))
-
-
-@pytest.mark.parametrize(
-    ("follows", "expected_kw"),
-    [
-        ({"delay_s": 1.0}, [80.0, 80.0, 40.0, 40.0]),
-        ({"ramp_percent_per_s": 10.0}, [80.0, 70.0, 60.0, 50.0]),
-    ],
-)
-def test_inverters_of_the_other_schemes_follow_late_or_on_a_ramp_too(
-    follows: dict[str, object], expected_kw: list[float]
-) -> None:
-    dispatch_kw = np.array([180.0, 140.0, 140.0, 140.0])
-    plan = with_changes(plan_of({"c1/a": 100.0, "c1/b": 100.0}, cycles=4), **follows)
-    profile = Profile(np.full((4, 2), 100.0), dispatch_kw)
-    first_alone = np.array([True, False])
-    (series,) = run_scheme("grouping", plan, profile, "limit", [first_alone])
-    # The reference group gives 100 kW, the other the rest.
-    assert series.power_kw[:, 1] == pytest.approx(expected_kw)
 
 
 def test_meters_that_read_high_curtail_too_much_and_the_floor_holds() -> None:

@@ -7,7 +7,6 @@ import pytest
 from bus_schemas.errors import InputError
 from scenarios.preparation import RunOptions
 from scenarios.scenario import load_scenario
-from scenarios.settings import Setting
 from studies.compare.cases import cases
 from studies.compare.study import run_case
 
@@ -43,31 +42,3 @@ def test_a_case_that_does_not_fit_is_named() -> None:
     with pytest.raises(InputError) as caught:
         run_case(("paper",), (), case)
     assert str(caught.value).startswith("fault=kill=c9,at=1s: ")
-
-
-def test_faults_act_on_the_agents_and_are_counted() -> None:
-    faults = ("none", "loss=5%", "loss=20%", "delay=2s", "kill=c1/inv01,at=30s")
-    short = RunOptions(start="12:00", duration="90")
-    # With this share no shortfall is unavoidable: what the network spoils stands out.
-    share = [Setting("commitment.share", (0.4,))]
-    listed = cases(load_scenario("oahu"), short, share, faults)
-    results = [run_case(("paper", "uniform-cap"), (), case) for case in listed]
-    paper, uniform_cap = zip(*results, strict=True)
-    missed = [row["missed-inputs"] for row in paper]
-    assert missed[0] == 0 < missed[4] < missed[1] < missed[2] < missed[3]
-    caused_kwh = [row["control-caused-energy"] for row in paper]
-    assert caused_kwh[0] < min(caused_kwh[1:4])
-    assert len({row["control-caused-energy"] for row in uniform_cap}) == 1, "it has no network"
-    assert ["Faults act" in row["remarks"] for row in paper] == [False, True, True, True, True]
-
-
-def test_an_inverter_that_hears_nothing_for_its_revert_time_has_reverted() -> None:
-    (case,) = cases(
-        load_scenario("oahu"),
-        RunOptions(duration="60"),
-        [Setting("plant.revert", ({"after_s": 10},))],
-        ["partition=c1/inv01|plant,at=20s..40s"],
-    )
-    (row,) = run_case(("paper",), (), case)
-    # Its last command is that of cycle 19; commands come again in cycle 40.
-    assert row["reverted"] == pytest.approx(100.0 * 11 / (60 * 17))
