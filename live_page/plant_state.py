@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
@@ -51,12 +52,12 @@ class PlantState:
         self._telemetry = [TELEMETRY.of(leaf) for leaf in plan.tree.leaves]
         self._ratings_kw = [plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves]
         self._leaves_below = {node: plan.tree.leaves_below(node) for node in plan.tree.nodes}
-        self._storages_below = {
-            node: [
-                place
-                for place, storage in enumerate(plan.tree.storage_paths)
-                if node in (storage, *ancestors(storage))
-            ]
+        self._storages_below = defaultdict[str, list[int]](list)
+        for place, storage in enumerate(plan.tree.storage_paths):
+            for node in (storage, *ancestors(storage)):
+                self._storages_below[node].append(place)
+        self._ports_of: dict[str, tuple[Port[Any], Port[Any]]] = {
+            node: (IMPP.of(node), SETPOINT.of(node) if node else DISPATCH.of(node))
             for node in plan.tree.nodes
         }
 
@@ -91,7 +92,7 @@ class PlantState:
         unread = [self._number[node] for node in devices if TELEMETRY.of(node) not in messages]
         return {
             "cycle": cycle,
-            "nodes": columns([self._powers(messages, node) for node in self._tree.nodes]),
+            "nodes": columns(list(self._powers(messages, self._tree.nodes))),
             "help": self._help(messages),
             "agents": columns(list(self._agent_rows(cycle, messages))),
             "unread": unread,
@@ -116,14 +117,14 @@ class PlantState:
 
     def powers(self, node: str, cycle: int) -> dict[str, float | None]:
         """Return the powers of one node in a cycle [kW]."""
-        ports: set[Port[Any]] = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
+        ports: set[Port[Any]] = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), *self._ports_of[node]}
         ports |= {self._telemetry[leaf] for leaf in self._leaves_below[node]}
-        if node != ROOT:
-            ports.add(SETPOINT.of(node))
-        return self._powers(self._messages(cycle, ports), node)
+        return next(self._powers(self._messages(cycle, ports), [node]))
 
-    def _powers(self, messages: Messages, node: str) -> dict[str, float | None]:
-        """Return the powers of a node [kW]; None: no message states it.
+    def _powers(
+        self, messages: Messages, nodes: Sequence[str]
+    ) -> Iterator[dict[str, float | None]]:
+        """Yield the powers of nodes [kW]; None: no message states it. All are below the first.
 
         `help` is the setpoint less the node's share of its parent's target: negative if the node
         gets help. The central controller's setpoint is the dispatch. `bound` is the IMPP where that
@@ -132,30 +133,37 @@ class PlantState:
         """
         dispatch, made = messages.get(DISPATCH.of(ROOT)), messages.get(PRODUCTION.of(ROOT))
         assert dispatch is None or isinstance(dispatch, Dispatch)
-        impp = messages.get(IMPP.of(node))
-        setpoint = messages.get(SETPOINT.of(node)) if node != ROOT else dispatch
-        helped = setpoint.power_kw - setpoint.share_kw if isinstance(setpoint, Setpoint) else None
-        below = self._leaves_below[node]
-        is_bound = any(self._is_hidden(messages, leaf) for leaf in below)
-        powers = {
-            "bound": impp.power_kw if isinstance(impp, Impp) and is_bound else None,
-            "impp": impp.power_kw if isinstance(impp, Impp) else None,
-            "share": own_share_kw(dispatch, self._tree.sharing_kw(node)),
-            "setpoint": setpoint.power_kw if isinstance(setpoint, Setpoint | Dispatch) else None,
-            "help": helped,
-            "power": _total(made, "inverter_power_kw", below),
-            "mpp": _total(made, "inverter_mpp_kw", below) if below else None,
-            "stored": None,
-        }
-        if storages := self._storages_below[node]:
-            of_storages = _total(made, "storage_power_kw", storages)
-            known = None not in (powers["power"], of_storages)
-            powers["power"] = (powers["power"] or 0.0) + (of_storages or 0.0) if known else None
-            if not below:
-                kwh = _total(made, "storage_energy_kwh", storages)
-                capacity_kwh = self._plan.storages[storages[0]].capacity_kwh
-                powers["stored"] = None if kwh is None else 100.0 * kwh / capacity_kwh
-        return {name: None if kw is None else round(kw, 2) for name, kw in powers.items()}
+        hidden = {leaf for leaf in self._leaves_below[nodes[0]] if self._is_hidden(messages, leaf)}
+        for node in nodes:
+            impp, given = map(messages.get, self._ports_of[node])
+            impp_kw = impp.power_kw if isinstance(impp, Impp) else None
+            below = self._leaves_below[node]
+            powers = {
+                "bound": None if hidden.isdisjoint(below) else impp_kw,
+                "impp": impp_kw,
+                "share": own_share_kw(dispatch, self._tree.sharing_kw(node)),
+                "setpoint": given.power_kw if isinstance(given, Setpoint | Dispatch) else None,
+                "help": given.power_kw - given.share_kw if isinstance(given, Setpoint) else None,
+                "power": _total(made, "inverter_power_kw", below),
+                "mpp": _total(made, "inverter_mpp_kw", below) if below else None,
+                "stored": None,
+            }
+            if node in self._storages_below:
+                self._add_storages(powers, made, node)
+            yield {name: None if kw is None else round(kw, 2) for name, kw in powers.items()}
+
+    def _add_storages(
+        self, powers: dict[str, float | None], made: Message | None, node: str
+    ) -> None:
+        """Add the power of the storages at or below a node; of a storage, what it holds [%]."""
+        storages = self._storages_below[node]
+        power_kw, of_storages_kw = powers["power"], _total(made, "storage_power_kw", storages)
+        is_unknown = power_kw is None or of_storages_kw is None
+        powers["power"] = None if is_unknown else (power_kw or 0.0) + (of_storages_kw or 0.0)
+        if not self._leaves_below[node]:
+            kwh = _total(made, "storage_energy_kwh", storages)
+            capacity_kwh = self._plan.storages[storages[0]].capacity_kwh
+            powers["stored"] = None if kwh is None else 100.0 * kwh / capacity_kwh
 
     def _is_hidden(self, messages: Messages, leaf: int) -> bool:
         """Whether an inverter gives what its limit lets it, and does not state what it could."""
@@ -207,4 +215,5 @@ def _total(made: Message | None, field: str, below: Sequence[int]) -> float | No
     if not isinstance(made, Production):
         return None
     values: tuple[float, ...] = getattr(made, field) or ()
-    return sum(values[at] for at in below) if max(below, default=-1) < len(values) else None
+    is_told = not below or below[-1] < len(values)
+    return sum(map(values.__getitem__, below)) if is_told else None

@@ -1,7 +1,11 @@
 // Time charts on uPlot: one cursor and one zoom for all of them, marks of events, the future dimmed.
 // Colours are read when drawn, so that the theme can change.
 
-const css = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const colours = new Map();  // Of the theme: to ask for one makes the browser style the whole page anew.
+function css(name) {
+  if (!colours.has(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  return colours.get(name);
+}
 export const kw = value => value == null ? "–" : value.toLocaleString("en", {
   minimumFractionDigits: Math.abs(value) < 1000 ? 1 : 0, maximumFractionDigits: Math.abs(value) < 1000 ? 1 : 0, signDisplay: "negative",
 });
@@ -21,6 +25,7 @@ const DOUBLE_CLICK_MS = 250;
 const charts = new Set();
 
 export function redrawCharts() {
+  colours.clear();
   for (const chart of charts) chart.redraw(false);
 }
 

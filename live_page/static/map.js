@@ -92,7 +92,8 @@ export function plantMap(svg, note, legend, plan, select) {
   const members = new Map();
   inverters.forEach((node, i) => {
     for (let parent = node.parent; parent !== null; parent = plan.nodes[parent].parent) {
-      members.set(parent, [...members.get(parent) ?? [], at[i]]);
+      if (!members.has(parent)) members.set(parent, []);
+      members.get(parent).push(at[i]);
     }
   });
   for (const [number, points] of members) centre.set(number, [0, 1].map(axis => points.reduce((sum, p) => sum + p[axis], 0) / points.length));

@@ -135,6 +135,9 @@ class Change(NamedTuple):
     text: str
 
 
+_FINE: Final = AgentState("fine", "", 0, 0, 0, 0)
+
+
 class AgentStates:
     """Takes in the messages of a recording, in any order; tells the states of agents from them.
 
@@ -211,7 +214,10 @@ class AgentStates:
         self._changed.update(self._port_of)
 
     def at(self, name: str, cycle: int) -> AgentState:
-        spans, missed = self._spans_of(name), self._missed_in[name]
+        spans = self._spans_of(name)
+        if not spans and name not in self._missed_in:
+            return _FINE  # Of thousands of agents nearly all.
+        missed = self._missed_in[name]
         so_far = bisect_right(missed, cycle)
         span = next((one for one in spans if one.first_cycle <= cycle < one.end), None)
         return AgentState(
