@@ -54,9 +54,9 @@ class Driver:
         for loop in self.loops.values():
             self.advance(loop)
         while not self.finished:
-            yield self.turn()
+            yield self.wait_and_act()
 
-    def turn(self, longest_ns: int | None = None) -> Sequence[Arrival]:
+    def wait_and_act(self, longest_ns: int | None = None) -> Sequence[Arrival]:
         """Wait for messages, a deadline or `longest_ns`, and act; return the messages."""
         arrivals = self.bus.receive(self._until_ns(longest_ns), self._wanted)
         self._act_on(arrivals)

@@ -35,9 +35,9 @@ class EagerDriver(Driver):
                 self.advance(loop)
         self._act(on_own_thread=True)
         while not self.finished:
-            yield self.turn()
+            yield self.wait_and_act()
 
-    def turn(self, longest_ns: int | None = None) -> Sequence[Arrival]:
+    def wait_and_act(self, longest_ns: int | None = None) -> Sequence[Arrival]:
         """Sleep until the next deadline, close what is overdue; raise errors of Zenoh's thread."""
         with self._lock:
             until_ns = self._until_ns(longest_ns)

@@ -57,7 +57,7 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return min(self.backoff_s * 2.0**doublings, self.within_s) if recent else 0.0
 
 
-Share: TypeAlias = Annotated[float, Meta(gt=0.0, le=1.2)]
+OfClearSky: TypeAlias = Annotated[float, Meta(gt=0.0, le=1.2)]
 Ramp: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e6)]
 Delay: TypeAlias = Annotated[float, Meta(ge=0.0, le=600.0)]
 State: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -168,13 +168,13 @@ class OfferedCommitment(
     lead_s: How long before an interval begins its offer is made [s]. Default: 60 s, or the interval
         if that is shorter.
     reliability: Share of the intervals that are to be kept: at most 1 % of their energy is missing.
-    first_share: Share of the clear-sky power that is promised until the first offer.
+    first_share: OfClearSky of the clear-sky power that is promised until the first offer.
     """
 
     interval_s: Annotated[float, Meta(ge=1.0, le=14400.0)] = 900.0
     lead_s: Annotated[float, Meta(gt=0.0, le=14400.0)] | None = None
     reliability: Annotated[float, Meta(ge=0.5, le=0.999)] = 0.95
-    first_share: Share = 0.3
+    first_share: OfClearSky = 0.3
 
     def law(self, cycle_s: float, *, is_seen: bool) -> OfferSettings:
         """Return the same in cycles of a length; `is_seen`: see `OfferSettings`."""

@@ -26,7 +26,7 @@ UNHEARD: Final = frozenset(
 )
 """Cyclic signals that no agent acts on: what becomes of them changes nothing in a run."""
 
-Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
+Probability: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
 Milliseconds: TypeAlias = Annotated[float, Meta(ge=0.0, le=3_600_000.0)]
 Second: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
 Interval: TypeAlias = tuple[Second, Second]
@@ -65,9 +65,9 @@ class Disturbance(_OneWay, frozen=True, kw_only=True, tag="disturbance"):
     delay_ms: Milliseconds = 0.0
     jitter_ms: Milliseconds = 0.0
     distribution: Literal["uniform", "normal"] = "uniform"
-    loss: Share = 0.0
-    duplicate: Share = 0.0
-    reorder: Share = 0.0
+    loss: Probability = 0.0
+    duplicate: Probability = 0.0
+    reorder: Probability = 0.0
     reorder_ms: Milliseconds | None = None
     at: Interval | None = None
 

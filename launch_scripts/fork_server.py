@@ -30,7 +30,7 @@ from agents.loop import Loop
 from agents.plan import RunPlan
 from agents.plan_file import load_plan
 from agents.process.beats import BEAT_S, FORK_SERVER, BeatTable
-from agents.process.events import Event, Exited, Failed, Request, Signal, Start, Started
+from agents.process.events import Event, Exited, Failed, Request, SendSignal, Start, Started
 from agents.process.launcher_link import LauncherLink
 from agents.process.machine import die_with_parent, take_files
 from agents.process.session import session_settings
@@ -106,7 +106,7 @@ class ForkServer:
         match _decoder.decode(packet):
             case Start() as request:
                 self._fork(request, sockets[0])
-            case Signal() as request:
+            case SendSignal() as request:
                 for pid, agent in self._pids.items():
                     if agent == request.agent:
                         os.kill(pid, request.number)

@@ -30,7 +30,7 @@ from agents.process.events import (
     Joined,
     Presence,
     Recorded,
-    Signal,
+    SendSignal,
     Start,
     Started,
     Status,
@@ -617,4 +617,4 @@ class Processes:
         """Send a signal, by the fork server: no other process can have the same number there."""
         if process.pid and process.exited is None:
             process.was_killed |= number == signal.SIGKILL
-            self.server.ask(Signal(process.name, int(number)))
+            self.server.ask(SendSignal(process.name, int(number)))

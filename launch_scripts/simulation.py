@@ -115,7 +115,7 @@ class MemoryRun:
         while not self._is_over():
             while due and due[0][0] <= driver.now_ns():
                 heappop(due)[-1]()
-            yield driver.turn(longest_ns=due[0][0] if due else None)
+            yield driver.wait_and_act(longest_ns=due[0][0] if due else None)
 
     def _is_over(self) -> bool:
         """Whether all have finished; one that never joined is not waited for."""

@@ -51,7 +51,7 @@ _REST_S: Final = 10.0
 Values = NDArray[np.float64]
 
 
-class SignalScore(msgspec.Struct, frozen=True, kw_only=True):
+class RegulationScore(msgspec.Struct, frozen=True, kw_only=True):
     """How well the plant followed an AGC signal, as PJM scores a regulation signal.
 
     orders: How many orders the signal had.
@@ -106,7 +106,7 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
     overshoot_percent: float | None = None
     error_percent: float | None = None
     ramp_deviation_percent: float | None = None
-    signal: SignalScore | None = None
+    signal: RegulationScore | None = None
     response_percent: float | None = None
     unable_percent: float = 0.0
     missed: tuple[str, ...] = ()
@@ -389,7 +389,7 @@ def _scored(step: Answer, series: RunSeries, cycles: slice, orders: int) -> Answ
         step,
         **nothing,
         ramp_s=0.0,
-        signal=SignalScore(
+        signal=RegulationScore(
             orders=orders,
             accuracy=found.get("accuracy"),
             delay=found.get("delay"),

@@ -90,7 +90,7 @@ def addresses_of(
     return found
 
 
-METER: Final = "meter"
+METER_NODE: Final = "meter"
 """Name of the meter at the point of interconnection among devices."""
 
 
@@ -117,14 +117,14 @@ def real_inverters(
     for node, address in stated.items():
         parse_address(address, f"{where}: {node}")
     addresses = stated | chosen
-    known = (*tree.leaves, METER)
+    known = (*tree.leaves, METER_NODE)
     for node in addresses:
         place = "--device" if node in chosen else where
         if node not in known:
             raise InputError(f"{place}: {not_one_of(known, node)}")
-        if node == METER and not addresses.keys() >= set(tree.leaves):
+        if node == METER_NODE and not addresses.keys() >= set(tree.leaves):
             expected = "a device for each inverter, since it cannot meter simulated ones"
-            raise InputError(f"{place}: {METER}: expected {expected}")
+            raise InputError(f"{place}: {METER_NODE}: expected {expected}")
     return tuple((node, addresses[node]) for node in known if node in addresses)
 
 

@@ -24,7 +24,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import OPERATOR, ROOT, ControlTree
 from scenarios.clustering import control_tree, neighbourhoods, with_storages
 from scenarios.elsewhere import (
-    METER,
+    METER_NODE,
     addresses_of,
     check_base_port,
     external_agents,
@@ -350,8 +350,8 @@ def _site(
             replace(entry, revert=entry.revert and _renewable(entry.revert, scenario))
             for entry in scenario.plant.settings
         ),
-        devices=tuple(pair for pair in devices if pair[0] != METER),
-        meter=dict(devices).get(METER, ""),
+        devices=tuple(pair for pair in devices if pair[0] != METER_NODE),
+        meter=dict(devices).get(METER_NODE, ""),
         profiles=tuple(
             (table.node, table.profile) for table in scenario.devices if table.profile != PLAIN
         ),

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from msgspec import Meta
 
-from agents.settings import OfferedCommitment, Share
+from agents.settings import OfClearSky, OfferedCommitment
 from bus_schemas.errors import InputError
 from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
@@ -39,19 +39,19 @@ class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
     This is hindsight: the median is known only after the run. It serves to compare control
     schemes at a like difficulty on different days.
 
-    share: Share of the median.
+    share: OfClearSky of the median.
     """
 
-    share: Share
+    share: OfClearSky
 
 
 class ShareOfClearSky(_Rule, frozen=True, tag="share-of-clear-sky"):
     """A share of the power that the plant would have under a clear sky, known in advance.
 
-    share: Share of the clear-sky power.
+    share: OfClearSky of the clear-sky power.
     """
 
-    share: Share
+    share: OfClearSky
 
 
 class BelowAvailable(_Rule, frozen=True, tag="below-available"):
@@ -64,11 +64,11 @@ class BelowAvailable(_Rule, frozen=True, tag="below-available"):
     no rule for it: rule and parameters are ours. Under a passing cloud the available power may be
     less than the commitment. This is hindsight: a centred mean knows what the clouds will do.
 
-    share: Share of the mean available power around each moment.
+    share: OfClearSky of the mean available power around each moment.
     window_s: Length of the window of that mean [s].
     """
 
-    share: Share
+    share: OfClearSky
     window_s: Annotated[float, Meta(gt=0.0, le=86400.0)]
 
 

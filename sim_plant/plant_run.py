@@ -106,7 +106,7 @@ def _arm(process: AgentProcess, give_up_at: float) -> None:
 def _round_closes(process: AgentProcess, cycle: int, until: float) -> bool:
     is_recorded = False
     while time.monotonic() < until:
-        for arrival in process.driver.turn(longest_ns=round(until * 1e9)):
+        for arrival in process.driver.wait_and_act(longest_ns=round(until * 1e9)):
             if arrival.port is READY.of(ROOT) and arrival.message.cycle == cycle:
                 is_recorded = True
         process.beat()

@@ -27,7 +27,7 @@ from sim_plant.inverters import PlantState
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
-METER: Final = -1
+METER_PLACE: Final = -1
 """The position of the meter at the point of interconnection, beside those of inverters."""
 
 
@@ -49,7 +49,7 @@ class Reading(NamedTuple):
 
 
 class RealInverters(Protocol):
-    """Devices outside of the simulation, by their positions in the control tree, or `METER`."""
+    """Devices outside of the simulation, by their places in the control tree, or `METER_PLACE`."""
 
     def newest(self) -> Mapping[int, Reading]:
         """Return the newest reading of each."""
@@ -133,9 +133,9 @@ class PlantWithDevices(Plant):
                 stated_kw = reading.available_kw
                 message.available_kw = None if isnan(stated_kw) else stated_kw
             if isinstance(message, Meter) and self._has_meter:
-                if METER not in fresh:
+                if METER_PLACE not in fresh:
                     continue
-                message.power_kw = fresh[METER].power_kw
+                message.power_kw = fresh[METER_PLACE].power_kw
             yield port, message
 
     def _correct(
@@ -153,14 +153,14 @@ class PlantWithDevices(Plant):
         of_storages_kw = sum(kw for kw in production.storage_power_kw or ())
         production.delivered_kw = net_kw(float(power_kw.sum()) + of_storages_kw, self._grid)
         production.unknown_kw = assumed_kw
-        if METER in fresh:  # It also counts what the lost ones give.
-            production.delivered_kw, production.unknown_kw = fresh[METER].power_kw, 0.0
+        if METER_PLACE in fresh:  # It also counts what the lost ones give.
+            production.delivered_kw, production.unknown_kw = fresh[METER_PLACE].power_kw, 0.0
 
 
 def _measured(state: PlantState, fresh: Mapping[int, Reading], lost: list[int]) -> PlantState:
     power_kw, limit_kw = state.power_kw.copy(), state.limit_kw.copy()
     for position, reading in fresh.items():
-        if position != METER:
+        if position != METER_PLACE:
             power_kw[position], limit_kw[position] = reading.power_kw, reading.limit_kw
     power_kw[lost] = 0.0
     return replace(state, power_kw=power_kw, limit_kw=limit_kw)

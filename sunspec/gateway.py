@@ -29,7 +29,7 @@ from typing import Final
 import msgspec
 
 from agents.plan import RunPlan
-from sim_plant.real_inverters import METER, Reading
+from sim_plant.real_inverters import METER_PLACE, Reading
 from sunspec.client import SunSpecDevice, SunSpecInverter, SunSpecMeter
 from sunspec.modbus_tcp import DeviceError, DeviceRefusedError, WrongAnswerError
 from sunspec.pipes import GatewayPipes, Limit
@@ -179,7 +179,7 @@ class _Link:
         profile = plan.site.profile_of(node)
         self._revert = plan.site.revert
         if node == "meter":
-            self.position = METER
+            self.position = METER_PLACE
             self._device, self._excess = SunSpecMeter(address, profile), _Excess(inf, inf)
             return
         self.position = plan.tree.leaves.index(node)

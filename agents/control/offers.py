@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isnan, nan, sqrt
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,13 +53,15 @@ more than the last offer while few intervals are known."""
 
 FEATURES: Final = 4
 
-# Places in `OfferMemory.numbers`.
-_PAST, _SAMPLES, _CYCLES, _INDEX, _PROVEN = range(5)
-_DISPATCHED, _CLEAR, _MISSED, _LAST_DISPATCH, _LAST_CLEAR, _FACTOR, _INTERVAL = range(5, 12)
-_LAST_POSSIBLE: Final = 12
-_NUMBERS: Final = 13
-
 _ROW: Final = FEATURES + 2
+_SHARE, _HIDDEN = FEATURES, FEATURES + 1
+"""Columns behind how the sky looked: the share, and 1 if there was more."""
+
+_SUMS: Final = (
+    *("intervals", "samples", "cycles", "index", "proven", "dispatched_kw", "clear_kw"),
+    *("missed_kw", "last_dispatch_kw", "last_clear_kw", "factor", "interval", "last_possible_kw"),
+)
+_RECORD: Final = np.dtype([(name, "f8") for name in _SUMS])
 
 
 class OfferSettings(NamedTuple):
@@ -93,23 +95,24 @@ class OfferMemory(NamedTuple):
     within: That of the samples of the interval under way.
     past: A row for each past interval: how the sky looked, the share, and 1 if there was more.
     open: How the sky looked, and the share, of the interval under way and of the coming one.
-    numbers: Counts and sums of the interval and the sample under way.
+    sums: One record: how many intervals are past, the factor, and counts and sums of the interval
+        and the sample under way.
     """
 
     sky: NDArray[np.float64]
     within: NDArray[np.float64]
     past: NDArray[np.float64]
     open: NDArray[np.float64]
-    numbers: NDArray[np.float64]
+    sums: Any
 
 
 def nothing_offered(settings: OfferSettings) -> NDArray[np.float64]:
     """Return an empty memory as one array, see `memory_of`."""
     window, within = _lengths(settings)
-    values = np.zeros(window + within + MOST_PAST * _ROW + 2 * (FEATURES + 1) + _NUMBERS)
+    values = np.zeros(window + within + MOST_PAST * _ROW + 2 * (FEATURES + 1) + len(_SUMS))
     memory = memory_of(values, settings)
     memory.open[:] = nan
-    memory.numbers[_FACTOR] = 1.0
+    memory.sums[0].factor = 1.0
     begin_run(memory, settings)
     return values
 
@@ -117,12 +120,11 @@ def nothing_offered(settings: OfferSettings) -> NDArray[np.float64]:
 def begin_run(memory: OfferMemory, settings: OfferSettings) -> None:
     """Close the last interval of the run before; of that, keep the past intervals alone."""
     _close_interval(memory, settings)
-    past, factor = memory.numbers[_PAST], memory.numbers[_FACTOR]
-    memory.numbers[:] = 0.0
-    memory.numbers[_PAST], memory.numbers[_FACTOR] = past, factor
+    for name in {*_SUMS} - {"intervals", "factor"}:
+        memory.sums[name] = 0.0
     memory.sky[:] = nan
     memory.open[:] = nan  # Nobody has offered the first interval.
-    memory.open[0, FEATURES] = settings.first_share
+    memory.open[0, _SHARE] = settings.first_share
 
 
 def memory_of(values: NDArray[np.float64], settings: OfferSettings) -> OfferMemory:
@@ -130,19 +132,19 @@ def memory_of(values: NDArray[np.float64], settings: OfferSettings) -> OfferMemo
     window, within = _lengths(settings)
     past = window + within
     offered = past + MOST_PAST * _ROW
-    numbers = offered + 2 * (FEATURES + 1)
+    sums = offered + 2 * (FEATURES + 1)
     return OfferMemory(
         values[:window],
         values[window:past],
         values[past:offered].reshape((MOST_PAST, _ROW)),
-        values[offered:numbers].reshape((2, FEATURES + 1)),
-        values[numbers:],
+        values[offered:sums].reshape((2, FEATURES + 1)),
+        values[sums:].view(_RECORD).view(np.recarray),
     )
 
 
 def known_intervals(values: Sequence[float]) -> int:
     """Return how many past intervals a memory knows that is one array."""
-    return int(values[_PAST - _NUMBERS])
+    return int(values[-len(_SUMS) + _SUMS.index("intervals")])
 
 
 def _lengths(settings: OfferSettings) -> tuple[int, int]:
@@ -174,25 +176,25 @@ def observe(
     dispatch_kw, clear_sky_kw
         Dispatch, and power under a clear sky, of the cycle [kW].
     """
-    numbers = memory.numbers
+    sums = memory.sums[0]
     _take_meter(memory, settings, metered_kw)
     interval = cycle // settings.interval_cycles
-    if interval != numbers[_INTERVAL]:
+    if interval != sums.interval:
         _close_interval(memory, settings)
-        numbers[_INTERVAL] = interval
-    numbers[_LAST_DISPATCH], numbers[_LAST_CLEAR] = dispatch_kw, clear_sky_kw
-    numbers[_LAST_POSSIBLE] = impp_kw
+        sums.interval = interval
+    sums.last_dispatch_kw, sums.last_clear_kw = dispatch_kw, clear_sky_kw
+    sums.last_possible_kw = impp_kw
     if clear_sky_kw > 0.0:
-        numbers[_CYCLES] += 1.0
-        numbers[_INDEX] += impp_kw / clear_sky_kw
-        if numbers[_CYCLES] >= settings.sample_cycles:
+        sums.cycles += 1.0
+        sums.index += impp_kw / clear_sky_kw
+        if sums.cycles >= settings.sample_cycles:
             _close_sample(memory, settings)
     if not is_due(settings, cycle):
         return nan
     looks = _looks(memory.sky)
     share = offered_share(memory, settings, looks)
     memory.open[1, :FEATURES] = looks
-    memory.open[1, FEATURES] = share
+    memory.open[1, _SHARE] = share
     return share
 
 
@@ -205,7 +207,7 @@ def offered_share(
     memory: OfferMemory, settings: OfferSettings, looks: NDArray[np.float64]
 ) -> float:
     """Return the share of clear sky that past intervals which looked like this one had."""
-    count = int(min(memory.numbers[_PAST], MOST_PAST))
+    count = int(min(memory.sums[0].intervals, MOST_PAST))
     if count == 0 or isnan(looks[0]):
         return settings.first_share
     past = memory.past[:count]
@@ -216,15 +218,15 @@ def offered_share(
             distance += ((past[:, column] - looks[column]) / spread) ** 2
     alike = past[np.argsort(distance, kind="mergesort")[:ALIKE]]
     share, most = _reliable_share(alike, settings)
-    share = min(share * float(memory.numbers[_FACTOR]), most)
+    share = min(share * float(memory.sums[0].factor), most)
     if count < ALIKE:  # Few intervals say little of bad luck.
-        share = min(share, GROWTH * float(memory.open[0, FEATURES]))
+        share = min(share, GROWTH * float(memory.open[0, _SHARE]))
     return share
 
 
 def _reliable_share(alike: NDArray[np.float64], settings: OfferSettings) -> tuple[float, float]:
     """Return the largest share that was there often enough, and the most that may be promised."""
-    shares, hidden = alike[:, FEATURES], alike[:, FEATURES + 1]
+    shares, hidden = alike[:, _SHARE], alike[:, _HIDDEN]
     most = float(np.max(shares))
     if np.max(hidden) > 0.0:
         most *= GROWTH
@@ -242,51 +244,51 @@ def _reliable_share(alike: NDArray[np.float64], settings: OfferSettings) -> tupl
 
 def _take_meter(memory: OfferMemory, settings: OfferSettings, metered_kw: float) -> None:
     """Add what the meter showed of the cycle before to the sums of its interval."""
-    numbers = memory.numbers
-    if isnan(metered_kw) or numbers[_LAST_CLEAR] <= 0.0:
+    sums = memory.sums[0]
+    if isnan(metered_kw) or sums.last_clear_kw <= 0.0:
         return
-    numbers[_DISPATCHED] += numbers[_LAST_DISPATCH]
-    numbers[_CLEAR] += numbers[_LAST_CLEAR]
-    missed_kw = max(numbers[_LAST_DISPATCH] - metered_kw, 0.0)
+    sums.dispatched_kw += sums.last_dispatch_kw
+    sums.clear_kw += sums.last_clear_kw
+    missed_kw = max(sums.last_dispatch_kw - metered_kw, 0.0)
     if settings.is_seen:  # A smaller promise would not mend what control missed.
-        missed_kw = min(missed_kw, max(numbers[_LAST_DISPATCH] - numbers[_LAST_POSSIBLE], 0.0))
-    numbers[_MISSED] += missed_kw
-    numbers[_PROVEN] += metered_kw / numbers[_LAST_CLEAR]
+        missed_kw = min(missed_kw, max(sums.last_dispatch_kw - sums.last_possible_kw, 0.0))
+    sums.missed_kw += missed_kw
+    sums.proven += metered_kw / sums.last_clear_kw
 
 
 def _close_sample(memory: OfferMemory, settings: OfferSettings) -> None:
-    numbers, sky = memory.numbers, memory.sky
-    cycles = numbers[_CYCLES]
-    mean = numbers[_INDEX] / cycles
+    sums, sky = memory.sums[0], memory.sky
+    cycles = sums.cycles
+    mean = sums.index / cycles
     sky[:-1] = sky[1:].copy()
     sky[-1] = mean
-    place = int(numbers[_SAMPLES])
+    place = int(sums.samples)
     if place < len(memory.within):
-        memory.within[place] = mean if settings.is_seen else numbers[_PROVEN] / cycles
-    numbers[_SAMPLES] += 1.0
-    numbers[_CYCLES] = numbers[_INDEX] = numbers[_PROVEN] = 0.0
+        memory.within[place] = mean if settings.is_seen else sums.proven / cycles
+    sums.samples += 1.0
+    sums.cycles = sums.index = sums.proven = 0.0
 
 
 def _close_interval(memory: OfferMemory, settings: OfferSettings) -> None:
     """Judge the interval that ended, and go on to the one that was offered last."""
-    numbers, looks = memory.numbers, memory.open[0]
-    if numbers[_DISPATCHED] > 0.0:
-        is_missed = numbers[_MISSED] > MISSED_SHARE * numbers[_DISPATCHED]
+    sums, looks = memory.sums[0], memory.open[0]
+    if sums.dispatched_kw > 0.0:
+        is_missed = sums.missed_kw > MISSED_SHARE * sums.dispatched_kw
         if not isnan(looks[0]):
             change = 1.0 + TRACKING * (settings.miss_rate - (1.0 if is_missed else 0.0))
-            numbers[_FACTOR] = min(max(numbers[_FACTOR] * change, LOWEST_FACTOR), HIGHEST_FACTOR)
-            share = firm_share(memory.within[: int(numbers[_SAMPLES])])
+            sums.factor = min(max(sums.factor * change, LOWEST_FACTOR), HIGHEST_FACTOR)
+            share = firm_share(memory.within[: int(sums.samples)])
             is_hidden = not (settings.is_seen or is_missed)
             if is_hidden:
-                share = numbers[_DISPATCHED] / numbers[_CLEAR]
-            row = memory.past[int(numbers[_PAST]) % MOST_PAST]
+                share = sums.dispatched_kw / sums.clear_kw
+            row = memory.past[int(sums.intervals) % MOST_PAST]
             row[:FEATURES] = looks[:FEATURES]
-            row[FEATURES] = share
-            row[FEATURES + 1] = 1.0 if is_hidden else 0.0
-            numbers[_PAST] += 1.0
-    if not isnan(memory.open[1, FEATURES]):
+            row[_SHARE] = share
+            row[_HIDDEN] = 1.0 if is_hidden else 0.0
+            sums.intervals += 1.0
+    if not isnan(memory.open[1, _SHARE]):
         memory.open[0] = memory.open[1]
-    numbers[_SAMPLES] = numbers[_DISPATCHED] = numbers[_CLEAR] = numbers[_MISSED] = 0.0
+    sums.samples = sums.dispatched_kw = sums.clear_kw = sums.missed_kw = 0.0
 
 
 def firm_share(index: NDArray[np.float64]) -> float:

@@ -118,7 +118,7 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
     while driver.finished and not link.dismissed:
         if loop.times.stop_heard and loop.times.end_cycle == plan.timing.cycles:
             return True
-        driver.turn(longest_ns=driver.now_ns() + round(_STOP_LOOK_S * 1e9))
+        driver.wait_and_act(longest_ns=driver.now_ns() + round(_STOP_LOOK_S * 1e9))
         # It is through with its cycles; a process that stays in one of them counts as stuck.
         link.beat(plan.timing.cycles)
         if process.plant_is_gone():

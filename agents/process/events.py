@@ -179,11 +179,11 @@ class Start(msgspec.Struct, frozen=True, tag=True):
     again: bool = False
 
 
-class Signal(msgspec.Struct, frozen=True, tag=True):
+class SendSignal(msgspec.Struct, frozen=True, tag=True):
     """Send a signal to a process if it has not ended."""
 
     agent: str
     number: int
 
 
-Request: TypeAlias = Start | Signal
+Request: TypeAlias = Start | SendSignal

@@ -23,7 +23,7 @@ from agents.process.events import (
     Joined,
     Presence,
     Request,
-    Signal,
+    SendSignal,
     Start,
     Started,
     Status,
@@ -150,7 +150,7 @@ class Watched:
         return [
             one.agent
             for one in self.server.asked
-            if isinstance(one, Signal) and one.number == number
+            if isinstance(one, SendSignal) and one.number == number
         ]
 
 

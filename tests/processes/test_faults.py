@@ -300,7 +300,7 @@ def test_requests_wait_for_a_fork_server_that_does_not_read(plant: str, tmp_path
         with Processes(server, plan, (RECORDER,), folder, print) as processes:
             server.process.send_signal(signal.SIGSTOP)
             for _ in range(2000):  # More than the socket between them takes.
-                server.ask(events.Signal(RECORDER, signal.SIGCONT))
+                server.ask(events.SendSignal(RECORDER, signal.SIGCONT))
             processes.start()
             server.process.send_signal(signal.SIGCONT)
             while not processes[RECORDER].is_there:

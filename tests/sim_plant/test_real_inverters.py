@@ -34,7 +34,7 @@ class Devices:
             position: Reading(0, LIMIT_KW, MAXIMUM_KW, LIMIT_KW) for position in (0, 1)
         }
         if metered_kw is not None:
-            self._readings[real_inverters.METER] = Reading(0, metered_kw)
+            self._readings[real_inverters.METER_PLACE] = Reading(0, metered_kw)
 
     def newest(self) -> Mapping[int, Reading]:
         return self._readings
