@@ -356,7 +356,6 @@ class CentralController(Parent):
         impp_kw: float,
         reports: list[Report],
     ) -> tuple[CentralState, list[Delivery]]:
-        """Divide a target among inverters and storages."""
         abilities = self.abilities(turn)
         able, is_first = together(abilities), self._control.storage == "first"
         inverters_kw = asked_kw(target_kw, impp_kw, able)
@@ -391,7 +390,6 @@ class CentralController(Parent):
         return state
 
     def _memory(self, state: CentralState, turn: Turn, *, has_offered: bool) -> Delivery:
-        """Return what a new process of the central controller will need."""
         known = state.correction
         memory = Memory(
             *turn.stamp,

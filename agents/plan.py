@@ -118,7 +118,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return Deadlines(self.tree, self.timing.cycle_wall_ns)
 
     def network_faults(self) -> NetworkFaults:
-        """Return the faults of the run's links, not yet at work."""
         on_links = {
             number: fault
             for number, fault in enumerate(self.faults.rules)

@@ -71,7 +71,6 @@ class Timing(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @property
     def lockstep(self) -> bool:
-        """Whether cycles close on completeness alone."""
         return self.cycle_wall_ns == 0
 
     @property
@@ -83,7 +82,6 @@ class Timing(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return self.lockstep or abs(start_ns - now_ns) <= START_WITHIN_NS
 
     def sim_time_ns(self, cycle: int) -> int:
-        """Return the simulated time at the beginning of a cycle, ns since 1970-01-01 UTC."""
         return self.start_time_ns + cycle * self.cycle_ns
 
 
@@ -167,7 +165,6 @@ class Site(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def states_all(self) -> bool:
-        """Whether all inverters state their available power."""
         return self.available_bias is not None and self.available_share == 1.0
 
     def settings_of(self, leaf: str) -> InverterSettings:

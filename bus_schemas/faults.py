@@ -73,7 +73,6 @@ class Disturbance(_OneWay, frozen=True, kw_only=True, tag="disturbance"):
 
     @property
     def held_back_ms(self) -> float:
-        """Extra delay of a message that is held back [ms]."""
         return self.delay_ms if self.reorder_ms is None else self.reorder_ms
 
 

@@ -67,7 +67,6 @@ class ForkServer:
         signal.set_wakeup_fd(self._wake)
 
     def serve(self) -> None:
-        """Do what the launcher asks until it is gone."""
         poll = select.poll()
         poll.register(self._control, select.POLLIN)
         poll.register(self._ended, select.POLLIN)
@@ -178,7 +177,6 @@ class ForkServer:
         logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
 
     def _reap(self) -> None:
-        """Tell the launcher of processes that have ended."""
         while self._pids:
             pid, status, usage = os.wait4(-1, os.WNOHANG)
             if pid == 0:

@@ -231,7 +231,6 @@ class _Launch:
         self.view.say(f"recorder is cut off: {text}")
 
     def _check_stall(self) -> None:
-        """In lockstep: find who stalls the run."""
         processes, now = self.processes, time.monotonic()
         waiting = processes.still_waiting()
         self.stalled_at = (self.stalled_at or now) if waiting else None
@@ -322,7 +321,6 @@ def _links(plan: RunPlan, agent: str) -> str:
 
 
 def check_processes(plan: RunPlan) -> None:
-    """Refuse what a run as processes cannot have."""
     if plan.timing.lockstep and plan.faults.rules:
         raise InputError.of(
             "--pace",

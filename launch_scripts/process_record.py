@@ -71,7 +71,6 @@ class Process:
 
     @property
     def is_there(self) -> bool:
-        """Whether it is on the bus."""
         return self.state in {"armed", "running"}
 
     @property

@@ -160,11 +160,9 @@ class Processes:
         return [process for process in self._by_name.values() if not process.is_external]
 
     def controllers(self) -> list[Process]:
-        """Return all own processes but the recorder."""
         return [process for process in self.own if process.name != RECORDER]
 
     def restarts(self) -> Counter[str]:
-        """Return how often each process was started again."""
         return Counter({one.name: len(one.starts_s) for one in self.own if one.starts_s})
 
     @property
@@ -347,7 +345,6 @@ class Processes:
         ]
 
     def _note_presence(self, process: Process, event: Presence) -> None:
-        """Note that an external agent has come or gone, and say so."""
         agent, plan = process.name, self._plan
         lockstep = plan.timing.lockstep
         name = f"{agent} ({plan.access.addresses.get(agent, 'external')})"
@@ -602,7 +599,6 @@ class Processes:
                 self._send(self[name], _SIGNALS[incident.what])
 
     def _kill(self, process: Process, why: str) -> bool:
-        """Kill a process that does not live, or is not heard; return whether it was its turn."""
         if not process.pid or process.was_killed or process.exited is not None:
             return False
         if not process.is_stopped():

@@ -67,7 +67,6 @@ class RunFolder:
 
 
 def new_run_id(scenario: str) -> str:
-    """Return a name that no other run has."""
     return f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{secrets.token_hex(4)}"
 
 

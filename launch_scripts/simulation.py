@@ -163,7 +163,6 @@ class MemoryRun:
                 self.driver.join(self._frozen.pop(name)[0])
 
     def _replace_frozen(self, name: str, since_ns: int) -> None:
-        """Kill a controller that has stood still since then."""
         if self._frozen.get(name, (None, None))[1] == since_ns:
             self._kill(name)
 

@@ -98,7 +98,6 @@ def nothing_metered(law: CorrectionLaw) -> Correction:
 
 
 def with_reading(last: Correction, power_kw: float) -> Correction:
-    """Take up a reading of the meter."""
     return Correction(
         shown_kw=last.shown_kw,
         aim_kw=last.aim_kw,

@@ -77,14 +77,12 @@ class BeatTable:
         return Beat._make(_PLACE.unpack_from(self._memory, self._places[name]))
 
     def dismiss(self, name: str) -> None:
-        """Ask a process to end in order."""
         self._memory[self._places[name] + _DISMISSED] = True
 
     def is_dismissed(self, name: str) -> bool:
         return bool(self._memory[self._places[name] + _DISMISSED])
 
     def give_up(self, name: str) -> None:
-        """Say that an agent does not come back."""
         self._memory[self._places[name] + _GIVEN_UP] = True
         expected, number, is_closed = _HEAD.unpack_from(self._memory)
         _HEAD.pack_into(self._memory, 0, expected, number + 1, is_closed)

@@ -19,7 +19,6 @@ class Interruption:
         return self.count > 0
 
     def wait(self, seconds: float) -> None:
-        """Wait for a time, or until the user asks for an end."""
         until = time.monotonic() + seconds
         while not self and (left_s := until - time.monotonic()) > 0.0:
             time.sleep(min(left_s, 0.05))

@@ -42,7 +42,6 @@ class LauncherLink:
 
     @property
     def dismissed(self) -> bool:
-        """Whether the launcher wants the agent to end."""
         return self._was_told_to_end or (
             self.table is not None and self.table.is_dismissed(self._name)
         )

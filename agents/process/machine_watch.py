@@ -42,7 +42,6 @@ class MachineWatch(SideProcess):
         super().__init__("agents.process.machine_watch", stdout=PIPE)
 
     def stops(self) -> list[MachineStop]:
-        """End the watch; return when the machine stood still."""
         self.hang_up()
         assert self.process.stdout is not None
         return msgspec.json.decode(self.process.stdout.read() or b"[]", type=list[MachineStop])

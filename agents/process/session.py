@@ -147,7 +147,6 @@ def _access_rules(plan: RunPlan, agent: str, links: Links, subjects: Subjects) -
         return rule
 
     def between(publisher: str, listener: str) -> list[str]:
-        """Return the keys on which one process may publish to another."""
         bundles = [
             wiring.key(bundle)
             for bundle in wiring.bundles

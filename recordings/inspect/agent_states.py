@@ -184,7 +184,6 @@ class AgentStates:
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """The plant and the controllers, in the order of the tree."""
         return (PLANT, *map(agent_name, self._plan.tree.nodes))
 
     def see(self, record: RecordedMessage) -> None:

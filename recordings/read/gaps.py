@@ -150,21 +150,17 @@ class PortGaps:
 
     @property
     def lost(self) -> int:
-        """Messages that the numbers leave out."""
         return self._evaluated()[1]
 
     @property
     def repeated(self) -> int:
-        """Messages that came again."""
         self._evaluated()
         return self._repeated
 
     def stretches(self) -> list[Stretch]:
-        """Return the cycles of which there is a due message, in order."""
         return self._evaluated()[0]
 
     def has(self, cycle: int) -> bool:
-        """Whether there is a message of a cycle."""
         return any(one.first_cycle <= cycle <= one.last_cycle for one in reversed(self._series))
 
     @property

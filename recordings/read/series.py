@@ -117,7 +117,6 @@ class RunSeries:
 
     @property
     def rating_kw(self) -> float:
-        """AC rating of the plant."""
         return self.plan.tree.rating_kw(ROOT)
 
     @property
@@ -130,7 +129,6 @@ class RunSeries:
 
     @property
     def start_time_ns(self) -> int:
-        """Simulated time of the first row."""
         return self.plan.timing.sim_time_ns(self.first_cycle)
 
     @property

@@ -53,7 +53,6 @@ class Complaints:
         self._by_kind: dict[tuple[str, str], Complaint] = {}
 
     def add(self, key: str, cause: str, example: str) -> None:
-        """Count a wrong message."""
         key, example = printable(key[:_LONGEST]), printable(example[:_LONGEST])
         if (key, cause) not in self._by_kind:
             unknown = sum(one == UNKNOWN for _, one in self._by_kind)

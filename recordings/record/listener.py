@@ -200,7 +200,6 @@ class RunListener:
             self._follow(port, message, heard_ns)
 
     def _follow(self, port: Port[Message], message: Message, heard_ns: int) -> None:
-        """Follow the course of the run."""
         is_external = PLANT in self._plan.access.external
         if is_external and isinstance(message, Run) and message.state == "start":
             self._tell(Armed(message.start_time_ns))

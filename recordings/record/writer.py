@@ -115,7 +115,6 @@ class RunWriter:
 
     @property
     def recorded(self) -> Counter[str]:
-        """The messages that were written, by signal."""
         counts: Counter[str] = Counter()
         for port, channel in self._channels.items():
             counts[port.signal.name] += self._writer.recorded[channel]

@@ -68,7 +68,6 @@ class ReplayBus:
         return True
 
     def announce(self, cycle: int, *, rate: float) -> None:
-        """Publish where the replay stands."""
         sim_time_ns = self._plan.timing.sim_time_ns(cycle)
         message = Clock(cycle, sim_time_ns, REPLAYER, (), rate=rate)
         self._outbox.stamp(CLOCK.of(ROOT), message, time.monotonic_ns())

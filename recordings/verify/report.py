@@ -166,7 +166,6 @@ def _lines_of(agent: str, difference: Difference) -> Iterator[str]:
 
 
 def _content(message: Message) -> str:
-    """Return the fields of a message without its head."""
     data: dict[str, Any] = msgspec.to_builtins(message)
     return "  ".join(
         f"{name} {_value(value)}" for name, value in data.items() if name not in HEAD_FIELDS
