@@ -1,8 +1,7 @@
 """Serves the page: plain files, a few documents, and a stream of updates for each browser.
 
-Everything happens in one thread, and only while a browser asks. A browser takes an update when it
-has room for it; what it has not taken by then is left out. It can ask, but not command, unless the
-run was started with `--orders`.
+Everything happens in one thread, and only while a browser asks. A slow browser skips updates. A
+browser can ask, but not command, unless the run was started with `--orders`.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def _figure_rows(summary: RunDocument) -> Iterator[Row]:
 
 def _rows_of(figures: Figures | None) -> Iterator[Row]:
     if figures is None:
-        yield "Figures of merit", None, "", "of no cycle: none can be read in the recording"
+        yield "Figures of merit", None, "", "none: no readable cycle"
         return
     for figure in shown_in(Shown.SUMMARY):
         value = figures[figure.name]

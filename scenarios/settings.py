@@ -78,7 +78,7 @@ def with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, object]]) 
 
 
 def _put(document: dict[str, Any], field: str, value: object) -> None:
-    """Set a field; what stands where a table belongs gives way, and is refused later.
+    """Set a field. A value in the place of a table is replaced; its new fields are checked later.
 
     A table changes the fields that it names, and removes those that it names as None; one of
     another kind replaces the old one.

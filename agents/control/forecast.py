@@ -79,8 +79,8 @@ METER_READINGS: Final = 30.0
 """Least number of readings for that: fewer say too little about a noisy meter."""
 
 MOST_LEARNED_ERRORS: Final = 2.0
-"""A reading that is further off than so many mean errors counts as if it were not: a shadow that
-is taken for the limit must not teach that the meter reads low."""
+"""A reading teaches nothing if it is off by more than this number of mean errors: a shadow taken
+for the limit must not teach that the meter reads low."""
 
 MOST_BIAS: Final = 0.03
 """A meter is believed to read a limit wrong by this share at most."""

@@ -10,7 +10,7 @@ FIRST_METER_ERROR: Final = 0.008
 """Assumed error of an inverter's meter before anything is known of it, as a share."""
 
 ROUNDING: Final = 1e-9
-"""An inverter that is asked for all it has but this share of it is asked for all."""
+"""Requests within this share of the IMPP count as full power."""
 
 
 class Meter(NamedTuple):

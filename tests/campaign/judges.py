@@ -20,8 +20,8 @@ from run_trace import FaultyRun, key
 from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name
 
 OUT_SHARE: Final = 0.05
-"""Share of the rating by which a plant may deliver more than its dispatch, for as long as it likes,
-or less than its inverters would, each by itself."""
+"""Share of the rating by which a plant may deliver more than its dispatch, indefinitely, or
+less than its inverters would, each by itself."""
 
 SETTLED_SHARE: Final = 0.01
 """Share of the rating to which it is as without faults, once it has settled."""

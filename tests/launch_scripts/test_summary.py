@@ -59,7 +59,7 @@ HALF = dict.fromkeys(FIGURES) | {
 @pytest.mark.parametrize(
     ("changes", "row", "cells"),
     [
-        ({}, "Figures of merit", ["-", "", "of no cycle"]),
+        ({}, "Figures of merit", ["-", "", "none"]),
         ({}, "Tracking RMSE", None),
         ({"figures": HALF}, "Figures of merit", ["-", "", "35 of 3,600 cycles"]),
         ({"figures": HALF}, "Shortfall", ["0.00", "kWh", "0.000 % of dispatch"]),
