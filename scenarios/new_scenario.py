@@ -6,7 +6,6 @@ import json
 import os
 import re
 from collections.abc import Sequence
-from datetime import timedelta
 from pathlib import Path
 from typing import Final
 
@@ -168,7 +167,7 @@ def _text(
     stations = list(found.sensors)
     steps = min(max(int(_LENGTH / step), 1), len(found.times))
     means = found.ghi_wm2.mean(axis=1).rolling(steps).mean().to_numpy()[steps - 1 :]
-    zone = form.timezone or _timezone(table.first_offset)
+    zone = form.timezone or _timezone(str(table.stamps.iloc[0]))
     stated = [("timezone", form.timezone), ("dates", form.dates), ("unit", form.unit)]
     lines = [f"{name} = {_quoted(value)}" for name, value in stated if value]
     if stamps := form.stamps or found.stamps:
@@ -203,11 +202,11 @@ def _start(begin: pd.Timestamp, zone: str) -> str:
     return (naive if is_one else local).isoformat()
 
 
-def _timezone(offset: timedelta) -> str:
-    """Return the IANA name of an offset from UTC in whole hours; UTC for all others."""
-    hours, rest = divmod(offset, timedelta(hours=1))
-    # POSIX counts west of Greenwich as positive.
-    return f"Etc/GMT{-hours:+d}" if hours and not rest else "UTC"
+def _timezone(stamp: str) -> str:
+    """Return the IANA name of a time stamp's offset in whole hours; UTC for all others."""
+    found = re.search(r":\d\d(?:\.\d+)? ?([+-]\d\d)(?::?00)?$", stamp)
+    hours = int(found[1]) if found else 0
+    return f"Etc/GMT{-hours:+d}" if hours else "UTC"  # POSIX counts west as positive.
 
 
 def preview_table(found: Irradiance) -> list[str]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import timedelta
 from pathlib import Path
 from typing import Any, Final
 
@@ -172,13 +171,6 @@ class CsvTable:
         some = self.stamps.head(2000)
         stamps, _ = parsed_stamps(some, self._stamp_hint, "day-first", self.name)
         return pd.DatetimeIndex(stamps).tz is not None
-
-    @property
-    def first_offset(self) -> timedelta:
-        """The offset from UTC of the first time stamp; 0 where it says none."""
-        found = re.search(r":\d\d(?:\.\d+)? ?([+-]\d\d(:?\d\d)?)$", self.stamps.iloc[0])
-        offset = pd.Timestamp(f"2000-01-01T00:00{found[1]}").utcoffset() if found else None
-        return offset or timedelta(0)
 
     def seconds_ns(self, column: str) -> NDArray[np.int64]:
         """Return a column of two or more seconds, or times of day H:MM:SS, in ns."""

@@ -121,10 +121,7 @@ def measured_ghi(
     check_stations(stations, known, f"{table.name}: line 1: stations")
     columns = dict(zip(known, table.value_columns, strict=True))
     wanted = [columns[name] for name in stations]
-    if missing := [name for name in stations if name not in positions.index]:
-        expected = "a line for each station"
-        raise InputError(f"{positions_name}: expected {expected}, got none for {missing}")
-    coordinates = positions.loc[list(stations)]
+    coordinates = places_of(stations, positions, positions_name)
     may_lack, expected = max_gap_s is not None, "a number in W/m2"
     if not may_lack:
         expected += " (irradiance.max_gap_s fills gaps)"
@@ -263,11 +260,10 @@ def read_positions(path: Path) -> pd.DataFrame:
     return read_csv(path, ("station", "lat", "lon"), texts=("station",)).coordinates("station")
 
 
-def read_coordinates(path: Path, stations: Sequence[str]) -> pd.DataFrame:
-    coordinates = read_positions(path)
-    if missing := [name for name in stations if name not in coordinates.index]:
-        raise InputError(f"{path.name}: expected a line for each station, got none for {missing}")
-    return coordinates.loc[list(stations)]
+def places_of(stations: Sequence[str], positions: pd.DataFrame, name: str) -> pd.DataFrame:
+    if missing := [station for station in stations if station not in positions.index]:
+        raise InputError(f"{name}: expected a line for each station, got none for {missing}")
+    return positions.loc[list(stations)]
 
 
 def checked_ghi(
@@ -281,21 +277,16 @@ def checked_ghi(
     """Refuse values that no sensor shows, NaN aside; set those below 0 to 0."""
     smallest = float(np.nanmin(ghi_wm2, initial=0.0))
     largest = float(np.nanmax(ghi_wm2, initial=GHI_NIGHT_MIN_WM2))
-    lowest = np.full(len(ghi_wm2), GHI_MIN_WM2)
-    if smallest < GHI_MIN_WM2:
-        low = np.asarray((ghi_wm2 < GHI_MIN_WM2).any(axis=1))
-        lat, lon = coordinates.mean()
-        sun = pvlib.solarposition.get_solarposition(times[low], lat, lon)["elevation"]
-        lowest[low] = np.where(sun < 0.0, GHI_NIGHT_MIN_WM2, GHI_MIN_WM2)
     if smallest < GHI_MIN_WM2 or largest > GHI_MAX_WM2:
-        bad = np.argwhere((ghi_wm2 < lowest[:, None]) | (ghi_wm2 > GHI_MAX_WM2))
-        row, column = bad[0] if bad.size else (-1, 0)
-    else:
-        row = -1
-    if row >= 0:
-        when = " by night" if lowest[row] == GHI_NIGHT_MIN_WM2 else ""
-        expected = f"{lowest[row]:g} to {GHI_MAX_WM2:g} W/m2{when}"
-        raise table.error(int(row), columns[column], expected)
+        odd = np.flatnonzero(((ghi_wm2 < GHI_MIN_WM2) | (ghi_wm2 > GHI_MAX_WM2)).any(axis=1))
+        sun = pvlib.solarposition.get_solarposition(times[odd], *coordinates.mean())["elevation"]
+        lowest = np.where(sun < 0.0, GHI_NIGHT_MIN_WM2, GHI_MIN_WM2)
+        bad = np.argwhere((ghi_wm2[odd] < lowest[:, None]) | (ghi_wm2[odd] > GHI_MAX_WM2))
+        if bad.size:
+            row, column = bad[0]
+            when = " by night" if lowest[row] == GHI_NIGHT_MIN_WM2 else ""
+            expected = f"{lowest[row]:g} to {GHI_MAX_WM2:g} W/m2{when}"
+            raise table.error(int(odd[row]), columns[column], expected)
     is_faint = 0.0 < largest < _KILOWATT_BELOW and unit is None and not table.units[columns[0]]
     if is_faint and clear_ghi(times[:: len(times) // 1000 + 1], coordinates).max() > 50.0:
         raise InputError(

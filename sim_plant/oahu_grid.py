@@ -24,7 +24,7 @@ import pandas as pd
 from bus_schemas.errors import InputError
 from sim_plant.csv_tables import CsvTable, read_csv
 from sim_plant.gap_filling import fill_from_neighbours
-from sim_plant.irradiance import Irradiance, check_stations, checked_ghi, read_coordinates
+from sim_plant.irradiance import Irradiance, check_stations, checked_ghi, places_of, read_positions
 
 MISSING: Final = -99999.0
 
@@ -56,7 +56,7 @@ def read_day(
     """
     wanted = HORIZONTAL if stations is None else tuple(stations)
     check_stations(wanted, HORIZONTAL, "stations")
-    coordinates = read_coordinates(positions_csv, wanted)
+    coordinates = places_of(wanted, read_positions(positions_csv), positions_csv.name)
     path = folder / f"{day:%Y%m%d}.txt"
     table = read_csv(path, header=_FIELDS)
     times = _times(table, day)
