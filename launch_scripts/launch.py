@@ -24,7 +24,6 @@ from agents.process.events import (
     Event,
     Over,
     Recorded,
-    RecordingEnded,
     Remark,
     Status,
 )
@@ -210,8 +209,6 @@ class _Launch:
                 self.view.say(event.text)
             case Complaint():
                 self.view.say(f"wrong message on {event.key}: {event.example}")
-            case RecordingEnded():
-                self.view.say(f"{event.text}; the run goes on without it")
 
     def _note_gap(self, status: Status) -> None:
         """Say when the recorder loses the plant, which goes on, and when it hears it again."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from agents.plan import RunPlan
-from agents.process.events import ExternalAccount, Finished, Recorded
+from agents.process.events import Finished, Recorded
 from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
 from launch_scripts.process_record import Process
@@ -22,7 +22,13 @@ from recordings.verify.verification import verify
 from results.answers import answers, judged
 from results.figures import run_figures
 from results.highlights import highlights
-from results.run_document import MessageCount, ProcessAccount, RunDocument, WrongMessages
+from results.run_document import (
+    ExternalAccount,
+    MessageCount,
+    ProcessAccount,
+    RunDocument,
+    WrongMessages,
+)
 from results.timing.devices import devices_of
 from results.timing.stages import stage_table
 from scenarios.preparation import Preparation

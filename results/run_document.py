@@ -10,7 +10,6 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import msgspec
 from msgspec.structs import replace
 
-from agents.process.events import ExternalAccount
 from bus_schemas.errors import listed
 from recordings.inspect.overview import Overview, read_overview
 from recordings.read.reader import RunReader
@@ -70,6 +69,27 @@ class ProcessAccount(msgspec.Struct, frozen=True):
     own_mb: float = 0.0
     skipped_cycles: int = 0
     cpu_s: float | None = None
+
+
+class ExternalAccount(msgspec.Struct, frozen=True):
+    """What the recording of a run that is over holds of an external agent.
+
+    recorded: Its messages in the recording, by signal.
+    lost: Its messages that their sequence numbers show to be missing.
+    expected, answered: How many messages should have come on the keys with one in each cycle, and
+        how many came.
+    late: In real time: how many stages' answers came too late for a listener.
+    findings: What was wrong with its decisions, and in real time with the times of its answers, in
+        words: each with its name, and the first key and cycle.
+    """
+
+    agent: str
+    recorded: dict[str, int] = {}
+    lost: int = 0
+    expected: int = 0
+    answered: int = 0
+    late: int = 0
+    findings: tuple[str, ...] = ()
 
 
 class RunDocument(msgspec.Struct, frozen=True, kw_only=True):

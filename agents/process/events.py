@@ -110,27 +110,6 @@ class Complaint(Event, frozen=True):
     example: str
 
 
-class ExternalAccount(msgspec.Struct, frozen=True):
-    """What the recording of a run that is over holds of an external agent.
-
-    recorded: Its messages in the recording, by signal.
-    lost: Its messages that their sequence numbers show to be missing.
-    expected, answered: How many messages should have come on the keys with one in each cycle, and
-        how many came.
-    late: In real time: how many stages' answers came too late for a listener.
-    findings: What was wrong with its decisions, and in real time with the times of its answers, in
-        words: each with its name, and the first key and cycle.
-    """
-
-    agent: str
-    recorded: dict[str, int] = {}
-    lost: int = 0
-    expected: int = 0
-    answered: int = 0
-    late: int = 0
-    findings: tuple[str, ...] = ()
-
-
 class Recorded(Event, frozen=True):
     """The recorder has closed its file.
 
@@ -138,8 +117,6 @@ class Recorded(Event, frozen=True):
     foreign: Payloads on the run's keys that are no messages of the run.
     cycles: How many cycles the plant completed.
     ended_early: Why the file does not go up to the end of the run; empty if it does.
-    external: External agents, once the recording has been counted; their messages are among the
-        others in `recorded`.
     complaints: What was wrong with foreign messages, those of external agents, and those that
         contradict others of their key.
     extra: Messages of `recorded` that came second on keys of the launcher's own processes.
@@ -149,16 +126,9 @@ class Recorded(Event, frozen=True):
     foreign: int
     cycles: int
     ended_early: str = ""
-    external: tuple[ExternalAccount, ...] = ()
     complaints: tuple[Complaint, ...] = ()
     extra: dict[str, int] = {}
     own_mb: float = 0.0
-
-
-class RecordingEnded(Event, frozen=True):
-    """The recorder cannot write any more, and why, in one line. The run goes on without it."""
-
-    text: str
 
 
 class Failed(Event, frozen=True):

@@ -17,7 +17,7 @@ from typing import Final
 
 from agents.plan import RunPlan
 from agents.process.agent_process import run_guarded, set_up_process
-from agents.process.events import Joined, Over, Presence, Recorded, RecordingEnded
+from agents.process.events import Joined, Over, Presence, Recorded, Remark
 from agents.process.launcher_link import LauncherLink
 from agents.process.machine import own_memory_mb, stand_back
 from agents.process.session import session_settings
@@ -53,7 +53,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
 
         def on_end(text: str) -> None:
             log.error("%s", text)
-            link.tell(RecordingEnded(text))
+            link.tell(Remark(f"{text}; the run goes on without it"))
 
         # The bus comes first: messages wait in it, and no process waits for a file.
         settings = session_settings(plan, RECORDER)

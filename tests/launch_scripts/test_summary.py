@@ -14,12 +14,13 @@ from command_line import heliarch
 from msgspec.structs import replace
 from reports_by_hand import summary_of
 
-from agents.process.events import Complaint, ExternalAccount, Recorded
+from agents.process.events import Complaint, Recorded
 from bus_schemas.errors import InputError
 from launch_scripts.run_end import begun, ended
 from launch_scripts.run_folder import RunFolder
 from results.figures import FIGURES
 from results.run_document import (
+    ExternalAccount,
     MessageCount,
     ProcessAccount,
     RunDocument,
@@ -68,10 +69,10 @@ HALF = dict.fromkeys(FIGURES) | {
         ({"processes": BUSY}, "Memory, direct", ["40.0", "MB", "the median of 2; 9.0 MB its own"]),
         ({}, "Cycle rate", ["360.0"]),
         ({}, "Offset", ["80.0", "kW", "aimed above the dispatch"]),
-        ({"cycles": 9}, "Cycles", ["9", "", "ended early: 3,600 were planned"]),
+        ({"cycles": 9}, "Cycles", ["9", "", "ended early, after 9 of 3,600 cycles"]),
         (
             {"cycles": 9, "interrupted": True},
-            *("Cycles", ["9", "", "interrupted: 3,600 were planned"]),
+            *("Cycles", ["9", "", "interrupted after 9 of 3,600 cycles"]),
         ),
         ({"external": (DEVICE,)}, "Missing in the recording", ["100"]),
         ({"external": (DEVICE,)}, "External c1/inv01", ["5", "", "100"]),
