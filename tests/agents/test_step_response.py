@@ -114,11 +114,6 @@ def test_real_inverters_that_are_read_late(follows: dict[str, Any]) -> None:
     assert_a_clean_step(powers_kw(real=follows), round(takes_s) + 6)
 
 
-@pytest.mark.parametrize("rule", ["delay=0.3s", "delay=1s", "delay=2s"])
-def test_a_slow_network(rule: str) -> None:
-    assert_a_clean_step(powers_kw([rule]), 15)
-
-
 @pytest.mark.parametrize("follows", [{"delay_s": 1.0, "ramp_percent_per_s": 10.0}], ids=str)
 @pytest.mark.parametrize("at", ["25s..45s", "80s..100s"])
 @pytest.mark.parametrize("gone", ["central|c1", "c1|c1/a", "plant|central"])

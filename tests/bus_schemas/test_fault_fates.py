@@ -15,10 +15,10 @@ from clock_by_hand import ClockByHand
 from numpy.typing import NDArray
 
 from bus_schemas.bus import Arrival
-from bus_schemas.faults import Blackout, Disturbance, LinkFault
+from bus_schemas.faults import Disturbance, LinkFault
 from bus_schemas.messages import Impp, Run
 from bus_schemas.network_faults import NetworkFaults
-from bus_schemas.signals import COMMAND, IMPP, RUN
+from bus_schemas.signals import IMPP, RUN
 from bus_schemas.tree import PLANT, ROOT, ControlTree
 from bus_schemas.zenoh_bus import FaultyBus
 
@@ -66,13 +66,6 @@ def test_messages_arrive_never_once_or_twice_as_often_as_the_rules_say(
         assert counts[copies] / MANY == pytest.approx(share, abs=5 * deviation)
 
 
-def test_delays_of_several_rules_add_up() -> None:
-    faults = at_work(Disturbance(delay_ms=20.0), Disturbance(signal="impp", delay_ms=1.5))
-    assert set(fates(faults, 10)) == {(21_500_000,)}
-    command = faults.fates(COMMAND.of("c1/a"), PLANT, impp(0))
-    assert command == (20_000_000,)
-
-
 def test_normal_delays_have_their_mean_and_spread_and_none_is_below_zero() -> None:
     found = delays_ms(Disturbance(delay_ms=100.0, jitter_ms=10.0, distribution="normal"))
     assert found.mean() == pytest.approx(100.0, abs=5 * 10.0 / np.sqrt(MANY))
@@ -91,12 +84,6 @@ def test_a_message_held_back_is_overtaken_by_a_later_one() -> None:
     # Held back and followed by one that is not: 0.2 x 0.8.
     assert 100 < overtaken < 220
     assert fates(at_work(Disturbance(delay_ms=10.0, reorder=1.0)), 1) == [(20_000_000,)]
-
-
-def test_nothing_arrives_in_a_blackout_and_all_outside_of_it() -> None:
-    faults = at_work(Blackout(at=(3.0, 5.0)), Blackout(at=(8.0, 8.5)))
-    cut_off = [cycle for cycle, fate in enumerate(fates(faults, 12)) if not fate]
-    assert cut_off == [3, 4, 8]
 
 
 def test_arming_rounds_and_rare_events_always_pass() -> None:

@@ -63,16 +63,6 @@ def test_verify_says_that_other_code_made_a_recording(installed: Path) -> None:
     assert "made by other code than this" in verified.stdout
 
 
-def test_the_wheel_makes_a_scenario_of_measured_files(installed: Path) -> None:
-    files = (str(REPOSITORY / "examples/own_plant" / name) for name in ("positions.csv", "ghi.csv"))
-    done = run(installed, "heliarch", "init", *files, "--out", "own.toml")
-    assert done.returncode == 0, done.stderr
-    simulated = run(
-        installed, "heliarch", "simulate", "own.toml", "--duration", "60", "--out", "own"
-    )
-    assert simulated.returncode == 0, simulated.stderr
-
-
 def test_a_module_of_another_package_is_named(installed: Path, tmp_path: Path) -> None:
     (tmp_path / "first" / "scenarios").mkdir(parents=True)
     (tmp_path / "first" / "scenarios" / "__init__.py").touch()

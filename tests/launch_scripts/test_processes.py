@@ -30,7 +30,6 @@ from agents.process.events import (
 )
 from agents.settings import RestartPolicy
 from bus_schemas.errors import FailureError
-from bus_schemas.faults import Partition
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.process_record import Process
 from launch_scripts.processes import GONE_S, Processes
@@ -217,18 +216,6 @@ def test_in_lockstep_who_waits_to_send_is_not_silent(watched: Make) -> None:
     assert run.got(SIGKILL) == []
 
 
-def test_a_fork_server_that_stands_still_is_named_once(watched: Make) -> None:
-    run = watched()
-    run.pass_by(1.0)
-    for _ in range(90):
-        run.now_s += 0.25
-        run.cycle += 1
-        for process in run.processes.own:
-            run.table.beat(process.name, run.cycle)
-        run.processes.look(0.0)
-    assert [line for line in run.said if "fork server" in line] == run.said[:1]
-
-
 # Before cycle 0 -----------------------------------------------------------------------------------
 
 
@@ -307,12 +294,6 @@ def test_a_process_that_stays_away_is_given_up_and_the_run_goes_on(watched: Make
     assert [*run.processes.given_up] == [NODE]
 
 
-def test_where_a_fault_rule_cuts_links_nobody_is_started_again_for_it(watched: Make) -> None:
-    run = watched(faults=(Partition(("central", "c1")),))
-    run.pass_by(60.0, status=not_heard("c1"))
-    assert run.got(SIGKILL) == []
-
-
 # Who is started again -----------------------------------------------------------------------------
 
 
@@ -353,22 +334,6 @@ def test_in_lockstep_a_controller_is_given_up_at_once_and_a_recorder_comes_back(
     run.dies(RECORDER)
     run.pass_by(0.5, RECORDER)
     assert (run.table.given_up(), run.started) == (("c2",), [RECORDER])
-
-
-def test_at_the_end_nobody_is_started_again_and_nobody_who_dies_fails_the_run(
-    watched: Make,
-) -> None:
-    run = watched()
-    run.dies("c2")
-    run.pass_by(0.5)
-    run.joins("c2")
-    run.dies("c2")  # This restart is to wait.
-    run.processes.end()
-    run.dies("central")
-    run.pass_by(5.0)
-    assert run["c2"].exited is not None
-    assert run.started == ["c2"]
-    assert run.processes.lost_any
 
 
 # External agents ----------------------------------------------------------------------------------

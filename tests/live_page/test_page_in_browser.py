@@ -82,17 +82,6 @@ def test_a_launched_run_moves_and_stays_when_it_is_over(
     assert run.wait() == 130, run.error_text()
 
 
-def test_a_run_that_fails_says_so(window: Browser, heliarch: Start, plant: str) -> None:
-    run = heliarch("launch", plant, "--pace", "10", "--page")
-    window.open(page_of(run))
-    window.until("return document.querySelector('#state').textContent == 'running'", "its run")
-    run.process_of("plant").kill()
-    assert run.wait() == 1
-    window.until("return document.querySelector('#events .failure')", "the failure")
-    assert "plant" in window.text("#events .failure")
-    window.until("return !document.querySelector('#banner').hidden", "the banner")
-
-
 def test_a_recording_is_played_stepped_and_scrubbed(window: Browser, run: Path) -> None:
     with served(run) as page:
         window.open(page.address)
@@ -178,21 +167,6 @@ def test_an_address_leads_to_its_cycle_and_node_and_says_who_helped(
         window.press("End")
         window.until("return location.hash == '#node=c2/d'", "an address that follows the run")
         assert window.problems() == []
-
-
-def test_a_chart_is_saved_with_times_and_units(window: Browser, run: Path) -> None:
-    with served(run) as page:
-        window.open(page.address)
-        window.run(
-            "import('/static/files.js').then(({csvOf}) => window.saved = csvOf("
-            "{cycle: [3, 4], power: [1.5, null]}, {seconds: cycle => cycle}))"
-        )
-        saved = window.until("return window.saved", "the file")
-    assert saved.splitlines() == [
-        "cycle,time,power [kW]",
-        "3,1970-01-01T00:00:03.000Z,1.5",
-        "4,1970-01-01T00:00:04.000Z,",
-    ]
 
 
 def test_the_page_goes_on_from_the_cycle_shown_when_its_server_is_back(

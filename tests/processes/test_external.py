@@ -56,19 +56,6 @@ def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
     assert_none_left(folder)
 
 
-def test_in_lockstep_a_device_that_goes_away_ends_the_run_also_if_it_comes_back(
-    heliarch: Start, device: Device, plant: str
-) -> None:
-    run = heliarch("launch", plant, "--duration", "1h", "--external", NODE)
-    first = controller(device, run.folder)
-    run.until_running()
-    first.send_signal(signal.SIGKILL)
-    run.until_shown(f"{NODE} (external) is gone in cycle")
-    controller(device, run.folder)
-    assert run.wait() == 1
-    assert f"{NODE} is gone" in run.error_text()
-
-
 def test_in_real_time_a_device_may_die_and_come_back(
     heliarch: Start, device: Device, plant: str
 ) -> None:

@@ -107,22 +107,6 @@ def test_agents_end_when_the_plant_disappears_also_while_their_node_stands_still
     assert other.wait() == 1
 
 
-@pytest.mark.soak  # It waits for the 60 s that a plant may be away.
-def test_agents_that_are_started_again_after_the_plant_has_gone_end(
-    heliarch: Start, plant: str, secure: tuple[str, ...]
-) -> None:
-    words = ("--duration", "1h", "--pace", "2", *secure, "--on", f"{SECOND}=c2/*")
-    run = heliarch("launch", plant, *words)
-    other = node(heliarch, run, SECOND)
-    run.until_running()
-    agents = [other.process_of(name) for name in ("c2", "c2/inv03", "c2/inv04")]
-    run.process.kill()
-    for agent in agents:
-        agent.kill()
-    assert other.wait() == 1
-    assert "the plant is gone" in other.error_text()
-
-
 def test_a_host_with_keys_and_another_clock(heliarch: Start, plant: str, tmp_path: Path) -> None:
     if os.geteuid() or not shutil.which("unshare"):
         pytest.skip("another clock needs root and util-linux")

@@ -55,29 +55,6 @@ def test_a_step_has_reaction_rise_settling_and_damping() -> None:
     assert found.damping == pytest.approx(0.7529, abs=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("beyond_kw", "damping"),
-    # As far as a system of a damping ratio of 0.5 or 0.2 overshoots; at once twice as far: none.
-    [(-1.0, 1.0), (0.0, 1.0), (65.2, 0.5), (210.6, 0.2), (800.0, 0.0)],
-)
-def test_the_damping_follows_from_the_overshoot_upwards_and_downwards(
-    beyond_kw: float, damping: float
-) -> None:
-    up = answered([500.0] * 3, [500.0 + beyond_kw, 500.0, 500.0])
-    down = answered([-300.0] * 3, [-300.0 - beyond_kw, -300.0, -300.0])
-    assert (up.damping, down.damping) == pytest.approx((damping, damping), abs=1e-3)
-
-
-def test_a_step_that_does_not_come_has_no_rise_and_no_damping() -> None:
-    found = answered([500.0] * 3, [150.0, 200.0, 300.0])
-    assert (found.reaction_s, found.rise_s, found.to_90_s, found.damping) == (2.0, None, None, None)
-    assert found.settling_of_change_s is None
-    (judged_one,) = judged((found,), AnswerBudgets(settling_of_change_s=5.0))
-    assert judged_one.missed == ("settling_of_change_s",)
-    ramp = answered([300.0, 500.0, 500.0], [300.0, 500.0, 500.0])
-    assert (ramp.reaction_s, ramp.rise_s, ramp.damping) == (None, None, None)
-
-
 def test_a_step_of_the_frequency_is_answered_like_a_step_of_power() -> None:
     # 100 kW less for cycles 10 to 19. Of them 20, 60, 95, 104 are gone, then all.
     response = np.where((np.arange(30) >= 10) & (np.arange(30) < 20), -100.0, 0.0)

@@ -76,20 +76,6 @@ def test_a_damaged_chunk_is_left_out_and_named(recording: Recording, number: int
     assert copy.name in heliarch("inspect", copy).stdout
 
 
-@pytest.mark.parametrize("head", [b"\xff", b"\x06" + b"\xff" * 8])
-def test_a_chunk_with_a_wrong_head_and_all_behind_it_are_read(
-    recording: Recording, head: bytes
-) -> None:
-    path, written = recording
-    with RunReader(path) as run:
-        place = run.outline.chunks[3]
-    with path.open("r+b") as file:
-        file.seek(place.offset)
-        file.write(head)
-    with RunReader(path) as run:
-        assert list(run.messages()) == written
-
-
 def test_the_files_of_several_recorders_become_one(tmp_path: Path) -> None:
     """As they are left where the second recorder was killed."""
     parts = {"run": (0, 40), "run-2": (40, 70), "run-3": (75, 101)}

@@ -43,12 +43,6 @@ def test_the_next_recorder_reads_the_beginning_of_a_long_recording_alone(long_cu
     assert anchor == ClockAnchor(5, 1_700_000_000_000_000_000)
 
 
-def test_a_long_cut_recording_is_read_up_to_the_cut(long_cut: Path) -> None:
-    with RunReader(long_cut) as run:
-        assert len(run.outline.chunks) > CHUNKS
-        assert run.last_cycle == 0
-
-
 def test_the_memory_of_a_recorder_does_not_grow_with_its_messages(tmp_path: Path) -> None:
     writer = RunWriter(tmp_path / "run.mcap", PLAN, SCENARIO, "launch")
     said = [(port, message, encode(message)) for port, message in whole_run(2)]

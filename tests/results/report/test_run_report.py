@@ -26,8 +26,6 @@ from results.tables import Column, Table, key_column
 NASTY = "a <b>bold</b> & <script>alert('x')</script> label"
 TEN_O_CLOCK_LOCAL_MS = TEN_O_CLOCK_HST_NS / 1e6 - 10 * 3_600_000
 FIGURES = ["power", "regulation", "residuals"]
-HOURS = 3 * 3600
-"""A run of so many cycles of a second has enough hours to compare their correlations."""
 
 
 @dataclass
@@ -95,17 +93,6 @@ def test_the_page_has_every_figure_with_its_data_and_links_to_each() -> None:
     links = [str(element.attributes["href"]).removeprefix("#") for element in page.of("a")]
     assert links == ["table-1", "table-2", *FIGURES]
     assert set(links) <= {element.attributes.get("id") for element in page.of("section")}
-
-
-def test_absent_parts_of_a_run_are_left_out() -> None:
-    run = cloudy_run()
-    no_help = without_estimates(run, "no help")
-    assert [*figures_of(no_help)] == ["power"]
-    assert "correlation" in figures_of(cloudy_run(cycles=HOURS))
-    run = cloudy_run(cycles=HOURS)
-    dark, none = np.zeros_like(run.mpp_kw), np.zeros(run.cycles)
-    night = replace(run, commitment_kw=none, mpp_kw=dark, power_kw=dark, impp_kw=dark)
-    assert "correlation" not in figures_of(replace(night, residual_kw=dark, alpha=dark + 1.0))
 
 
 def test_the_curves_are_those_of_the_run() -> None:
@@ -225,18 +212,6 @@ def test_cycles_without_a_message_are_gaps_in_their_own_place(fields: tuple[str,
 
 
 # Rules of figures ---------------------------------------------------------------------------------
-
-
-def test_an_hour_in_which_nothing_varies_has_no_correlation_to_show() -> None:
-    run = cloudy_run(cycles=HOURS)
-    mpp_kw = run.mpp_kw.copy()
-    mpp_kw[:3600] = 0.0
-    titles = [
-        [title.text for title in figures_of(one)["correlation"].layout.annotations]
-        for one in (run, replace(run, mpp_kw=mpp_kw))
-    ]
-    assert [len(one) for one in titles] == [3, 2]
-    assert titles[0][1:] == titles[1]
 
 
 def test_the_clock_does_not_go_back_where_summer_time_ends() -> None:

@@ -131,11 +131,6 @@ def test_loop_and_agents_give_the_same_where_inverters_follow_late_or_on_a_ramp(
     assert_equal(with_plan(stepped, actuator=actuator, **follows), scheme)
 
 
-@pytest.mark.parametrize("scheme", get_args(Scheme))
-def test_loop_and_agents_give_the_same_in_a_plant_as_they_are_built_today(scheme: Scheme) -> None:
-    assert_equal(prepare(load_scenario("utility"), RunOptions(duration="200"), "loop"), scheme)
-
-
 @pytest.mark.parametrize("actuator", get_args(Actuator))
 def test_loop_and_agents_give_the_same_where_the_commitment_is_offered(actuator: Actuator) -> None:
     commitment = {"kind": "offered", "interval_s": 60, "lead_s": 10}

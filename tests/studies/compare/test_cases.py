@@ -65,12 +65,6 @@ def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> N
     assert (label(alone.columns), alone.scenario) == ("", oahu)
 
 
-def test_each_fault_is_a_case_and_several_rules_may_act_together(oahu: ScenarioFile) -> None:
-    perfect, both = study(oahu, faults=["none", "delay=1s;loss=5%"])
-    assert (perfect.options.faults, both.options.faults) == ([], ["delay=1s", "loss=5%"])
-    assert both.columns == {"fault": "delay=1s;loss=5%"}
-
-
 @pytest.mark.parametrize(
     ("words", "wrong"),
     [
