@@ -10,7 +10,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final, TypeAlias
 
-import msgspec
 import zenoh
 
 from bus_schemas.bus import Cause
@@ -108,14 +107,3 @@ class Inbox:
             return True
         self.dropped[str(source), Cause.FLOODED] += 1
         return False
-
-
-def messages_in(source: Source, payload: bytes) -> list[tuple[Port[Message], Message]]:
-    """Return the messages in a payload, with their ports."""
-    if isinstance(source, Port):
-        return [(source, source.signal.decode(payload))]
-    try:
-        found = source.signal.decode_bundle(payload)
-        return [(source.ports[key], message) for key, message in found]
-    except KeyError as error:
-        raise msgspec.DecodeError(f"{source} holds no {error}") from None

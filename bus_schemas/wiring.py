@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
+import msgspec
+
 from bus_schemas.messages import Message
 from bus_schemas.signals import COMMAND, IMPP, TELEMETRY, Port, Signal, listeners, ports
 from bus_schemas.tree import (
@@ -50,6 +52,13 @@ class Bundle:
     def signal(self) -> Signal[Message]:
         """The signal of all messages, where another process hears them."""
         return next(iter(self.ports.values())).signal
+
+    def messages(self, payload: bytes) -> list[tuple[Port[Message], Message]]:
+        """Return the messages in a payload, with their ports, or raise one of `UNREADABLE`."""
+        try:
+            return [(self.ports[key], one) for key, one in self.signal.decode_bundle(payload)]
+        except KeyError as error:
+            raise msgspec.DecodeError(f"{self} holds no {error}") from None
 
 
 class Wiring:

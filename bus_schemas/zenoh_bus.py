@@ -19,7 +19,7 @@ import zenoh
 from bus_schemas.bus import Arrival, Cause, Outbox
 from bus_schemas.codec import UNREADABLE, encode, encode_bundle
 from bus_schemas.host_clock import HostClock
-from bus_schemas.inbox import Inbox, Item, Source, messages_in
+from bus_schemas.inbox import Inbox, Item, Source
 from bus_schemas.messages import Message
 from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal
@@ -265,7 +265,11 @@ class ZenohBus:
         for source, payload, came_ns in taken:
             time_ns = came_ns
             try:
-                messages = messages_in(source, payload.to_bytes())
+                messages = (
+                    [(source, source.signal.decode(payload.to_bytes()))]
+                    if isinstance(source, Port)
+                    else source.messages(payload.to_bytes())
+                )
             except UNREADABLE:
                 self.inbox.dropped[str(source), Cause.UNDECODABLE] += 1
                 continue

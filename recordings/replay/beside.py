@@ -25,7 +25,7 @@ from agents.process.interruption import Interruption
 from agents.process.machine import MachineSettings
 from bus_schemas.codec import UNREADABLE, encode
 from bus_schemas.errors import InputError, listed
-from bus_schemas.inbox import Inbox, messages_in
+from bus_schemas.inbox import Inbox
 from bus_schemas.messages import Message
 from bus_schemas.selection import find_nodes
 from bus_schemas.signals import CLOCK, RUN, Port
@@ -159,14 +159,12 @@ class ReplayBeside(ReplayBus):
 
     def _receive(self, wanted: int) -> None:
         """Take in what the processes publish, within a moment."""
-        for source, received, _ in self._inbox.take(wanted, _LOOK_S):
+        for port, received, _ in self._inbox.take(wanted, _LOOK_S):
+            assert isinstance(port, Port)  # Each process has one agent.
             try:
-                messages = messages_in(source, received.to_bytes())
+                self._newest[port] = port.signal.decode(received.to_bytes()).cycle
             except UNREADABLE as error:
-                self._line.show(f"{source}: expected a {source.signal.type.__name__}, got: {error}")
-                continue
-            for port, message in messages:
-                self._newest[port] = message.cycle
+                self._line.show(f"{port}: expected a {port.signal.type.__name__}, got: {error}")
 
 
 @contextmanager

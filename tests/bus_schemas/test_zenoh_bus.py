@@ -18,7 +18,6 @@ import zenoh
 from running import REPOSITORY
 
 from bus_schemas.codec import encode, encode_bundle
-from bus_schemas.inbox import messages_in
 from bus_schemas.messages import Impp, Message, Ready, Telemetry
 from bus_schemas.signals import IMPP, READY, TELEMETRY, Port
 from bus_schemas.tcp_ports import reserved_ports
@@ -99,7 +98,7 @@ def test_a_bundle_that_is_too_large_goes_as_several_and_a_wrong_one_does_not_dec
     others = encode_bundle([("c1/i0/impp", message)]), encode_bundle([("c2/i0/telemetry", message)])
     for payload in (b"\xc1 garbage", b"\x01", GOOD, *others):
         with pytest.raises(msgspec.DecodeError):
-            messages_in(bundle, payload)
+            bundle.messages(payload)
 
 
 # Links that carry nothing -------------------------------------------------------------------------
