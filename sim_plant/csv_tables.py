@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from pandas.api.types import is_numeric_dtype
 
 from bus_schemas.errors import InputError, listed
 from sim_plant import Floats
@@ -71,10 +72,6 @@ class CsvTable:
                 "got it twice"
             )
         return self.fields[name]
-
-    def is_numeric(self, name: str) -> bool:
-        """Whether a column has nothing but numbers and missing values."""
-        return pd.api.types.is_numeric_dtype(self.column(name))
 
     def text(self, name: str) -> pd.Series:
         return self.column(name).astype(str).fillna("").str.strip()
@@ -136,7 +133,7 @@ class CsvTable:
 
     def _floats(self, name: str) -> Floats:
         cells = self.column(name)
-        if not self.is_numeric(name):  # Some cell is no number.
+        if not is_numeric_dtype(cells):  # Some cell is no number.
             text = self.text(name).str.replace(self.layout.thousands or "\0", "", regex=False)
             cells = pd.to_numeric(text.str.replace(self.layout.decimal, ".", regex=False), "coerce")
         return cells.to_numpy(np.float64)
@@ -313,7 +310,7 @@ def _unreadable(path: Path, error: Exception) -> InputError:
 def _without_blank_rows(fields: pd.DataFrame) -> pd.DataFrame:
     """Leave out rows without any value, and comments between the rows."""
     leave_out = fields.isna().all(axis=1)
-    if not pd.api.types.is_numeric_dtype(fields[0]):
+    if not is_numeric_dtype(fields[0]):
         leave_out |= fields[0].astype(str).str.startswith("#")
     return fields[~leave_out] if leave_out.any() else fields
 
@@ -344,29 +341,23 @@ def held_values(
     else:
         at_ns = table.seconds_ns(table.stamp)
     table, at_ns = table.steady(table.stamp, at_ns, may_lack=True)
-    values = _within(table, column, bounds)
     step = int(np.median(np.diff(at_ns)))
-    known = ~np.isnan(values)
-    held_ns = np.diff(at_ns[known], append=at_ns[-1] + step) - step
-    lacking = int((held_ns // step).sum())
-    longest_s = held_ns.max(initial=0) / _NS
-    if longest_s > _LONGEST_HELD_S or not known[0]:
-        row = int(np.flatnonzero(known)[held_ns.argmax()]) if known[0] else 0
+    every_ns = np.arange(at_ns[0], at_ns[-1] + 1, step)
+    values = pd.Series(_within(table, column, bounds), at_ns).reindex(every_ns)
+    held = values.ffill(limit=max(int(_LONGEST_HELD_S * _NS) // step, 1))
+    if held.isna().any():
+        row = max(int(np.searchsorted(at_ns, every_ns[held.isna().argmax()])) - 1, 0)
         expected = f"a sample at least every {_LONGEST_HELD_S:g} s, from the first line on"
         raise table.error(row, column, expected)
-    if lacking:
-        table.notes.append(
-            f"missing samples of {column}: {lacking:,}, for at most {longest_s:g} s: the one "
-            "before was held"
-        )
+    if lacking := int(values.isna().sum()):
+        table.notes.append(f"missing samples of {column}: {lacking:,}: the one before was held")
     first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
     begins_ns, ends_ns = int(at_ns[0]), int(at_ns[-1]) + step
     if first_ns < begins_ns or last_ns >= ends_ns:
         needs = f"seconds {first_ns / _NS:.15g} to {last_ns / _NS:.15g}"
         has = f"{begins_ns / _NS:.15g} to {ends_ns / _NS:.15g}"
         raise InputError(f"{path.name}: expected {what}, {needs}, got {has}{hint}")
-    found = values[known][np.searchsorted(at_ns[known], time_ns, side="right") - 1]
-    return found, table.said()
+    return np.asarray(held, np.float64)[(time_ns - begins_ns) // step], table.said()
 
 
 def _within(table: CsvTable, column: str, bounds: tuple[float, float]) -> Floats:

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 import pvlib
+from pandas.api.types import is_numeric_dtype
 
 from bus_schemas.errors import InputError, listed
 from sim_plant import Floats
@@ -156,7 +157,7 @@ def wide(table: CsvTable, stations: Sequence[str]) -> CsvTable:
     if any(station_of(name, pd.Index(stations)) in stations for name in columns):
         return table
     named = [one for one in columns if set(table.text(one).head(2000)) & set(stations)]
-    values = [one for one in columns if one not in named and table.is_numeric(one)]
+    values = [one for one in columns if one not in named and is_numeric_dtype(table.column(one))]
     if len(named) != 1 or len(values) != 1:
         return table
     of, value = named[0], values[0]

@@ -85,23 +85,19 @@ def export(
     path = path or default_path(reader.path, form)
     for new in (path, layout_path(path)) if form == "json-mcap" else (path,):
         check_new(new)
-    if form == "comtrade":
-        assert at is not None
-        return _export_event(reader, path, at, WINDOW_S if window_s is None else window_s)
     signals = [one for one in SIGNALS if one.logged and (not signals or one in signals)]
     ports = reader.ports(*signals, nodes=nodes)
+    rows, messages = {signal.name: 0 for signal in signals}, 0
     with new_path(path) as beside:
-        out: WholeRecording | ViewerFile | TableFolder
-        if form == "mcap":
-            out = WholeRecording(beside, reader)
-        elif form == "json-mcap":
-            usual: Clock = "sim" if reader.plan.timing.lockstep else "wall"
-            out = ViewerFile(beside, reader, ports, clock or usual)
+        if at is not None:
+            cycle = reader.clock.cycle(at, "--at")
+            around = ceil((WINDOW_S if window_s is None else window_s) / reader.plan.timing.cycle_s)
+            span = range(max(cycle - around, 0), min(cycle + around, reader.last_cycle) + 1)
+            rows = dict.fromkeys(write_comtrade(reader, beside, cycle, span), len(span))
         else:
-            anchor = ClockAnchor.of(reader.metadata, reader.path)
-            out = TableFolder(beside, reader.plan, signals, anchor, form)
-        with out:
-            span, messages = _add_all(out, reader, ports, cycles)
+            with _opened(form, beside, reader, signals, ports, clock) as out:
+                span, messages = _add_all(out, reader, ports, cycles)
+            rows |= out.rows
     if form == "json-mcap":
         with whole_file(layout_path(path)) as file:
             file.write(msgspec.json.encode(layout(reader.plan, ports)))
@@ -113,26 +109,29 @@ def export(
         first_cycle=span.start if span else None,
         last_cycle=span.stop - 1 if span else None,
         messages=messages,
-        rows={signal.name: 0 for signal in signals} | out.rows,
+        rows=rows,
     )
 
 
-def _export_event(reader: RunReader, path: Path, at: When, window_s: float) -> ExportSummary:
-    cycle = reader.clock.cycle(at, "--at")
-    around = ceil(window_s / reader.plan.timing.cycle_s)
-    window = range(max(cycle - around, 0), min(cycle + around, reader.last_cycle) + 1)
-    with new_path(path) as beside:
-        channels = write_comtrade(reader, beside, cycle, window)
-    return ExportSummary(
-        run_id=reader.plan.run_id,
-        form="comtrade",
-        path=str(path),
-        whole=reader.whole,
-        first_cycle=window.start,
-        last_cycle=window.stop - 1,
-        messages=0,
-        rows=dict.fromkeys(channels, len(window)),
-    )
+def _opened(
+    form: Form,
+    path: Path,
+    reader: RunReader,
+    signals: Sequence[Signal[Message]],
+    ports: Collection[Port[Message]],
+    clock: Clock | None,
+) -> WholeRecording | ViewerFile | TableFolder:
+    match form:
+        case "mcap":
+            return WholeRecording(path, reader)
+        case "json-mcap":
+            usual: Clock = "sim" if reader.plan.timing.lockstep else "wall"
+            return ViewerFile(path, reader, ports, clock or usual)
+        case "parquet" | "csv":
+            anchor = ClockAnchor.of(reader.metadata, reader.path)
+            return TableFolder(path, reader.plan, signals, anchor, form)
+        case "comtrade":
+            raise InputError.of("--format", "expected --at with comtrade")
 
 
 def _add_all(
