@@ -11,6 +11,7 @@ from math import isnan
 from typing import Final
 
 import numpy as np
+from msgspec import UNSET
 
 from agents.agent import Stage, Turn
 from agents.control.allocation import total
@@ -129,13 +130,16 @@ class Plant:
                 available_kw=available_kw[position],
             )
             outputs.append((port, telemetry))
-        for node, store in zip(self._tree.storage_paths, state.stores, strict=True):
+        is_tripped = self._tripped_storages(max(cycle - 1, 0))
+        for node, store, is_off in zip(
+            self._tree.storage_paths, state.stores, is_tripped, strict=True
+        ):
             telemetry = Telemetry(
                 *turn.stamp,
                 power_kw=store.power_kw,
                 alpha=1.0,
                 limit_kw=self._tree.rating_kw(node),
-                energy_kwh=store.energy_kwh,
+                energy_kwh=UNSET if is_off else store.energy_kwh,
             )
             outputs.append((TELEMETRY.of(node), telemetry))
         return replace(state, dispatch=dispatch, promise=promise), outputs
@@ -184,7 +188,9 @@ class Plant:
 
     def _stores(self, state: PlantState, turn: Turn) -> tuple[Store, ...]:
         commands = [turn.get(port) for port in self._storage_commands]
-        time_s = max(turn.cycle, 0) * self._cycle_s
-        is_tripped = trips(self._trips, self._tree.storage_paths, time_s)
+        is_tripped = self._tripped_storages(max(turn.cycle, 0))
         passed = max(turn.cycle - state.cycle, 1)
         return self._storages.obey(state.stores, commands, is_tripped, turn.cycle, passed)
+
+    def _tripped_storages(self, cycle: int) -> list[bool]:
+        return trips(self._trips, self._tree.storage_paths, cycle * self._cycle_s)

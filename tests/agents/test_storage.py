@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from memory_runs import Sent, run_in_memory
 from msgspec import UNSET
-from plans_by_hand import FOUR, plan_of
+from plans_by_hand import FOUR, plan_of, with_changes
 from plants_by_hand import head
 
 from agents.control.storage import Ability, asked_kw, storage_kw
@@ -20,6 +20,8 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Command
 from bus_schemas.signals import COMMAND, IMPP, SETPOINT
 from bus_schemas.tree import ROOT
+from launch_scripts.simulation import on_the_clock
+from scenarios.fault_rules import parse_fault
 from sim_plant.profile import Profile
 from sim_plant.storage import Storages
 
@@ -165,6 +167,43 @@ def test_over_delivery_of_slow_inverters_is_absorbed(helps: StorageHelp) -> None
     too_much = [one.delivered_kw - 200.0 for one in sent.produced if one.cycle >= 10]
     assert max(too_much) < 1e-6
     assert min(stored(sent)[0]) < -40.0
+
+
+FAULTS = [
+    "kill=battery,at=12s",
+    "freeze=battery,at=12s..25s",
+    "trip=battery,at=12s..25s",
+    "source=battery,listener=plant,blackout=12s..25s",
+    "source=battery,listener=central,blackout=12s..25s",
+    "source=plant,listener=battery,blackout=12s..25s",
+    "source=central,listener=battery,blackout=12s..25s",
+]
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(("available_kw", "state"), [(90.0, 0.2), (60.0, 0.9), (60.0, 0.1)])
+def test_whatever_happens_to_it_the_inverters_keep_what_they_have(
+    available_kw: float, state: float, fault: str
+) -> None:
+    battery = StorageSettings(
+        name="battery", rating_kw=100.0, capacity_kwh=10.0, state=state, target=0.9
+    )
+    plan = with_battery(40, storages=(battery,), scheme="predictive", correction=True)
+    plan = on_the_clock(with_changes(plan, faults=(parse_fault(fault),)))
+    sent = under(plan, [available_kw] * 40, 300.0)
+    reachable_kw = min(300.0, 4 * available_kw)
+    made = [one for one in sent.produced if one.cycle >= 5]
+    missing_kw = [max(reachable_kw - one.delivered_kw, 0.0) for one in made]
+    # It fails while it takes 30 kW: until it is not counted on any more, and as it returns.
+    assert sum(missing_kw) <= 30.0 * 2 * (plan.control.hold_cycles + 1)
+    assert max(missing_kw[:7] + missing_kw[-8:]) < 1.0
+    powers_kw, _ = stored(sent)
+    if "trip" in fault:
+        assert set(powers_kw[12:25]) == {0.0}
+    if "listener=plant" in fault:
+        assert set(powers_kw[16:25]) == {0.0}, "it has reverted"
+    if available_kw < 75.0 and state > 0.5:
+        assert made[-1].delivered_kw == pytest.approx(300.0, abs=1.0), "it helps again"
 
 
 def test_a_storage_has_no_share_and_its_parent_hears_what_it_can_do() -> None:

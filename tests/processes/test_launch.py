@@ -80,14 +80,22 @@ events = [{ at = 8, depth_hz = -0.3, duration_s = 8 }, { at = 22, depth_hz = 0.2
 """
 
 
+STORAGE = """
+[[storage]]
+name = "battery"
+rating_kw = 100
+capacity_kwh = 2
+"""
+
+
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Tiers of which the upper ones act rarely, inverters in need, orders, and a grid that asks."""
+    """Tiers of which the upper ones act rarely, need, orders, a grid that asks, a storage."""
     tiers = "cluster_sizes = [[1, 1, 2], [2, 1]]\nperiod_cycles = [6, 3, 1]"
     changes = (
         ("cluster_sizes = [[2, 2]]", tiers),
         ("share = 0.5", "share = 1.1"),
-        ('history = "hindsight"', f'history = "hindsight"\n{ORDERS}{GRID}'),
+        ('history = "hindsight"', f'history = "hindsight"\n{ORDERS}{GRID}{STORAGE}'),
     )
     return small_plant(tmp_path_factory.mktemp("plant"), *changes)
 
@@ -123,12 +131,12 @@ def test_processes_decide_bit_for_bit_what_one_process_decides_and_all_is_record
     with RunReader(folder) as reader:
         recorded = [port.signal.name for port, _ in reader.messages()]
     counts = {count.signal: count.recorded for count in summary.messages}
-    assert counts["telemetry"] == counts["command"] == CYCLES * 4
+    assert counts["telemetry"] == counts["command"] == CYCLES * 5
     assert {name: recorded.count(name) for name in counts} == counts
     assert (summary.lost, summary.dropped) == (0, {})
 
 
-@pytest.mark.parametrize(("processes", "number"), [("cluster", 8), ('["z2"]', 9)])
+@pytest.mark.parametrize(("processes", "number"), [("cluster", 9), ('["z2"]', 10)])
 def test_several_agents_in_one_process_decide_what_they_decide_alone(
     plant: str,
     tmp_path: Path,

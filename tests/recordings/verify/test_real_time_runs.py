@@ -24,7 +24,7 @@ from verifying import first_differences
 from agents.faults import Kill
 from agents.plan import RunPlan
 from agents.plan_parts import PlannedOrder
-from agents.settings import RestartPolicy
+from agents.settings import RestartPolicy, StorageSettings
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import Blackout, Disturbance
 from bus_schemas.messages import (
@@ -114,6 +114,17 @@ def test_rerun_stops_at_an_ambiguous_input(tmp_path: Path) -> None:
     own = [message for _, message in of_publisher(messages, "central")]
     assert result.not_compared == found.asked - result.compared
     assert 0 < result.not_compared <= sum(message.cycle >= 12 for message in own)
+
+
+def test_a_run_whose_storage_was_restarted_is_repeated_bit_for_bit(tmp_path: Path) -> None:
+    battery = StorageSettings(name="battery", cluster="c2", rating_kw=60.0, capacity_kwh=1.0)
+    plan = faulty_plan(Kill("c2/battery", 12.2), storages=(battery,), cycles=40)
+    profile = cloudy_profile(plan)
+    messages = published(plan, profile)
+    restarted = [one for port, one in messages if port is IMPP.of("c2/battery") if one.incarnation]
+    assert restarted
+    found = verify(record(tmp_path / "run", plan, messages, profile))
+    assert found.equal, found.first
 
 
 def test_unrecorded_messages_of_a_killed_process_are_no_difference(
