@@ -28,7 +28,7 @@ from bus_schemas.messages import Command, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, SETPOINT, TELEMETRY
 from bus_schemas.tree import ROOT, parent_of
 
-_NEVER: Final = -(2**31)
+NEVER: Final = -(2**31)
 
 
 class DirectState(msgspec.Struct, frozen=True, gc=False):
@@ -38,16 +38,14 @@ class DirectState(msgspec.Struct, frozen=True, gc=False):
     telemetry_cycle: int
 
 
-class DirectController:
-    """Estimates its inverter's maximum power, states its deficit, turns a setpoint into alpha."""
+class LeafController:
+    """Ports and stages of a direct controller, of an inverter or a storage."""
 
     may_skip = True
 
-    def __init__(self, node: str, rating_kw: float, control: Control, cycle_s: float) -> None:
+    def __init__(self, node: str, control: Control) -> None:
         self.name = node
-        self._rating_kw = rating_kw
         self._control = control
-        self._cycle_s = cycle_s
         self._parent = parent_of(node)
         self._telemetry = TELEMETRY.of(node)
         self._dispatch = DISPATCH.of(ROOT)
@@ -57,14 +55,22 @@ class DirectController:
         self._with_parent = (estimate, Stage("actuate", (self._setpoint,), (self._dispatch,)))
         self._alone = (estimate, Stage("actuate", (), (self._setpoint, self._dispatch)))
 
-    def initial_state(self) -> DirectState:
-        return DirectState(NOTHING_KNOWN, _NEVER)
-
     def stages(self, cycle: int) -> tuple[Stage, ...]:
-        """Return the stages; between its parent's turns it waits for its inverter alone."""
-        return (
-            self._with_parent if self._control.periods.is_turn(self._parent, cycle) else self._alone
-        )
+        """Return the stages; between its parent's turns it waits for its device alone."""
+        is_turn = self._control.periods.is_turn(self._parent, cycle)
+        return self._with_parent if is_turn else self._alone
+
+
+class DirectController(LeafController):
+    """Estimates its inverter's maximum power, states its deficit, turns a setpoint into alpha."""
+
+    def __init__(self, node: str, rating_kw: float, control: Control, cycle_s: float) -> None:
+        super().__init__(node, control)
+        self._rating_kw = rating_kw
+        self._cycle_s = cycle_s
+
+    def initial_state(self) -> DirectState:
+        return DirectState(NOTHING_KNOWN, NEVER)
 
     def step(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
         if turn.stage == "estimate":
@@ -109,7 +115,7 @@ class DirectController:
         An inverter that is lost has a setpoint of 0 kW: it is commanded its share instead, so that
         it shows itself if it lives.
         """
-        if state.telemetry_cycle == _NEVER:
+        if state.telemetry_cycle == NEVER:
             return []
         setpoint = turn.get(self._setpoint)
         share_kw = own_share_kw(turn.get(self._dispatch), self._rating_kw)

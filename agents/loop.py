@@ -142,7 +142,7 @@ class Loop(Generic[S]):
         why = f"stopped the run before cycle {self.times.end_cycle}, which the plant has begun"
         self.inputs.drop(Cause.CONFLICTING, RUN.of(ROOT), dispatch, why, self.cycle)
         was_finished = self.finished
-        self.times.forget_stop()
+        self.times.end_cycle, self.times.stop_heard = self.times.timing.cycles, False
         if was_finished:
             self._go_to(self.cycle, now_ns)
 

@@ -91,8 +91,3 @@ class RunTimes:
         under_way = (now_ns - self.start_ns) // self.timing.cycle_wall_ns
         is_behind = min(under_way, self.end_cycle) > cycle + self._most_behind
         return min(under_way, self.end_cycle) if is_behind else None
-
-    def forget_stop(self) -> None:
-        """Let the run end where the plan says: the plant has begun a cycle after a stop."""
-        self.end_cycle = self.timing.cycles
-        self.stop_heard = False

@@ -6,21 +6,16 @@ actuate   setpoint            -> command (power, negative to charge)
 
 from __future__ import annotations
 
-from typing import Final
-
 import msgspec
 
-from agents.agent import Stage, Turn
+from agents.agent import Turn
 from agents.control.storage import NO_ABILITY, Ability, StorageLaw, ability
+from agents.direct import NEVER, LeafController
 from agents.dispatch import own_report
 from agents.plan_parts import Control
 from bus_schemas.bounds import METER_TOLERANCE
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Telemetry
-from bus_schemas.signals import COMMAND, DISPATCH, SETPOINT, TELEMETRY
-from bus_schemas.tree import ROOT, parent_of
-
-_NEVER: Final = -(2**31)
 
 
 class StorageState(msgspec.Struct, frozen=True, gc=False):
@@ -31,35 +26,18 @@ class StorageState(msgspec.Struct, frozen=True, gc=False):
     telemetry_cycle: int
 
 
-class StorageController:
+class StorageController(LeafController):
     """States what its storage can give and take, and turns a setpoint into a command.
 
     Its share of the dispatch is 0: without a setpoint the storage rests.
     """
 
-    may_skip = True
-
     def __init__(self, node: str, law: StorageLaw, control: Control) -> None:
-        self.name = node
+        super().__init__(node, control)
         self._law = law
-        self._control = control
-        self._parent = parent_of(node)
-        self._telemetry = TELEMETRY.of(node)
-        self._dispatch = DISPATCH.of(ROOT)
-        self._setpoint = SETPOINT.of(node)
-        self._command = COMMAND.of(node)
-        estimate = Stage("estimate", (self._telemetry, self._dispatch))
-        self._with_parent = (estimate, Stage("actuate", (self._setpoint,), (self._dispatch,)))
-        self._alone = (estimate, Stage("actuate", (), (self._setpoint, self._dispatch)))
 
     def initial_state(self) -> StorageState:
-        return StorageState(NO_ABILITY, 0, _NEVER)
-
-    def stages(self, cycle: int) -> tuple[Stage, ...]:
-        """Return the stages; between its parent's turns it waits for its storage alone."""
-        return (
-            self._with_parent if self._control.periods.is_turn(self._parent, cycle) else self._alone
-        )
+        return StorageState(NO_ABILITY, 0, NEVER)
 
     def step(self, state: StorageState, turn: Turn) -> tuple[StorageState, list[Delivery]]:
         if turn.stage == "estimate":
@@ -89,7 +67,7 @@ class StorageController:
         """Command the setpoint; where the dispatch has expired too, let the storage revert."""
         setpoint = turn.get(self._setpoint)
         is_alone = setpoint is None and turn.get(self._dispatch) is None
-        if is_alone or state.telemetry_cycle == _NEVER:
+        if is_alone or state.telemetry_cycle == NEVER:
             return []
         power_kw = 0.0 if setpoint is None else setpoint.power_kw
         command = Command(*turn.stamp, alpha=1.0, power_kw=power_kw, revert_kw=0.0)

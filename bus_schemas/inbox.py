@@ -34,7 +34,7 @@ _this_thread = threading.local()
 class Inbox:
     """A queue from Zenoh's thread to the agent's: wakes the agent once, when enough has arrived.
 
-    dropped: Messages without room in the queue, by port and cause.
+    dropped: Messages that could not be read or found no room, by port and cause.
     on_enough: Called on Zenoh's thread. By default it wakes the agent's.
     """
 

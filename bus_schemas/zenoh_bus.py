@@ -159,11 +159,6 @@ class ZenohBus:
             for key, callback in subscribed.items()
         )
 
-    @property
-    def dropped(self) -> Counter[tuple[str, str]]:
-        """Messages that could not be read or found no room, by port and cause."""
-        return self.inbox.dropped
-
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message. In lockstep this waits for listeners that have fallen behind."""
         self.outbox.stamp(port, message, now_ns)

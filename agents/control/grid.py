@@ -8,7 +8,7 @@ the formula.
 from __future__ import annotations
 
 from math import inf, isnan, sqrt
-from typing import Final, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +42,6 @@ class GridLaw(NamedTuple):
     pmax_kw: float = inf
     loss_kw: float = 0.0
     loss_per_kw: float = 0.0
-
-
-NO_GRID: Final = GridLaw()
 
 
 def net_kw(power_kw: Power, law: GridLaw) -> Power:

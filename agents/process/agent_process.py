@@ -251,7 +251,7 @@ class AgentProcess:
         self.driver.stop()
         self._bus.send_bundles()
         loops = self.driver.loops.values()
-        dropped = [*self._bus.dropped.items()]
+        dropped = [*self._bus.inbox.dropped.items()]
         for loop in loops:
             dropped += loop.inputs.dropped.items()
         self.link.tell(

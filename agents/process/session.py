@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
@@ -85,21 +85,12 @@ def check_sockets(folder: Path) -> None:
         raise InputError(f"{folder}: expected a folder that its user alone can enter")
 
 
-class LinkTimes(NamedTuple):
-    """Times after which a dead link is closed [s].
-
-    lease_s: How long nothing may come over it. open_s: How long it may take to open.
-    """
-
-    lease_s: float
-    open_s: float
-
-
-def link_times(plan: RunPlan) -> LinkTimes:
+def link_times(plan: RunPlan) -> tuple[float, float]:
+    """Return how long nothing may come over a link, and how long it may take to open [s]."""
     if plan.timing.lockstep:
-        return LinkTimes(LONGEST_LEASE_S, LONGEST_LEASE_S)
+        return (LONGEST_LEASE_S, LONGEST_LEASE_S)
     among_many_s = _PER_PROCESS_S * len(plan.processes)
-    return LinkTimes(max(_LEASE_S, among_many_s), max(_OPEN_S, among_many_s))
+    return (max(_LEASE_S, among_many_s), max(_OPEN_S, among_many_s))
 
 
 def _settings(

@@ -45,9 +45,9 @@ def linked() -> Iterator[tuple[zenoh.Session, ZenohBus]]:
         while not bus.receive(time.monotonic_ns() + 20_000_000):
             session.put(KEY, GOOD)  # The first ones may go before the link is up.
         session.put(KEY, b"last")
-        while not bus.dropped:
+        while not bus.inbox.dropped:
             bus.receive(time.monotonic_ns() + 20_000_000)
-        bus.dropped.clear()
+        bus.inbox.dropped.clear()
         yield session, bus
 
 
@@ -59,7 +59,7 @@ def test_undecodable_messages_are_counted_and_later_ones_heard(
     began_ns = time.monotonic_ns()
     assert bus.receive(began_ns + 300_000_000) == []
     assert time.monotonic_ns() - began_ns >= 300_000_000, "an agent that got nothing says so"
-    assert bus.dropped == {("a/telemetry", "undecodable"): 1}
+    assert bus.inbox.dropped == {("a/telemetry", "undecodable"): 1}
     for payload in (b"", GOOD):
         session.put(KEY, payload)
     (arrival,) = bus.receive(None)

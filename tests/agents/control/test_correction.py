@@ -15,7 +15,7 @@ from agents.control.correction import (
     nothing_metered,
     with_reading,
 )
-from agents.control.grid import NO_GRID, GridLaw, gross_kw, net_kw
+from agents.control.grid import GridLaw, gross_kw, net_kw
 
 RATING_KW = 1000.0
 
@@ -30,7 +30,7 @@ def settled(loss_kw: float, cycle_s: float, seconds: float, delay_s: float = 0.0
     known, found = nothing_metered(law), [500.0 - loss_kw] * (late + 1)
     for _ in range(round(seconds / cycle_s)):
         known = corrected(with_reading(known, found[-1 - late]), 500.0, inf, 0.0, law)
-        found.append(corrected_kw(known, law, NO_GRID) - loss_kw)
+        found.append(corrected_kw(known, law, GridLaw()) - loss_kw)
     return found
 
 
