@@ -58,12 +58,12 @@ def read_currents(
             f"{positions_csv.name}: expected a line for each combiner of {table.name}, got none "
             f"for {listed(unknown)}"
         )
+    table, time_ns = table.steady("t_s", table.seconds_ns("t_s"))
     current = _currents(table, columns, full_power_current)
     # Combiners of the positions file that the currents lack are missing throughout.
     share = pd.DataFrame(np.maximum(current / full_power_current, 0.0), columns=columns)
     share = share.reindex(columns=combiners.index)
     means, report = _means(table.name, share, combiners["inverter"])
-    _, time_ns = table.steady("t_s", table.seconds_ns("t_s"))
     times = begins + pd.to_timedelta(time_ns, unit="ns")
     positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()
     x_m, y_m = positions.loc[means.columns].to_numpy().T

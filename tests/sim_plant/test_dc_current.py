@@ -56,6 +56,13 @@ def read(tmp_path: Path) -> Read:
 # Good files ---------------------------------------------------------------------------------------
 
 
+def test_currents_stay_with_their_times_where_the_newest_line_is_first(read: Read) -> None:
+    header, *lines = CURRENTS.splitlines()
+    expected, found = read(), read("\n".join([header, *reversed(lines)]))
+    assert list(found.measured_times) == list(expected.measured_times)
+    np.testing.assert_array_equal(found.power_kw, expected.power_kw)
+
+
 def test_the_mean_of_the_combiners_is_the_inverters(read: Read) -> None:
     found = read()
     assert found.sites.names == ("inv01", "inv02")
